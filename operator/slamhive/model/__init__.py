@@ -1,2 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""model."""
+"""The language: the five kinds, the unified configuration and the records of results.
+
+Pure data: everything else imports this package, and it imports nothing of slamhive.
+"""

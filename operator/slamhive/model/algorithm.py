@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Algorithm: what can be run, on which sensors, with which parameters, and what its poses mean."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, StringConstraints, model_validator
+
+from slamhive.model.base import Choice, Model, Name, Resource, Scalar, Sha256
+from slamhive.model.errors import InputError, UnknownNameError, suggestion
+from slamhive.model.sensors import ROLES, Role, SensorMode
+
+_SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
+RelativePath = Annotated[
+    str,
+    StringConstraints(pattern=rf"^{_SEGMENT}(/{_SEGMENT})*$", max_length=1024),
+    Field(description="A path that stays below its folder: not absolute, no . or .. in it."),
+]
+
+
+class Pace(Choice):
+    """How a recording is handed to an algorithm."""
+
+    LOCKSTEP = "Lockstep"
+    REALTIME = "Realtime"
+
+
+class RecordingFormat(Choice):
+    """How a recording is stored."""
+
+    ROSBAG1 = "Rosbag1"
+    ROSBAG2 = "Rosbag2"
+    MCAP = "Mcap"
+
+
+class ParameterType(Choice):
+    """The type of a parameter."""
+
+    NUMBER = "Number"
+    INTEGER = "Integer"
+    BOOLEAN = "Boolean"
+    STRING = "String"
+
+
+class Parameter(Model):
+    """A parameter of an algorithm: type, default and bounds."""
+
+    type: ParameterType = Field(description="Type of the value.")
+    default: Scalar = Field(default=None, description="Value where a run gives none.")
+    nullable: bool = Field(default=False, description="Whether null is allowed: the algorithm derives it.")
+    minimum: float | None = Field(default=None, description="Least value allowed.")
+    maximum: float | None = Field(default=None, description="Greatest value allowed.")
+    values: list[Scalar] | None = Field(default=None, min_length=1, description="The only values allowed.")
+    unit: str | None = Field(default=None, description="Unit of the value.")
+    description: str = Field(default="", description="What the parameter does.")
+
+    @model_validator(mode="after")
+    def _default_fits(self) -> Self:
+        problem = self.problem(self.default)
+        if problem:
+            raise ValueError(f"default: {problem}")
+        return self
+
+    def problem(self, value: Scalar) -> str | None:
+        """Say what is wrong with a value, or return None when it is allowed."""
+        if value is None:
+            return None if self.nullable else f"null is not allowed, only {self._allowed()}"
+        if not self._right_type(value):
+            return f"{value!r} is not allowed, only {self._allowed()}"
+        if self.values is not None and value not in self.values:
+            return f"{value!r} is not allowed, only {self._allowed()}"
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if number and self.minimum is not None and value < self.minimum:  # type: ignore[operator]
+            return f"{value!r} is below the minimum, allowed: {self._allowed()}"
+        if number and self.maximum is not None and value > self.maximum:  # type: ignore[operator]
+            return f"{value!r} is above the maximum, allowed: {self._allowed()}"
+        return None
+
+    def _right_type(self, value: Scalar) -> bool:
+        match self.type:
+            case ParameterType.BOOLEAN:
+                return isinstance(value, bool)
+            case ParameterType.STRING:
+                return isinstance(value, str)
+            case ParameterType.INTEGER:
+                return isinstance(value, int) and not isinstance(value, bool)
+            case ParameterType.NUMBER:
+                return isinstance(value, int | float) and not isinstance(value, bool)
+
+    def _allowed(self) -> str:
+        if self.values is not None:
+            return "one of " + ", ".join(repr(value) for value in self.values)
+        words = {
+            "Number": "a number",
+            "Integer": "an integer",
+            "Boolean": "true or false",
+            "String": "a text",
+        }
+        text = words[self.type]
+        if self.minimum is not None and self.maximum is not None:
+            text += f" from {self.minimum:g} to {self.maximum:g}"
+        elif self.minimum is not None:
+            text += f" of at least {self.minimum:g}"
+        elif self.maximum is not None:
+            text += f" of at most {self.maximum:g}"
+        if self.unit:
+            text += f" ({self.unit})"
+        return text + (" or null" if self.nullable else "")
+
+
+class PoseStamp(Choice):
+    """The instant that a pose in trajectory.txt belongs to, and that its stamp names."""
+
+    HEADER = "Header"
+    RECORD = "Record"
+    SCAN_START = "ScanStart"
+    SCAN_MID = "ScanMid"
+    SCAN_END = "ScanEnd"
+
+
+class Poses(Choice):
+    """Which poses an algorithm writes."""
+
+    FRAMES = "Frames"
+    KEYFRAMES = "Keyframes"
+
+
+class Output(Model):
+    """What the poses of an algorithm mean."""
+
+    frame: Literal["body", "camera", "left", "right", "color", "depth", "lidar", "imu"] = Field(
+        description="Whose pose is written: a role's sensor, or the body."
+    )
+    stamp: PoseStamp = Field(
+        default=PoseStamp.HEADER, description="The instant that a pose and its stamp mean."
+    )
+    poses: Poses = Field(default=Poses.FRAMES, description="Every frame or keyframes alone.")
+    gravity_aligned: bool = Field(default=False, description="Whether the world's z axis points up.")
+    scale: bool = Field(default=True, description="Whether the trajectory is metric.")
+
+
+class OutputChange(Model):
+    """What a mode changes of the algorithm's output."""
+
+    frame: Literal["body", "camera", "left", "right", "color", "depth", "lidar", "imu"] | None = None
+    stamp: PoseStamp | None = None
+    poses: Poses | None = None
+    gravity_aligned: bool | None = None
+    scale: bool | None = None
+
+
+class Mode(Model):
+    """A sensor mode that an algorithm supports."""
+
+    name: SensorMode = Field(description="Name of the mode.")
+    roles: list[Role] = Field(default_factory=list, description="Roles it needs; default: the mode's own.")
+    output: OutputChange | None = Field(default=None, description="What differs in this mode.")
+
+    @property
+    def needs(self) -> tuple[Role, ...]:
+        """Return the roles that a dataset must fill."""
+        return tuple(self.roles) or ROLES[self.name]
+
+
+class Asset(Model):
+    """A file that an algorithm needs beside the recording, such as a vocabulary or weights."""
+
+    name: RelativePath = Field(description="File name under assets/ in the run folder.")
+    path: RelativePath | None = Field(default=None, description="File beside the Algorithm's own.")
+    url: str | None = Field(default=None, pattern=r"^https://", description="Where to get it.")
+    sha256: Sha256 | None = Field(default=None, description="Checksum of the file.")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.path is None) == (self.url is None):
+            raise ValueError("give either path or url")
+        if self.url is not None and self.sha256 is None:
+            raise ValueError("a url needs its sha256")
+        return self
+
+
+class LocalProgram(Model):
+    """How an algorithm runs on a workstation without a container."""
+
+    adapter: RelativePath = Field(default="adapter.py", description="Python program in this folder.")
+    requirements: RelativePath = Field(
+        default="requirements.txt", description="Python packages of its virtual environment."
+    )
+    python: str = Field(default=">=3.11", description="Versions of Python that it has packages for.")
+    machines: list[str] = Field(default_factory=list, description="Machines, as in uname -m; empty: any.")
+    system_packages: list[str] = Field(default_factory=list, description="Debian packages that it links to.")
+    libraries: list[str] = Field(default_factory=list, description="Shared libraries that must be loadable.")
+
+
+class RealtimePolicy(Model):
+    """What happens in real time when an algorithm is slower than the sensor."""
+
+    queue: int = Field(default=1, ge=1, description="Messages that wait at most.")
+    drop: Literal["Oldest", "Newest"] = Field(default="Oldest", description="Which one goes.")
+
+
+class AlgorithmSpec(Model):
+    """A SLAM or odometry algorithm."""
+
+    description: str = Field(default="", description="One sentence.")
+    homepage: str | None = Field(default=None, description="Where the algorithm lives.")
+    license: str | None = Field(default=None, description="Licence as an SPDX expression.")
+    version: str | None = Field(default=None, description="Version of the algorithm.")
+    image: str | None = Field(default=None, description="Container image.")
+    command: list[str] = Field(
+        default_factory=list, description="Program in the container; default: its own."
+    )
+    local: LocalProgram | None = Field(default=None, description="How to run it without a container.")
+    modes: list[Mode] = Field(min_length=1, description="Sensor modes.")
+    recording: list[RecordingFormat] = Field(
+        default_factory=lambda: [RecordingFormat.ROSBAG1], min_length=1, description="Formats it reads."
+    )
+    parameters: dict[str, Parameter] = Field(default_factory=dict, description="Parameters by name.")
+    assets: list[Asset] = Field(default_factory=list, description="Files it needs.")
+    output: Output = Field(description="What its poses mean.")
+    paces: list[Pace] = Field(default_factory=lambda: [Pace.LOCKSTEP], min_length=1, description="Paces.")
+    realtime: RealtimePolicy | None = Field(default=None, description="Queue and drop policy in real time.")
+    deterministic: Literal["Yes", "No", "Unknown"] = Field(
+        default="Unknown", description="Whether equal input and seed give equal output."
+    )
+    seed: Literal["Ignored", "Used"] = Field(default="Ignored", description="What it does with the seed.")
+    includes_reader: bool = Field(
+        default=False, description="Whether its CPU time holds the reading of the recording."
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.image is None and self.local is None:
+            raise ValueError("give an image, or local for a program without a container")
+        names = [mode.name for mode in self.modes]
+        if len(set(names)) != len(names):
+            raise ValueError("modes: each mode may be named once")
+        if Pace.REALTIME in self.paces and self.realtime is None:
+            raise ValueError("realtime: needed for the pace Realtime (queue and drop policy)")
+        return self
+
+    def mode(self, name: SensorMode | None) -> Mode:
+        """Return a mode by name, or the only one.
+
+        Raises:
+            InputError: the algorithm has no such mode, or several and none was named.
+        """
+        if name is None:
+            if len(self.modes) == 1:
+                return self.modes[0]
+            raise InputError(f"sensors: name one of {', '.join(mode.name for mode in self.modes)}")
+        for mode in self.modes:
+            if mode.name == name:
+                return mode
+        raise UnknownNameError("sensor mode", name, [mode.name for mode in self.modes], "sensors")
+
+    def output_of(self, mode: Mode) -> Output:
+        """Return what the poses mean in a mode."""
+        changes = mode.output.model_dump(exclude_none=True) if mode.output else {}
+        return self.output.replace(**changes)
+
+    def fill(self, parameters: dict[str, Scalar]) -> dict[str, Scalar]:
+        """Return all parameters with defaults filled in, sorted by name.
+
+        Raises:
+            InputError: a parameter is unknown or its value is not allowed.
+        """
+        for name, value in parameters.items():
+            declared = self.parameters.get(name)
+            if declared is None:
+                raise InputError(
+                    f"parameters.{name}: unknown parameter {name!r}{suggestion(name, self.parameters)}"
+                )
+            problem = declared.problem(value)
+            if problem:
+                raise InputError(f"parameters.{name}: {problem}")
+        return {name: parameters.get(name, self.parameters[name].default) for name in sorted(self.parameters)}
+
+
+class Algorithm(Resource):
+    """The catalog entry of an algorithm."""
+
+    kind: Literal["Algorithm"] = "Algorithm"
+    spec: AlgorithmSpec
+
+
+__all__ = ["Algorithm", "AlgorithmSpec", "Mode", "Name", "Output", "Pace", "Parameter", "RecordingFormat"]

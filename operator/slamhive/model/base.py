@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all kinds of the language share: strictness, metadata, durations and quantities."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic.alias_generators import to_camel
+
+GROUP = "slamhive.io"
+VERSION = "v1alpha1"
+API_VERSION = f"{GROUP}/{VERSION}"
+
+_DURATION = r"^([0-9]{1,5}(h|m|s|ms)){1,4}$"
+_QUANTITY = r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$"
+_UNIT_SECONDS = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 0.001}
+_UNIT_SIZE = {
+    "": 1.0,
+    "m": 0.001,
+    "k": 1e3,
+    "M": 1e6,
+    "G": 1e9,
+    "T": 1e12,
+    "Ki": 2.0**10,
+    "Mi": 2.0**20,
+    "Gi": 2.0**30,
+    "Ti": 2.0**40,
+}
+
+Duration = Annotated[
+    str,
+    StringConstraints(pattern=_DURATION),
+    Field(description="A duration such as 90s, 1h30m or 250ms (GEP-2257)."),
+]
+Quantity = Annotated[
+    str,
+    StringConstraints(pattern=_QUANTITY),
+    Field(description="A quantity as Kubernetes writes it, such as 2, 500m or 4Gi."),
+]
+Name = Annotated[
+    str,
+    StringConstraints(pattern=r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$", min_length=1, max_length=253),
+]
+Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+Scalar = bool | int | float | str | None
+
+
+class Model(BaseModel):
+    """A frozen record of the language: unknown fields are refused, names are camelCase outside."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        alias_generator=to_camel,
+        populate_by_name=True,
+        allow_inf_nan=False,
+    )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the record as plain JSON values under its outside names, absent fields left out."""
+        return self.model_dump(mode="json", by_alias=True, exclude_none=True)
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with some fields changed (the changes are trusted, not validated)."""
+        return self.model_copy(update=changes)
+
+
+class Choice(StrEnum):
+    """An enumeration of words; members print as the word itself."""
+
+
+class ObjectMeta(Model):
+    """The part of Kubernetes' object metadata that means something here."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    name: Name
+    namespace: str | None = None
+    uid: str | None = None
+    labels: dict[str, str] = Field(default_factory=dict)
+    annotations: dict[str, str] = Field(default_factory=dict)
+
+
+class Reference(Model):
+    """The name of another object in the same namespace."""
+
+    name: Name = Field(description="Name of the object.")
+
+
+class Resource(Model):
+    """An object of one of our kinds."""
+
+    api_version: str = API_VERSION
+    kind: str
+    metadata: ObjectMeta
+
+    @property
+    def name(self) -> str:
+        """Return the object's name."""
+        return self.metadata.name
+
+
+def seconds(duration: str) -> float:
+    """Return the length of a duration in seconds.
+
+    >>> seconds("1h30m")
+    5400.0
+    """
+    parts = re.findall(r"([0-9]+)(h|ms|m|s)", duration)
+    return sum(int(number) * _UNIT_SECONDS[unit] for number, unit in parts)
+
+
+def quantity(text: str) -> float:
+    """Return a quantity as a number.
+
+    >>> quantity("4Gi"), quantity("500m")
+    (4294967296.0, 0.5)
+    """
+    match = re.match(r"^([0-9.]+)([a-zA-Z]*)$", text)
+    if match is None:
+        raise ValueError(f"{text!r} is not a quantity such as 2, 500m or 4Gi")
+    return float(match.group(1)) * _UNIT_SIZE[match.group(2)]

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Canonical JSON and hashes: the same value has the same hash on every machine.
+
+YAML's numbers are first brought to what kubectl would send (10.0 is 10), then the value is written
+as RFC 8785 says, and hashed with SHA-256.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import Any
+
+import rfc8785
+
+from slamhive.model.errors import InputError
+
+_EXACT = 2**53
+
+
+def normalize(value: Any, where: str = "") -> Any:
+    """Return plain JSON values in which whole numbers are integers.
+
+    Raises:
+        InputError: a number that JSON cannot hold exactly, or a value of another type.
+    """
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, int):
+        if abs(value) >= _EXACT:
+            raise InputError(f"{where or 'value'}: {value} is too large, integers go up to 2^53")
+        return value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise InputError(f"{where or 'value'}: {value} is not a finite number")
+        return int(value) if value.is_integer() and abs(value) < _EXACT else value
+    if isinstance(value, dict):
+        return {
+            str(key): normalize(item, f"{where}.{key}" if where else str(key)) for key, item in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [normalize(item, f"{where}[{number}]") for number, item in enumerate(value)]
+    raise InputError(f"{where or 'value'}: {type(value).__name__} is not a JSON value")
+
+
+def digest(value: Any) -> str:
+    """Return the SHA-256 of a JSON value in canonical form, as 64 hexadecimal digits."""
+    return hashlib.sha256(rfc8785.dumps(value)).hexdigest()

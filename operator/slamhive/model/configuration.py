@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unified configuration: the one file in which an algorithm finds all it is told."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from slamhive.model.algorithm import Pace, RecordingFormat
+from slamhive.model.base import API_VERSION, Model, Scalar
+from slamhive.model.sensors import Sensor, SensorMode
+
+
+class RecordingPlace(Model):
+    """The prepared recording, relative to the run folder."""
+
+    format: RecordingFormat
+    path: str
+
+
+class DatasetView(Model):
+    """What an algorithm may know of the dataset."""
+
+    name: str
+    recording: RecordingPlace
+    start_time: float | None = None
+    duration_seconds: float | None = None
+    gravity_aligned: bool = False
+
+
+class SensorView(Sensor):
+    """A sensor as it is after preparation, with its name in the dataset."""
+
+    name: str
+
+
+class InputView(Model):
+    """The input options as they take effect."""
+
+    pace: Pace
+    frame_rate: float | None = None
+    resolution: float = 1.0
+    start: float = 0.0
+    duration: float | None = None
+    rate: float = 1.0
+
+
+class RunConfiguration(Model):
+    """The file config.yaml of a run folder."""
+
+    api_version: str = API_VERSION
+    kind: Literal["RunConfiguration"] = "RunConfiguration"
+    run: str
+    algorithm: str
+    mode: SensorMode
+    dataset: DatasetView
+    sensors: dict[str, SensorView]
+    parameters: dict[str, Scalar] = Field(default_factory=dict)
+    input: InputView
+    seed: int
+    cores: int

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dataset: a recording, its sensors with calibration, and its ground truth."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from slamhive.model.algorithm import RecordingFormat, RelativePath
+from slamhive.model.base import Choice, Model, Resource, Scalar, Sha256
+from slamhive.model.errors import InputError, suggestion
+from slamhive.model.sensors import STAND_INS, Extrinsics, Role, Sensor
+from slamhive.model.synthetic import SyntheticRecording
+
+
+class DataFile(Model):
+    """A file of a recording."""
+
+    path: RelativePath = Field(description="Path below the dataset's folder on the dataset volume.")
+    url: str | None = Field(default=None, pattern=r"^https://", description="Where to get it when absent.")
+    sha256: Sha256 | None = Field(default=None, description="Checksum of the file.")
+
+    @model_validator(mode="after")
+    def _verifiable(self) -> Self:
+        if self.url is not None and self.sha256 is None:
+            raise ValueError("a url needs its sha256")
+        return self
+
+
+class Recording(Model):
+    """Where the sensors' messages come from: files, or a generator."""
+
+    format: RecordingFormat = Field(default=RecordingFormat.ROSBAG1, description="How it is stored.")
+    files: list[DataFile] = Field(default_factory=list, description="Files, in the order of time.")
+    synthetic: SyntheticRecording | None = Field(default=None, description="A generated recording.")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if bool(self.files) == (self.synthetic is not None):
+            raise ValueError("give either files or synthetic")
+        return self
+
+
+class TruthFormat(Choice):
+    """How ground truth is written."""
+
+    TUM = "Tum"
+    EUROC = "Euroc"
+    KITTI = "Kitti"
+    RELATIONS = "Relations"
+
+
+class Hole(Model):
+    """A span in which the ground truth is not to be trusted."""
+
+    start: float = Field(description="Seconds, as the stamps.")
+    end: float = Field(description="Seconds, as the stamps.")
+
+
+class GroundTruth(Model):
+    """Where the reference poses are and what they mean."""
+
+    file: RelativePath | None = Field(default=None, description="File below the dataset's folder.")
+    times: RelativePath | None = Field(default=None, description="File with a stamp a line, for Kitti.")
+    topic: str | None = Field(default=None, description="Topic of the recording that carries the poses.")
+    format: TruthFormat = Field(default=TruthFormat.TUM, description="How the file is written.")
+    frame: str = Field(default="body", description="Whose pose it is: body, or the name of a sensor.")
+    T_body_frame: Extrinsics | None = Field(
+        default=None,
+        alias="T_body_frame",
+        description="Pose of a marker frame in the body, when it is neither.",
+    )
+    holes: list[Hole] = Field(default_factory=list, description="Spans to leave out.")
+    sha256: Sha256 | None = Field(default=None, description="Checksum of the file.")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.file is None) == (self.topic is None):
+            raise ValueError("give either file or topic")
+        return self
+
+
+class DatasetSpec(Model):
+    """A recording with what is known about it."""
+
+    description: str = Field(default="", description="One sentence.")
+    homepage: str | None = Field(default=None, description="Where the data come from.")
+    license: str | None = Field(default=None, description="Licence of the data.")
+    recording: Recording = Field(description="The sensors' messages.")
+    sensors: dict[str, Sensor] = Field(
+        default_factory=dict,
+        description="Sensors by name; a name that is a role fills it. Empty for a synthetic recording: it "
+        "brings its own.",
+    )
+    ground_truth: GroundTruth | None = Field(default=None, description="Reference poses.")
+    gravity_aligned: bool = Field(default=False, description="Whether the ground truth's z axis points up.")
+    attributes: dict[str, Scalar] = Field(
+        default_factory=dict, description="Free attributes to select and plot by, such as loops: 2."
+    )
+
+    @model_validator(mode="after")
+    def _has_sensors(self) -> Self:
+        if not self.sensors and self.recording.synthetic is None:
+            raise ValueError("sensors: name at least one")
+        truth = self.ground_truth
+        known = {"body", *self.sensors}
+        if truth and self.sensors and truth.T_body_frame is None and truth.frame not in known:
+            raise ValueError(
+                f"groundTruth.frame: unknown frame {truth.frame!r}{suggestion(truth.frame, known)}"
+            )
+        return self
+
+    def sensor_for(self, role: Role, remap: dict[str, str] | None = None) -> str:
+        """Return the name of the sensor that fills a role.
+
+        Raises:
+            InputError: no sensor does, or the one asked for does not exist.
+        """
+        asked = (remap or {}).get(role)
+        if asked is not None:
+            if asked not in self.sensors:
+                raise InputError(
+                    f"input.remap.{role}: unknown sensor {asked!r}{suggestion(asked, self.sensors)}"
+                )
+            return asked
+        for candidate in STAND_INS.get(role, (role,)):
+            if candidate in self.sensors:
+                return candidate
+        raise InputError(
+            f"no sensor for the role {role!r}; the dataset has: {', '.join(sorted(self.sensors))}"
+        )
+
+
+class Dataset(Resource):
+    """The catalog entry of a dataset."""
+
+    kind: Literal["Dataset"] = "Dataset"
+    spec: DatasetSpec

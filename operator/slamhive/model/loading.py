@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading manifests as kubectl reads them, with errors that name the file, the line and the field.
+
+Differences to PyYAML's own loader, each one a trap: ``1e-3`` is a number, ``10.0`` is ten, ``12:30``
+and dates are text, a key may not stand twice, and nothing but plain values can be made.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import yaml
+from pydantic import ValidationError
+
+from slamhive.model.algorithm import Algorithm
+from slamhive.model.base import API_VERSION
+from slamhive.model.canonical import normalize
+from slamhive.model.dataset import Dataset
+from slamhive.model.errors import InputError, ManifestError, suggestion
+from slamhive.model.evaluation import Evaluation
+from slamhive.model.run import MappingRun
+from slamhive.model.sweep import Sweep
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from pydantic_core import ErrorDetails
+
+Kind = Algorithm | Dataset | MappingRun | Evaluation | Sweep
+
+KINDS: dict[str, type[Kind]] = {
+    "Algorithm": Algorithm,
+    "Dataset": Dataset,
+    "Evaluation": Evaluation,
+    "MappingRun": MappingRun,
+    "Sweep": Sweep,
+}
+
+_MAX_BYTES = 4 * 1024 * 1024
+_MAX_NODES = 500_000
+_INT = re.compile(r"^[-+]?(0b[01_]+|0o?[0-7_]+|0x[0-9a-fA-F_]+|[0-9][0-9_]*)$")
+_FLOAT = re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
+_WORDS: dict[str, bool | None] = (
+    dict.fromkeys(("true", "True", "TRUE", "yes", "Yes", "YES", "on", "On", "ON", "y", "Y"), True)
+    | dict.fromkeys(("false", "False", "FALSE", "no", "No", "NO", "off", "Off", "OFF", "n", "N"), False)
+    | dict.fromkeys(("", "~", "null", "Null", "NULL"), None)
+)
+
+Path_ = tuple[str | int, ...]
+
+
+class _Reader:
+    """Turns YAML nodes into plain values and remembers on which line each one stood."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self.lines: dict[Path_, int] = {}
+        self._count = 0
+
+    def value(self, node: yaml.Node, path: Path_ = ()) -> Any:
+        self._count += 1
+        if self._count > _MAX_NODES:
+            raise ManifestError(f"{self.source}: more than {_MAX_NODES} values")
+        self.lines.setdefault(path, node.start_mark.line + 1)
+        if isinstance(node, yaml.MappingNode):
+            return self._mapping(node, path)
+        if isinstance(node, yaml.SequenceNode):
+            return [self.value(item, (*path, number)) for number, item in enumerate(node.value)]
+        return self._scalar(node)
+
+    def _mapping(self, node: yaml.MappingNode, path: Path_) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        merged: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise ManifestError(f"{self.source}:{line}: a key must be text")
+            key = str(key_node.value)
+            if key == "<<" and key_node.style is None:
+                for source in value_node.value if isinstance(value_node, yaml.SequenceNode) else [value_node]:
+                    extra = self.value(source, path)
+                    if not isinstance(extra, dict):
+                        raise ManifestError(f"{self.source}:{line}: << takes a mapping")
+                    merged = extra | merged
+                continue
+            if key in result:
+                raise ManifestError(f"{self.source}:{line}: the key {key!r} stands twice")
+            self.lines[(*path, key)] = line
+            result[key] = self.value(value_node, (*path, key))
+        return merged | result
+
+    def _scalar(self, node: yaml.Node) -> Any:
+        text = str(node.value)
+        line = node.start_mark.line + 1
+        if getattr(node, "style", None) is not None or node.tag == "tag:yaml.org,2002:str!":
+            return text
+        if text in _WORDS:
+            return _WORDS[text]
+        if _INT.match(text):
+            return _integer(text)
+        if _FLOAT.match(text):
+            return normalize(float(text), f"{self.source}:{line}")
+        if text.lower().lstrip("+-") in {".inf", ".nan"}:
+            raise ManifestError(f"{self.source}:{line}: {text} is not a finite number")
+        return text
+
+
+def _integer(text: str) -> int:
+    digits = text.replace("_", "")
+    bare = digits.lstrip("+-")
+    if len(bare) > 1 and bare.startswith("0") and bare[1] in "01234567":
+        return (-1 if digits.startswith("-") else 1) * int(bare, 8)
+    return int(digits, 0)
+
+
+class Document:
+    """One YAML document with the lines of its fields."""
+
+    def __init__(self, source: str, value: Any, lines: dict[Path_, int]) -> None:
+        self.source = source
+        self.value = value
+        self._lines = lines
+
+    def where(self, path: Path_) -> str:
+        """Return ``file:line`` of a field, or of the nearest one around it."""
+        while path and path not in self._lines:
+            path = path[:-1]
+        line = self._lines.get(path)
+        return f"{self.source}:{line}" if line else self.source
+
+
+def parse(text: str, source: str) -> list[Document]:
+    """Read all documents of a YAML text.
+
+    Raises:
+        ManifestError: it is not YAML, or holds what a manifest may not.
+    """
+    if len(text) > _MAX_BYTES:
+        raise ManifestError(f"{source}: larger than {_MAX_BYTES} bytes")
+    documents = []
+    loader = yaml.SafeLoader(text)
+    try:
+        while loader.check_node():
+            node = loader.get_node()
+            reader = _Reader(source)
+            value = reader.value(node) if node is not None else None
+            if value is not None:
+                documents.append(Document(source, value, reader.lines))
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ManifestError(f"{source}{_problem(error)}") from None
+    finally:
+        loader.dispose()
+    return documents
+
+
+def _problem(error: Exception) -> str:
+    mark = getattr(error, "problem_mark", None)
+    line = f":{mark.line + 1}" if mark is not None else ""
+    return f"{line}: not YAML: {getattr(error, 'problem', None) or 'nested too deeply'}"
+
+
+def read_text(path: Path) -> str:
+    """Return a text file's content.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file in UTF-8") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+
+
+def load_file(path: Path) -> list[Kind]:
+    """Return the objects of a manifest file.
+
+    Raises:
+        InputError: it cannot be read or does not follow the language.
+    """
+    documents = parse(read_text(path), str(path))
+    if not documents:
+        raise ManifestError(f"{path}: empty; expected an object with apiVersion: {API_VERSION}")
+    return [to_object(document) for document in documents]
+
+
+def to_object(document: Document) -> Kind:
+    """Turn a document into an object of its kind.
+
+    Raises:
+        ManifestError: with one line per mistake, each with file, line, field and what is allowed.
+    """
+    value = document.value
+    if not isinstance(value, dict):
+        raise ManifestError(f"{document.where(())}: expected an object with apiVersion: {API_VERSION}")
+    if value.get("apiVersion") != API_VERSION:
+        where = document.where(("apiVersion",))
+        raise ManifestError(
+            f"{where}: apiVersion: found {value.get('apiVersion')!r}, expected {API_VERSION!r}"
+        )
+    kind = value.get("kind")
+    if kind not in KINDS:
+        hint = suggestion(str(kind), KINDS)
+        raise ManifestError(f"{document.where(('kind',))}: kind: unknown kind {kind!r}{hint}")
+    try:
+        return KINDS[kind].model_validate({key: item for key, item in value.items() if key != "status"})
+    except ValidationError as error:
+        lines = [_sentence(document, value, item, KINDS[kind]) for item in error.errors()]
+        raise ManifestError("\n".join(dict.fromkeys(lines))) from None
+
+
+def _sentence(document: Document, value: Any, error: ErrorDetails, model: type[Kind]) -> str:
+    path = tuple(_real_path(value, error["loc"]))
+    field = ".".join(str(part) for part in path)
+    match error["type"]:
+        case "extra_forbidden":
+            known = _fields_at(model, path[:-1])
+            text = f"unknown field {path[-1]!r}{suggestion(str(path[-1]), known)}"
+        case "missing":
+            text = "needed, but missing"
+        case _:
+            text = error["msg"].removeprefix("Value error, ")
+            found = error.get("input")
+            if error["type"] != "value_error" and isinstance(found, str | int | float | bool | None):
+                text += f", found {found!r}"
+    return f"{document.where(path)}: {field}: {text}" if field else f"{document.where(path)}: {text}"
+
+
+def _real_path(value: Any, location: tuple[str | int, ...]) -> Iterator[str | int]:
+    """Leave out the parts of a pydantic location that name union members rather than fields."""
+    for number, part in enumerate(location):
+        if isinstance(value, dict):
+            if part in value or number == len(location) - 1:
+                yield part
+                value = value.get(str(part))
+        elif isinstance(value, list) and isinstance(part, int) and part < len(value):
+            yield part
+            value = value[part]
+
+
+def _fields_at(model: Any, path: Path_) -> list[str]:
+    """Return the names of the fields that a place of a manifest may have."""
+    schema = model.model_json_schema(by_alias=True)
+    definitions = schema.get("$defs", {})
+    current: Any = schema
+    for part in path:
+        current = _resolve(current, definitions)
+        if isinstance(part, int):
+            current = current.get("items", {})
+        else:
+            current = current.get("properties", {}).get(part) or current.get("additionalProperties") or {}
+    current = _resolve(current, definitions)
+    return list(current.get("properties", {}))
+
+
+def _resolve(schema: Any, definitions: dict[str, Any]) -> Any:
+    for option in schema.get("anyOf", []):
+        if "$ref" in option or "properties" in option or "items" in option:
+            schema = option
+            break
+    if "$ref" in schema:
+        return definitions[schema["$ref"].rsplit("/", 1)[-1]]
+    return schema

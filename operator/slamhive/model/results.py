@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is recorded of a run: phase, reason, usage, trajectory, results and provenance.
+
+The same records are a MappingRun's status on a cluster and a row of the archive.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+from pydantic import ConfigDict, Field
+
+from slamhive.model.base import Choice, Model
+
+
+class Phase(Choice):
+    """Where a run is; for printing, derived from what happened."""
+
+    PENDING = "Pending"
+    PREPARING = "Preparing"
+    RUNNING = "Running"
+    SUCCEEDED = "Succeeded"
+    FAILED = "Failed"
+    CANCELLED = "Cancelled"
+
+    @property
+    def is_finished(self) -> bool:
+        """Tell whether nothing more will happen to the run."""
+        return self in {Phase.SUCCEEDED, Phase.FAILED, Phase.CANCELLED}
+
+
+class Reason(Choice):
+    """Why a run is as it is."""
+
+    INVALID_PARAMETERS = "InvalidParameters"
+    DATASET_MISSING = "DatasetMissing"
+    ALGORITHM_UNAVAILABLE = "AlgorithmUnavailable"
+    PREPARATION_FAILED = "PreparationFailed"
+    IMAGE_PULL_FAILED = "ImagePullFailed"
+    OUT_OF_MEMORY = "OutOfMemory"
+    DEADLINE_EXCEEDED = "DeadlineExceeded"
+    ALGORITHM_FAILED = "AlgorithmFailed"
+    OUTPUT_TOO_LARGE = "OutputTooLarge"
+    NO_TRAJECTORY = "NoTrajectory"
+    INVALID_TRAJECTORY = "InvalidTrajectory"
+    NODE_LOST = "NodeLost"
+    SYSTEM_FAULT = "SystemFault"
+    CANCELLED = "Cancelled"
+
+    @property
+    def is_infrastructure(self) -> bool:
+        """Tell whether the machine is to blame: such attempts are repeated and never reused."""
+        return self in {
+            Reason.NODE_LOST,
+            Reason.SYSTEM_FAULT,
+            Reason.IMAGE_PULL_FAILED,
+            Reason.ALGORITHM_UNAVAILABLE,
+            Reason.DATASET_MISSING,
+            Reason.PREPARATION_FAILED,
+        }
+
+
+class Outcome(Choice):
+    """What an evaluation found of a run that ended well."""
+
+    TRACKED = "Tracked"
+    PARTIAL = "Partial"
+    LOST = "Lost"
+    DIVERGED = "Diverged"
+
+
+class CpuUsage(Model):
+    """CPU time of the algorithm alone."""
+
+    model_config = ConfigDict(extra="ignore")
+    mean_cores: float | None = None
+    max_cores: float | None = None
+    seconds: float | None = None
+    seconds_per_data_second: float | None = None
+
+
+class MemoryUsage(Model):
+    """Memory of the algorithm alone, page cache left out."""
+
+    model_config = ConfigDict(extra="ignore")
+    peak_bytes: int | None = None
+    mean_bytes: float | None = None
+    anonymous_peak_bytes: int | None = None
+
+
+class Usage(Model):
+    """What a run cost."""
+
+    model_config = ConfigDict(extra="ignore")
+    cpu: CpuUsage = Field(default_factory=CpuUsage)
+    memory: MemoryUsage = Field(default_factory=MemoryUsage)
+    wall_seconds: float | None = None
+    throttled_seconds: float | None = None
+    contended_seconds: float | None = None
+    samples: int | None = None
+    source: str | None = None
+    includes_reader: bool | None = None
+    max_includes_reader: bool | None = None
+    reader_cpu_seconds: float | None = None
+
+
+class Frames(Model):
+    """Frames as the algorithm counted them."""
+
+    offered: int | None = None
+    processed: int | None = None
+    dropped: int | None = None
+
+
+class TrajectoryInfo(Model):
+    """The estimated trajectory."""
+
+    poses: int
+    duration_seconds: float
+    sha256: str
+    path: str
+
+
+class Provenance(Model):
+    """What exactly produced a result."""
+
+    content_hash: str | None = None
+    spec_hash: str | None = None
+    environment: str | None = None
+    image_id: str | None = Field(default=None, alias="imageID")
+    dataset_sha256: str | None = None
+    variant: str | None = None
+    node: str | None = None
+    cpu_model: str | None = None
+    slamhive_version: str | None = None
+    reused_from: str | None = None
+
+
+class Result(Model):
+    """What one evaluation found of one run; ``values`` are the evaluator's own names."""
+
+    evaluation: str
+    outcome: Outcome
+    coverage: float | None = None
+    values: dict[str, Any] = Field(default_factory=dict)
+
+
+class RunRecord(Model):
+    """A run with all that is recorded of it."""
+
+    uid: str
+    name: str
+    sweep: str | None = None
+    index: int | None = None
+    labels: dict[str, str] = Field(default_factory=dict)
+    spec: dict[str, Any]
+    attributes: dict[str, Any] = Field(default_factory=dict)
+    phase: Phase
+    reason: Reason | None = None
+    message: str | None = None
+    attempts: int = 0
+    created: datetime | None = None
+    started: datetime | None = None
+    finished: datetime | None = None
+    usage: Usage | None = None
+    frames: Frames | None = None
+    metrics: dict[str, Any] = Field(default_factory=dict)
+    trajectory: TrajectoryInfo | None = None
+    results: list[Result] = Field(default_factory=list)
+    provenance: Provenance = Field(default_factory=Provenance)
+    folder: str | None = None
+    log_tail: str | None = None

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sensors: the modes that algorithms ask for, the roles in them, and the calibration of each device."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from slamhive.model.base import Choice, Model
+
+Matrix4 = list[list[float]]
+
+
+class SensorMode(Choice):
+    """The combination of sensors that an algorithm works on."""
+
+    MONO = "mono"
+    MONO_INERTIAL = "mono-inertial"
+    STEREO = "stereo"
+    STEREO_INERTIAL = "stereo-inertial"
+    RGBD = "rgbd"
+    LIDAR = "lidar"
+    LIDAR_INERTIAL = "lidar-inertial"
+
+    @property
+    def has_scale(self) -> bool:
+        """Tell whether the mode observes metric scale."""
+        return self is not SensorMode.MONO
+
+
+class Role(Choice):
+    """What a sensor is to an algorithm."""
+
+    CAMERA = "camera"
+    LEFT = "left"
+    RIGHT = "right"
+    COLOR = "color"
+    DEPTH = "depth"
+    LIDAR = "lidar"
+    IMU = "imu"
+
+
+ROLES: dict[SensorMode, tuple[Role, ...]] = {
+    SensorMode.MONO: (Role.CAMERA,),
+    SensorMode.MONO_INERTIAL: (Role.CAMERA, Role.IMU),
+    SensorMode.STEREO: (Role.LEFT, Role.RIGHT),
+    SensorMode.STEREO_INERTIAL: (Role.LEFT, Role.RIGHT, Role.IMU),
+    SensorMode.RGBD: (Role.COLOR, Role.DEPTH),
+    SensorMode.LIDAR: (Role.LIDAR,),
+    SensorMode.LIDAR_INERTIAL: (Role.LIDAR, Role.IMU),
+}
+"""The roles that each mode needs."""
+
+STAND_INS: dict[Role, tuple[Role, ...]] = {
+    Role.CAMERA: (Role.CAMERA, Role.LEFT, Role.COLOR),
+    Role.LEFT: (Role.LEFT, Role.CAMERA),
+}
+"""Sensors that may fill a role when a dataset has none of the role's own name, in this order."""
+
+
+class SensorType(Choice):
+    """What kind of device a sensor is."""
+
+    CAMERA = "Camera"
+    DEPTH_CAMERA = "DepthCamera"
+    LIDAR = "Lidar"
+    IMU = "Imu"
+
+
+class Stamp(Choice):
+    """The instant that a message's header stamp means."""
+
+    SAMPLE = "Sample"
+    SCAN_START = "ScanStart"
+    SCAN_MID = "ScanMid"
+    SCAN_END = "ScanEnd"
+
+
+class Camera(Model):
+    """Intrinsics of a camera, in pixels of the image as recorded."""
+
+    width: int = Field(gt=0, le=32768, description="Width in pixels.")
+    height: int = Field(gt=0, le=32768, description="Height in pixels.")
+    encoding: str = Field(default="mono8", description="Pixel encoding, as in sensor_msgs/Image.")
+    model: Literal["Pinhole", "Mei"] = Field(default="Pinhole", description="Projection model.")
+    fx: float = Field(gt=0, description="Focal length along x in pixels.")
+    fy: float = Field(gt=0, description="Focal length along y in pixels.")
+    cx: float = Field(description="Principal point x in pixels; the centre of the first pixel is 0.")
+    cy: float = Field(description="Principal point y in pixels; the centre of the first pixel is 0.")
+    xi: float | None = Field(default=None, description="Mirror parameter of the Mei model.")
+    distortion: Literal["None", "RadialTangential", "Equidistant"] = Field(
+        default="None", description="Distortion model."
+    )
+    coefficients: list[float] = Field(
+        default_factory=list,
+        max_length=8,
+        description="Distortion coefficients: k1 k2 p1 p2 k3, or k1 to k4 of the equidistant model.",
+    )
+    depth_scale: float | None = Field(
+        default=None, gt=0, description="Units of a depth image per metre, such as 1000 or 5000."
+    )
+
+
+class Lidar(Model):
+    """What is to know of a LiDAR."""
+
+    rings: int | None = Field(default=None, gt=0, le=1024, description="Number of rings.")
+    columns: int | None = Field(default=None, gt=0, le=65536, description="Firings per turn.")
+    min_range: float = Field(default=0.0, ge=0, description="Shortest valid range in m.")
+    max_range: float = Field(default=1000.0, gt=0, description="Longest valid range in m.")
+    time_field: str | None = Field(
+        default=None, description="Point field with the time since the header stamp."
+    )
+    ring_field: str | None = Field(default=None, description="Point field with the ring's number.")
+
+
+class Imu(Model):
+    """Noise of an IMU as continuous-time densities, in SI units."""
+
+    accelerometer_noise: float = Field(default=0.01, ge=0, description="m/s²/√Hz.")
+    gyroscope_noise: float = Field(default=0.001, ge=0, description="rad/s/√Hz.")
+    accelerometer_random_walk: float = Field(default=1e-4, ge=0, description="m/s³/√Hz.")
+    gyroscope_random_walk: float = Field(default=1e-5, ge=0, description="rad/s²/√Hz.")
+    gravity: float = Field(default=9.81, gt=0, description="m/s².")
+
+
+Extrinsics = Annotated[
+    list[Annotated[list[float], Field(min_length=4, max_length=4)]],
+    Field(
+        min_length=4,
+        max_length=4,
+        description="Pose of the sensor in the body frame as a 4×4 matrix by rows: p_body = T p_sensor.",
+    ),
+]
+
+
+def _identity() -> Matrix4:
+    return [[float(row == column) for column in range(4)] for row in range(4)]
+
+
+class Sensor(Model):
+    """One device of a recording."""
+
+    type: SensorType = Field(description="Kind of device.")
+    topic: str = Field(min_length=1, description="Topic in the recording.")
+    frame_id: str | None = Field(default=None, description="Name of the sensor's frame.")
+    rate: float | None = Field(default=None, gt=0, description="Messages per second.")
+    stamp: Stamp = Field(default=Stamp.SAMPLE, description="The instant that the header stamp means.")
+    time_offset: float = Field(
+        default=0.0, description="Seconds to add to the header stamp to get the sensor's time."
+    )
+    T_body_sensor: Extrinsics = Field(default_factory=_identity, alias="T_body_sensor")
+    camera: Camera | None = Field(default=None, description="Intrinsics, for cameras.")
+    lidar: Lidar | None = Field(default=None, description="Properties, for LiDARs.")
+    imu: Imu | None = Field(default=None, description="Noise, for IMUs.")
+
+    @model_validator(mode="after")
+    def _fits_type(self) -> Sensor:
+        expected = {
+            SensorType.CAMERA: "camera",
+            SensorType.DEPTH_CAMERA: "camera",
+            SensorType.LIDAR: "lidar",
+            SensorType.IMU: "imu",
+        }[self.type]
+        for block in ("camera", "lidar", "imu"):
+            if block != expected and getattr(self, block) is not None:
+                raise ValueError(f"a sensor of type {self.type} takes no block {block!r}")
+        bottom = self.T_body_sensor[3]
+        if bottom != [0, 0, 0, 1]:
+            raise ValueError(f"T_body_sensor: the last row must be 0 0 0 1, not {bottom}")
+        return self

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sweep: many mapping runs in a few lines."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from slamhive.model.base import Choice, Duration, Model, Resource, Scalar
+from slamhive.model.evaluation import EvaluationSettings
+
+MAX_POINTS = 100_000
+"""The most runs that a Sweep may have."""
+
+
+class Range(Model):
+    """Evenly spaced numbers, both ends included where the step meets them."""
+
+    from_: float = Field(alias="from", description="First value.")
+    to: float = Field(description="Last value.")
+    step: float | None = Field(default=None, gt=0, description="Distance between values.")
+    count: int | None = Field(default=None, ge=1, le=MAX_POINTS, description="Number of values.")
+    scale: Literal["Linear", "Log"] = Field(default="Linear", description="Spacing.")
+
+    @model_validator(mode="after")
+    def _determined(self) -> Self:
+        if (self.step is None) == (self.count is None):
+            raise ValueError("give either step or count")
+        if self.scale == "Log" and (self.count is None or self.from_ <= 0 or self.to <= 0):
+            raise ValueError("the scale Log needs count and ends above zero")
+        if self.step is not None and self.to < self.from_:
+            raise ValueError("to must not be below from")
+        return self
+
+
+class LabelSelector(Model):
+    """Algorithms or datasets by their labels."""
+
+    match_labels: dict[str, str] = Field(min_length=1, description="Labels that must be equal.")
+
+
+class Axis(Model):
+    """One dimension of the matrix."""
+
+    name: str | None = Field(default=None, description="Name of an axis of points.")
+    path: str | None = Field(
+        default=None,
+        description="Field to set: algorithm, dataset, sensors, parameters.NAME, input.frameRate …",
+    )
+    values: list[Any] | None = Field(default=None, min_length=1, description="The values.")
+    range: Range | None = Field(default=None, description="Evenly spaced values.")
+    selector: LabelSelector | None = Field(default=None, description="Catalog entries, sorted by name.")
+    points: dict[str, dict[str, Any]] | None = Field(
+        default=None, min_length=1, description="Named points that set several fields each."
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        given = [key for key in ("values", "range", "selector", "points") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError("give one of values, range, selector or points")
+        if self.points is not None and (self.name is None or self.path is not None):
+            raise ValueError("an axis of points has a name and no path")
+        if self.points is None and self.path is None:
+            raise ValueError("path: needed with values, range and selector")
+        return self
+
+    @property
+    def label(self) -> str:
+        """Return what include and exclude call the axis."""
+        return self.name or self.path or ""
+
+
+class SearchMethod(Choice):
+    """How points are chosen from the matrix."""
+
+    GRID = "Grid"
+
+
+class Search(Model):
+    """How points are chosen from the matrix."""
+
+    method: SearchMethod = Field(default=SearchMethod.GRID, description="Grid: every point.")
+
+
+class Budget(Model):
+    """When a Sweep stops starting runs."""
+
+    wall_time: Duration | None = Field(default=None, description="Time since its start.")
+    cpu_hours: float | None = Field(default=None, gt=0, description="CPU hours of its runs.")
+
+
+class CachePolicy(Choice):
+    """What to do about a run whose like has been done."""
+
+    REUSE = "Reuse"
+    RERUN = "Rerun"
+
+
+class Retention(Model):
+    """What is kept of finished runs."""
+
+    runs: int = Field(default=1000, ge=0, description="MappingRun objects kept when there is an archive.")
+    files: Literal["Keep", "Delete"] = Field(default="Keep", description="Run folders.")
+
+
+class TemplateMeta(Model):
+    """Metadata that every run gets."""
+
+    labels: dict[str, str] = Field(default_factory=dict, description="Labels.")
+    annotations: dict[str, str] = Field(default_factory=dict, description="Annotations.")
+
+
+class RunTemplate(Model):
+    """What every run starts from."""
+
+    metadata: TemplateMeta = Field(default_factory=TemplateMeta, description="Labels and annotations.")
+    spec: dict[str, Any] = Field(
+        default_factory=dict, description="Fields of a MappingRun's spec; axes set or replace them."
+    )
+
+
+class SweepSpec(Model):
+    """Many runs: a template, and a matrix of what varies."""
+
+    template: RunTemplate = Field(default_factory=RunTemplate, description="What every run starts from.")
+    matrix: list[Axis] = Field(
+        default_factory=list, max_length=32, description="Axes, the first one slowest."
+    )
+    include: list[dict[str, Any]] = Field(
+        default_factory=list, max_length=10_000, description="Points to add or to extend, as in CI matrices."
+    )
+    exclude: list[dict[str, Any]] = Field(
+        default_factory=list, max_length=10_000, description="Patterns of points to drop, as in CI matrices."
+    )
+    repetitions: int = Field(
+        default=1, ge=1, le=10_000, description="Runs of each point, each with its seed."
+    )
+    search: Search = Field(default_factory=Search, description="How points are chosen.")
+    parallelism: int | None = Field(default=None, ge=1, le=10_000, description="Runs at the same time.")
+    max_failures: int | None = Field(default=None, ge=0, description="Failed runs after which it stops.")
+    budget: Budget = Field(default_factory=Budget, description="When it stops starting runs.")
+    suspend: bool = Field(default=False, description="Whether to start no further runs.")
+    cache_policy: CachePolicy = Field(default=CachePolicy.REUSE, description="Reuse of equal runs' results.")
+    evaluation: EvaluationSettings = Field(
+        default_factory=EvaluationSettings, description="How the runs are measured."
+    )
+    retention: Retention = Field(default_factory=Retention, description="What is kept.")
+
+
+IMMUTABLE = ("template", "matrix", "include", "exclude", "repetitions", "search")
+"""Fields of a Sweep that say which runs it has; they make its identity."""
+
+
+class Sweep(Resource):
+    """A study: many runs described at once."""
+
+    kind: Literal["Sweep"] = "Sweep"
+    spec: SweepSpec
+
+
+__all__ = [
+    "IMMUTABLE",
+    "MAX_POINTS",
+    "Axis",
+    "Budget",
+    "CachePolicy",
+    "Range",
+    "Scalar",
+    "Sweep",
+    "SweepSpec",
+]
