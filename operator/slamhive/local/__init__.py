@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""local."""
+"""Running sweeps on a workstation: the engine's executor for processes on this machine."""

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The algorithms and datasets that a workstation knows.
+
+In the order in which a later one replaces an earlier one: those that come with slamhive, those
+added to the home, those in the files of a command.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slamhive.model.algorithm import Algorithm
+from slamhive.model.dataset import Dataset
+from slamhive.model.errors import ManifestError, UnknownNameError
+from slamhive.model.loading import load_file
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from slamhive.local.home import Home
+    from slamhive.model.loading import Kind
+
+
+@dataclass(frozen=True)
+class AlgorithmEntry:
+    """An Algorithm and the folder with its files."""
+
+    algorithm: Algorithm
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Return the algorithm's name."""
+        return self.algorithm.name
+
+
+@dataclass(frozen=True)
+class DatasetPlace:
+    """A Dataset and the folder that its paths start from."""
+
+    dataset: Dataset
+    folder: Path
+
+
+@dataclass
+class Workshop:
+    """All that is known by name."""
+
+    algorithm_entries: dict[str, AlgorithmEntry] = field(default_factory=dict)
+    dataset_places: dict[str, DatasetPlace] = field(default_factory=dict)
+
+    @property
+    def algorithms(self) -> Mapping[str, Algorithm]:
+        """Return the algorithms by name."""
+        return {name: entry.algorithm for name, entry in self.algorithm_entries.items()}
+
+    @property
+    def datasets(self) -> Mapping[str, Dataset]:
+        """Return the datasets by name."""
+        return {name: place.dataset for name, place in self.dataset_places.items()}
+
+    def algorithm(self, name: str) -> AlgorithmEntry:
+        """Return an algorithm.
+
+        Raises:
+            UnknownNameError: there is none of that name.
+        """
+        try:
+            return self.algorithm_entries[name]
+        except KeyError:
+            raise UnknownNameError("algorithm", name, self.algorithm_entries) from None
+
+    def dataset(self, name: str) -> DatasetPlace:
+        """Return a dataset.
+
+        Raises:
+            UnknownNameError: there is none of that name.
+        """
+        try:
+            return self.dataset_places[name]
+        except KeyError:
+            raise UnknownNameError("dataset", name, self.dataset_places) from None
+
+    def add(self, objects: Iterable[Kind], folder: Path) -> None:
+        """Take in the Algorithms and Datasets among objects; their paths start from the folder."""
+        for item in objects:
+            if isinstance(item, Algorithm):
+                self.algorithm_entries[item.name] = AlgorithmEntry(item, folder)
+            elif isinstance(item, Dataset):
+                self.dataset_places[item.name] = DatasetPlace(item, folder)
+
+
+@cache
+def bundled(name: str) -> Path:
+    """Return a folder that comes with slamhive: ``algorithms``, ``examples`` or ``crds``."""
+    package = Path(__file__).resolve().parent.parent
+    in_wheel = package / "_bundled" / name
+    if in_wheel.is_dir():
+        return in_wheel
+    checkout = package.parent.parent
+    return checkout / ("images/algorithms" if name == "algorithms" else name)
+
+
+def load_workshop(home: Home | None = None) -> Workshop:
+    """Read the catalog that comes with slamhive and the home's own.
+
+    Raises:
+        ManifestError: a file of the catalog doesn't follow the language.
+    """
+    workshop = Workshop()
+    sources = [(bundled("algorithms"), "algorithm.yaml"), (bundled("examples") / "datasets", "*.yaml")]
+    if home is not None:
+        sources += [(home.path / "algorithms", "algorithm.yaml"), (home.path / "datasets", "dataset.yaml")]
+    for folder, pattern in sources:
+        found = folder.glob(pattern if "*" in pattern else f"*/{pattern}")
+        for path in sorted(found):
+            workshop.add(load_file(path), path.parent)
+    return workshop
+
+
+def read_files(paths: Iterable[Path], workshop: Workshop) -> list[Kind]:
+    """Read manifests, take their catalog kinds into the workshop, and return all objects.
+
+    Raises:
+        ManifestError: a file doesn't follow the language, or names an object twice.
+    """
+    objects: list[Kind] = []
+    seen: dict[tuple[str, str], Path] = {}
+    for path in paths:
+        loaded = load_file(path)
+        for item in loaded:
+            key = (item.kind, item.name)
+            if key in seen:
+                raise ManifestError(f"{path}: {item.kind} {item.name!r} stands in {seen[key]} already")
+            seen[key] = path
+        workshop.add(loaded, path.parent.absolute())
+        objects.extend(loaded)
+    return objects

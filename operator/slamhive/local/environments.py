@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Virtual environments of algorithms: made once for each set of requirements, and kept."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+from slamhive.local.home import lock
+from slamhive.model.errors import SlamHiveError, SystemFault
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from slamhive.local.catalog import AlgorithmEntry
+    from slamhive.model.algorithm import LocalProgram
+
+_MARKER = ".complete"
+_FALLBACKS = ("python3.11", "python3.12", "python3.13", "python3.14", "python3.10")
+_CLAUSE = re.compile(r"^\s*(>=|<=|==|!=|<|>)\s*([0-9]+)\.([0-9]+)\s*$")
+
+
+class Unavailable(SlamHiveError):  # noqa: N818 - a state that the user is told of
+    """An algorithm can't run on this machine; the message says what it would take."""
+
+    reason = "AlgorithmUnavailable"
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A virtual environment that is ready."""
+
+    path: Path
+    digest: str
+
+    @property
+    def python(self) -> Path:
+        """Return its interpreter."""
+        return self.path / "bin" / "python"
+
+
+class Environments:
+    """The environments of a home.
+
+    Args:
+        folder: where they are kept.
+        notify: told in a sentence when one is being made, as that takes time.
+    """
+
+    def __init__(self, folder: Path, notify: Callable[[str], None] = lambda _: None) -> None:
+        self._folder = folder
+        self._notify = notify
+
+    def digest(self, entry: AlgorithmEntry) -> str:
+        """Return what tells apart environments and adapters: equal digests run the same program."""
+        program = _program(entry)
+        python = interpreter(program)
+        parts = [f"{python.version[0]}.{python.version[1]}", platform.machine()]
+        parts.extend(_sha256(entry.folder / name) for name in (program.requirements, program.adapter))
+        parts.extend(_sha256(path) for path in sorted(entry.folder.parent.glob("*_support.py")))
+        parts.extend(
+            _sha256(entry.folder / asset.path) for asset in entry.algorithm.spec.assets if asset.path
+        )
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    def get(self, entry: AlgorithmEntry) -> Environment:
+        """Return an algorithm's environment, made when it isn't there.
+
+        Raises:
+            Unavailable: this machine can't run the algorithm.
+            SystemFault: the packages can't be installed right now.
+        """
+        program = _program(entry)
+        python = interpreter(program)
+        requirements = entry.folder / program.requirements
+        key = hashlib.sha256(
+            f"{python.path}\n{python.version}\n{_sha256(requirements)}".encode()
+        ).hexdigest()[:16]
+        path = self._folder / key
+        if not (path / _MARKER).exists():
+            with lock(self._folder / f"{key}.lock"):
+                if not (path / _MARKER).exists():
+                    self._make(entry.name, path, python, requirements)
+        environment = Environment(path, self.digest(entry))
+        _check_libraries(entry, program, environment)
+        return environment
+
+    def _make(self, name: str, path: Path, python: Interpreter, requirements: Path) -> None:
+        self._notify(f"making the environment of {name} (once)")
+        shutil.rmtree(path, ignore_errors=True)
+        _command([python.path, "-m", "venv", str(path)], f"environment of {name}")
+        pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
+        _command([*pip, "install", "--quiet", "-r", str(requirements)], f"packages of {name}")
+        (path / _MARKER).touch()
+
+
+@dataclass(frozen=True)
+class Interpreter:
+    """A Python interpreter on this machine."""
+
+    path: str
+    version: tuple[int, int]
+
+
+def availability(entry: AlgorithmEntry) -> str | None:
+    """Say why an algorithm can't run on this machine as far as can be told without installing it."""
+    try:
+        interpreter(_program(entry))
+    except Unavailable as error:
+        return str(error)
+    return None
+
+
+def interpreter(program: LocalProgram) -> Interpreter:
+    """Return an interpreter that an algorithm has packages for.
+
+    Raises:
+        Unavailable: there is none, or not for this machine.
+    """
+    machine = platform.machine()
+    if program.machines and machine not in program.machines:
+        raise Unavailable(f"has no packages for {machine}, only for {', '.join(program.machines)}")
+    own = Interpreter(getattr(sys, "_base_executable", None) or sys.executable, sys.version_info[:2])
+    if _accepts(program.python, own.version):
+        return own
+    for name in _FALLBACKS:
+        other = _probe(name)
+        if other is not None and _accepts(program.python, other.version):
+            return other
+    raise Unavailable(
+        f"needs Python {program.python}, here is {own.version[0]}.{own.version[1]}; "
+        "install another python3.x with its venv module and it will be found on the PATH"
+    )
+
+
+@cache
+def _probe(name: str) -> Interpreter | None:
+    path = shutil.which(name)
+    if path is None:
+        return None
+    code = "import sys, venv, ensurepip; print(*sys.version_info[:2])"
+    result = subprocess.run([path, "-c", code], capture_output=True, text=True, check=False, timeout=30)
+    if result.returncode != 0:
+        return None
+    major, minor = result.stdout.split()
+    return Interpreter(path, (int(major), int(minor)))
+
+
+def _accepts(clauses: str, version: tuple[int, int]) -> bool:
+    for clause in filter(None, clauses.split(",")):
+        match = _CLAUSE.match(clause)
+        if match is None:
+            raise Unavailable(f"local.python: {clause!r} is not a clause such as >=3.11")
+        bound = (int(match.group(2)), int(match.group(3)))
+        holds = {
+            ">=": version >= bound,
+            "<=": version <= bound,
+            "==": version == bound,
+            "!=": version != bound,
+            "<": version < bound,
+            ">": version > bound,
+        }[match.group(1)]
+        if not holds:
+            return False
+    return True
+
+
+def _program(entry: AlgorithmEntry) -> LocalProgram:
+    program = entry.algorithm.spec.local
+    if program is None:
+        raise Unavailable("runs in a container alone, and there is no docker or podman to run it")
+    return program
+
+
+def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, environment: Environment) -> None:
+    if not program.libraries:
+        return
+    code = (
+        "import ctypes, sys\n"
+        "for name in sys.argv[1:]:\n"
+        "    try: ctypes.CDLL(name)\n"
+        "    except OSError: print(name)\n"
+    )
+    result = subprocess.run(
+        [str(environment.python), "-c", code, *program.libraries],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    missing = result.stdout.split()
+    if missing:
+        packages = " ".join(program.system_packages)
+        raise Unavailable(f"{entry.name} needs {', '.join(missing)}: apt-get install {packages}")
+
+
+def _command(argv: list[str], what: str) -> None:
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    try:
+        result = subprocess.run(
+            argv, capture_output=True, text=True, check=False, env=environment, stdin=subprocess.DEVNULL
+        )
+    except OSError as error:
+        raise SystemFault(f"{what}: {error}") from None
+    if result.returncode != 0:
+        lines = [line for line in (result.stderr + result.stdout).splitlines() if line.strip()]
+        errors = [line for line in lines if line.startswith("ERROR")] or lines
+        raise SystemFault(f"{what} could not be made: {errors[-1] if errors else 'no message'}")
+
+
+def _sha256(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise Unavailable(f"{path}: {error.strerror}") from None

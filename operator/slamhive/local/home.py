@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder in which a workstation keeps everything: ``$SLAMHIVE_HOME``.
+
+::
+
+    archive.sqlite      finished runs (or the database that $SLAMHIVE_ARCHIVE names)
+    algorithms/         Algorithm folders added by the user
+    datasets/           datasets added or generated
+    variants/           prepared recordings, by content
+    environments/       virtual environments of algorithms, by content
+    runs/SWEEP/RUN/     one folder a run
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slamhive.model.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@dataclass(frozen=True)
+class Home:
+    """Where things are kept."""
+
+    path: Path
+    archive_url: str
+
+    @classmethod
+    def from_environment(cls) -> Home:
+        """Return the home that ``$SLAMHIVE_HOME`` names, or the one in the user's data folder.
+
+        ``$SLAMHIVE_ARCHIVE`` may name another archive as a database URL.
+        """
+        given = os.environ.get("SLAMHIVE_HOME")
+        if given:
+            path = Path(given).expanduser().absolute()
+        else:
+            data = os.environ.get("XDG_DATA_HOME") or Path("~/.local/share").expanduser()
+            path = Path(data) / "slamhive"
+        return cls.at(path)
+
+    @classmethod
+    def at(cls, path: Path) -> Home:
+        """Return the home at a path; ``$SLAMHIVE_ARCHIVE`` still names another archive."""
+        url = os.environ.get("SLAMHIVE_ARCHIVE") or f"sqlite:///{path / 'archive.sqlite'}"
+        return cls(path, url)
+
+    def folder(self, name: str) -> Path:
+        """Return a folder of the home, made when it isn't there.
+
+        Raises:
+            InputError: it can't be made.
+        """
+        folder = self.path / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"SLAMHIVE_HOME: {folder}: {error.strerror}") from None
+        return folder
+
+    @contextmanager
+    def exclusive(self) -> Iterator[None]:
+        """Hold the home's one runner's place.
+
+        Raises:
+            InputError: another runner holds it.
+        """
+        with lock(self.folder(".") / "runner.lock", wait=False) as held:
+            if not held:
+                raise InputError(
+                    f"another slamhive run is at work in {self.path}; wait for it, or set SLAMHIVE_HOME"
+                )
+            yield
+
+
+@contextmanager
+def lock(path: Path, *, wait: bool = True) -> Iterator[bool]:
+    """Hold a lock file; the kernel lets go of it when the process ends, however it ends.
+
+    Yields:
+        Whether it is held: always True when waiting.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            yield False
+            return
+        yield True
+    finally:
+        os.close(descriptor)
