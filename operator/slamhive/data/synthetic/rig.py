@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The platform's sensors: where they sit, their lenses, and the calibration a Dataset states.
+
+Mounting angles are those of hands, not of drawings: an adapter that forgets an extrinsic shows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from slamhive.data.synthetic.trajectory import rotation_from_euler
+from slamhive.model.synthetic import SyntheticSensor
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from slamhive.model.synthetic import SyntheticCamera, SyntheticRecording
+
+    Array = npt.NDArray[np.float64]
+
+BODY_FRAME = "base_link"
+DEPTH_SCALE = 1000.0
+"""Units of a depth image per metre."""
+
+ACCELEROMETER_NOISE = 0.01
+"""White noise density, m/s²/√Hz, at noise 1; the others alike."""
+GYROSCOPE_NOISE = 0.001
+ACCELEROMETER_RANDOM_WALK = 1e-4
+GYROSCOPE_RANDOM_WALK = 1e-5
+GRAVITY = 9.81
+
+# Columns: camera x (right), y (down), z (forward) in axes x forward, y left, z up.
+_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Pinhole with radial-tangential distortion (Brown 1966), as OpenCV has it: pixel centres are integers.
+
+    Attributes:
+        width: Columns, pixels.
+        height: Rows, pixels.
+        matrix: `(3, 3)`, K.
+        coefficients: `(5,)`, k1, k2, p1, p2, k3.
+    """
+
+    width: int
+    height: int
+    matrix: Array
+    coefficients: Array
+
+    def scaled(self, scale: float) -> Lens:
+        """Give the same lens on an image of another size; the size is rounded, the intrinsics follow it."""
+        width, height = max(1, round(self.width * scale)), max(1, round(self.height * scale))
+        return Lens(
+            width,
+            height,
+            scale_matrix(self.matrix, width / self.width, height / self.height),
+            self.coefficients,
+        )
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One camera.
+
+    Attributes:
+        role: left, right or color.
+        pose: `(4, 4)`, T_body_camera of the optical frame: z forward, x right, y down.
+        lens: Its lens at the size rendered.
+        rectification: `(3, 3)`, R of CameraInfo.
+        projection: `(3, 4)`, P of CameraInfo.
+    """
+
+    role: str
+    pose: Array
+    lens: Lens
+    rectification: Array
+    projection: Array
+
+
+def scale_matrix(matrix: Array, sx: float, sy: float) -> Array:
+    """Scale K `(3, 3)` or P `(3, 4)`: f' = f·s, Tx' = Tx·s, c' = (c + 0.5)·s - 0.5."""
+    result = matrix.copy()
+    for row, s in ((0, sx), (1, sy)):
+        result[row] *= s
+        result[row, 2] += 0.5 * s - 0.5
+    return result
+
+
+def pose(degrees: tuple[float, float, float], position: tuple[float, float, float]) -> Array:
+    """Compose `(4, 4)` from roll, pitch, yaw in degrees and a position in m."""
+    result = np.eye(4)
+    result[:3, :3] = rotation_from_euler(np.radians([degrees]))[0]
+    result[:3, 3] = position
+    return result
+
+
+LIDAR_POSE = pose((1.3, -2.1, 5.2), (0.09, 0.04, 0.31))
+IMU_POSE = pose((-2.4, 1.7, 11.3), (-0.06, 0.05, 0.07))
+
+
+def cameras(spec: SyntheticRecording) -> dict[str, Camera]:
+    """Give the cameras of a specification by role, at the size rendered."""
+    result: dict[str, Camera] = {}
+    if SyntheticSensor.STEREO in spec.sensors:
+        result |= _stereo(spec.camera)
+    if SyntheticSensor.RGBD in spec.sensors:
+        mounting = _mount((1.9, 5.3, 27.4), (0.19, -0.07, 0.16))
+        result["color"] = _camera(
+            "color", mounting, _lens(spec.camera, 0.655, (0.494, 0.507), (-0.16, 0.05, 6e-4, -4e-4))
+        )
+    for role, camera in result.items():
+        lens = camera.lens.scaled(spec.camera.scale)
+        shares = lens.width / camera.lens.width, lens.height / camera.lens.height
+        projection = scale_matrix(camera.projection, *shares)
+        result[role] = Camera(role, camera.pose, lens, camera.rectification, projection)
+    return result
+
+
+def _mount(degrees: tuple[float, float, float], position: tuple[float, float, float]) -> Array:
+    """Mount a camera looking along the axis that the angles turn x (forward) to."""
+    result = pose(degrees, position)
+    result[:3, :3] = result[:3, :3] @ _OPTICAL
+    return result
+
+
+def _lens(
+    camera: SyntheticCamera, focal: float, centre: tuple[float, float], coefficients: tuple[float, ...]
+) -> Lens:
+    """Make a lens from shares of the image's width and size."""
+    f = focal * camera.width
+    matrix = np.array(
+        [[f, 0.0, centre[0] * camera.width], [0.0, 1.004 * f, centre[1] * camera.height], [0, 0, 1.0]]
+    )
+    return Lens(camera.width, camera.height, matrix, np.array([*coefficients, 0.0]))
+
+
+def _camera(role: str, mounting: Array, lens: Lens) -> Camera:
+    projection = np.hstack([lens.matrix, np.zeros((3, 1))])
+    return Camera(role, mounting, lens, np.eye(3), projection)
+
+
+def _stereo(spec: SyntheticCamera) -> dict[str, Camera]:
+    """Make the stereo pair: 0.12 m apart, turned against each other by a fraction of a degree."""
+    left_pose = _mount((-1.6, 4.1, 33.7), (0.21, 0.08, 0.11))
+    turn = np.eye(4)
+    turn[:3, :3] = rotation_from_euler(np.radians([[0.35, -0.8, 0.5]]))[0]
+    turn[:3, 3] = 0.12, 0.0013, -0.0008
+    right_pose = left_pose @ turn
+    left = _lens(spec, 0.645, (0.507, 0.491), (-0.21, 0.07, 5e-4, -3e-4))
+    right = _lens(spec, 0.649, (0.496, 0.503), (-0.20, 0.06, -4e-4, 5e-4))
+    to_right = np.linalg.inv(turn)
+    size = (spec.width, spec.height)
+    r1, r2, p1, p2, *_ = cv2.stereoRectify(
+        left.matrix, left.coefficients, right.matrix, right.coefficients, size,
+        to_right[:3, :3], to_right[:3, 3], flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
+    )  # fmt: skip
+    return {
+        "left": Camera("left", left_pose, left, np.asarray(r1, np.float64), np.asarray(p1, np.float64)),
+        "right": Camera("right", right_pose, right, np.asarray(r2, np.float64), np.asarray(p2, np.float64)),
+    }
+
+
+def sensors(spec: SyntheticRecording) -> dict[str, dict[str, Any]]:
+    """Describe the sensors by role, as the unified configuration's `sensors` has them."""
+    result: dict[str, dict[str, Any]] = {}
+    if SyntheticSensor.LIDAR in spec.sensors:
+        lidar = spec.lidar
+        result["lidar"] = _entry(
+            "lidar", "Lidar", "/points", rate=lidar.rate, mounting=LIDAR_POSE, stamp="ScanStart"
+        ) | {
+            "lidar": {
+                "rings": lidar.rings,
+                "columns": lidar.columns,
+                "minRange": lidar.min_range,
+                "maxRange": lidar.max_range,
+                "timeField": "time",
+                "ringField": "ring",
+            }
+        }
+    if SyntheticSensor.IMU in spec.sensors:
+        # An estimator divides by these: even a perfect IMU is stated with a little noise.
+        scale = max(spec.noise, 0.01)
+        result["imu"] = _entry(
+            "imu", "Imu", "/imu", rate=spec.imu.rate, mounting=IMU_POSE, stamp="Sample"
+        ) | {
+            "imu": {
+                "accelerometerNoise": ACCELEROMETER_NOISE * scale,
+                "gyroscopeNoise": GYROSCOPE_NOISE * scale,
+                "accelerometerRandomWalk": ACCELEROMETER_RANDOM_WALK * scale,
+                "gyroscopeRandomWalk": GYROSCOPE_RANDOM_WALK * scale,
+                "gravity": GRAVITY,
+            }
+        }
+    for role, camera in cameras(spec).items():
+        result[role] = _camera_entry(role, camera, spec.camera.rate)
+    if "color" in result:
+        depth = _camera_entry("color", cameras(spec)["color"], spec.camera.rate)
+        depth |= {"name": "depth", "type": "DepthCamera", "topic": "/camera/depth/image_raw"}
+        depth["camera"] |= {"encoding": "16UC1", "depthScale": DEPTH_SCALE}
+        result["depth"] = depth
+    return result
+
+
+def _entry(name: str, kind: str, topic: str, *, rate: float, mounting: Array, stamp: str) -> dict[str, Any]:
+    return {
+        "name": name,
+        "type": kind,
+        "topic": topic,
+        "frameId": name,
+        "rate": rate,
+        "stamp": stamp,
+        "timeOffset": 0.0,
+        "T_body_sensor": mounting.tolist(),
+    }
+
+
+def _camera_entry(role: str, camera: Camera, rate: float) -> dict[str, Any]:
+    lens = camera.lens
+    return _entry(
+        role, "Camera", f"/camera/{role}/image_raw", rate=rate, mounting=camera.pose, stamp="Sample"
+    ) | {
+        "camera": {
+            "width": lens.width,
+            "height": lens.height,
+            "encoding": "rgb8" if role == "color" else "mono8",
+            "model": "Pinhole",
+            "fx": float(lens.matrix[0, 0]),
+            "fy": float(lens.matrix[1, 1]),
+            "cx": float(lens.matrix[0, 2]),
+            "cy": float(lens.matrix[1, 2]),
+            "distortion": "RadialTangential",
+            "coefficients": lens.coefficients.tolist(),
+        }
+    }

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A synthetic recording: what a Dataset writes where another names files.
+
+The same specification gives the same recording, byte for byte, so a Dataset of this kind needs no download:
+`slamhive.data.synthetic.generate` makes it. Free attributes that meta-analysis plots against derive from it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from slamhive.model.base import Choice, Model
+
+REST_SECONDS = 3.0
+"""Rest before the platform starts to move and after it stopped, s."""
+
+NOMINAL_LAP_METRES = 30.3
+"""Length of one lap on level ground, m; height changes and sway add about 1 %."""
+
+DEFAULT_SPEED = 1.25
+"""Mean speed while moving when neither speed nor duration is given, m/s."""
+
+
+class SyntheticSensor(Choice):
+    """What the platform carries. Each has its own pose, no right angles to the body."""
+
+    LIDAR = "Lidar"
+    IMU = "Imu"
+    STEREO = "Stereo"
+    RGBD = "Rgbd"
+
+
+class _Model(Model):
+    """A part of the specification; what stands below a field describes it."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+
+class SyntheticLidar(_Model):
+    """A spinning lidar; every column is taken at its own time and pose."""
+
+    rings: Annotated[int, Field(ge=4, le=128)] = 32
+    """Beams, spread evenly from -22 to 18 degrees of elevation."""
+    columns: Annotated[int, Field(ge=36, le=4096)] = 720
+    """Firings per revolution."""
+    rate: Annotated[float, Field(ge=1.0, le=50.0)] = 10.0
+    """Revolutions per second, Hz."""
+    min_range: Annotated[float, Field(ge=0.0, le=5.0)] = 0.5
+    """Returns nearer than this are dropped, m."""
+    max_range: Annotated[float, Field(ge=2.0, le=200.0)] = 60.0
+    """Returns farther than this are dropped, m."""
+
+    @model_validator(mode="after")
+    def _range_is_not_empty(self) -> Self:
+        if self.max_range <= self.min_range:
+            raise ValueError(f"maxRange {self.max_range} must be greater than minRange {self.min_range}")
+        return self
+
+
+class SyntheticImu(_Model):
+    """An inertial measurement unit with white noise and a bias that walks."""
+
+    rate: Annotated[float, Field(ge=20.0, le=1000.0)] = 200.0
+    """Samples per second, Hz."""
+
+
+class SyntheticCamera(_Model):
+    """The cameras: all of one size and rate, each with its own lens and pose."""
+
+    width: Annotated[int, Field(ge=64, le=1920)] = 480
+    """Columns at scale 1, pixels."""
+    height: Annotated[int, Field(ge=48, le=1440)] = 360
+    """Rows at scale 1, pixels."""
+    rate: Annotated[float, Field(ge=1.0, le=60.0)] = 15.0
+    """Frames per second, Hz."""
+    scale: Annotated[float, Field(ge=0.1, le=2.0)] = 1.0
+    """Renders the same view directly at this share of width and height, intrinsics scaled alike."""
+    exposure_seconds: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    """Time the shutter is open, s; 0 gives sharp images. Stamps are those of the middle of the exposure."""
+
+    @model_validator(mode="after")
+    def _exposure_fits_the_rate(self) -> Self:
+        if self.exposure_seconds * self.rate > 1.0:
+            raise ValueError(
+                f"exposureSeconds {self.exposure_seconds} is longer than a frame takes at rate {self.rate}: "
+                f"at most {1.0 / self.rate:.4f} is possible"
+            )
+        return self
+
+
+class SyntheticRecording(_Model):
+    """A platform driving laps in a textured room: everything that makes one such recording."""
+
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 1
+    """Decides the room, its textures, the path's sway and all noise."""
+    sensors: Annotated[tuple[SyntheticSensor, ...], Field(min_length=1)] = (
+        SyntheticSensor.LIDAR,
+        SyntheticSensor.IMU,
+    )
+    """What is recorded."""
+    loops: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    """Laps of about 30 m; a whole number returns to the start."""
+    speed: Annotated[float, Field(ge=0.1, le=6.0)] | None = None
+    """Mean speed while moving, m/s. Null: 1.25, or what durationSeconds asks for."""
+    duration_seconds: Annotated[float, Field(ge=7.0, le=3600.0)] | None = None
+    """Length of the recording with 3 s of rest at either end, s. Null: follows from loops and speed."""
+    motion: Annotated[float, Field(ge=0.0, le=3.0)] = 1.0
+    """Scale of roll, pitch, sway and height changes; 1 is a walking person, 0 a trolley."""
+    light: Annotated[float, Field(ge=0.02, le=2.0)] = 1.0
+    """Scale of the light; noise of the image sensor doesn't shrink with it."""
+    noise: Annotated[float, Field(ge=0.0, le=20.0)] = 1.0
+    """Scale of all sensor noise and of IMU biases; 0 gives perfect sensors."""
+    lidar: SyntheticLidar = SyntheticLidar()
+    """The lidar, when it is among the sensors."""
+    imu: SyntheticImu = SyntheticImu()
+    """The IMU, when it is among the sensors."""
+    camera: SyntheticCamera = SyntheticCamera()
+    """The cameras, when Stereo or Rgbd is among the sensors."""
+    header_offset_seconds: Annotated[float, Field(ge=-1.0, le=1.0)] = 0.0
+    """Record time in the bag minus time stamp in the header, s."""
+    depth_offset_seconds: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    """Depth images are taken (and stamped) this much after their colour images, s."""
+
+    @model_validator(mode="after")
+    def _motion_is_determined_once(self) -> Self:
+        if self.speed is not None and self.duration_seconds is not None:
+            raise ValueError("speed and durationSeconds exclude each other: with loops, one gives the other")
+        if self.mean_speed > 6.0:
+            raise ValueError(
+                f"durationSeconds {self.duration_seconds} is too short for loops {self.loops:g}: that is "
+                f"{self.mean_speed:.1f} m/s, at most 6 is allowed"
+            )
+        if len(set(self.sensors)) != len(self.sensors):
+            raise ValueError("sensors names one of them twice")
+        return self
+
+    @property
+    def moving_seconds(self) -> float:
+        """Time between the two rests, s."""
+        if self.duration_seconds is not None:
+            return self.duration_seconds - 2.0 * REST_SECONDS
+        return self.loops * NOMINAL_LAP_METRES / (DEFAULT_SPEED if self.speed is None else self.speed)
+
+    @property
+    def total_seconds(self) -> float:
+        """Length of the recording, rests included, s."""
+        return self.moving_seconds + 2.0 * REST_SECONDS
+
+    @property
+    def mean_speed(self) -> float:
+        """Nominal speed while moving, m/s."""
+        return self.loops * NOMINAL_LAP_METRES / self.moving_seconds
+
+    def attributes(self) -> dict[str, float]:
+        """Give the Dataset's free attributes that follow from this specification."""
+        return {
+            "loops": self.loops,
+            "speed": round(self.mean_speed, 3),
+            "motion": self.motion,
+            "light": self.light,
+            "noise": self.noise,
+            "exposureSeconds": self.camera.exposure_seconds,
+            "lengthMetres": round(self.loops * NOMINAL_LAP_METRES, 1),
+        }
