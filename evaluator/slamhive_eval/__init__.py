@@ -1,2 +1,94 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories and their errors."""
+"""Trajectories and their errors, with numpy alone.
+
+    >>> from slamhive_eval import Options, evaluate, read_trajectory
+    >>> result = evaluate(read_trajectory("gt.txt"), read_trajectory("est.txt"), Options(alignment="sim3"))
+    >>> result.outcome, result.ate.rmse, result.coverage.share
+
+Names load when first used, so that ``slamhive-eval`` can set the number of BLAS threads before numpy.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from slamhive_eval.alignment import Alignment, align, umeyama_scale
+    from slamhive_eval.association import Association, associate, interpolate
+    from slamhive_eval.coverage import Coverage, measure_coverage
+    from slamhive_eval.errors import (
+        AssociationError,
+        EvaluationError,
+        FileError,
+        OptionError,
+        TrajectoryError,
+    )
+    from slamhive_eval.evaluation import Evaluation, Options, Outcome, RpeOptions, evaluate
+    from slamhive_eval.files import read_euroc, read_kitti, read_trajectory, read_tum, write_tum
+    from slamhive_eval.metrics import Statistics, ape_errors, rpe_errors
+    from slamhive_eval.pairs import find_pairs
+    from slamhive_eval.relations import RelationErrors, Relations, evaluate_relations, read_relations
+    from slamhive_eval.trajectory import Trajectory
+
+_MODULES = {
+    "alignment": ("Alignment", "align", "umeyama_scale"),
+    "association": ("Association", "associate", "interpolate"),
+    "coverage": ("Coverage", "measure_coverage"),
+    "errors": ("AssociationError", "EvaluationError", "FileError", "OptionError", "TrajectoryError"),
+    "evaluation": ("Evaluation", "Options", "Outcome", "RpeOptions", "evaluate"),
+    "files": ("read_euroc", "read_kitti", "read_trajectory", "read_tum", "write_tum"),
+    "metrics": ("Statistics", "ape_errors", "rpe_errors"),
+    "pairs": ("find_pairs",),
+    "relations": ("RelationErrors", "Relations", "evaluate_relations", "read_relations"),
+    "trajectory": ("Trajectory",),
+}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+__all__ = [  # noqa: RUF022 - by concept, not by letter
+    "Trajectory",
+    "read_trajectory",
+    "read_tum",
+    "read_euroc",
+    "read_kitti",
+    "write_tum",
+    "Options",
+    "RpeOptions",
+    "evaluate",
+    "Evaluation",
+    "Outcome",
+    "Association",
+    "associate",
+    "interpolate",
+    "Alignment",
+    "align",
+    "umeyama_scale",
+    "find_pairs",
+    "ape_errors",
+    "rpe_errors",
+    "Statistics",
+    "Coverage",
+    "measure_coverage",
+    "Relations",
+    "RelationErrors",
+    "read_relations",
+    "evaluate_relations",
+    "EvaluationError",
+    "TrajectoryError",
+    "FileError",
+    "AssociationError",
+    "OptionError",
+]
+
+
+def __getattr__(name: str) -> Any:
+    module = _HOME.get(name)
+    if module is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"slamhive_eval.{module}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can go wrong, as sentences a user can act on.
+
+::
+
+    EvaluationError (a ValueError)
+    ├── TrajectoryError      poses that are no trajectory: NaN, unsorted, a zero quaternion, none at all
+    │   └── FileError        the same found in a file: names the path and, where there is one, the line
+    ├── AssociationError     no pose of one trajectory has a partner in the other
+    └── OptionError          a method, unit or number that isn't allowed
+
+``evaluate`` raises none of them for what an algorithm did badly: lost and diverged are results.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class EvaluationError(ValueError):
+    """Root of every error of this package; its text is one sentence for the user."""
+
+
+class TrajectoryError(EvaluationError):
+    """Arrays that don't form a trajectory."""
+
+
+class FileError(TrajectoryError):
+    """A file that can't be read as what it should be.
+
+    Attributes:
+        path: The file.
+        line: Line number counted from 1, or None when the fault has no line.
+    """
+
+    def __init__(self, path: str | Path, message: str, line: int | None = None) -> None:
+        place = f"{path}, line {line}" if line is not None else str(path)
+        super().__init__(f"{place}: {message}")
+        self.path = path
+        self.line = line
+
+
+class AssociationError(EvaluationError):
+    """Two trajectories without a common pose."""
+
+
+class OptionError(EvaluationError):
+    """An option outside of what is allowed."""

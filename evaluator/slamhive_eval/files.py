@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectory files in and out: TUM, EuRoC ground truth and KITTI, plain or compressed by gzip or bzip2.
+
+numpy's C reader takes the whole file at once; only when it refuses, or a value turns out wrong, is the
+text gone through line by line to name the line.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import io
+import warnings
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from slamhive_eval import rotation
+from slamhive_eval.errors import FileError, OptionError
+from slamhive_eval.trajectory import Trajectory, find_fault
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from slamhive_eval.rotation import FloatArray
+
+Format = Literal["tum", "euroc", "kitti"]
+Unsorted = Literal["error", "sort"]
+
+FORMATS: dict[Format, tuple[int, str]] = {
+    "tum": (8, "timestamp tx ty tz qx qy qz qw"),
+    "euroc": (8, "timestamp [ns], px, py, pz, qw, qx, qy, qz, …"),
+    "kitti": (12, "the 3×4 pose matrix row by row"),
+}
+"""Columns a line of each format needs, and what they are."""
+
+_FIRST_NANOSECOND_STAMP = 1e14
+_GZIP, _BZIP2 = b"\x1f\x8b", b"BZh"
+
+
+def read_trajectory(
+    path: str | Path,
+    file_format: Format | None = None,
+    *,
+    times: str | Path | None = None,
+    unsorted: Unsorted = "error",
+) -> Trajectory:
+    """Read a trajectory file, finding out its format unless told.
+
+    Args:
+        path: The file, plain or compressed.
+        file_format: ``tum``, ``euroc`` or ``kitti``; None to tell by the columns of the first line.
+        times: For KITTI: the file with one stamp in s a line. Without it pose k has the stamp k.
+        unsorted: What to do with decreasing stamps: ``error`` names the line, ``sort`` sorts the poses
+            by time, keeping the order of equal stamps.
+
+    Returns:
+        The trajectory, stamps in s.
+
+    Raises:
+        FileError: The file is missing, empty, no text, or wrong in the line named.
+        OptionError: Unknown format.
+    """
+    text = read_text(path)
+    if file_format is None:
+        file_format = "kitti" if times is not None else _detect(path, text)
+    if file_format not in FORMATS:
+        raise OptionError(f"unknown trajectory format {file_format!r}; known are {', '.join(FORMATS)}")
+    table = parse_table(path, text, *FORMATS[file_format], extra=file_format == "euroc")
+    if file_format == "kitti":
+        return _from_kitti(path, text, table, times)
+    if file_format == "euroc":
+        # float64 nanoseconds divided by 1e9, as evo does: a stamp then equals evo's to the last bit.
+        stamps, quaternions = table[:, 0] / 1e9, table[:, [5, 6, 7, 4]]
+    else:
+        stamps, quaternions = table[:, 0], table[:, 4:8]
+    return _checked(path, text, (stamps, table[:, 1:4], quaternions), unsorted)
+
+
+def read_tum(path: str | Path, *, unsorted: Unsorted = "error") -> Trajectory:
+    """Read ``timestamp tx ty tz qx qy qz qw`` lines (s, m); see read_trajectory."""
+    return read_trajectory(path, "tum", unsorted=unsorted)
+
+
+def read_euroc(path: str | Path, *, unsorted: Unsorted = "error") -> Trajectory:
+    """Read the data.csv of EuRoC's state_groundtruth_estimate0 (ns, m, qw first); see read_trajectory."""
+    return read_trajectory(path, "euroc", unsorted=unsorted)
+
+
+def read_kitti(path: str | Path, times: str | Path | None = None) -> Trajectory:
+    """Read KITTI poses with their times file; see read_trajectory."""
+    return read_trajectory(path, "kitti", times=times)
+
+
+def write_tum(path: str | Path, trajectory: Trajectory) -> None:
+    """Write ``timestamp tx ty tz qx qy qz qw`` with every digit that float64 needs to be read back."""
+    table = np.column_stack((trajectory.stamps, trajectory.positions, trajectory.quaternions))
+    lines = ["# timestamp tx ty tz qx qy qz qw"]
+    lines += [" ".join(map(repr, row)) for row in table.tolist()]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_text(path: str | Path) -> str:
+    """The text of a file, uncompressed, with lines ending in a newline only.
+
+    Raises:
+        FileError: The file can't be read, its compressed data is broken, or it holds no text.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise FileError(path, f"can't be read: {error.strerror or error}") from error
+    try:
+        if data.startswith(_GZIP):
+            data = gzip.decompress(data)
+        elif data.startswith(_BZIP2):
+            data = bz2.decompress(data)
+    except (OSError, EOFError, ValueError, zlib.error) as error:
+        raise FileError(path, f"the compressed data is broken or cut off ({error})") from error
+    if b"\0" in data:
+        raise FileError(path, "is no text file (it holds zero bytes)")
+    text = data.decode("utf-8-sig", errors="replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def parse_table(
+    path: str | Path, text: str, columns: int, meaning: str, *, extra: bool = False
+) -> FloatArray:
+    """Numbers of a text, one row a line; commas count as white space, ``#`` begins a comment.
+
+    Args:
+        path: Named in errors.
+        text: The whole text.
+        columns: Numbers a line must hold.
+        meaning: What they are, for errors.
+        extra: Whether further columns may follow.
+
+    Returns:
+        The numbers, shape (n, columns), n ≥ 1; NaN and infinity pass.
+
+    Raises:
+        FileError: No line with numbers, a line of another length, or something that is no number.
+    """
+    first = next(_data_lines(text), None)
+    if first is None:
+        raise FileError(path, "holds no poses: every line is empty or a comment")
+    if "," in first[1]:
+        text = text.replace(",", " ")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            table: FloatArray = np.loadtxt(io.StringIO(text), dtype=np.float64, ndmin=2)
+    except ValueError:
+        _raise_bad_line(path, text, columns, meaning, extra=extra)
+        raise FileError(path, f"can't be read as lines of {columns} numbers: {meaning}") from None
+    if table.shape[1] != columns and not (extra and table.shape[1] > columns):
+        _raise_bad_line(path, text, columns, meaning, extra=extra)
+    return table[:, :columns]
+
+
+def fault_in_row(path: str | Path, text: str, row: int, message: str) -> FileError:
+    """The error for data row ``row`` (from 0), naming the line of the text it stands on."""
+    for k, (line, _) in enumerate(_data_lines(text)):
+        if k == row:
+            return FileError(path, message, line)
+    return FileError(path, message)
+
+
+def _data_lines(text: str) -> Iterator[tuple[int, str]]:
+    """Lines that hold something, without comments, numbered from 1."""
+    for number, line in enumerate(io.StringIO(text), start=1):
+        content = line.split("#", 1)[0].strip()
+        if content:
+            yield number, content
+
+
+def _raise_bad_line(path: str | Path, text: str, columns: int, meaning: str, *, extra: bool) -> None:
+    for number, content in _data_lines(text):
+        words = content.replace(",", " ").split()
+        if len(words) < columns or (len(words) > columns and not extra):
+            raise FileError(path, f"found {len(words)} of {columns} values; expected {meaning}", number)
+        for word in words:
+            if not _is_number(word):
+                shown = word if len(word) <= 30 else word[:30] + "…"
+                raise FileError(path, f"{shown!r} is no number; expected {meaning}", number)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return "_" not in word
+
+
+def _detect(path: str | Path, text: str) -> Format:
+    first = next(_data_lines(text), None)
+    if first is None:
+        raise FileError(path, "holds no poses: every line is empty or a comment")
+    number, content = first
+    words = content.replace(",", " ").split()
+    if len(words) == 12 and "," not in content:
+        return "kitti"
+    if len(words) == 8 or (len(words) > 8 and "," in content):
+        nanoseconds = _is_number(words[0]) and abs(float(words[0])) > _FIRST_NANOSECOND_STAMP
+        return "euroc" if nanoseconds and "," in content else "tum"
+    known = "; ".join(f"{name} has {count}" for name, (count, _) in FORMATS.items())
+    raise FileError(path, f"found {len(words)} values a line, which is no known format ({known})", number)
+
+
+def _checked(
+    path: str | Path,
+    text: str,
+    poses: tuple[FloatArray, FloatArray, FloatArray],
+    unsorted: Unsorted,
+) -> Trajectory:
+    stamps, positions, quaternions = poses
+    order = np.arange(len(stamps))
+    if unsorted == "sort":
+        order = np.argsort(stamps, kind="stable")
+        stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
+    fault = find_fault(stamps, positions, quaternions)
+    if fault is not None:
+        raise fault_in_row(path, text, int(order[fault.row]), fault.message)
+    return Trajectory(stamps, positions, quaternions)
+
+
+def _from_kitti(path: str | Path, text: str, table: FloatArray, times: str | Path | None) -> Trajectory:
+    matrices = table.reshape(-1, 3, 4)
+    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if bad.size:
+        raise fault_in_row(path, text, int(bad[0]), "every value must be a finite number")
+    rotations = np.clip(matrices[:, :, :3], -2.0, 2.0)
+    gram = np.einsum("nij,nkj->nik", rotations, rotations)
+    wrong = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > 1e-2) | (np.linalg.det(rotations) < 0)
+    bad = np.flatnonzero(wrong)
+    if bad.size:
+        message = "the left 3×3 part is no rotation (orthonormal, determinant 1)"
+        raise fault_in_row(path, text, int(bad[0]), message)
+    stamps = np.arange(len(table), dtype=np.float64)
+    if times is not None:
+        times_text = read_text(times)
+        stamps = parse_table(times, times_text, 1, "one time stamp in seconds")[:, 0]
+        if len(stamps) != len(table):
+            raise FileError(times, f"has {len(stamps)} stamps for the {len(table)} poses of {path}")
+        fault = find_fault(stamps, matrices[:, :, 3], np.ones((len(stamps), 4)))
+        if fault is not None:
+            raise fault_in_row(times, times_text, fault.row, fault.message)
+    return Trajectory(stamps, matrices[:, :, 3], rotation.from_matrix(rotations))

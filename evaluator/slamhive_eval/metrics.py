@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Absolute and relative pose errors and their statistics, in every relation evo has.
+
+Absolute (APE, Sturm et al. 2012; Zhang and Scaramuzza 2018): E = P⁻¹·Q of the aligned estimate P and the
+reference Q. Relative (RPE): E = (Q_i⁻¹·Q_j)⁻¹·(P_i⁻¹·P_j) over pairs (i, j).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from slamhive_eval import rotation
+from slamhive_eval.errors import OptionError
+
+if TYPE_CHECKING:
+    from slamhive_eval.rotation import FloatArray, IndexArray
+    from slamhive_eval.trajectory import Trajectory
+
+Relation = Literal[
+    "trans_part", "rot_part", "full", "angle_deg", "angle_rad", "point_distance", "point_distance_error_ratio"
+]
+RELATIONS: tuple[Relation, ...] = get_args(Relation)
+
+RELATION_UNITS: dict[Relation, str] = {
+    "trans_part": "m",
+    "rot_part": "",
+    "full": "",
+    "angle_deg": "deg",
+    "angle_rad": "rad",
+    "point_distance": "m",
+    "point_distance_error_ratio": "%",
+}
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Statistics of errors e ≥ 0 under evo's names, in the errors' unit.
+
+    Attributes:
+        rmse: √(Σe²/n).
+        mean: Mean.
+        median: Median.
+        std: Standard deviation, divided by n.
+        min: Smallest.
+        max: Largest.
+        sse: Σe², in the unit squared.
+    """
+
+    rmse: float
+    mean: float
+    median: float
+    std: float
+    min: float
+    max: float
+    sse: float
+
+    @classmethod
+    def of(cls, errors: FloatArray) -> Statistics | None:
+        """Statistics of errors, shape (n,); None for n = 0."""
+        if not errors.size:
+            return None
+        sse = float(np.sum(errors * errors))
+        return cls(
+            rmse=float(np.sqrt(sse / errors.size)),
+            mean=float(np.mean(errors)),
+            median=float(np.median(errors)),
+            std=float(np.std(errors)),
+            min=float(np.min(errors)),
+            max=float(np.max(errors)),
+            sse=sse,
+        )
+
+    def as_dict(self) -> dict[str, float | None]:
+        """The seven numbers by name; one that isn't finite becomes None, for JSON knows no infinity."""
+        return {name: value if np.isfinite(value) else None for name, value in asdict(self).items()}
+
+
+def ape_errors(reference: Trajectory, estimate: Trajectory, relation: Relation = "trans_part") -> FloatArray:
+    """Absolute errors of associated, aligned trajectories.
+
+    Args:
+        reference: n poses.
+        estimate: n poses in the reference's world frame.
+        relation: ``trans_part`` and ``point_distance``: distance in m. ``angle_deg``, ``angle_rad``: angle
+            of the rotation. ``rot_part``: Frobenius norm of R − I. ``full``: Frobenius norm of E − I.
+
+    Returns:
+        Errors ≥ 0, shape (n,).
+
+    Raises:
+        OptionError: Unknown relation, or the ratio, which only relative errors have.
+    """
+    _check_relation(relation)
+    if relation == "point_distance_error_ratio":
+        raise OptionError("the relation point_distance_error_ratio exists for relative errors only")
+    distance = rotation.vector_norm(reference.positions - estimate.positions)
+    if relation in ("trans_part", "point_distance"):
+        return distance
+    turn = rotation.multiply(rotation.conjugate(estimate.quaternions), reference.quaternions)
+    return _of_motion(distance, turn, relation)
+
+
+def rpe_errors(
+    reference: Trajectory, estimate: Trajectory, pairs: IndexArray, relation: Relation = "trans_part"
+) -> FloatArray:
+    """Relative errors of associated, aligned trajectories over pairs of poses.
+
+    Args:
+        reference: n poses.
+        estimate: n poses in the reference's world frame.
+        pairs: Indices (i, j), shape (k, 2).
+        relation: As for ape_errors; ``point_distance``: difference of the distances |p_j − p_i| in m,
+            ``point_distance_error_ratio``: that in % of the reference's distance, pairs whose reference
+            doesn't move left out.
+
+    Returns:
+        Errors ≥ 0, shape (k,), fewer for the ratio.
+
+    Raises:
+        OptionError: Unknown relation.
+    """
+    _check_relation(relation)
+    i, j = pairs[:, 0], pairs[:, 1]
+    reference_step = reference.positions[j] - reference.positions[i]
+    estimate_step = estimate.positions[j] - estimate.positions[i]
+    if relation in ("point_distance", "point_distance_error_ratio"):
+        travelled = rotation.vector_norm(reference_step)
+        missed = np.abs(travelled - rotation.vector_norm(estimate_step))
+        if relation == "point_distance":
+            return missed
+        moved = travelled > 0
+        return missed[moved] / travelled[moved] * 100.0
+    reference_back = rotation.conjugate(reference.quaternions[i])
+    estimate_back = rotation.conjugate(estimate.quaternions[i])
+    distance = rotation.vector_norm(
+        rotation.rotate(estimate_back, estimate_step) - rotation.rotate(reference_back, reference_step)
+    )
+    if relation == "trans_part":
+        return distance
+    turn = rotation.multiply(
+        rotation.conjugate(rotation.multiply(reference_back, reference.quaternions[j])),
+        rotation.multiply(estimate_back, estimate.quaternions[j]),
+    )
+    return _of_motion(distance, turn, relation)
+
+
+def _check_relation(relation: str) -> None:
+    if relation not in RELATIONS:
+        raise OptionError(f"unknown relation {relation!r}; known are {', '.join(RELATIONS)}")
+
+
+def _of_motion(distance: FloatArray, turn: FloatArray, relation: Relation) -> FloatArray:
+    """Errors of E with |t| = distance and the rotation ``turn``; ‖R − I‖ = 2√2·sin(θ/2) (Frobenius)."""
+    if relation == "angle_rad":
+        return rotation.angle(turn)
+    if relation == "angle_deg":
+        return np.rad2deg(rotation.angle(turn))
+    part: FloatArray = 2.0 * np.sqrt(2.0) * rotation.vector_norm(turn)
+    return part if relation == "rot_part" else np.hypot(part, distance)

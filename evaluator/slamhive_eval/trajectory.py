@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A trajectory: stamped poses as three arrays, checked once and never changed afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from slamhive_eval import rotation
+from slamhive_eval.errors import OptionError, TrajectoryError
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from slamhive_eval.rotation import FloatArray
+
+SMALLEST_QUATERNION_COMPONENT = 1e-3
+"""A quaternion whose components are all below this carries no rotation; in a unit one, one is ≥ 0.5."""
+
+_COLUMNS = ("time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+
+
+class Fault(NamedTuple):
+    """What is wrong with one pose."""
+
+    row: int
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of one body over time, each the pose of the body frame in a world frame.
+
+    Stamps are float64 seconds: at epoch time that resolves 0.24 µs, as in evo, far below any
+    association tolerance. Equal stamps are allowed (real ground truth has them), decreasing ones aren't.
+
+    Attributes:
+        stamps: Time of each pose in s, shape (n,), n ≥ 1, never decreasing.
+        positions: In m (or the unit of an unscaled estimate), shape (n, 3).
+        quaternions: Unit quaternions xyzw, shape (n, 4); given ones of another norm are normalised.
+
+    Raises:
+        TrajectoryError: No poses, arrays of unequal length, a value that isn't finite, a decreasing
+            stamp or a zero quaternion; the sentence names the pose, counted from 0.
+    """
+
+    stamps: FloatArray
+    positions: FloatArray
+    quaternions: FloatArray
+
+    def __post_init__(self) -> None:
+        stamps = np.array(self.stamps, dtype=np.float64)
+        positions = np.array(self.positions, dtype=np.float64)
+        quaternions = np.array(self.quaternions, dtype=np.float64)
+        n = len(stamps) if stamps.ndim == 1 else -1
+        if n < 0 or positions.shape != (n, 3) or quaternions.shape != (n, 4):
+            raise TrajectoryError(
+                "a trajectory needs stamps (n,), positions (n, 3) and quaternions (n, 4), "
+                f"not {stamps.shape}, {positions.shape} and {quaternions.shape}"
+            )
+        if n == 0:
+            raise TrajectoryError("the trajectory has no poses")
+        fault = find_fault(stamps, positions, quaternions)
+        if fault is not None:
+            raise TrajectoryError(f"pose {fault.row} of {n}: {fault.message}")
+        quaternions = rotation.normalize(quaternions / np.abs(quaternions).max(axis=1, keepdims=True))
+        for name, array in (("stamps", stamps), ("positions", positions), ("quaternions", quaternions)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    @cached_property
+    def distances(self) -> FloatArray:
+        """Path length from the first pose to each, in m, shape (n,)."""
+        return np.concatenate(([0.0], np.cumsum(rotation.vector_norm(np.diff(self.positions, axis=0)))))
+
+    @property
+    def path_length(self) -> float:
+        """Length of the whole path in m."""
+        return float(self.distances[-1])
+
+    def select(self, index: npt.NDArray[np.intp] | slice) -> Trajectory:
+        """The poses at the given indices, which must not decrease; repetitions are allowed."""
+        return Trajectory(self.stamps[index], self.positions[index], self.quaternions[index])
+
+    def transformed(self, matrix: FloatArray, translation: FloatArray, scale: float = 1.0) -> Trajectory:
+        """The same path in another world frame: p' = R·(s·p) + t and R' = R·R_pose.
+
+        Args:
+            matrix: Rotation R, shape (3, 3).
+            translation: t in m, shape (3,).
+            scale: s, applied to positions only.
+
+        Returns:
+            The moved trajectory with unchanged stamps.
+        """
+        positions = rotation.apply_matrix(matrix, scale * self.positions) + translation
+        return Trajectory(
+            self.stamps, positions, rotation.multiply(rotation.from_matrix(matrix), self.quaternions)
+        )
+
+    def moved(self, extrinsic: FloatArray) -> Trajectory:
+        """The path of another frame fixed to the body: T_world_sensor = T_world_body · T_body_sensor.
+
+        Args:
+            extrinsic: T_body_sensor, the pose of the sensor in the body frame, shape (4, 4).
+
+        Returns:
+            The trajectory of the sensor.
+
+        Raises:
+            OptionError: The matrix is no rigid motion.
+        """
+        matrix = check_rigid(extrinsic)
+        lever = np.broadcast_to(matrix[:3, 3], self.positions.shape)
+        return Trajectory(
+            self.stamps,
+            self.positions + rotation.rotate(self.quaternions, lever),
+            rotation.multiply(self.quaternions, rotation.from_matrix(matrix[:3, :3])),
+        )
+
+
+def find_fault(stamps: FloatArray, positions: FloatArray, quaternions: FloatArray) -> Fault | None:
+    """The first thing wrong with stamped poses, or None; shapes (n,), (n, 3) and (n, 4)."""
+    values = np.column_stack((stamps, positions, quaternions))
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if bad.size:
+        row = int(bad[0])
+        column = int(np.flatnonzero(~np.isfinite(values[row]))[0])
+        return Fault(
+            row,
+            f"{_COLUMNS[column]} is {values[row, column]}; every value must be a finite number "
+            "(leave out times without a pose)",
+        )
+    bad = np.flatnonzero(np.diff(stamps) < 0)
+    if bad.size:
+        row = int(bad[0]) + 1
+        return Fault(
+            row,
+            f"time stamp {stamps[row]:.9f} s comes before the one above it, {stamps[row - 1]:.9f} s; "
+            "stamps must not decrease",
+        )
+    bad = np.flatnonzero(np.abs(quaternions).max(axis=1) < SMALLEST_QUATERNION_COMPONENT)
+    if bad.size:
+        return Fault(int(bad[0]), "the quaternion is zero; it must have norm 1 (order qx qy qz qw)")
+    return None
+
+
+def check_rigid(transform: FloatArray) -> FloatArray:
+    """The transform as a (4, 4) array, checked to be a rigid motion to 1e-3 (files round).
+
+    Raises:
+        OptionError: Another shape, a value that isn't finite, a last row other than 0 0 0 1, or a
+            rotation part that isn't orthonormal with determinant 1.
+    """
+    matrix = np.asarray(transform, dtype=np.float64)
+    if matrix.shape != (4, 4):
+        raise OptionError(f"the extrinsic must be a 4×4 matrix, not of shape {matrix.shape}")
+    if not np.isfinite(matrix).all() or not np.array_equal(matrix[3], (0.0, 0.0, 0.0, 1.0)):
+        raise OptionError("the extrinsic must be finite with the last row 0 0 0 1")
+    part = matrix[:3, :3]
+    if np.abs(part @ part.T - np.eye(3)).max() > 1e-3 or np.linalg.det(part) < 0:
+        raise OptionError("the extrinsic's upper left 3×3 part is no rotation (orthonormal, determinant 1)")
+    return matrix
