@@ -11,6 +11,7 @@ import contextlib
 import queue
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ import numpy as np
 from adapter_support import NANOSECONDS, AdapterError, Run, Sensor, Stopwatch, Trajectory, write_results
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 QUEUE_LENGTH = 4
 """Decoded messages that wait at most: enough to keep the algorithm busy, few enough to cost no memory."""
@@ -273,6 +274,19 @@ def scan_window(item: Item, sensor: Sensor) -> tuple[int, int]:
     return start, start + duration
 
 
+def pose_stamp(item: Item, sensor: Sensor, deskew: bool) -> int:
+    """Sensor time in ns that the pose of a scan belongs to.
+
+    Args:
+        item: The scan.
+        sensor: The lidar.
+        deskew: Whether the algorithm moves the points to where they would be at the scan's end. The pose of
+            a scan that is left as it is, or has no point times, belongs best to its middle.
+    """
+    start, end = scan_window(item, sensor)
+    return end if deskew and item.data.times is not None else (start + end) // 2
+
+
 def decode_imu(message: Any, sensor: Sensor) -> ImuSample:
     """Decode a sensor_msgs/Imu.
 
@@ -345,8 +359,7 @@ def register_scans(run: Run, register: Callable[[Cloud], np.ndarray], deskew: bo
     Args:
         run: The run; its results are written.
         register: Takes a scan and returns the pose of the lidar `(4, 4)`.
-        deskew: Whether it moves the points to the end of the scan, which its pose then belongs to. The pose
-            of a scan that is left as it is, or has no point times, belongs best to its middle.
+        deskew: Whether it moves the points to the end of the scan.
 
     Raises:
         AdapterError: The recording can't be read, or no scan has a point.
@@ -360,6 +373,33 @@ def register_scans(run: Run, register: Callable[[Cloud], np.ndarray], deskew: bo
             continue
         with watch.frame():
             pose = register(item.data)
-        start, end = scan_window(item, lidar)
-        trajectory.add(end if deskew and item.data.times is not None else (start + end) // 2, pose)
+        trajectory.add(pose_stamp(item, lidar, deskew), pose)
     write_results(run, trajectory, watch, recording.cpu_seconds, recording.dropped["lidar"] + empty)
+
+
+def inertial_order(items: Iterable[Item], lidar: Sensor) -> Iterator[Item]:
+    """Put every scan behind the inertial samples of its time, however late the recording has either.
+
+    Args:
+        items: Scans (role lidar) and inertial samples (role imu), each in order of time.
+        lidar: The lidar.
+
+    Yields:
+        Each scan once a sample later than its end is known, after all samples up to its end; the scans left
+        at the end of the recording too.
+    """
+    scans: deque[tuple[int, Item]] = deque()
+    samples: deque[Item] = deque()
+    for item in items:
+        if item.role == "lidar":
+            scans.append((scan_window(item, lidar)[1], item))
+        else:
+            samples.append(item)
+        while scans and samples and samples[-1].stamp > scans[0][0]:
+            while samples[0].stamp <= scans[0][0]:
+                yield samples.popleft()
+            yield scans.popleft()[1]
+    for _, scan in scans:
+        yield from samples
+        samples.clear()
+        yield scan
