@@ -1,2 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""monitor."""
+"""CPU and memory of an algorithm, of its process tree alone, and the supervisor that runs and ends it.
+
+`python -m slamhive.monitor --spec FILE` supervises one run on a workstation: one process per run, the
+parent of the algorithm, so that nothing of the run outlives it. The sources and the accounting know nothing
+of that supervisor and serve a sidecar as well, which attaches to a container that is already there.
+
+Standard library alone, and little of it: this process starts once per run and its start counts.
+"""
+
+from slamhive.monitor.accounting import Accounting, Contention, CpuUsage, MemoryUsage, Usage
+from slamhive.monitor.cgroup import RunCgroup, make_run_cgroup, sweep_stale_cgroups
+from slamhive.monitor.orphans import ProcessRecord, end_orphans, find_orphans
+from slamhive.monitor.proc import ProcSource
+from slamhive.monitor.processes import ProcessIdentity, identify
+from slamhive.monitor.sources import CgroupV1Source, CgroupV2Source, Sample, Source, cgroup_source_at
+from slamhive.monitor.spec import SpecError, SupervisorSpec
+from slamhive.monitor.summary import Reason, Summary
+
+__all__ = [
+    "Accounting",
+    "CgroupV1Source",
+    "CgroupV2Source",
+    "Contention",
+    "CpuUsage",
+    "MemoryUsage",
+    "ProcSource",
+    "ProcessIdentity",
+    "ProcessRecord",
+    "Reason",
+    "RunCgroup",
+    "Sample",
+    "Source",
+    "SpecError",
+    "Summary",
+    "SupervisorSpec",
+    "Usage",
+    "cgroup_source_at",
+    "end_orphans",
+    "find_orphans",
+    "identify",
+    "make_run_cgroup",
+    "sweep_stale_cgroups",
+]

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files around a run: usage.csv, the pipe from the algorithm into its log, the size of its output."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from slamhive.monitor.log import BoundedLog
+    from slamhive.monitor.sources import Sample
+
+_PIPE_BYTES = 256 << 10
+_MAX_ENTRIES = 200_000
+
+
+class UsageTable:
+    """usage.csv: one row a sample, on disk about every second."""
+
+    def __init__(self, path: str) -> None:
+        """Begin a table.
+
+        Raises:
+            OSError: The file can't be written.
+        """
+        self.error: OSError | None = None
+        self._file = open(path, "w", encoding="ascii", buffering=1 << 16)  # noqa: PTH123, SIM115 - close()
+        self._file.write("time_seconds,cpu_cores,memory_bytes,anonymous_bytes\n")
+
+    def add(self, seconds: float, cores: float, sample: Sample) -> None:
+        """Add a row: time since the start, cores since the row before."""
+        self._file.write(f"{seconds:.4f},{cores:.4f},{sample.memory},{sample.anonymous}\n")
+
+    def flush(self) -> None:
+        """Hand all rows to the kernel; a full disk must not end the supervision."""
+        try:
+            self._file.flush()
+        except OSError as error:
+            self.error = error
+
+    def close(self) -> None:
+        """Hand all rows to the kernel and close."""
+        try:
+            self._file.close()
+        except OSError as error:
+            self.error = error
+
+
+class OutputPipe:
+    """What the algorithm prints, taken from a pipe so that its size can be bounded.
+
+    The pipe is emptied with every sample. Only while it fills up between two samples does it wake us by
+    itself: waking for every line would cost a core's percent.
+    """
+
+    def __init__(self, log: BoundedLog, poll: select.poll) -> None:
+        """Make a pipe into a log; `poll` watches it when needed."""
+        self._log = log
+        self._poll = poll
+        self.descriptor, self.writer = os.pipe()
+        self._watched = False
+        os.set_blocking(self.descriptor, False)
+        with suppress(OSError):  # a user may have used up what pipes may hold
+            fcntl.fcntl(self.descriptor, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+
+    def drain(self) -> None:
+        """Take what was printed since."""
+        taken = 0
+        while taken < 16 * _PIPE_BYTES and (count := self._take()):
+            taken += count
+        watch = taken > _PIPE_BYTES // 8
+        if watch and not self._watched:
+            self._poll.register(self.descriptor, select.POLLIN)
+        elif self._watched and not watch:
+            self._poll.unregister(self.descriptor)
+        self._watched = watch
+
+    def close(self) -> None:
+        """Take the rest, when nobody writes any more."""
+        while self._take():
+            pass
+        os.close(self.descriptor)
+
+    def _take(self) -> int:
+        try:
+            data = os.read(self.descriptor, _PIPE_BYTES)
+        except BlockingIOError:
+            return 0
+        self._log.write(data)
+        return len(data)
+
+
+def directory_bytes(path: str, enough: int) -> int:
+    """Return the size of all files below a directory; stops counting above `enough` or at 200,000 files."""
+    total = entries = 0
+    waiting = [path]
+    while waiting and total <= enough and entries < _MAX_ENTRIES:
+        with suppress(OSError), os.scandir(waiting.pop()) as found:
+            for entry in found:
+                entries += 1
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(entry.path)
+                else:
+                    with suppress(OSError):
+                        total += entry.stat(follow_symlinks=False).st_size
+    return total

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From how a process ended to a reason and a sentence: pure, no process in sight."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from slamhive.monitor.summary import Reason
+
+
+class Stop(NamedTuple):
+    """A decision to end a run.
+
+    Attributes:
+        reason: Why.
+        message: In a sentence.
+        at_once: Without asking the algorithm first, as every moment makes it worse.
+    """
+
+    reason: Reason
+    message: str
+    at_once: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ending:
+    """What is known when a run has ended.
+
+    Attributes:
+        status: Wait status of the algorithm's first process, None if it never ran.
+        stop: The decision to end it, None if it ended by itself.
+        last_line: The last line it printed.
+        group_oom_kills: Processes of the run's cgroup that the kernel killed for want of memory.
+        machine_oom_kills: The same on the entire machine while the run ran.
+        memory_limit: Bytes the run was allowed.
+    """
+
+    status: int | None
+    stop: Stop | None = None
+    last_line: str = ""
+    group_oom_kills: int = 0
+    machine_oom_kills: int = 0
+    memory_limit: int | None = None
+
+
+class Outcome(NamedTuple):
+    """Exit code or signal, and what they mean; reason None for success."""
+
+    exit_code: int | None
+    signal: int | None
+    reason: Reason | None
+    message: str
+
+
+def out_of_memory(limit: int | None) -> Stop:
+    """Return the decision to end a run that took too much memory."""
+    most = "there is" if limit is None else f"its limit of {limit / 2**20:.0f} MiB"
+    return Stop(Reason.OUT_OF_MEMORY, f"it needed more memory than {most}", at_once=True)
+
+
+def output_too_large(limit: int) -> Stop:
+    """Return the decision to end a run that wrote too much."""
+    message = f"its output grew beyond the limit of {limit / 2**20:.0f} MiB"
+    return Stop(Reason.OUTPUT_TOO_LARGE, message, at_once=True)
+
+
+def judge(ending: Ending) -> Outcome:
+    """Say how a run ended."""
+    status = ending.status
+    exited = status is not None and os.WIFEXITED(status)
+    killed = status is not None and os.WIFSIGNALED(status)
+    code = os.WEXITSTATUS(status) if exited and status is not None else None
+    number = os.WTERMSIG(status) if killed and status is not None else None
+    stop = ending.stop
+    if stop is None and (
+        ending.group_oom_kills > 0 or (number == signal.SIGKILL and ending.machine_oom_kills > 0)
+    ):
+        stop = out_of_memory(ending.memory_limit if ending.group_oom_kills else None)
+    if stop is not None:
+        return Outcome(code, number, stop.reason, stop.message)
+    if code == 0:
+        return Outcome(0, None, None, "")
+    what = f"exit code {code}" if number is None else f"ended by signal {number} ({_name(number)})"
+    message = f"{what}: {ending.last_line}" if ending.last_line else what
+    return Outcome(code, number, Reason.ALGORITHM_FAILED, message)
+
+
+def _name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # a real-time signal
+        return f"SIGRTMIN+{number - signal.SIGRTMIN}"

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a supervisor is asked to do: the file the executor writes and `python -m slamhive.monitor` reads."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+MEBIBYTE = 1 << 20
+
+
+class SpecError(ValueError):
+    """A supervisor's specification is wrong; the message names the field and what is allowed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SupervisorSpec:
+    """One run as its supervisor sees it.
+
+    Attributes:
+        argv: The algorithm's command; the program is looked up on the PATH of `env`.
+        cwd: Its working directory.
+        env: Its complete environment; only `SLAMHIVE_SUPERVISOR` is added.
+        log_path: Where its stdout and stderr go.
+        usage_path: CPU and memory over time, as CSV.
+        summary_path: The outcome, written last.
+        process_path: Who runs, so that orphans of a dead supervisor are found.
+        output_directory: Where the algorithm writes; `metrics.json` is read from it.
+        cpus: Processors the algorithm is pinned to; empty for no pinning.
+        timeout_seconds: Wall time the algorithm may take.
+        memory_limit_bytes: Memory its whole process tree may take.
+        output_limit_bytes: Size to which `output_directory` may grow.
+        log_limit_bytes: How much of the log is kept: its beginning and its end in equal parts.
+        task_limit: How many processes (with a cgroup: and threads) may live at the same time.
+        interval_seconds: Time between two samples.
+        data_seconds: Length of the recording, for CPU seconds per second of data.
+        includes_reader: The algorithm reads the recording by itself and can't tell what that costs.
+        cgroup: `auto` makes one where it can be made, `none` measures by /proc.
+        kill_grace_seconds: Time between SIGTERM and SIGKILL.
+        parent_pid: The process whose end ends the run; None for whoever started the supervisor.
+    """
+
+    argv: tuple[str, ...]
+    cwd: str
+    env: Mapping[str, str]
+    log_path: str
+    usage_path: str
+    summary_path: str
+    process_path: str
+    output_directory: str | None = None
+    cpus: tuple[int, ...] = ()
+    timeout_seconds: float | None = None
+    memory_limit_bytes: int | None = None
+    output_limit_bytes: int | None = None
+    log_limit_bytes: int = 10 * MEBIBYTE
+    task_limit: int | None = 4096
+    interval_seconds: float = 0.1
+    data_seconds: float | None = None
+    includes_reader: bool = False
+    cgroup: str = "auto"
+    kill_grace_seconds: float = 5.0
+    parent_pid: int | None = None
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            allowed, accepts = _RULES[field.name]
+            if not accepts(getattr(self, field.name)):
+                raise SpecError(f"{_camel(field.name)} must be {allowed}, not {getattr(self, field.name)!r}")
+
+    def to_json(self) -> str:
+        """Return the specification as a JSON object with camelCase keys."""
+        values = {_camel(field.name): getattr(self, field.name) for field in fields(self)}
+        values["env"] = dict(self.env)
+        return json.dumps(values, indent=2) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Self:
+        """Read a specification.
+
+        Raises:
+            SpecError: It isn't a JSON object, or a field is missing, unknown or out of bounds.
+        """
+        try:
+            values = json.loads(text)
+        except ValueError as error:
+            raise SpecError(f"not JSON: {error}") from None
+        if not isinstance(values, dict):
+            raise SpecError("a specification is a JSON object")
+        names = {_camel(field.name): field.name for field in fields(cls)}
+        if unknown := sorted(values.keys() - names.keys()):
+            raise SpecError(f"unknown field {unknown[0]}; known are {', '.join(sorted(names))}")
+        if missing := sorted(name for name in _REQUIRED if name not in values):
+            raise SpecError(f"{missing[0]} is missing")
+        return cls(**{names[key]: _tuple(value) for key, value in values.items()})
+
+
+def _camel(name: str) -> str:
+    first, *rest = name.split("_")
+    return first + "".join(part.capitalize() for part in rest)
+
+
+def _tuple(value: object) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _text(value: object) -> bool:
+    return isinstance(value, str) and value != "" and "\0" not in value
+
+
+def _path(value: object) -> bool:
+    return isinstance(value, str) and value.startswith("/") and "\0" not in value
+
+
+def _texts(value: object) -> bool:
+    return (
+        isinstance(value, tuple)
+        and len(value) > 0
+        and _text(value[0])
+        and all(isinstance(item, str) and "\0" not in item for item in value)
+    )
+
+
+def _environment(value: object) -> bool:
+    return isinstance(value, dict) and all(
+        _text(key) and "=" not in key and isinstance(item, str) and "\0" not in item
+        for key, item in value.items()
+    )
+
+
+def _processors(value: object) -> bool:
+    return isinstance(value, tuple) and all(_integer(item, 0) for item in value)
+
+
+def _integer(value: object, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _positive(value: object) -> bool:
+    return _number(value) and value > 0  # type: ignore[operator]
+
+
+def _optional(accepts: Callable[[object], bool]) -> Callable[[object], bool]:
+    return lambda value: value is None or accepts(value)
+
+
+_PATH_RULE = ("an absolute path", _path)
+_SIZE_RULE = ("a whole number above 0 or null", _optional(lambda value: _integer(value, 1)))
+_TIME_RULE = ("a number of seconds above 0 or null", _optional(_positive))
+_RULES: dict[str, tuple[str, Callable[[object], bool]]] = {
+    "argv": ("a list of strings that begins with a program", _texts),
+    "cwd": _PATH_RULE,
+    "env": ("a map from names to strings", _environment),
+    "log_path": _PATH_RULE,
+    "usage_path": _PATH_RULE,
+    "summary_path": _PATH_RULE,
+    "process_path": _PATH_RULE,
+    "output_directory": ("an absolute path or null", _optional(_path)),
+    "cpus": ("a list of processor numbers", _processors),
+    "timeout_seconds": _TIME_RULE,
+    "memory_limit_bytes": _SIZE_RULE,
+    "output_limit_bytes": _SIZE_RULE,
+    "log_limit_bytes": ("a whole number of at least 4096", lambda value: _integer(value, 4096)),
+    "task_limit": _SIZE_RULE,
+    "interval_seconds": (
+        "a number of seconds from 0.01 to 10",
+        lambda value: _number(value) and 0.01 <= value <= 10,  # type: ignore[operator]
+    ),
+    "data_seconds": _TIME_RULE,
+    "includes_reader": ("true or false", lambda value: isinstance(value, bool)),
+    "cgroup": ("auto or none", lambda value: value in ("auto", "none")),
+    "kill_grace_seconds": (
+        "a number of seconds, 0 or more",
+        lambda value: _number(value) and value >= 0,  # type: ignore[operator]
+    ),
+    "parent_pid": ("a process id or null", _optional(lambda value: _integer(value, 1))),
+}
+_REQUIRED = ("argv", "cwd", "env", "logPath", "usagePath", "summaryPath", "processPath")

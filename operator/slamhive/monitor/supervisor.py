@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The supervisor of one run: starts the algorithm, samples it, holds it to its limits, ends all of it.
+
+It is the reaper of every descendant, so "no children left" is exact: a daemon that forked twice comes back
+to it. It ends when its parent does. What it finds out goes to usage.csv while the run runs, and as the very
+last thing to summary.json; a run folder without summary.json is a run that did not finish.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import time
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from slamhive.monitor.accounting import Accounting, Contention
+from slamhive.monitor.cgroup import make_run_cgroup
+from slamhive.monitor.files import OutputPipe, UsageTable, directory_bytes
+from slamhive.monitor.hierarchy import host_throttled
+from slamhive.monitor.launch import LaunchError, launch
+from slamhive.monitor.log import BoundedLog
+from slamhive.monitor.orphans import TOKEN, ProcessRecord, write_atomically
+from slamhive.monitor.outcome import Ending, Stop, judge, out_of_memory, output_too_large
+from slamhive.monitor.proc import ProcSource
+from slamhive.monitor.processes import (
+    ProcessIdentity,
+    become_subreaper,
+    boot_id,
+    children,
+    descendants,
+    end_processes,
+    identify,
+    pid_namespace,
+    read_file,
+    set_parent_death_signal,
+)
+from slamhive.monitor.sources import Source, field
+from slamhive.monitor.summary import Reason, Summary, read_reader_report
+
+if TYPE_CHECKING:
+    from slamhive.monitor.accounting import Usage
+    from slamhive.monitor.spec import SupervisorSpec
+
+# The kernel tells of our parent's end by this signal. It comes too when only the thread that started us
+# ended, so it makes us look and means nothing by itself.
+_PARENT_SIGNAL = signal.SIGUSR1
+_STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+# A short run shall have samples too: these come before the regular ones, s.
+_EARLY_SAMPLES = (0.005, 0.02, 0.05)
+_END_SECONDS = 20.0
+
+
+class Supervisor:
+    """Runs one algorithm from start to summary."""
+
+    def __init__(self, spec: SupervisorSpec) -> None:
+        """Take a specification; nothing is started yet."""
+        self._spec = spec
+        self._parent = spec.parent_pid or os.getppid()
+        self._signals: list[int] = []
+        self._notes: list[str] = []
+        self._stop: Stop | None = None
+        self._kill_at: float | None = None
+        self._status: int | None = None
+        self._algorithm: int | None = None
+        self._poll = select.poll()
+
+    def run(self) -> Summary:
+        """Run the algorithm to its end, or end it, and write the summary.
+
+        Raises:
+            OSError: One of the files can't be written; nothing of the run is left running.
+        """
+        self._prepare()
+        spec = self._spec
+        self._cgroup = make_run_cgroup(self._me) if spec.cgroup == "auto" else None
+        try:
+            limited = self._cgroup is not None and self._cgroup.limit(
+                spec.memory_limit_bytes, spec.task_limit
+            )
+            self._polled_limit = None if limited else spec.memory_limit_bytes
+            self._source: Source = ProcSource() if self._cgroup is None else self._cgroup.source
+            self._log = BoundedLog(spec.log_path, spec.log_limit_bytes)
+            self._table = UsageTable(spec.usage_path)
+            summary = self._supervise()
+        finally:
+            self._end_tree()
+            if self._cgroup is not None and not self._cgroup.remove():
+                self._notes.append("a cgroup of the run could not be removed")
+        summary = replace(summary, notes=tuple(self._notes))
+        write_atomically(spec.summary_path, summary.to_json())
+        return summary
+
+    def _prepare(self) -> None:
+        become_subreaper()
+        for name in os.listdir("/proc/self/fd"):  # noqa: PTH208
+            if int(name) > 2:
+                with suppress(OSError):
+                    os.set_inheritable(int(name), False)
+        self._wake, wake = os.pipe()
+        for descriptor in (self._wake, wake):
+            os.set_blocking(descriptor, False)
+        self._poll.register(self._wake, select.POLLIN)
+        signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
+        for number in (*_STOP_SIGNALS, _PARENT_SIGNAL):
+            signal.signal(number, lambda number, _frame: self._signals.append(number))
+        signal.signal(signal.SIGCHLD, lambda _number, _frame: None)
+        set_parent_death_signal(_PARENT_SIGNAL)
+        me = identify(os.getpid())
+        if me is None:
+            raise ProcessLookupError(0, "no process table is mounted", "/proc")
+        self._me = me
+
+    def _supervise(self) -> Summary:
+        spec = self._spec
+        throttled, oom_kills = host_throttled(), _machine_oom_kills()
+        self._pipe = OutputPipe(self._log, self._poll)
+        started_at, self._start = time.time(), time.monotonic()
+        self._accounting = Accounting(self._start)
+        self._contention = Contention(spec.cpus, self._source, self._start)
+        self._follow_signals(self._start)
+        if self._stop is None:
+            try:
+                self._launch()
+                self._watch()
+            except LaunchError as error:
+                self._stop = Stop(Reason.ALGORITHM_FAILED, str(error))
+        finished, left = self._finish()
+        usage = self._usage(finished, throttled)
+        self._close_files()
+        tail = self._log.tail()
+        ending = Ending(
+            status=self._status,
+            stop=self._stop,
+            last_line=tail.rpartition("\n")[2],
+            group_oom_kills=self._cgroup.oom_kills() if self._cgroup else 0,
+            machine_oom_kills=_machine_oom_kills() - oom_kills,
+            memory_limit=spec.memory_limit_bytes,
+        )
+        return Summary(
+            **judge(ending)._asdict(),
+            started_at=started_at,
+            finished_at=started_at + finished - self._start,
+            usage=usage,
+            log_tail=tail,
+            left_processes=left,
+        )
+
+    def _launch(self) -> None:
+        groups = tuple(self._cgroup.directories) if self._cgroup else ()
+        record = ProcessRecord(boot_id(), pid_namespace(), self._me, None, groups)
+        record.write(self._spec.process_path)
+        environment = {**self._spec.env, TOKEN: record.token}
+        self._start = time.monotonic()
+        self._algorithm = launch(self._spec, environment, self._pipe.writer, groups)
+        replace(record, algorithm=identify(self._algorithm)).write(self._spec.process_path)
+
+    def _watch(self) -> None:
+        """Sample and keep the limits until the algorithm's first process has ended, or must be killed."""
+        interval = self._spec.interval_seconds
+        timeout = self._spec.timeout_seconds
+        grid = [self._start + seconds for seconds in _EARLY_SAMPLES if seconds < interval]
+        next_sample = grid.pop(0) if grid else self._start + interval
+        deadline = None if timeout is None else self._start + timeout
+        self._reap()
+        while self._status is None:
+            due = min(moment for moment in (next_sample, deadline, self._kill_at) if moment is not None)
+            self._sleep(due - time.monotonic())
+            now = time.monotonic()
+            self._reap()
+            self._follow_signals(now)
+            if self._status is not None or (self._kill_at is not None and now >= self._kill_at):
+                return
+            if deadline is not None and now >= deadline:
+                deadline = None
+                self._end(Stop(Reason.DEADLINE_EXCEEDED, f"it took more than {timeout:g} s"), now)
+            if now >= next_sample:
+                self._sample(now)
+                # On a grid from the start; samples that are too late are left out, not made up for.
+                steps = int((now - self._start) / interval) + 1
+                next_sample = grid.pop(0) if grid else self._start + steps * interval
+
+    def _sleep(self, seconds: float) -> None:
+        """Wait for a signal, for time to pass, and while the algorithm prints much, for its output."""
+        for descriptor, _ in self._poll.poll(max(seconds, 0.0) * 1000):
+            if descriptor == self._wake:
+                os.read(self._wake, 4096)
+            else:
+                self._pipe.drain()
+
+    def _reap(self) -> None:
+        with suppress(ChildProcessError):
+            while True:
+                pid, status = os.waitpid(-1, os.WNOHANG)
+                if pid == 0:
+                    return
+                if pid == self._algorithm:
+                    self._status = status
+
+    def _follow_signals(self, now: float) -> None:
+        """Follow signals: the first asks the run to stop, a second doesn't wait for it."""
+        signals, self._signals = self._signals, []
+        if os.getppid() != self._parent:
+            self._end(Stop(Reason.CANCELLED, "the process that started the run ended"), now)
+        for number in signals:
+            if number in _STOP_SIGNALS:
+                again = self._kill_at is not None
+                self._end(Stop(Reason.CANCELLED, "cancelled"), now)
+                if again:
+                    self._kill_at = now
+
+    def _end(self, stop: Stop, now: float) -> None:
+        """End the run: kill it now, or ask all of it to end and kill it later. The first reason stays."""
+        self._stop = self._stop or stop
+        if stop.at_once:
+            self._kill_at = now
+        elif self._kill_at is None:
+            self._kill_at = now + self._spec.kill_grace_seconds
+            for pid in descendants([self._me.pid]):
+                for number in (signal.SIGTERM, signal.SIGCONT):
+                    with suppress(OSError):
+                        os.kill(pid, number)
+
+    def _sample(self, now: float) -> None:
+        sample = self._source.read()
+        self._table.add(sample.time - self._start, self._accounting.add(sample), sample)
+        self._pipe.drain()
+        limit = self._spec.memory_limit_bytes
+        too_much = self._polled_limit is not None and sample.memory > self._polled_limit
+        if too_much or (self._cgroup is not None and self._cgroup.oom_kills() > 0):
+            self._end(out_of_memory(limit), now)
+        if self._contention.due(now):
+            self._contention.add(now, sample.cpu)
+            self._table.flush()
+            self._check_sizes(now)
+
+    def _check_sizes(self, now: float) -> None:
+        """Look at what is too costly to look at with every sample."""
+        output, limit = self._spec.output_directory, self._spec.output_limit_bytes
+        if output is not None and limit is not None and directory_bytes(output, limit) > limit:
+            self._end(output_too_large(limit), now)
+        tasks = self._spec.task_limit
+        if self._cgroup is None and tasks is not None and len(self._source.processes()) > tasks:
+            message = f"it had more than {tasks} processes at the same time"
+            self._end(Stop(Reason.ALGORITHM_FAILED, message, at_once=True), now)
+
+    def _finish(self) -> tuple[float, int]:
+        """End what is left; return when the first process ended and how many outlived it."""
+        if self._status is None:
+            self._end_tree()
+            return time.monotonic(), 0
+        finished = time.monotonic()
+        left = len(descendants([self._me.pid]))
+        self._end_tree()
+        return finished, left
+
+    def _end_tree(self) -> None:
+        """End all of the run; done when the kernel says that we have no children."""
+        deadline = time.monotonic() + _END_SECONDS
+        while children(self._me.pid):
+            if time.monotonic() > deadline:
+                self._notes.append("processes of the run could not be ended")
+                return
+            if self._cgroup is not None:
+                self._cgroup.kill()
+            end_processes(self._living, max(deadline - time.monotonic(), 0.0))
+            self._reap()
+
+    def _living(self) -> list[ProcessIdentity]:
+        self._reap()
+        return [found for found in map(identify, descendants([self._me.pid])) if found is not None]
+
+    def _usage(self, finished: float, throttled_before: float | None) -> Usage:
+        """Take the last sample, exact as everything has ended, and sum up."""
+        spec = self._spec
+        sample = self._source.read()._replace(time=finished)
+        cores = self._accounting.add(sample, final=True)
+        self._table.add(finished - self._start, cores, sample)
+        self._contention.add(finished, sample.cpu)
+        report = read_reader_report(spec.output_directory)
+        reader = report.cpu_seconds
+        if report.note is not None:
+            self._notes.append(report.note)
+        if reader is not None and reader > sample.cpu:
+            self._notes.append(f"readerCpuSeconds {reader:g} is more than all CPU seconds and was ignored")
+            reader = None
+        throttled_after = host_throttled()
+        throttled = self._cgroup.throttled() if self._cgroup else None
+        if throttled_before is not None and throttled_after is not None:
+            throttled = max(throttled or 0.0, throttled_after - throttled_before)
+        included = spec.includes_reader if report.includes_reader is None else report.includes_reader
+        return self._accounting.usage(
+            self._source.name,
+            data_seconds=spec.data_seconds,
+            reader_cpu_seconds=reader,
+            includes_reader=included,
+            throttled_seconds=throttled,
+            contended_seconds=self._contention.seconds,
+            kernel_peak=self._source.kernel_peak(),
+        )
+
+    def _close_files(self) -> None:
+        self._pipe.close()
+        self._log.close()
+        self._table.close()
+        for path, error in (
+            (self._spec.log_path, self._log.error),
+            (self._spec.usage_path, self._table.error),
+        ):
+            if error is not None:
+                self._notes.append(f"{path} is incomplete: {error.strerror}")
+
+
+def _machine_oom_kills() -> int:
+    with suppress(OSError):
+        return field(read_file("/proc/vmstat"), b"oom_kill")
+    return 0
