@@ -102,10 +102,10 @@ def align(
 
 
 def umeyama_scale(reference: Trajectory, estimate: Trajectory) -> float | None:
-    """The scale s of the Sim(3) alignment, None where the estimate doesn't move; s > 0 or 0."""
-    x, y = _centred(estimate.positions)[0], _centred(reference.positions)[0]
-    if stands_still(estimate.positions):
+    """The scale s > 0 of the Sim(3) alignment, None where one of the two doesn't move."""
+    if stands_still(estimate.positions) or stands_still(reference.positions):
         return None
+    x, y = _centred(estimate.positions)[0], _centred(reference.positions)[0]
     u, d, vt = np.linalg.svd(y.T @ x / len(x))
     return float((d @ _handedness(u, vt)) / (np.sum(x * x) / len(x)))
 

@@ -32,8 +32,8 @@ MIN_SCALE, MAX_SCALE = 0.5, 2.0
 MAX_ATE_SHARE = 0.1
 """An ATE above this share of the ground truth's path is a diverged run."""
 PARTIAL_COVERAGE = 0.5
-_LARGEST_POSITION = 1e100
-"""Beyond this squares overflow; such an estimate has diverged, whatever its error would be."""
+MOTION_METRES = 0.1
+"""Ground truth that extends further than this has moved; what stands still meanwhile has diverged."""
 
 
 class Outcome(StrEnum):
@@ -245,9 +245,8 @@ def evaluate(reference: Trajectory, estimate: Trajectory, options: Options | Non
         reference_poses=len(reference),
         estimate_poses=len(estimate),
     )
-    failure = _unusable(reference, estimate, pairs, options)
-    if failure is not None:
-        return replace(result, outcome=failure[0], message=failure[1])
+    if len(pairs) < MIN_POSES:
+        return replace(result, message=_too_few(reference, estimate, pairs, options))
     associated = reference.select(pairs.reference)
     if options.extrinsic is not None:
         associated = associated.moved(options.extrinsic)
@@ -257,13 +256,24 @@ def evaluate(reference: Trajectory, estimate: Trajectory, options: Options | Non
 def judge(coverage: Coverage, ate: Statistics, scale: float | None, options: Options) -> tuple[Outcome, str]:
     """The outcome and why.
 
-    Diverged comes first: no scale at all (the estimate stands still while the ground truth moves), a scale
-    outside [0.5, 2] where the sensors have scale, or an ATE above a tenth of the path. Then coverage decides.
+    Diverged comes first: a scale outside [0.5, 2] where the sensors have scale, or an ATE above a tenth of
+    the path. Then coverage decides.
+
+    Args:
+        coverage: Of the ground truth.
+        ate: Aligned errors in m.
+        scale: Of the Sim(3) alignment, None where it isn't determined.
+        options: The limits.
+
+    Returns:
+        The outcome and a sentence, empty for a tracked run.
     """
-    share = coverage.share
-    divergence = _divergence(coverage.path_length, ate.rmse, scale, has_scale=options.has_scale)
-    if divergence:
-        return Outcome.DIVERGED, divergence
+    path, share = coverage.path_length, coverage.share
+    if options.has_scale and scale is not None and not MIN_SCALE <= scale <= MAX_SCALE:
+        return Outcome.DIVERGED, f"the scale is {scale:.4g}; it must lie within {MIN_SCALE} and {MAX_SCALE}"
+    if path > 0 and not ate.rmse <= MAX_ATE_SHARE * path:
+        limit = f"{MAX_ATE_SHARE:.0%} of the path of {path:.4g} m"
+        return Outcome.DIVERGED, f"the ATE of {ate.rmse:.4g} m exceeds {limit}"
     if share < PARTIAL_COVERAGE:
         return Outcome.LOST, f"the estimate covers {share:.1%} of the ground truth's path"
     if share < options.min_coverage:
@@ -274,32 +284,13 @@ def judge(coverage: Coverage, ate: Statistics, scale: float | None, options: Opt
     return Outcome.TRACKED, ""
 
 
-def _unusable(
-    reference: Trajectory, estimate: Trajectory, pairs: Association, options: Options
-) -> tuple[Outcome, str] | None:
-    """Outcome and sentence for an estimate that no error can be computed for."""
+def _too_few(reference: Trajectory, estimate: Trajectory, pairs: Association, options: Options) -> str:
     if not len(pairs):
-        error = no_overlap(reference, estimate, options.max_difference_seconds, options.offset_seconds)
-        return Outcome.LOST, str(error)
-    if len(pairs) < MIN_POSES:
-        found = f"{len(pairs)} of {len(estimate)} poses of the estimate have a ground-truth pose within"
-        needed = f"an error needs at least {MIN_POSES}"
-        return Outcome.LOST, f"{found} {options.max_difference_seconds:g} s; {needed}"
-    largest = float(np.abs(estimate.positions).max())
-    if largest > _LARGEST_POSITION:
-        return Outcome.DIVERGED, f"the estimate reaches {largest:.3g} m from its origin"
-    return None
-
-
-def _divergence(path: float, rmse: float, scale: float | None, *, has_scale: bool) -> str:
-    """Why the estimate has diverged, empty when it hasn't."""
-    if scale is None:
-        return "the estimate stands still while the ground truth moves"
-    if has_scale and not MIN_SCALE <= scale <= MAX_SCALE:
-        return f"the scale is {scale:.4g}; it must lie within {MIN_SCALE} and {MAX_SCALE}"
-    if path > 0 and not rmse <= MAX_ATE_SHARE * path:
-        return f"the ATE of {rmse:.4g} m exceeds {MAX_ATE_SHARE:.0%} of the path of {path:.4g} m"
-    return ""
+        return str(no_overlap(reference, estimate, options.max_difference_seconds, options.offset_seconds))
+    return (
+        f"{len(pairs)} of {len(estimate)} poses of the estimate have a ground-truth pose within "
+        f"{options.max_difference_seconds:g} s; an error needs at least {MIN_POSES}"
+    )
 
 
 def _measured(
@@ -312,9 +303,12 @@ def _measured(
     rotation_errors = metrics.ape_errors(reference, aligned, "angle_deg")
     ate = Statistics.of(errors)
     assert ate is not None  # noqa: S101 - MIN_POSES are there
-    moves = not stands_still(reference.positions)
-    scale = umeyama_scale(reference, estimate) if moves else None
-    outcome, message = judge(result.coverage, ate, scale if moves else 1.0, options)
+    scale = umeyama_scale(reference, estimate)
+    outcome, message = judge(result.coverage, ate, scale, options)
+    moved = float(np.ptp(reference.positions, axis=0).max())
+    if outcome is not Outcome.LOST and stands_still(estimate.positions) and moved > MOTION_METRES:
+        outcome = Outcome.DIVERGED
+        message = f"the estimate stands still while the ground truth moves over {moved:.3g} m"
     return replace(
         result,
         outcome=outcome,

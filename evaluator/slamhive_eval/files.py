@@ -19,7 +19,7 @@ import numpy as np
 
 from slamhive_eval import rotation
 from slamhive_eval.errors import FileError, OptionError
-from slamhive_eval.trajectory import Trajectory, find_fault
+from slamhive_eval.trajectory import LARGEST_METRES, Trajectory, find_fault
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -229,10 +229,10 @@ def _checked(
 
 def _from_kitti(path: str | Path, text: str, table: FloatArray, times: str | Path | None) -> Trajectory:
     matrices = table.reshape(-1, 3, 4)
-    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    bad = np.flatnonzero(~(np.abs(table) <= LARGEST_METRES).all(axis=1))
     if bad.size:
         raise fault_in_row(path, text, int(bad[0]), "every value must be a finite number")
-    rotations = np.clip(matrices[:, :, :3], -2.0, 2.0)
+    rotations = np.clip(matrices[:, :, :3], -2.0, 2.0)  # far from a rotation either way, but no overflow
     gram = np.einsum("nij,nkj->nik", rotations, rotations)
     wrong = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > 1e-2) | (np.linalg.det(rotations) < 0)
     bad = np.flatnonzero(wrong)

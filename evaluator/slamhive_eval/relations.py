@@ -18,7 +18,7 @@ from slamhive_eval.association import interpolate, nearest
 from slamhive_eval.errors import OptionError, TrajectoryError
 from slamhive_eval.files import fault_in_row, parse_table, read_text
 from slamhive_eval.metrics import Statistics
-from slamhive_eval.trajectory import check_rigid
+from slamhive_eval.trajectory import LARGEST_METRES, check_rigid
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -56,7 +56,7 @@ class Relations:
                 f"relations need times (n,), positions (n, 3) and quaternions (n, 4), n ≥ 1, not {shapes}"
             )
         values = np.column_stack((self.begin, self.end, self.positions, self.quaternions))
-        if not np.isfinite(values).all():
+        if not (np.abs(values) <= LARGEST_METRES).all():
             raise TrajectoryError("relations must be finite numbers")
 
     def __len__(self) -> int:
@@ -143,7 +143,7 @@ def read_relations(path: str | Path) -> Relations:
     """
     text = read_text(path)
     table = parse_table(path, text, 8, "t1 t2 x y z roll pitch yaw")
-    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    bad = np.flatnonzero(~(np.abs(table) <= LARGEST_METRES).all(axis=1))
     if bad.size:
         raise fault_in_row(path, text, int(bad[0]), "every value must be a finite number")
     return Relations(table[:, 0], table[:, 1], table[:, 2:5], rotation.from_roll_pitch_yaw(table[:, 5:8]))

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 SMALLEST_QUATERNION_COMPONENT = 1e-3
 """A quaternion whose components are all below this carries no rotation; in a unit one, one is ≥ 0.5."""
 
+LARGEST_STAMP_SECONDS = 1e12
+"""30,000 years: stamps beyond are milliseconds, microseconds or nanoseconds by mistake."""
+
+LARGEST_METRES = 1e100
+"""Beyond this squares overflow; only a broken program gets there."""
+
 _COLUMNS = ("time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
 
@@ -137,6 +143,14 @@ def find_fault(stamps: FloatArray, positions: FloatArray, quaternions: FloatArra
             f"{_COLUMNS[column]} is {values[row, column]}; every value must be a finite number "
             "(leave out times without a pose)",
         )
+    bad = np.flatnonzero(np.abs(stamps) > LARGEST_STAMP_SECONDS)
+    if bad.size:
+        row = int(bad[0])
+        return Fault(row, f"time stamp {stamps[row]:.10g} is no number of seconds (nanoseconds perhaps?)")
+    bad = np.flatnonzero(np.abs(positions).max(axis=1) > LARGEST_METRES)
+    if bad.size:
+        row = int(bad[0])
+        return Fault(row, f"the position {np.abs(positions[row]).max():.3g} m is beyond {LARGEST_METRES:g} m")
     bad = np.flatnonzero(np.diff(stamps) < 0)
     if bad.size:
         row = int(bad[0]) + 1
@@ -161,7 +175,7 @@ def check_rigid(transform: FloatArray) -> FloatArray:
     matrix = np.asarray(transform, dtype=np.float64)
     if matrix.shape != (4, 4):
         raise OptionError(f"the extrinsic must be a 4×4 matrix, not of shape {matrix.shape}")
-    if not np.isfinite(matrix).all() or not np.array_equal(matrix[3], (0.0, 0.0, 0.0, 1.0)):
+    if not (np.abs(matrix) <= LARGEST_METRES).all() or not np.array_equal(matrix[3], (0.0, 0.0, 0.0, 1.0)):
         raise OptionError("the extrinsic must be finite with the last row 0 0 0 1")
     part = matrix[:3, :3]
     if np.abs(part @ part.T - np.eye(3)).max() > 1e-3 or np.linalg.det(part) < 0:

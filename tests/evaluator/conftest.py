@@ -2,11 +2,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from slamhive_eval import Trajectory, rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 
@@ -46,5 +50,5 @@ def wander(n: int = 200, seed: int = 0, rate: float = 10.0, start: float = 1.6e9
 
 
 @pytest.fixture(name="wander")
-def wander_fixture():
+def wander_fixture() -> Callable[..., Trajectory]:
     return wander

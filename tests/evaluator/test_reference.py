@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from slamhive_eval import (
+    Association,
     Options,
     RpeOptions,
     Statistics,
@@ -23,6 +26,11 @@ from slamhive_eval import (
     read_trajectory,
     rpe_errors,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Load = Callable[[str], tuple[Association, Trajectory, Trajectory]]
 
 LIMIT = 1e-9
 FILES = {
@@ -47,12 +55,12 @@ def deviation(found: float | None, expected: float) -> float:
     return 0.0 if abs(found - expected) <= 1e-12 else abs(found - expected) / abs(expected)
 
 
-def worst(found: Statistics | None, expected: dict) -> float:
+def worst(found: Statistics | None, expected: dict[str, float]) -> float:
     assert found is not None
     return max(deviation(value, expected[name]) for name, value in found.as_dict().items())
 
 
-def test_all_runs_of_the_paper(icra2023):
+def test_all_runs_of_the_paper(icra2023: Path) -> None:
     read = functools.cache(read_trajectory)
     reference = json.loads((icra2023 / "reference.json").read_text())["runs"]
     assert len(reference) == 81
@@ -72,14 +80,14 @@ def test_all_runs_of_the_paper(icra2023):
 
 
 @pytest.fixture(scope="module")
-def evo(trajectories):
+def evo(trajectories: Path) -> Any:
     return json.loads((trajectories / "evo_reference.json").read_text())
 
 
 @pytest.fixture(scope="module")
-def associated(trajectories):
+def associated(trajectories: Path) -> Load:
     @functools.cache
-    def load(name):
+    def load(name: str) -> tuple[Association, Trajectory, Trajectory]:
         truth, estimate = (read_trajectory(trajectories / file) for file in FILES[name])
         pairs = associate(truth, estimate)
         return pairs, truth.select(pairs.reference), estimate.select(pairs.estimate)
@@ -88,7 +96,7 @@ def associated(trajectories):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_association(evo, associated, name):
+def test_association(evo: Any, associated: Load, name: str) -> None:
     pairs, _, _ = associated(name)
     assert len(pairs) == evo[name]["n_assoc"]
     first = sorted((pairs.reference[:10].tolist(), pairs.estimate[:10].tolist()))
@@ -96,7 +104,7 @@ def test_association(evo, associated, name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_ape(evo, associated, name):
+def test_ape(evo: Any, associated: Load, name: str) -> None:
     _, truth, estimate = associated(name)
     keys = [key for key in evo[name] if key.startswith("ape|") and key not in WITHOUT_PEER]
     assert len(keys) == 18
@@ -111,7 +119,7 @@ def test_ape(evo, associated, name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_rpe(evo, associated, name):
+def test_rpe(evo: Any, associated: Load, name: str) -> None:
     _, truth, estimate = associated(name)
     keys = [key for key in evo[name] if key.startswith("rpe|")]
     assert len(keys) == 29
@@ -126,8 +134,8 @@ def test_rpe(evo, associated, name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_interpolated_ground_truth(evo, associated, trajectories, name):
-    pairs, _, estimate = associated(name)
+def test_interpolated_ground_truth(evo: Any, associated: Load, trajectories: Path, name: str) -> None:
+    _, _, estimate = associated(name)
     truth = read_trajectory(trajectories / FILES[name][0])
     found, positions, quaternions = interpolate(truth, estimate.stamps, max_gap_seconds=10.0)
     assert found.all()
@@ -136,7 +144,7 @@ def test_interpolated_ground_truth(evo, associated, trajectories, name):
     assert worst(Statistics.of(errors), evo[name]["ape_interp_se3"]) <= LIMIT
 
 
-def test_several_relative_errors_in_one_call(evo, trajectories):
+def test_several_relative_errors_in_one_call(evo: Any, trajectories: Path) -> None:
     truth, estimate = (read_trajectory(trajectories / file) for file in FILES["fr2_desk"])
     asked = (RpeOptions(10, "frames", "consecutive"), RpeOptions(10, "deg", "consecutive"))
     found = evaluate(truth, estimate, Options(alignment="none", rpe=asked)).rpe
