@@ -13,8 +13,10 @@ import numpy as np
 from rosbags.rosbag1 import Writer
 
 from slamhive.data.synthetic import messages, rig
+from slamhive.data.synthetic.camera import CameraModel
 from slamhive.data.synthetic.inertial import sample_imu
 from slamhive.data.synthetic.lidar import LidarModel
+from slamhive.data.synthetic.texture import build_atlas
 from slamhive.data.synthetic.trajectory import Trajectory, quaternion_from_rotation
 from slamhive.data.synthetic.world import build_world
 
@@ -125,6 +127,7 @@ class _Scene:
             yield from self._lidar()
         if "imu" in self.sensors:
             yield from self._imu()
+        yield from self._cameras()
 
     def stamps(self, rate: float, room: float = 0.0, offset: float = 0.0) -> list[int]:
         """Give a sensor's stamps since the start, ns, each with `room` s of recording after it."""
@@ -140,9 +143,12 @@ class _Scene:
                 starts = self._scan_starts()
                 period = 1e9 / entry["rate"]
                 result += [at + round(share * period) for at in starts for share in (0.0, 0.5, 1.0)]
-            elif role == "imu":
-                result += self.stamps(entry["rate"])
+            else:
+                result += self.stamps(entry["rate"], offset=self._offset(role))
         return np.unique(np.array(result, dtype=np.int64))
+
+    def _offset(self, role: str) -> float:
+        return self.spec.depth_offset_seconds if role == "depth" else 0.0
 
     def _scan_starts(self) -> list[int]:
         rate = self.spec.lidar.rate
@@ -169,6 +175,37 @@ class _Scene:
 
         for index, at in enumerate(stamps):
             yield Event(START + at, entry["topic"], messages.IMU, _bind(make, index, at))
+
+    def _cameras(self) -> Iterable[Event]:
+        cameras = rig.cameras(self.spec)
+        if not cameras:
+            return
+        atlas = build_atlas(self.world, self.spec.seed)
+        grey = atlas.grey()
+        for role, camera in cameras.items():
+            texture = atlas if role == "color" else grey
+            model = CameraModel(self.spec, camera, self.world, texture, self.trajectory)
+            yield from self._images(role, camera, model.image)
+            if role == "color":
+                yield from self._images("depth", camera, model.depth)
+
+    def _images(
+        self, role: str, camera: rig.Camera, take: Callable[[float, int], npt.NDArray[Any]]
+    ) -> Iterable[Event]:
+        entry = self.sensors[role]
+        frame, topic = entry["frameId"], entry["topic"]
+        encoding = entry["camera"]["encoding"]
+
+        def make(index: int, at: int) -> Any:
+            return self.maker.image(START + at, frame, role, encoding, take(at / 1e9, index))
+
+        def describe(_: int, at: int) -> Any:
+            return self.maker.camera_info(START + at, frame, role, camera)
+
+        for index, at in enumerate(self.stamps(entry["rate"], offset=self._offset(role))):
+            info = topic.replace("image_raw", "camera_info")
+            yield Event(START + at, info, messages.CAMERA_INFO, _bind(describe, index, at))
+            yield Event(START + at, topic, messages.IMAGE, _bind(make, index, at))
 
 
 def _bind(make: Callable[[int, int], Any], index: int, at: int) -> Callable[[], Any]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from slamhive.data.synthetic.optics import Lens, scale_matrix
 from slamhive.data.synthetic.trajectory import rotation_from_euler
 from slamhive.model.synthetic import SyntheticSensor
 
@@ -38,33 +39,6 @@ _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class Lens:
-    """Pinhole with radial-tangential distortion (Brown 1966), as OpenCV has it: pixel centres are integers.
-
-    Attributes:
-        width: Columns, pixels.
-        height: Rows, pixels.
-        matrix: `(3, 3)`, K.
-        coefficients: `(5,)`, k1, k2, p1, p2, k3.
-    """
-
-    width: int
-    height: int
-    matrix: Array
-    coefficients: Array
-
-    def scaled(self, scale: float) -> Lens:
-        """Give the same lens on an image of another size; the size is rounded, the intrinsics follow it."""
-        width, height = max(1, round(self.width * scale)), max(1, round(self.height * scale))
-        return Lens(
-            width,
-            height,
-            scale_matrix(self.matrix, width / self.width, height / self.height),
-            self.coefficients,
-        )
-
-
-@dataclass(frozen=True)
 class Camera:
     """One camera.
 
@@ -81,15 +55,6 @@ class Camera:
     lens: Lens
     rectification: Array
     projection: Array
-
-
-def scale_matrix(matrix: Array, sx: float, sy: float) -> Array:
-    """Scale K `(3, 3)` or P `(3, 4)`: f' = f·s, Tx' = Tx·s, c' = (c + 0.5)·s - 0.5."""
-    result = matrix.copy()
-    for row, s in ((0, sx), (1, sy)):
-        result[row] *= s
-        result[row, 2] += 0.5 * s - 0.5
-    return result
 
 
 def pose(degrees: tuple[float, float, float], position: tuple[float, float, float]) -> Array:
@@ -158,7 +123,7 @@ def _stereo(spec: SyntheticCamera) -> dict[str, Camera]:
     size = (spec.width, spec.height)
     r1, r2, p1, p2, *_ = cv2.stereoRectify(
         left.matrix, left.coefficients, right.matrix, right.coefficients, size,
-        to_right[:3, :3], to_right[:3, 3], flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
+        to_right[:3, :3], to_right[:3, 3:], flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
     )  # fmt: skip
     return {
         "left": Camera("left", left_pose, left, np.asarray(r1, np.float64), np.asarray(p1, np.float64)),

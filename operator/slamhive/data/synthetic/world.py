@@ -114,6 +114,9 @@ def build_world(seed: int) -> World:
     boxes += _scatter(
         rng, half, 5, lambda: (rng.uniform(0.4, 1.4, 2), height - rng.uniform(0.6, 1.9), height)
     )
+    # Inside the lap, where the cameras look: without these a monocular algorithm sees far walls alone.
+    boxes += _scatter(rng, half * 0.55, 4, lambda: (rng.uniform(0.25, 0.5, 2), 0.0, height))
+    boxes += _scatter(rng, half * 0.55, 6, lambda: (rng.uniform(0.3, 0.9, 2), 0.0, rng.uniform(0.7, 2.0)))
     boxes += [_mounted(rng, half, height) for _ in range(14)]
     low, high = (np.array(side) for side in zip(*boxes, strict=True))
     return World(low, high)
