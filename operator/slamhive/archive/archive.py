@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The archive: every finished run with configuration, provenance, usage and results."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Self
+
+from sqlalchemy import Table, delete, exists, func, select
+from sqlalchemy.dialects import postgresql, sqlite
+
+from slamhive.archive import schema
+from slamhive.archive.connection import connect, reading, shown, writing
+from slamhive.archive.records import (
+    CatalogEntry,
+    FinishedPoint,
+    SweepRecord,
+    catalog_row,
+    clean,
+    result_row,
+    run_row,
+    to_record,
+    to_result,
+)
+from slamhive.model.errors import UnknownNameError
+from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+    from types import TracebackType
+
+    from sqlalchemy import ColumnElement, Connection, Engine, Select
+
+BATCH = 500
+"""Runs read or written at a time."""
+
+FILTERS = ("uid", "name", "sweep", "algorithm", "dataset", "sensors", "pace", "phase", "reason", "outcome")
+"""What ``runs`` and ``count`` can select by; everything else is the analysis' business."""
+
+_CATALOG = {"Algorithm": schema.algorithms, "Dataset": schema.datasets}
+_FINISHED = tuple(phase.value for phase in Phase if phase.is_finished)
+
+
+class Archive:
+    """Finished runs, their results, and the sweeps and catalog entries they belong to.
+
+    Each method is one transaction: when it returns, what it wrote survives the end of the process.
+    Several processes may write at the same time; they wait for each other. All methods raise
+    SystemFault when the database doesn't answer.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    @classmethod
+    def open(cls, url: str) -> Self:
+        """Open the archive at a database URL, made where it isn't there yet.
+
+        Raises:
+            InputError: the URL can't be used, its file is no database, or a newer slamhive wrote it.
+        """
+        return cls(connect(url))
+
+    def close(self) -> None:
+        """Let go of the database's connections."""
+        self._engine.dispose()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def location(self) -> str:
+        """Where it is, as it may be shown: a file's path, or the URL without its password."""
+        return shown(self._engine.url)
+
+    def put_run(
+        self, record: RunRecord, algorithm: CatalogEntry | None = None, dataset: CatalogEntry | None = None
+    ) -> None:
+        """Write a run, in the place of what was there of its UID.
+
+        Its results are written too; results of other evaluations stay.
+
+        Args:
+            record: the run.
+            algorithm: the Algorithm as the run used it.
+            dataset: the Dataset as the run used it.
+        """
+        with writing(self._engine) as connection:
+            self._put(connection, record, algorithm, dataset)
+
+    def put_runs(self, records: Iterable[RunRecord]) -> int:
+        """Write many runs, in transactions of 500, and return their number."""
+        iterator, total = iter(records), 0
+        while batch := list(islice(iterator, BATCH)):
+            with writing(self._engine) as connection:
+                for record in batch:
+                    self._put(connection, record, None, None)
+            total += len(batch)
+        return total
+
+    def put_result(self, uid: str, result: Result) -> None:
+        """Write a result of a run, in the place of an earlier one of the same evaluation.
+
+        Raises:
+            UnknownNameError: no run has this UID.
+        """
+        with writing(self._engine) as connection:
+            found = connection.execute(select(schema.runs.c.id).where(schema.runs.c.uid == uid)).scalar()
+            if found is None:
+                raise UnknownNameError("run UID", uid, [], f"archive {self.location}")
+            self._put_results(connection, found, [result])
+
+    def put_sweep(self, sweep: SweepRecord) -> None:
+        """Write a sweep, in the place of what was there of its UID."""
+        row = {name: clean(value) for name, value in sweep.model_dump().items()}
+        with writing(self._engine) as connection:
+            self._upsert(connection, schema.sweeps, [row], ("uid",))
+
+    def put_catalog(self, *entries: CatalogEntry) -> None:
+        """Write Algorithms and Datasets as they are now; equal ones are stored once."""
+        with writing(self._engine) as connection:
+            for entry in entries:
+                self._put_entry(connection, entry)
+
+    def remove_run(self, uid: str) -> bool:
+        """Remove a run with its results, and tell whether it was there."""
+        with writing(self._engine) as connection:
+            return connection.execute(delete(schema.runs).where(schema.runs.c.uid == uid)).rowcount > 0
+
+    def get(self, uid: str) -> RunRecord | None:
+        """Return a run by its UID."""
+        return next(self.runs({"uid": uid}), None)
+
+    def by_names(self, names: Iterable[str]) -> list[RunRecord]:
+        """Return the runs of these names in the order of being stored; a name may stand for several."""
+        iterator = iter(dict.fromkeys(names))
+        found: list[RunRecord] = []
+        while batch := list(islice(iterator, BATCH)):
+            found += self.runs({"name": batch})
+        return found
+
+    def runs(
+        self,
+        where: Mapping[str, str | Iterable[str]] | None = None,
+        *,
+        sweep: str | None = None,
+        limit: int | None = None,
+    ) -> Iterator[RunRecord]:
+        """Go through runs with their results, in the order of being stored first.
+
+        Reads 500 at a time, so that neither memory nor a transaction grows with their number; a run that
+        is written meanwhile is seen as it was or as it is.
+
+        Args:
+            where: values to be equal by name (one of FILTERS); several values of a name are alternatives.
+            sweep: only runs of the sweep of this name.
+            limit: at most so many.
+
+        Raises:
+            UnknownNameError: ``where`` holds another name.
+        """
+        conditions = _conditions(where, sweep)
+        return self._stream(conditions, limit)
+
+    def count(
+        self, where: Mapping[str, str | Iterable[str]] | None = None, *, sweep: str | None = None
+    ) -> int:
+        """Return the number of runs; arguments as for ``runs``."""
+        query = select(func.count()).select_from(schema.runs).where(*_conditions(where, sweep))
+        with reading(self._engine) as connection:
+            return connection.execute(query).scalar_one()
+
+    def finished(self, sweep: str) -> dict[str, FinishedPoint]:
+        """Return what became of the finished runs of a sweep, by UID."""
+        runs, results = schema.runs.c, schema.results.c
+        query = (
+            select(runs.uid, runs.point, runs.phase, runs.reason, results.evaluation, results.outcome)
+            .select_from(schema.runs.outerjoin(schema.results))
+            .where(runs.sweep == sweep, runs.phase.in_(_FINISHED))
+            .order_by(runs.id)
+        )
+        found: dict[str, FinishedPoint] = {}
+        with reading(self._engine) as connection:
+            for uid, point, phase, reason, evaluation, outcome in connection.execute(query):
+                if uid not in found:
+                    found[uid] = FinishedPoint(point, Phase(phase), Reason(reason) if reason else None, {})
+                if evaluation is not None:
+                    found[uid].outcomes[evaluation] = Outcome(outcome)
+        return found
+
+    def finished_uids(self, sweep: str) -> set[str]:
+        """Return the UIDs of the finished runs of a sweep."""
+        runs = schema.runs.c
+        query = select(runs.uid).where(runs.sweep == sweep, runs.phase.in_(_FINISHED))
+        with reading(self._engine) as connection:
+            return set(connection.execute(query).scalars())
+
+    def find_reusable(self, content_hash: str) -> RunRecord | None:
+        """Return a run whose result another one of the same content may take over.
+
+        It succeeded and its trajectory was judged (tracked, partial, lost or diverged): what a fault of
+        the machine left is never reused. Runs that were computed come before those that were reused
+        themselves, the latest first. Whether its usage may be taken over (same CPU model) is for the
+        caller to decide.
+        """
+        runs, results = schema.runs.c, schema.results.c
+        query = (
+            select(schema.runs)
+            .where(
+                runs.content_hash == content_hash,
+                runs.phase == Phase.SUCCEEDED.value,
+                exists().where(results.run_id == runs.id),
+            )
+            .order_by(runs.reused_from.is_not(None), runs.finished.desc().nulls_last(), runs.id.desc())
+            .limit(1)
+        )
+        with reading(self._engine) as connection:
+            rows, found = _fetch(connection, query)
+        return to_record(rows[0], found.get(rows[0]["id"], [])) if rows else None
+
+    def sweep(self, name: str) -> SweepRecord | None:
+        """Return the sweep of a name, the latest one of several."""
+        return next((sweep for sweep in reversed(self.sweeps()) if sweep.name == name), None)
+
+    def sweeps(self) -> list[SweepRecord]:
+        """Return all sweeps in the order of their creation."""
+        columns = schema.sweeps.c
+        query = select(schema.sweeps).order_by(columns.created.asc().nulls_first(), columns.uid)
+        with reading(self._engine) as connection:
+            return [SweepRecord.model_validate(dict(row)) for row in connection.execute(query).mappings()]
+
+    def catalog(self, kind: str) -> list[CatalogEntry]:
+        """Return the stored Algorithms or Datasets by name, versions of a name in the order of storing."""
+        table = _CATALOG[kind]
+        query = select(table).order_by(table.c.name, table.c.stored, table.c.content_hash)
+        fields = ("name", "labels", "attributes", "spec")
+        with reading(self._engine) as connection:
+            rows = connection.execute(query).mappings().all()
+        return [
+            CatalogEntry.model_validate({"kind": kind} | {key: row[key] for key in fields}) for row in rows
+        ]
+
+    def _stream(self, conditions: list[ColumnElement[bool]], limit: int | None) -> Iterator[RunRecord]:
+        last, left = 0, limit
+        while left is None or left > 0:
+            size = BATCH if left is None else min(BATCH, left)
+            query = (
+                select(schema.runs)
+                .where(*conditions, schema.runs.c.id > last)
+                .order_by(schema.runs.c.id)
+                .limit(size)
+            )
+            with reading(self._engine) as connection:
+                rows, results = _fetch(connection, query)
+            for row in rows:
+                yield to_record(row, results.get(row["id"], []))
+            if len(rows) < size:
+                return
+            last = rows[-1]["id"]
+            left = None if left is None else left - len(rows)
+
+    def _put(
+        self,
+        connection: Connection,
+        record: RunRecord,
+        algorithm: CatalogEntry | None,
+        dataset: CatalogEntry | None,
+    ) -> None:
+        row = run_row(record)
+        for column, entry in (("algorithm_hash", algorithm), ("dataset_hash", dataset)):
+            if entry is not None:
+                self._put_entry(connection, entry)
+                row[column] = entry.content_hash
+        run_id = self._upsert(connection, schema.runs, [row], ("uid",), returning="id")
+        self._put_results(connection, run_id, record.results)
+
+    def _put_entry(self, connection: Connection, entry: CatalogEntry) -> None:
+        table = _CATALOG[entry.kind]
+        statement = self._insert(table).values(catalog_row(entry)).on_conflict_do_nothing()
+        connection.execute(statement)
+
+    def _put_results(self, connection: Connection, run_id: int, results: Iterable[Result]) -> None:
+        rows = [result_row(run_id, result) for result in results]
+        if rows:
+            self._upsert(connection, schema.results, rows, ("run_id", "evaluation"))
+
+    def _upsert(
+        self,
+        connection: Connection,
+        table: Table,
+        rows: list[dict[str, Any]],
+        key: tuple[str, ...],
+        returning: str | None = None,
+    ) -> Any:
+        statement = self._insert(table).values(rows)
+        changes = {name: statement.excluded[name] for name in rows[0] if name not in key}
+        statement = statement.on_conflict_do_update(index_elements=list(key), set_=changes)
+        if returning is None:
+            connection.execute(statement)
+            return None
+        return connection.execute(statement.returning(table.c[returning])).scalar_one()
+
+    def _insert(self, table: Table) -> Any:
+        """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""
+        dialect = postgresql if self._engine.dialect.name == "postgresql" else sqlite
+        return dialect.insert(table)
+
+
+def _conditions(
+    where: Mapping[str, str | Iterable[str]] | None, sweep: str | None
+) -> list[ColumnElement[bool]]:
+    conditions: list[ColumnElement[bool]] = []
+    for name, given in (where or {}).items():
+        if name not in FILTERS:
+            raise UnknownNameError("filter", name, FILTERS)
+        values = [given] if isinstance(given, str) else list(given)
+        if name == "outcome":
+            results = schema.results.c
+            conditions.append(
+                exists().where(results.run_id == schema.runs.c.id, results.outcome.in_(values)),
+            )
+        else:
+            conditions.append(schema.runs.c[name].in_(values))
+    if sweep is not None:
+        conditions.append(schema.runs.c.sweep == sweep)
+    return conditions
+
+
+def _fetch(
+    connection: Connection, query: Select[Any]
+) -> tuple[list[dict[str, Any]], dict[int, list[Result]]]:
+    """Return the rows of some runs, and their results by run, in two queries."""
+    rows = [dict(row) for row in connection.execute(query).mappings()]
+    columns = schema.results.c
+    wanted = select(schema.results).where(columns.run_id.in_([row["id"] for row in rows]))
+    results: dict[int, list[Result]] = {}
+    for row in connection.execute(wanted.order_by(columns.run_id, columns.evaluation)).mappings():
+        results.setdefault(row["run_id"], []).append(to_result(dict(row)))
+    return rows, results

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between the language's records and rows of the tables."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+from pydantic import Field
+
+from slamhive.model.base import Model
+from slamhive.model.canonical import digest
+from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from slamhive.model.algorithm import Algorithm
+    from slamhive.model.dataset import Dataset
+
+
+class SweepRecord(Model):
+    """A sweep as it was asked for.
+
+    Attributes:
+        evaluation: the settings its runs are measured by.
+    """
+
+    uid: str
+    name: str
+    labels: dict[str, str] = Field(default_factory=dict)
+    spec: dict[str, Any]
+    evaluation: dict[str, Any] | None = None
+    created: datetime | None = None
+
+
+class CatalogEntry(Model):
+    """An Algorithm or Dataset as it was when a run used it."""
+
+    kind: Literal["Algorithm", "Dataset"]
+    name: str
+    labels: dict[str, str] = Field(default_factory=dict)
+    attributes: dict[str, Any] = Field(default_factory=dict)
+    spec: dict[str, Any]
+
+    @classmethod
+    def of(cls, resource: Algorithm | Dataset) -> Self:
+        """Return the snapshot of a catalog object."""
+        return cls(
+            kind=resource.kind,
+            name=resource.name,
+            labels=resource.metadata.labels,
+            attributes=getattr(resource.spec, "attributes", {}),
+            spec=resource.spec.model_dump(mode="json", by_alias=True),
+        )
+
+    @property
+    def content_hash(self) -> str:
+        """Return what tells this entry from others of its name."""
+        return digest(clean([self.labels, self.attributes, self.spec]))
+
+
+@dataclass(frozen=True)
+class FinishedPoint:
+    """What became of a finished run of a sweep."""
+
+    index: int | None
+    phase: Phase
+    reason: Reason | None
+    outcomes: dict[str, Outcome]
+
+
+def clean(value: Any) -> Any:
+    """Return a JSON value that every database takes: no NaN, no infinity, no NUL, no lone surrogate."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, str):
+        return clean_text(value)
+    if isinstance(value, dict):
+        return {clean_text(str(key)): clean(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [clean(item) for item in value]
+    return value
+
+
+def clean_text(text: str) -> str:
+    """Return a text without the characters that databases refuse."""
+    if text.isascii() and "\0" not in text:
+        return text
+    return text.replace("\0", "").encode("utf-8", "replace").decode("utf-8")
+
+
+def run_row(record: RunRecord) -> dict[str, Any]:
+    """Return a run's columns, without those of its results and of the catalog."""
+    spec, usage = record.spec, record.usage
+    row: dict[str, Any] = {
+        name: getattr(record, name)
+        for name in ("uid", "name", "sweep", "message", "attempts", "created", "started", "finished")
+    }
+    row |= {
+        "point": record.index,
+        "algorithm": _ref(spec, "algorithmRef"),
+        "dataset": _ref(spec, "datasetRef"),
+        "sensors": spec.get("sensors"),
+        "pace": (spec.get("input") or {}).get("pace"),
+        "repetition": spec.get("repetition"),
+        "seed": spec.get("seed"),
+        "phase": record.phase.value,
+        "reason": record.reason.value if record.reason else None,
+        "content_hash": record.provenance.content_hash,
+        "reused_from": record.provenance.reused_from,
+        "cpu_model": record.provenance.cpu_model,
+        "cpu_mean_cores": usage.cpu.mean_cores if usage else None,
+        "cpu_max_cores": usage.cpu.max_cores if usage else None,
+        "cpu_seconds": usage.cpu.seconds if usage else None,
+        "memory_peak_bytes": usage.memory.peak_bytes if usage else None,
+        "wall_seconds": usage.wall_seconds if usage else None,
+        "labels": record.labels,
+        "spec": spec,
+        "attributes": record.attributes,
+        "metrics": record.metrics,
+        "folder": record.folder,
+        "log_tail": record.log_tail,
+        "usage": usage.as_json() if usage else None,
+        "frames": record.frames.as_json() if record.frames else None,
+        "trajectory": record.trajectory.as_json() if record.trajectory else None,
+        "provenance": record.provenance.as_json(),
+    }
+    return {key: clean(value) for key, value in row.items()}
+
+
+def _ref(spec: Mapping[str, Any], field: str) -> str | None:
+    reference = spec.get(field)
+    return reference.get("name") if isinstance(reference, dict) else None
+
+
+def result_row(run_id: int, result: Result) -> dict[str, Any]:
+    """Return a result's columns."""
+    values = result.values
+    ate, rpe = values.get("ate"), values.get("rpe")
+    first = rpe[0] if isinstance(rpe, list) and rpe else None
+    row = {
+        "run_id": run_id,
+        "evaluation": result.evaluation,
+        "outcome": result.outcome.value,
+        "coverage": result.coverage,
+        "alignment": values.get("alignment") if isinstance(values.get("alignment"), str) else None,
+        "scale": _number(values.get("scale")),
+        "ate_rmse": _number(ate.get("rmse")) if isinstance(ate, dict) else None,
+        "rpe_rmse": _number(first.get("rmse")) if isinstance(first, dict) else None,
+        "values": values,
+    }
+    return {key: clean(value) for key, value in row.items()}
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def to_record(run: Mapping[str, Any], results: Iterable[Result]) -> RunRecord:
+    """Return the record of a row of ``runs``."""
+    fields = ("uid", "name", "sweep", "message", "attempts", "created", "started", "finished")
+    return RunRecord.model_validate(
+        {name: run[name] for name in fields}
+        | {
+            name: run[name]
+            for name in ("labels", "spec", "attributes", "phase", "reason", "usage", "frames", "metrics")
+        }
+        | {name: run[name] for name in ("trajectory", "provenance", "folder", "log_tail")}
+        | {"index": run["point"], "results": list(results)}
+    )
+
+
+def to_result(row: Mapping[str, Any]) -> Result:
+    """Return the record of a row of ``results``."""
+    return Result(
+        evaluation=row["evaluation"],
+        outcome=Outcome(row["outcome"]),
+        coverage=row["coverage"],
+        values=row["values"],
+    )
+
+
+def catalog_row(entry: CatalogEntry) -> dict[str, Any]:
+    """Return a catalog entry's columns."""
+    return {
+        "name": entry.name,
+        "content_hash": entry.content_hash,
+        "labels": clean(entry.labels),
+        "attributes": clean(entry.attributes),
+        "spec": clean(entry.spec),
+        "stored": datetime.now(UTC),
+    }

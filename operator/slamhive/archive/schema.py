@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The archive's tables. What is asked for often has a column of its own, everything else is JSON.
+
+::
+
+    runs ──< results        one row a run (by uid), one a run and evaluation
+    sweeps                  what was asked for
+    algorithms, datasets    the catalog as it was, by name and content hash; runs point to both
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Column,
+    DateTime,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    Text,
+    TypeDecorator,
+)
+from sqlalchemy.dialects.postgresql import JSONB
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sqlalchemy import Connection, Dialect
+
+VERSION = 1
+"""Version of the tables below; a change to them adds one and a step to MIGRATIONS."""
+
+MIGRATIONS: dict[int, Callable[[Connection], None]] = {}
+"""By version: how tables of that version become those of the next."""
+
+metadata = MetaData()
+_Json = JSON(none_as_null=True).with_variant(JSONB(none_as_null=True), "postgresql")
+_Id = BigInteger().with_variant(Integer, "sqlite")
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """An aware time, stored in UTC; SQLite knows no time zones."""
+
+    impl = DateTime
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """Drop the zone after moving to UTC; a time without one is taken as UTC."""
+        if value is None or value.tzinfo is None:
+            return value
+        return value.astimezone(UTC).replace(tzinfo=None)
+
+    def process_result_value(self, value: Any | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """Put the zone back."""
+        return None if value is None else value.replace(tzinfo=UTC)
+
+
+schema_version = Table("slamhive_schema", metadata, Column("version", Integer, nullable=False))
+
+
+def _catalog(name: str) -> Table:
+    return Table(
+        name,
+        metadata,
+        Column("name", String(253), primary_key=True),
+        Column("content_hash", String(64), primary_key=True),
+        Column("labels", _Json, nullable=False),
+        Column("attributes", _Json, nullable=False),
+        Column("spec", _Json, nullable=False),
+        Column("stored", UtcDateTime, nullable=False),
+    )
+
+
+algorithms = _catalog("algorithms")
+datasets = _catalog("datasets")
+
+sweeps = Table(
+    "sweeps",
+    metadata,
+    Column("uid", String(253), primary_key=True),
+    Column("name", String(253), nullable=False, index=True),
+    Column("labels", _Json, nullable=False),
+    Column("spec", _Json, nullable=False),
+    Column("evaluation", _Json),
+    Column("created", UtcDateTime),
+)
+
+runs = Table(
+    "runs",
+    metadata,
+    # The order of first being stored: what iteration and paging go by.
+    Column("id", _Id, primary_key=True, autoincrement=True),
+    Column("uid", String(253), nullable=False, unique=True),
+    Column("name", String(253), nullable=False, index=True),
+    Column("sweep", String(253)),
+    Column("point", Integer),
+    Column("algorithm", String(253), index=True),
+    Column("dataset", String(253), index=True),
+    Column("sensors", String(32)),
+    Column("pace", String(32)),
+    Column("repetition", Integer),
+    Column("seed", BigInteger),
+    Column("phase", String(32), nullable=False),
+    Column("reason", String(64)),
+    Column("message", Text),
+    Column("attempts", Integer, nullable=False),
+    Column("created", UtcDateTime),
+    Column("started", UtcDateTime),
+    Column("finished", UtcDateTime, index=True),
+    Column("content_hash", String(64), index=True),
+    Column("reused_from", String(253)),
+    Column("cpu_model", Text),
+    Column("cpu_mean_cores", Float),
+    Column("cpu_max_cores", Float),
+    Column("cpu_seconds", Float),
+    Column("memory_peak_bytes", BigInteger),
+    Column("wall_seconds", Float),
+    Column("algorithm_hash", String(64)),
+    Column("dataset_hash", String(64)),
+    Column("labels", _Json, nullable=False),
+    Column("spec", _Json, nullable=False),
+    Column("attributes", _Json, nullable=False),
+    Column("usage", _Json),
+    Column("frames", _Json),
+    Column("metrics", _Json, nullable=False),
+    Column("trajectory", _Json),
+    Column("provenance", _Json, nullable=False),
+    Column("folder", Text),
+    Column("log_tail", Text),
+    Index("runs_of_sweep", "sweep", "phase"),
+    sqlite_autoincrement=True,
+)
+
+results = Table(
+    "results",
+    metadata,
+    Column("run_id", _Id, ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True),
+    Column("evaluation", String(253), primary_key=True),
+    Column("outcome", String(32), nullable=False, index=True),
+    Column("coverage", Float),
+    Column("alignment", String(32)),
+    Column("scale", Float),
+    Column("ate_rmse", Float),
+    Column("rpe_rmse", Float),
+    Column("values", _Json, nullable=False),
+)

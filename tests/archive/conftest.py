@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same contract for every database that an archive can live in."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from sqlalchemy import create_engine, make_url, text
+
+from slamhive.archive import Archive
+from slamhive.model.results import Outcome, Phase, Result, RunRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+SERVER = "SLAMHIVE_TEST_POSTGRESQL"
+
+
+@pytest.fixture
+def sqlite_url(tmp_path: Path) -> str:
+    return f"sqlite:///{tmp_path / 'sub' / 'archive.sqlite'}"
+
+
+@pytest.fixture
+def postgresql_url() -> Iterator[str]:
+    server = os.environ.get(SERVER)
+    if not server:
+        pytest.skip(f"{SERVER} names no PostgreSQL server")
+    pytest.importorskip("psycopg")
+    base = make_url(server).set(drivername="postgresql+psycopg")
+    name = f"slamhive_{uuid.uuid4().hex[:12]}"
+    admin = create_engine(base, isolation_level="AUTOCOMMIT")
+    with admin.connect() as connection:
+        connection.execute(text(f"CREATE DATABASE {name}"))
+    yield base.set(database=name).render_as_string(hide_password=False)
+    with admin.connect() as connection:
+        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+    admin.dispose()
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request: pytest.FixtureRequest) -> str:
+    return request.getfixturevalue(f"{request.param}_url")
+
+
+@pytest.fixture
+def archive(url: str) -> Iterator[Archive]:
+    with Archive.open(url) as opened:
+        yield opened
+
+
+@pytest.fixture
+def make_run() -> Callable[..., RunRecord]:
+    def make(uid: str = "u1", **changes: Any) -> RunRecord:
+        fields: dict[str, Any] = {
+            "uid": uid,
+            "name": f"run-{uid}",
+            "sweep": "study",
+            "spec": {
+                "algorithmRef": {"name": "kiss-icp"},
+                "datasetRef": {"name": "hall"},
+                "sensors": "lidar",
+                "parameters": {"voxelSize": None, "maxRange": 60.5, "name": "x\u00e9"},
+                "input": {"pace": "Lockstep"},
+                "repetition": 2,
+                "seed": 7,
+            },
+            "phase": Phase.SUCCEEDED,
+            "finished": datetime(2026, 1, 2, 3, 4, 5, 678901, tzinfo=UTC),
+        }
+        return RunRecord.model_validate(fields | changes)
+
+    return make
+
+
+@pytest.fixture
+def make_result() -> Callable[..., Result]:
+    def make(
+        evaluation: str = "default", outcome: Outcome = Outcome.TRACKED, rmse: float = 0.1 + 0.2
+    ) -> Result:
+        values = {"ate": {"rmse": rmse}, "rpe": [{"rmse": 1 / 3}], "alignment": "se3", "scale": 1.0}
+        return Result(evaluation=evaluation, outcome=outcome, coverage=0.9999999999999999, values=values)
+
+    return make

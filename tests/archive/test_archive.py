@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every archive keeps, returns and refuses."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta, timezone
+from typing import TYPE_CHECKING
+
+import pytest
+from sqlalchemy import event
+
+from slamhive.archive import Archive, CatalogEntry, SweepRecord, schema
+from slamhive.model.errors import InputError, SystemFault, UnknownNameError
+from slamhive.model.results import (
+    CpuUsage,
+    MemoryUsage,
+    Outcome,
+    Phase,
+    Provenance,
+    Reason,
+    TrajectoryInfo,
+    Usage,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from slamhive.model.results import Result, RunRecord
+
+    MakeRun = Callable[..., RunRecord]
+    MakeResult = Callable[..., Result]
+
+
+def test_a_run_comes_back_as_it_was(archive: Archive, make_run: MakeRun, make_result: MakeResult) -> None:
+    record = make_run(
+        index=41,
+        labels={"a/b": "c"},
+        attributes={"loops": 2, "deep": {"x": [1, 2.5, None]}},
+        reason=Reason.ALGORITHM_FAILED,
+        message="it said: „nein“",
+        attempts=3,
+        created=datetime(2026, 1, 1, 12, tzinfo=timezone(timedelta(hours=2))),
+        usage=Usage(
+            cpu=CpuUsage(mean_cores=1 / 3), memory=MemoryUsage(peak_bytes=2**40), includes_reader=True
+        ),
+        metrics={"framesLost": 3},
+        trajectory=TrajectoryInfo(poses=3, duration_seconds=0.1, sha256="0" * 64, path="output/t.txt"),
+        results=[make_result("default"), make_result("sim3", Outcome.LOST)],
+        provenance=Provenance(content_hash="f" * 64, cpu_model="x"),
+        folder="runs/a",
+        log_tail="last words",
+    )
+    archive.put_run(record)
+    assert archive.get("u1") == record
+    assert archive.get("u2") is None
+
+
+def test_writing_again_replaces_the_run_and_keeps_other_results(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    archive.put_run(make_run(results=[make_result("default", rmse=1.0), make_result("sim3")]))
+    for _ in range(2):
+        archive.put_run(make_run(phase=Phase.FAILED, results=[make_result("default", rmse=2.0)]))
+    (record,) = archive.runs()
+    assert record.phase is Phase.FAILED
+    assert [(r.evaluation, r.values["ate"]["rmse"]) for r in record.results] == [
+        ("default", 2.0),
+        ("sim3", 0.1 + 0.2),
+    ]
+
+
+def test_a_result_is_keyed_by_evaluation(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    archive.put_run(make_run())
+    archive.put_result("u1", make_result("default"))
+    archive.put_result("u1", make_result("default", Outcome.DIVERGED))
+    archive.put_result("u1", make_result("sim3"))
+    record = archive.get("u1")
+    assert record is not None
+    assert [(r.evaluation, r.outcome) for r in record.results] == [
+        ("default", Outcome.DIVERGED),
+        ("sim3", Outcome.TRACKED),
+    ]
+    with pytest.raises(UnknownNameError, match="unknown run UID 'nobody'"):
+        archive.put_result("nobody", make_result())
+
+
+def test_odd_values_do_not_break_the_database(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    archive.put_run(
+        make_run(
+            log_tail="a\0b\udcff",
+            metrics={"t": float("nan"), "n\0": ["\udc80", float("inf")]},
+            results=[make_result(rmse=float("nan"))],
+        )
+    )
+    record = archive.get("u1")
+    assert record is not None
+    assert record.log_tail == "ab?"
+    assert record.metrics == {"t": None, "n": ["?", None]}
+    assert record.results[0].values["ate"] == {"rmse": None}
+
+
+def test_iteration_is_stable_filtered_and_limited(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamhive.archive.archive.BATCH", 3)
+    phases = [Phase.SUCCEEDED, Phase.FAILED]
+    records = [make_run(f"u{k}", index=k, phase=phases[k % 2], results=[make_result()]) for k in range(10)]
+    assert archive.put_runs(records) == 10
+    archive.put_run(make_run("other", sweep=None))
+    archive.put_run(records[0])
+    assert list(archive.runs(sweep="study")) == records
+    assert [r.uid for r in archive.runs(limit=4)] == ["u0", "u1", "u2", "u3"]
+    assert [r.uid for r in archive.runs({"phase": "Failed"}, limit=2)] == ["u1", "u3"]
+    assert [r.uid for r in archive.runs({"outcome": ["Lost"]})] == []
+    assert [r.uid for r in archive.by_names(["run-u7", "nobody", "run-u2"])] == ["u2", "u7"]
+    assert (archive.count(), archive.count({"phase": ["Failed", "Cancelled"]}, sweep="study")) == (11, 5)
+    with pytest.raises(UnknownNameError, match="unknown filter 'algoritm'; did you mean 'algorithm'"):
+        archive.runs({"algoritm": "x"})
+
+
+def test_a_batch_takes_two_queries(archive: Archive, make_run: MakeRun, make_result: MakeResult) -> None:
+    archive.put_runs(make_run(f"u{k}", results=[make_result("a"), make_result("b")]) for k in range(100))
+    statements: list[str] = []
+    event.listen(archive._engine, "before_cursor_execute", lambda *event: statements.append(event[2]))
+    assert sum(len(record.results) for record in archive.runs()) == 200
+    assert len([text for text in statements if text.startswith("SELECT")]) == 2
+
+
+def test_finished_points_of_a_sweep(archive: Archive, make_run: MakeRun, make_result: MakeResult) -> None:
+    archive.put_run(make_run("a", index=3, results=[make_result("x"), make_result("y", Outcome.LOST)]))
+    archive.put_run(make_run("b", index=4, phase=Phase.FAILED, reason=Reason.NO_TRAJECTORY))
+    archive.put_run(make_run("c", index=5, phase=Phase.RUNNING))
+    archive.put_run(make_run("d", sweep="another"))
+    found = archive.finished("study")
+    assert archive.finished_uids("study") == set(found) == {"a", "b"}
+    assert (found["a"].index, found["a"].outcomes) == (3, {"x": Outcome.TRACKED, "y": Outcome.LOST})
+    assert (found["b"].reason, found["b"].outcomes) == (Reason.NO_TRAJECTORY, {})
+
+
+@pytest.mark.parametrize("outcome", list(Outcome))
+def test_judged_runs_are_reused(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult, outcome: Outcome
+) -> None:
+    content = Provenance(content_hash="a" * 64)
+    archive.put_run(make_run(provenance=content, results=[make_result(outcome=outcome)]))
+    found = archive.find_reusable("a" * 64)
+    assert found is not None
+    assert found.results[0].outcome is outcome
+    assert archive.find_reusable("b" * 64) is None
+
+
+def test_failures_and_unjudged_runs_are_never_reused(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    content = Provenance(content_hash="a" * 64)
+    archive.put_run(make_run("a", provenance=content))
+    for phase in (Phase.FAILED, Phase.CANCELLED, Phase.RUNNING):
+        archive.put_run(make_run(phase.value, phase=phase, provenance=content, results=[make_result()]))
+    assert archive.find_reusable("a" * 64) is None
+
+
+def test_computed_runs_are_reused_before_copies(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    for uid, hour, source in (("old", 1, None), ("new", 2, None), ("copy", 3, "old")):
+        provenance = Provenance(content_hash="a" * 64, reused_from=source)
+        finished = datetime(2026, 1, 1, hour, tzinfo=UTC)
+        archive.put_run(make_run(uid, finished=finished, provenance=provenance, results=[make_result()]))
+    found = archive.find_reusable("a" * 64)
+    assert found is not None
+    assert found.uid == "new"
+
+
+def test_sweeps_and_catalog(archive: Archive, make_run: MakeRun) -> None:
+    first = SweepRecord(uid="s1", name="study", spec={"matrix": []}, created=datetime(2026, 1, 1, tzinfo=UTC))
+    later = SweepRecord(
+        uid="s2",
+        name="study",
+        spec={},
+        evaluation={"alignment": "SE3"},
+        created=datetime(2026, 1, 2, tzinfo=UTC),
+    )
+    for sweep in (later, first, later):
+        archive.put_sweep(sweep)
+    assert archive.sweep("study") == later
+    assert archive.sweeps() == [first, later]
+    assert archive.sweep("nobody") is None
+    one = CatalogEntry(kind="Dataset", name="hall", attributes={"loops": 1}, spec={})
+    two = CatalogEntry(kind="Dataset", name="hall", attributes={"loops": 2}, spec={})
+    algorithm = CatalogEntry(kind="Algorithm", name="kiss-icp", labels={"kind": "lidar"}, spec={"a": None})
+    archive.put_run(make_run(), algorithm, one)
+    archive.put_catalog(one, two, algorithm)
+    assert archive.catalog("Dataset") == [one, two]
+    assert archive.catalog("Algorithm") == [algorithm]
+
+
+def test_removing_a_run_removes_its_results(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    archive.put_run(make_run(results=[make_result()]))
+    assert archive.remove_run("u1")
+    assert not archive.remove_run("u1")
+    archive.put_run(make_run())
+    record = archive.get("u1")
+    assert record is not None
+    assert record.results == []
+
+
+def test_opening_again_finds_everything(url: str, make_run: MakeRun) -> None:
+    for uid in ("a", "b"):
+        with Archive.open(url) as archive:
+            archive.put_run(make_run(uid))
+    with Archive.open(url) as archive:
+        assert archive.count() == 2
+
+
+def test_an_older_archive_is_migrated(url: str, make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Archive.open(url) as archive:
+        archive.put_run(make_run())
+    steps: list[int] = []
+    monkeypatch.setattr(schema, "VERSION", 3)
+    monkeypatch.setattr(schema, "MIGRATIONS", {k: lambda _, k=k: steps.append(k) for k in (1, 2)})
+    for _ in range(2):
+        with Archive.open(url) as archive:
+            assert archive.count() == 1
+    assert steps == [1, 2]
+    monkeypatch.setattr(schema, "VERSION", 2)
+    with pytest.raises(InputError, match=r"newer slamhive \(schema 3; this one knows up to 2\)"):
+        Archive.open(url)
+
+
+@pytest.mark.parametrize("bad", ["", "archive.db", "mysql://x/y", "sqlite:://", "postgresql://h:port/x"])
+def test_urls_that_cannot_be_used(bad: str) -> None:
+    with pytest.raises(InputError, match="is not a database URL; allowed are sqlite:///PATH"):
+        Archive.open(bad)
+
+
+def test_a_file_that_is_no_database(tmp_path: Path) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text("not a database, but long enough to be looked at as one" * 20)
+    with pytest.raises(InputError, match=r"notes\.txt: the file is not an SQLite database"):
+        Archive.open(f"sqlite:///{file}")
+
+
+def test_a_server_that_does_not_answer() -> None:
+    pytest.importorskip("psycopg")
+    with pytest.raises(SystemFault, match=r"archive postgresql\+psycopg://me:\*\*\*@127\.0\.0\.1:1/x: "):
+        Archive.open("postgresql://me:secret@127.0.0.1:1/x")
+
+
+_WRITER = """
+import sys
+from slamhive.archive import Archive
+from slamhive.model.results import Phase, Result, RunRecord
+archive = Archive.open(sys.argv[1])
+for number in range(100_000):
+    result = Result(evaluation="e", outcome="Tracked", values={})
+    uid = f"{sys.argv[2]}-{number}"
+    archive.put_run(RunRecord(uid=uid, name="x", spec={}, phase=Phase.SUCCEEDED, results=[result]))
+    print(uid, flush=True)
+"""
+
+
+def test_kill_9_loses_no_committed_run(url: str) -> None:
+    writers = [
+        subprocess.Popen([sys.executable, "-c", _WRITER, url, name], stdout=subprocess.PIPE, text=True)
+        for name in ("a", "b")
+    ]
+    committed = []
+    for _ in range(20):
+        for writer in writers:
+            assert writer.stdout is not None
+            committed.append(writer.stdout.readline().strip())
+    for writer in writers:
+        writer.kill()
+        assert writer.stdout is not None
+        committed += writer.stdout.read().split()
+        writer.stdout.close()
+        assert writer.wait() == -signal.SIGKILL
+    with Archive.open(url) as archive:
+        found = {record.uid: record for record in archive.runs()}
+        assert set(committed) <= set(found)
+        assert all(len(record.results) == 1 for record in found.values())
+        archive.put_run(next(iter(found.values())))
