@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from slamhive.data.synthetic import rig
+from slamhive.data.synthetic.inertial import sample_imu
+from slamhive.data.synthetic.trajectory import Trajectory, quaternion_from_rotation, rotation_from_euler
+from slamhive.data.synthetic.world import CLEARANCE, build_world
+from slamhive.model.synthetic import SyntheticRecording
+
+STEP = 1e-4
+SPEC = SyntheticRecording(seed=8, sensors=("Imu",), duration_seconds=30.0)
+
+
+def test_rates_are_the_derivatives_of_the_poses() -> None:
+    trajectory = Trajectory(SPEC)
+    t = np.linspace(0.01, 29.99, 400)
+    before, now, after = (trajectory.at(t + shift) for shift in (-STEP, 0.0, STEP))
+
+    def slope(name: str) -> np.ndarray:
+        return (getattr(after, name) - getattr(before, name)) / (2 * STEP)
+
+    np.testing.assert_allclose(slope("position"), now.velocity, atol=1e-6)
+    np.testing.assert_allclose(slope("velocity"), now.acceleration, atol=1e-6)
+    np.testing.assert_allclose(slope("angular_rate"), now.angular_acceleration, atol=1e-6)
+    skew = np.einsum("nji,njk->nik", now.rotation, slope("rotation"))
+    np.testing.assert_allclose(skew[:, [2, 0, 1], [1, 2, 0]], now.angular_rate, atol=1e-6)
+
+
+@pytest.mark.parametrize("t", [np.linspace(0.0, 3.0, 50), np.linspace(27.0, 30.0, 50)])
+def test_it_rests_exactly_at_both_ends(t: np.ndarray) -> None:
+    motion = Trajectory(SPEC).at(t)
+    for still in (motion.velocity, motion.acceleration, motion.angular_rate, motion.angular_acceleration):
+        assert not still.any()
+    assert (np.ptp(motion.position, axis=0) == 0.0).all()
+
+
+@pytest.mark.parametrize("loops", [1, 2])
+def test_whole_laps_return_to_the_start(loops: int) -> None:
+    trajectory = Trajectory(SyntheticRecording(loops=loops))
+    ends = trajectory.at([0.0, trajectory._moving + 6.0])
+    np.testing.assert_allclose(ends.position[0], ends.position[1], atol=1e-9)
+    np.testing.assert_allclose(ends.rotation[0], ends.rotation[1], atol=1e-9)
+    assert trajectory.length(0.0, trajectory._moving + 6.0) == pytest.approx(30.5 * loops, rel=0.02)
+
+
+def test_all_six_degrees_of_freedom_are_excited() -> None:
+    motion = Trajectory(SPEC).at(np.linspace(0.0, 30.0, 600))
+    assert (motion.angular_rate.std(axis=0) > 0.03).all()
+    assert (np.ptp(motion.position, axis=0) > 0.3).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_path_keeps_clear_of_obstacles(seed: int) -> None:
+    trajectory = Trajectory(SyntheticRecording(seed=seed))
+    path = trajectory.at(np.linspace(0.0, 30.0, 500)).position
+    assert build_world(seed).distance(path).min() > CLEARANCE - 0.2
+
+
+def test_quaternions_turn_as_their_rotations_do() -> None:
+    rotation = rotation_from_euler(np.random.default_rng(0).uniform(-np.pi, np.pi, (200, 3)))
+    x, y, z, w = quaternion_from_rotation(rotation).T
+    np.testing.assert_allclose(rotation[:, 0, 0], 1 - 2 * (y * y + z * z), atol=1e-12)
+    np.testing.assert_allclose(rotation[:, 1, 0], 2 * (x * y + z * w), atol=1e-12)
+    np.testing.assert_allclose(rotation[:, 2, 1], 2 * (y * z + x * w), atol=1e-12)
+
+
+def test_integrating_the_imu_gives_the_ground_truth() -> None:
+    rate = 2000.0
+    spec = SPEC.model_copy(update={"noise": 1.0, "imu": SPEC.imu.model_copy(update={"rate": rate})})
+    t = np.arange(0.0, 12.0, 1.0 / rate)
+    trajectory = Trajectory(spec)
+    samples = sample_imu(spec.model_copy(update={"noise": 0.0}), trajectory, t)
+    truth = trajectory.at(t)
+    attitude = truth.rotation[0] @ rig.IMU_POSE[:3, :3]
+    position = truth.position[0] + truth.rotation[0] @ rig.IMU_POSE[:3, 3]
+    velocity = np.zeros(3)
+    gyro = (samples.angular_rate[1:] + samples.angular_rate[:-1]) / 2.0
+    force = (samples.specific_force[1:] + samples.specific_force[:-1]) / 2.0
+    for omega, specific in zip(gyro, force, strict=True):
+        half = _exponential(omega / rate / 2.0)
+        acceleration = attitude @ half @ specific - [0.0, 0.0, rig.GRAVITY]
+        position = position + velocity / rate + acceleration / (2.0 * rate**2)
+        velocity = velocity + acceleration / rate
+        attitude = attitude @ half @ half
+    expected = truth.position[-1] + truth.rotation[-1] @ rig.IMU_POSE[:3, 3]
+    np.testing.assert_allclose(attitude, truth.rotation[-1] @ rig.IMU_POSE[:3, :3], atol=1e-5)
+    np.testing.assert_allclose(position, expected, atol=1e-3)
+
+
+def test_imu_noise_has_the_stated_densities() -> None:
+    t = np.arange(0.0, 30.0, 1.0 / SPEC.imu.rate)
+    trajectory = Trajectory(SPEC)
+    clean = sample_imu(SPEC.model_copy(update={"noise": 0.0}), trajectory, t)
+    noisy = sample_imu(SPEC.model_copy(update={"noise": 3.0}), trajectory, t)
+    stated = rig.sensors(SPEC.model_copy(update={"noise": 3.0}))["imu"]["imu"]
+    force = noisy.specific_force - noisy.force_bias - clean.specific_force
+    rate = noisy.angular_rate - noisy.rate_bias - clean.angular_rate
+    assert force.std() == pytest.approx(stated["accelerometerNoise"] * np.sqrt(SPEC.imu.rate), rel=0.03)
+    assert rate.std() == pytest.approx(stated["gyroscopeNoise"] * np.sqrt(SPEC.imu.rate), rel=0.03)
+    steps = np.diff(noisy.rate_bias, axis=0).std() * np.sqrt(SPEC.imu.rate)
+    assert steps == pytest.approx(stated["gyroscopeRandomWalk"], rel=0.03)
+    assert np.abs(noisy.force_bias[0]).max() > 0.0
+
+
+def test_at_rest_the_imu_feels_gravity_upwards() -> None:
+    trajectory = Trajectory(SPEC)
+    samples = sample_imu(SPEC.model_copy(update={"noise": 0.0}), trajectory, np.array([1.0]))
+    to_world = trajectory.at([1.0]).rotation[0] @ rig.IMU_POSE[:3, :3]
+    np.testing.assert_allclose(to_world @ samples.specific_force[0], [0.0, 0.0, rig.GRAVITY], atol=1e-12)
+
+
+def _exponential(vector: np.ndarray) -> np.ndarray:
+    angle = np.linalg.norm(vector)
+    x, y, z = vector
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine = np.sinc(angle / np.pi)
+    return np.eye(3) + sine * skew + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * skew @ skew
