@@ -5,10 +5,13 @@ from __future__ import annotations
 
 import re
 from enum import StrEnum
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
 from pydantic.alias_generators import to_camel
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 GROUP = "slamhive.io"
 VERSION = "v1alpha1"
@@ -16,6 +19,12 @@ API_VERSION = f"{GROUP}/{VERSION}"
 
 _DURATION = r"^([0-9]{1,5}(h|m|s|ms)){1,4}$"
 _QUANTITY = r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$"
+_NAME = r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$"
+_MEANINGS = {
+    _DURATION: "expected a duration such as 90s, 1h30m or 250ms",
+    _QUANTITY: "expected a quantity such as 2, 500m or 4Gi",
+    _NAME: "expected a name of lower-case letters, digits, - and .",
+}
 _UNIT_SECONDS = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 0.001}
 _UNIT_SIZE = {
     "": 1.0,
@@ -35,14 +44,21 @@ Duration = Annotated[
     StringConstraints(pattern=_DURATION),
     Field(description="A duration such as 90s, 1h30m or 250ms (GEP-2257)."),
 ]
+
+
+def _integer_as_text(value: object) -> object:
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
 Quantity = Annotated[
     str,
+    BeforeValidator(_integer_as_text),
     StringConstraints(pattern=_QUANTITY),
     Field(description="A quantity as Kubernetes writes it, such as 2, 500m or 4Gi."),
 ]
 Name = Annotated[
     str,
-    StringConstraints(pattern=r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$", min_length=1, max_length=253),
+    StringConstraints(pattern=_NAME, min_length=1, max_length=253),
 ]
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Scalar = bool | int | float | str | None
@@ -101,6 +117,12 @@ class Resource(Model):
     def name(self) -> str:
         """Return the object's name."""
         return self.metadata.name
+
+
+def explain(error: ErrorDetails) -> str:
+    """Return what a mistake found by pydantic is, patterns put in words."""
+    pattern = error.get("ctx", {}).get("pattern")
+    return _MEANINGS.get(str(pattern)) or error["msg"].removeprefix("Value error, ")
 
 
 def seconds(duration: str) -> float:

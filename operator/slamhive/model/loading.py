@@ -7,6 +7,7 @@ and dates are text, a key may not stand twice, and nothing but plain values can 
 
 from __future__ import annotations
 
+import json
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ import yaml
 from pydantic import ValidationError
 
 from slamhive.model.algorithm import Algorithm
-from slamhive.model.base import API_VERSION
+from slamhive.model.base import API_VERSION, explain
 from slamhive.model.canonical import normalize
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, ManifestError, suggestion
@@ -40,7 +41,9 @@ KINDS: dict[str, type[Kind]] = {
 
 _MAX_BYTES = 4 * 1024 * 1024
 _MAX_NODES = 500_000
-_INT = re.compile(r"^[-+]?(0b[01_]+|0o?[0-7_]+|0x[0-9a-fA-F_]+|[0-9][0-9_]*)$")
+_INT = re.compile(
+    r"^[-+]?(0b_*[01][01_]*|0o_*[0-7][0-7_]*|0x_*[0-9a-fA-F][0-9a-fA-F_]*|0[0-7_]*|[1-9][0-9_]*)$"
+)
 _FLOAT = re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
 _WORDS: dict[str, bool | None] = (
     dict.fromkeys(("true", "True", "TRUE", "yes", "Yes", "YES", "on", "On", "ON", "y", "Y"), True)
@@ -110,7 +113,7 @@ class _Reader:
 def _integer(text: str) -> int:
     digits = text.replace("_", "")
     bare = digits.lstrip("+-")
-    if len(bare) > 1 and bare.startswith("0") and bare[1] in "01234567":
+    if len(bare) > 1 and bare.startswith("0") and bare.isdigit():
         return (-1 if digits.startswith("-") else 1) * int(bare, 8)
     return int(digits, 0)
 
@@ -206,7 +209,9 @@ def to_object(document: Document) -> Kind:
         hint = suggestion(str(kind), KINDS)
         raise ManifestError(f"{document.where(('kind',))}: kind: unknown kind {kind!r}{hint}")
     try:
-        return KINDS[kind].model_validate({key: item for key, item in value.items() if key != "status"})
+        # JSON mode is strict about types, as an API server is, and takes words for enumerations.
+        plain = json.dumps({key: item for key, item in value.items() if key != "status"})
+        return KINDS[kind].model_validate_json(plain, strict=True)
     except ValidationError as error:
         lines = [_sentence(document, value, item, KINDS[kind]) for item in error.errors()]
         raise ManifestError("\n".join(dict.fromkeys(lines))) from None
@@ -222,7 +227,7 @@ def _sentence(document: Document, value: Any, error: ErrorDetails, model: type[K
         case "missing":
             text = "needed, but missing"
         case _:
-            text = error["msg"].removeprefix("Value error, ")
+            text = explain(error)
             found = error.get("input")
             if error["type"] != "value_error" and isinstance(found, str | int | float | bool | None):
                 text += f", found {found!r}"

@@ -1,2 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""plan."""
+"""Plan: from a Sweep to its runs, lazily, with names and hashes that are the same everywhere. Pure."""
+
+from slamhive.plan.catalog import Catalog, FixedCatalog
+from slamhive.plan.expansion import Plan, Point
+from slamhive.plan.hashes import content_hash, local_uid, run_name, spec_hash
+from slamhive.plan.resolution import resolve
+
+__all__ = [
+    "Catalog",
+    "FixedCatalog",
+    "Plan",
+    "Point",
+    "content_hash",
+    "local_uid",
+    "resolve",
+    "run_name",
+    "spec_hash",
+]

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Axes: from one entry of a Sweep's matrix to the fields that each of its values sets."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from slamhive.model.canonical import normalize
+from slamhive.model.errors import InputError
+from slamhive.model.sweep import MAX_POINTS
+from slamhive.plan.catalog import select
+from slamhive.plan.paths import ALGORITHM, DATASET, Settings, assign, flatten, parse_path, written
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.model.sweep import Axis, Range
+    from slamhive.plan.catalog import Catalog
+    from slamhive.plan.paths import Path
+
+_LOG_DIGITS = 12
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A compiled axis.
+
+    Attributes:
+        label: what include, exclude and tables call it.
+        where: the field of the manifest, such as ``spec.matrix[2]``.
+        source: the field below it that holds the values.
+        values: coordinate of each step; the point's name on an axis of points.
+        settings: fields that each step sets.
+        path: the field that all steps set; None on an axis of points.
+    """
+
+    label: str
+    where: str
+    source: str
+    values: tuple[Any, ...]
+    settings: tuple[Settings, ...]
+    path: Path | None = None
+
+    @cached_property
+    def paths(self) -> frozenset[Path]:
+        """Return all fields that any of its steps sets."""
+        return frozenset(path for step in self.settings for path in step)
+
+    def origin(self, step: int) -> str:
+        """Return the field of the manifest that a step comes from."""
+        if self.source == "points":
+            return f"{self.where}.points.{self.values[step]}"
+        return f"{self.where}.values[{step}]" if self.source == "values" else f"{self.where}.{self.source}"
+
+
+def spread(span: Range, where: str) -> list[float]:
+    """Return the numbers of a range, the ends exact, steps as decimals and not as sums of floats.
+
+    Raises:
+        InputError: there would be too many numbers, or one for two different ends.
+    """
+    first, last = (Fraction(repr(float(end))) for end in (span.from_, span.to))
+    if span.step is not None:
+        width = Fraction(repr(float(span.step)))
+        count = int((last - first) / width) + 1
+    else:
+        count = span.count or 1
+        width = (last - first) / max(count - 1, 1)
+    if count > MAX_POINTS:
+        raise InputError(f"{where}: gives {count} values, at most {MAX_POINTS} are allowed")
+    if span.step is None and count == 1 and first != last:
+        raise InputError(
+            f"{where}: count 1 needs from and to to be equal, found {span.from_:g} and {span.to:g}"
+        )
+    if span.scale == "Linear":
+        return [float(first + number * width) for number in range(count)]
+    inner = [
+        float(f"{span.from_ * (span.to / span.from_) ** (number / (count - 1)):.{_LOG_DIGITS}g}")
+        for number in range(1, count - 1)
+    ]
+    return [span.from_, *inner, span.to][:count]
+
+
+def compile_axes(axes: Sequence[Axis], catalog: Catalog, problems: list[str]) -> list[Dimension]:
+    """Compile the axes of a matrix; mistakes are added to problems, one sentence each."""
+    dimensions: list[Dimension] = []
+    labels: dict[str, str] = {}
+    setters: dict[Path, str] = {}
+    for number, axis in enumerate(axes):
+        where = f"spec.matrix[{number}]"
+        if axis.label in labels:
+            problems.append(f"{where}: {labels[axis.label]} has the label {axis.label!r} already")
+            continue
+        labels[axis.label] = where
+        try:
+            dimension = (
+                _points(axis, where, problems) if axis.points else _steps(axis, where, catalog, problems)
+            )
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        for path in sorted(dimension.paths):
+            if path in setters:
+                problems.append(f"{where}: sets {written(path)}, which {setters[path]} sets already")
+            setters.setdefault(path, where)
+        dimensions.append(dimension)
+    return dimensions
+
+
+def _points(axis: Axis, where: str, problems: list[str]) -> Dimension:
+    # The order of keys doesn't survive an API server, so points are sorted by name.
+    points = sorted((axis.points or {}).items())
+    return Dimension(
+        label=axis.label,
+        where=where,
+        source="points",
+        values=tuple(name for name, _ in points),
+        settings=tuple(flatten(fields, f"{where}.points.{name}", problems) for name, fields in points),
+    )
+
+
+def _steps(axis: Axis, where: str, catalog: Catalog, problems: list[str]) -> Dimension:
+    path = parse_path(axis.path or "", f"{where}.path")
+    values, source = _values(axis, path, where, catalog)
+    seen: dict[str, int] = {}
+    settings = []
+    for number, value in enumerate(values):
+        place = f"{where}.values[{number}]" if source == "values" else f"{where}.{source}"
+        try:
+            setting = assign(path, value, place)
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        key = json.dumps(sorted(setting.items()))
+        if key in seen:
+            problems.append(f"{place}: the value {value!r} stands twice")
+        seen[key] = number
+        settings.append(setting)
+    plain = tuple(normalize(value, where) for value in values)
+    return Dimension(axis.label, where, source, plain, tuple(settings), path)
+
+
+def _values(axis: Axis, path: Path, where: str, catalog: Catalog) -> tuple[list[Any], str]:
+    if axis.values is not None:
+        return axis.values, "values"
+    if axis.range is not None:
+        return spread(axis.range, f"{where}.range"), "range"
+    if path not in {ALGORITHM, DATASET}:
+        raise InputError(f"{where}.selector: selects algorithms or datasets, so path must be one of them")
+    kind = "algorithm" if path == ALGORITHM else "dataset"
+    labels = axis.selector.match_labels if axis.selector else {}
+    names = select(catalog, kind, labels)
+    if not names:
+        wanted = ", ".join(f"{key}: {value}" for key, value in sorted(labels.items()))
+        raise InputError(f"{where}.selector: no {kind} has the labels {wanted}")
+    return list(names), "selector"

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of a whole plan against the catalog, before anything of it starts.
+
+A plan of 80,000 runs has few distinct names, modes and parameter values: each is looked at once, and the
+sentence names the axis, entry of include or template that it came from.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from slamhive.model.errors import suggestion
+from slamhive.plan.paths import ALGORITHM, DATASET, PACE, PARAMETERS, REMAP, SENSORS, written
+from slamhive.plan.resolution import mode_of, pace_problem, parameter_problem, role_problems
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from slamhive.model.algorithm import Algorithm
+    from slamhive.plan.expansion import Plan
+    from slamhive.plan.paths import Path, Settings
+
+_LIDAR = (("input", "lidar", "minRange"), ("input", "lidar", "maxRange"))
+
+
+class Checker:
+    """One check of a plan; keeps what it has looked at."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._seen: set[object] = set()
+        self._found: dict[str, None] = {}
+        self._template = {
+            path: value for path, value in plan.template.items() if path[:-1] in {PARAMETERS, REMAP}
+        }
+
+    def problems(self, limit: int) -> list[str]:
+        """Return at most so many sentences, and how many more there are."""
+        for row in range(len(self._plan.grid)):
+            self._row(row)
+        found = list(self._found)
+        more = len(found) - limit
+        return found[:limit] + ([f"… and {more} more"] if more > 0 else [])
+
+    def _row(self, row: int) -> None:
+        plan = self._plan
+        settings = plan.settings(row)
+        value = plan.assembler.value
+        name, data = value(settings, ALGORITHM), value(settings, DATASET)
+        mode, pace = value(settings, SENSORS), value(settings, PACE)
+        self._reference(row, ALGORITHM, "algorithm", name, plan.algorithms)
+        self._reference(row, DATASET, "dataset", data, plan.datasets)
+        algorithm, dataset = plan.algorithms.get(name or ""), plan.datasets.get(data or "")
+        if algorithm is not None:
+            for path, setting in (self._template | settings).items():
+                if path[:-1] == PARAMETERS:
+                    self._parameter(row, algorithm, path, setting)
+            self._once((name, pace), row, PACE, lambda: pace_problem(algorithm, pace))
+            chosen, problem = mode_of(algorithm, mode)
+            self._once(("mode", name, mode), row, SENSORS, lambda: [problem] if problem else [])
+            if chosen is not None and dataset is not None:
+                remap = self._remap(settings)
+                key = ("roles", name, chosen.name, data, *sorted(remap.items()))
+                self._once(key, row, SENSORS, lambda: role_problems(chosen, dataset, remap))
+        self._lidar(row, settings)
+
+    def _reference(self, row: int, path: Path, kind: str, name: str | None, known: Mapping[str, Any]) -> None:
+        if name is None:
+            self._once(
+                ("none", kind),
+                row,
+                path,
+                lambda: [f"{written(path)}: needed, but no axis and no template sets it"],
+            )
+        elif name not in known and self._plan.strict:
+            self._once(
+                (kind, name),
+                row,
+                path,
+                lambda: [f"{written(path)}: unknown {kind} {name!r}{suggestion(name, known)}"],
+            )
+
+    def _parameter(self, row: int, algorithm: Algorithm, path: Path, value: Any) -> None:
+        key = (algorithm.name, path, type(value), value)
+        self._once(key, row, path, lambda: parameter_problem(algorithm, path[1], value))
+
+    def _remap(self, settings: Settings) -> dict[str, str]:
+        fields = self._template | settings
+        return {path[-1]: value for path, value in fields.items() if path[:-1] == REMAP}
+
+    def _lidar(self, row: int, settings: Settings) -> None:
+        low, high = (self._plan.assembler.value(settings, path) for path in _LIDAR)
+        if low is not None and high is not None and low >= high:
+            self._once(
+                ("lidar", low, high),
+                row,
+                _LIDAR[0],
+                lambda: [f"input.lidar: minRange {low:g} must be below maxRange {high:g}"],
+            )
+
+    def _once(self, key: object, row: int, path: Path, look: Callable[[], Iterable[str]]) -> None:
+        if key in self._seen:
+            return
+        self._seen.add(key)
+        for problem in look():
+            self._found.setdefault(f"{self._origin(row, path)}: {problem}")
+
+    def _origin(self, row: int, path: Path) -> str:
+        """Return the field of the Sweep that a combination's value of a path comes from."""
+        grid = self._plan.grid
+        addition = grid.addition(row)
+        if path in addition.settings:
+            return addition.origins[-1]
+        for axis, step in zip(grid.dimensions, grid.steps(row) or (), strict=False):
+            if path in axis.settings[step]:
+                return axis.origin(step)
+        if path in self._plan.template or not grid.dimensions:
+            return "spec.template.spec"
+        return addition.origins[-1] if grid.steps(row) is None else "spec.template.spec"

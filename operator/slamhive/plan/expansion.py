@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan: the runs of a Sweep as a sequence in which any one can be had without the others.
+
+Point ``k`` is repetition ``k % repetitions`` of combination ``k // repetitions``; the combinations stand in
+the order of the matrix, the first axis slowest, then those that include made. This order follows from the
+Sweep's spec alone, on every machine and through an API server, which sorts keys.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from slamhive.model.errors import InputError
+from slamhive.model.sweep import MAX_POINTS
+from slamhive.plan.assembly import Assembler
+from slamhive.plan.axes import compile_axes
+from slamhive.plan.checks import Checker
+from slamhive.plan.grid import Coordinates, Grid
+from slamhive.plan.hashes import local_uid, run_name
+from slamhive.plan.paths import ALGORITHM, DATASET, PACE, SEED, Settings, flatten
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from slamhive.model.sweep import Sweep
+    from slamhive.plan.catalog import Catalog
+
+_LARGEST_SEED = 2**31 - 1
+
+
+class Point:
+    """One run of a Sweep, made when it is asked for.
+
+    Attributes:
+        index: its place in the plan.
+        row: the combination it belongs to.
+    """
+
+    def __init__(self, plan: Plan, index: int) -> None:
+        self._plan = plan
+        self.index = index
+        self.row, self._offset = divmod(index, plan.repetitions)
+
+    def __repr__(self) -> str:
+        return f"Point({self.index}, {self.coordinates})"
+
+    @cached_property
+    def settings(self) -> Settings:
+        """Return the fields that axes and include set, by path."""
+        return self._plan.settings(self.row)
+
+    @cached_property
+    def coordinates(self) -> Coordinates:
+        """Return the value on each axis by its label, then what include added."""
+        return self._plan.coordinates(self.row)
+
+    @property
+    def repetition(self) -> int:
+        """Return the number of the repetition, from 0."""
+        return self._plan.assembler.number(self._offset)
+
+    @property
+    def seed(self) -> int:
+        """Return the seed: the template's and the number of the repetition."""
+        return self._plan.assembler.seed(self.settings, self._offset)
+
+    @property
+    def name(self) -> str:
+        """Return the run's name, a DNS label."""
+        return run_name(self._plan.sweep.name, self._plan.uid, self.index)
+
+    @cached_property
+    def spec(self) -> dict[str, Any]:
+        """Return the MappingRun's spec with all defaults filled in, numbers normalised."""
+        return self._plan.assembler.spec(self.settings, self._offset)
+
+    @cached_property
+    def spec_hash(self) -> str:
+        """Return the hash of the spec, equal to ``spec_hash(point.spec)``."""
+        return self._plan.assembler.spec_hash(self.settings, self._offset)
+
+
+class Plan:
+    """The runs of a Sweep, lazy and indexable.
+
+    Args:
+        sweep: the Sweep.
+        catalog: Algorithms and Datasets.
+        strict: whether ``check`` reports names that are not in the catalog.
+        uid: identity of the Sweep; default: the server's, or else one that follows from its spec.
+
+    Raises:
+        InputError: the Sweep's template, matrix, include or exclude is wrong, with one sentence a line.
+    """
+
+    def __init__(
+        self, sweep: Sweep, catalog: Catalog, *, strict: bool = True, uid: str | None = None
+    ) -> None:
+        self.sweep = sweep
+        self.strict = strict
+        self.algorithms = catalog.algorithms
+        self.datasets = catalog.datasets
+        self.repetitions = sweep.spec.repetitions
+        self._uid = uid or sweep.metadata.uid
+        problems: list[str] = []
+        self.template = flatten(sweep.spec.template.spec, "spec.template.spec", problems, strict=True)
+        dimensions = compile_axes(sweep.spec.matrix, catalog, problems)
+        if problems:
+            raise InputError("\n".join(problems))
+        self.grid = Grid(dimensions, self.template, sweep.spec.include, sweep.spec.exclude)
+        self.assembler = Assembler(self.template, self.algorithms)
+        self._bounded()
+
+    def _bounded(self) -> None:
+        if len(self) == 0:
+            raise InputError("spec.exclude: drops every combination of the matrix; nothing is left to run")
+        if len(self) > MAX_POINTS:
+            raise InputError(
+                f"spec.matrix: expands to {len(self.grid)} combinations × {self.repetitions} repetitions = "
+                f"{len(self)} runs, at most {MAX_POINTS} are allowed"
+            )
+        seeds = [step[SEED] for axis in self.grid.dimensions for step in axis.settings if SEED in step]
+        seeds += [item.settings[SEED] for item in self.grid.additions if SEED in item.settings]
+        largest = max([*seeds, self.template.get(SEED, 1)]) + self.repetitions - 1
+        if largest > _LARGEST_SEED:
+            raise InputError(
+                f"spec.repetitions: the last seed would be {largest}, at most {_LARGEST_SEED} is allowed"
+            )
+
+    @cached_property
+    def uid(self) -> str:
+        """Return the identity of the Sweep that the names of its runs follow from."""
+        return self._uid or local_uid(self.sweep)
+
+    def __len__(self) -> int:
+        return len(self.grid) * self.repetitions
+
+    def __iter__(self) -> Iterator[Point]:
+        return map(self.point, range(len(self)))
+
+    def point(self, index: int) -> Point:
+        """Return a run by its index.
+
+        Raises:
+            IndexError: there is no such run.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"point {index} of {len(self)}")
+        return Point(self, index)
+
+    def settings(self, row: int) -> Settings:
+        """Return the fields that axes and include set in a combination, by path."""
+        result: Settings = {}
+        for axis, step in zip(self.grid.dimensions, self.grid.steps(row) or (), strict=False):
+            result |= axis.settings[step]
+        return result | self.grid.addition(row).settings
+
+    def coordinates(self, row: int) -> Coordinates:
+        """Return the value on each axis of a combination by label, then what include added."""
+        steps = self.grid.steps(row) or ()
+        result = {
+            axis.label: axis.values[step] for axis, step in zip(self.grid.dimensions, steps, strict=False)
+        }
+        return result | self.grid.addition(row).coordinates
+
+    def algorithm_names(self) -> list[str]:
+        """Return the names of all algorithms that the plan runs, in the order in which they come."""
+        return self._names(ALGORITHM)
+
+    def dataset_names(self) -> list[str]:
+        """Return the names of all datasets that the plan reads, in the order in which they come."""
+        return self._names(DATASET)
+
+    def _names(self, path: tuple[str, ...]) -> list[str]:
+        found = (self.assembler.value(self.settings(row), path) for row in range(len(self.grid)))
+        return [name for name in dict.fromkeys(found) if name is not None]
+
+    def start_order(self) -> list[int]:
+        """Return the order in which runs are to be started, as a permutation of the indices.
+
+        Runs of one dataset with one set of input options and one sensor mode stand together, so that few
+        prepared variants are needed at a time. Among these, every combination comes once before any is
+        repeated, so that an early look shows all of them.
+        """
+        datasets: dict[object, dict[object, dict[object, list[int]]]] = {}
+        for row in range(len(self.grid)):
+            settings = self.settings(row)
+            variant = tuple(
+                item for item in sorted(settings.items()) if item[0][0] == "input" and item[0] != PACE
+            )
+            variants = datasets.setdefault(self.assembler.value(settings, DATASET), {})
+            modes = variants.setdefault(variant, {})
+            modes.setdefault(self.assembler.mode(settings), []).append(row)
+        return [
+            row * self.repetitions + repetition
+            for variants in datasets.values()
+            for modes in variants.values()
+            for rows in modes.values()
+            for repetition in range(self.repetitions)
+            for row in rows
+        ]
+
+    def check(self, limit: int = 20) -> list[str]:
+        """Return what in the plan the catalog doesn't allow: one sentence each, naming the field.
+
+        Every distinct name, mode, pace, parameter value and sensor is looked at once.
+
+        Args:
+            limit: the most sentences; one more tells how many were left out.
+        """
+        return Checker(self).problems(limit)
