@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""data."""
+"""Datasets: reading and checking recordings, importing them, generating synthetic ones, preparing variants."""

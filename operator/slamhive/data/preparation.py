@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Variants of a dataset: what an algorithm is given, and nothing else.
+
+A variant holds the chosen sensors' topics with their camera_info, and /tf_static; never ground truth. It is a
+folder ``KEY`` of the cache with the recording and ``variant.json``, made once, and whole when it exists. Its
+key hashes the recording, the sensors' calibration, the options that matter and `VERSION`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from slamhive.data.clouds import cloud_filter
+from slamhive.data.images import scale_camera
+from slamhive.data.once import evict, in_use, make_once
+from slamhive.data.recordings import guess_format, open_recording, recording_paths
+from slamhive.data.selection import select
+from slamhive.data.store import recording_sha256
+from slamhive.data.streams import streams_of
+from slamhive.data.transfer import transfer
+from slamhive.data.writing import FILE_NAMES
+from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.base import seconds
+from slamhive.model.canonical import digest
+from slamhive.model.configuration import SensorView
+from slamhive.model.errors import InputError
+from slamhive.model.sensors import Role, SensorType
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from slamhive.data.selection import Selection
+    from slamhive.data.store import DatasetEntry
+    from slamhive.model.run import InputOptions, LidarInput
+
+VERSION = 1
+"""Raised when preparation makes something else of the same input: part of keys and content hashes."""
+
+DESCRIPTION = "variant.json"
+PRIMARY = (Role.CAMERA, Role.LEFT, Role.COLOR, Role.LIDAR)
+"""Roles whose frames count as frames and set the window; the first that is there is the primary one."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A prepared recording.
+
+    Attributes:
+        path: The recording: a file, or a folder for Rosbag2.
+        format: How it is stored.
+        sensors: The sensors by role as they are after preparation.
+        start_time: Sensor time of the first frame of the primary sensor, s.
+        duration_seconds: Time from its first frame to its last, s.
+        frame_rate: Its rate after preparation, Hz; None for a single frame.
+        resolution: Scale of images in each direction.
+        frames: Its number of frames.
+        key: Hash that identifies the variant; its folder's name.
+        source_sha256: Hash of the recording that it was made from.
+    """
+
+    path: Path
+    format: RecordingFormat
+    sensors: dict[Role, SensorView]
+    start_time: float
+    duration_seconds: float
+    frame_rate: float | None
+    resolution: float
+    frames: int
+    key: str
+    source_sha256: str
+
+    @property
+    def folder(self) -> Path:
+        """Return the variant's folder in the cache."""
+        return self.path.parent
+
+    def in_use(self) -> AbstractContextManager[None]:
+        """Keep the variant from being evicted while the context lasts.
+
+        Raises:
+            SystemFault: on entering, when it is gone already.
+        """
+        return in_use(self.folder)
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The options that matter for the sensors chosen, in plain numbers.
+
+    Attributes:
+        frame_rate: Hz; None: as recorded.
+        resolution: Scale of images.
+        start: Seconds left out at the beginning.
+        duration: Seconds kept; None: all.
+        lidar: What is kept of scans.
+    """
+
+    frame_rate: float | None
+    resolution: float
+    start: float
+    duration: float | None
+    lidar: LidarInput | None
+
+    @property
+    def is_idle(self) -> bool:
+        """Tell whether messages stay as they are."""
+        return self == Wish(None, 1.0, 0.0, None, None)
+
+
+def prepare(
+    entry: DatasetEntry,
+    roles: Sequence[Role],
+    options: InputOptions,
+    formats: Sequence[RecordingFormat],
+    cache: Path,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Variant:
+    """Make the variant of a dataset that a run needs, or find it in the cache.
+
+    Args:
+        entry: The dataset, materialised.
+        roles: The sensors that the algorithm takes.
+        options: The run's input options.
+        formats: Formats that the algorithm reads, the preferred first.
+        cache: Folder of the variants. Hashes of files are remembered in ``.hashes`` in it.
+        progress: Called with the share done, 0 to 1, while it is made.
+
+    Returns:
+        The variant. Hold `Variant.in_use` while a run works with it.
+
+    Raises:
+        InputError: The options don't fit the dataset.
+        DataError: The recording can't be used.
+        SystemFault: The disk refuses.
+    """
+    spec = entry.dataset.spec
+    sensors = {role: _sensor_for(entry, role, options) for role in roles}
+    wish = _wish(options, sensors)
+    _views(sensors, wish)  # what the options ask of the sensors is refused before anything is made
+    target = spec.recording.format if spec.recording.format in formats else formats[0]
+    source = recording_sha256(entry, cache / ".hashes")
+    key = digest(
+        {
+            "version": VERSION,
+            "recording": source,
+            "sensors": {role: sensor.as_json() for role, sensor in sensors.items()},
+            "groundTruthTopic": spec.ground_truth.topic if spec.ground_truth else None,
+            "frameRate": wish.frame_rate,
+            "resolution": wish.resolution,
+            "start": wish.start,
+            "duration": wish.duration,
+            "lidar": wish.lidar.as_json() if wish.lidar else None,
+            "format": target,
+        }
+    )
+    folder = cache / key[:32]
+
+    def make(aside: Path) -> None:
+        _make(_Request(entry, sensors, wish, target), aside, progress)
+
+    make_once(folder, make, _is_sound)
+    return _load(folder, key, source)
+
+
+def evict_variants(cache: Path, limit_bytes: int) -> list[str]:
+    """Remove variants that no run works with, least recently used first, until the rest fits.
+
+    Args:
+        cache: Folder of the variants.
+        limit_bytes: Size allowed.
+
+    Returns:
+        Keys of what was removed.
+    """
+    return evict(cache, limit_bytes) if cache.is_dir() else []
+
+
+def _sensor_for(entry: DatasetEntry, role: Role, options: InputOptions) -> SensorView:
+    name = entry.dataset.spec.sensor_for(role, options.remap)
+    sensor = entry.dataset.spec.sensors[name]
+    expected = _TYPES[role]
+    if sensor.type is not expected:
+        raise InputError(
+            f"input.remap.{role}: sensor {name!r} is of type {sensor.type}, only {expected} is allowed"
+        )
+    return SensorView.model_validate(sensor.as_json() | {"name": name})
+
+
+_TYPES = {
+    Role.CAMERA: SensorType.CAMERA,
+    Role.LEFT: SensorType.CAMERA,
+    Role.RIGHT: SensorType.CAMERA,
+    Role.COLOR: SensorType.CAMERA,
+    Role.DEPTH: SensorType.DEPTH_CAMERA,
+    Role.LIDAR: SensorType.LIDAR,
+    Role.IMU: SensorType.IMU,
+}
+
+
+def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> Wish:
+    types = {sensor.type for sensor in sensors.values()}
+    cameras = types & {SensorType.CAMERA, SensorType.DEPTH_CAMERA}
+    lidar = options.lidar if SensorType.LIDAR in types else None
+    return Wish(
+        frame_rate=options.frame_rate,
+        resolution=float(options.resolution or 1.0) if cameras else 1.0,
+        start=seconds(options.start) if options.start else 0.0,
+        duration=seconds(options.duration) if options.duration else None,
+        lidar=lidar if lidar and lidar.as_json() else None,
+    )
+
+
+def _views(sensors: dict[Role, SensorView], wish: Wish) -> dict[Role, SensorView]:
+    """Return the sensors as the options leave them; rates follow from the frames kept."""
+    views = {}
+    for role, sensor in sensors.items():
+        view = sensor
+        if sensor.type is SensorType.LIDAR:
+            view = sensor.replace(lidar=cloud_filter(wish.lidar, sensor.lidar, sensor.name)[1])
+        elif sensor.camera is not None and wish.resolution != 1.0:
+            view = sensor.replace(camera=scale_camera(sensor.camera, wish.resolution))
+        views[role] = view
+    return views
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What a variant is made from."""
+
+    entry: DatasetEntry
+    sensors: dict[Role, SensorView]
+    wish: Wish
+    target: RecordingFormat
+
+
+def _make(request: _Request, aside: Path, progress: Callable[[float], None] | None) -> None:
+    """Fill the folder of a variant."""
+    entry, wish, target = request.entry, request.wish, request.target
+    path = aside / FILE_NAMES[target]
+    truth = entry.dataset.spec.ground_truth
+    with open_recording(entry.dataset, entry.root) as recording:
+        streams = streams_of(recording, request.sensors, truth.topic if truth else None)
+        selection = select(recording, streams, wish, _share(progress, 0.0, 0.3))
+        original = recording_paths(entry.dataset, entry.root)
+        whole = {stream.topic for stream in streams} == set(recording.topics)
+        if whole and wish.is_idle and target is recording.format and len(original) == 1:
+            _link(original[0], path)
+        else:
+            report = _share(progress, 0.3, 1.0)
+            transfer(recording, selection, wish, target=path, target_format=target, progress=report)
+    _describe(request, selection, aside)
+    if progress:
+        progress(1.0)
+
+
+def _share(
+    progress: Callable[[float], None] | None, low: float, high: float
+) -> Callable[[float], None] | None:
+    if progress is None:
+        return None
+    return lambda share: progress(low + (high - low) * min(share, 1.0))
+
+
+def _link(original: Path, path: Path) -> None:
+    """Put a recording into the variant under another name, so that nothing leads to what lies beside it."""
+    original = original.resolve()
+    if original.is_dir():
+        shutil.copytree(original, path)
+        return
+    try:
+        os.link(original, path)
+    except OSError:  # another file system, or one without hard links
+        shutil.copyfile(original, path)
+
+
+def _describe(request: _Request, selection: Selection, aside: Path) -> None:
+    wish, target = request.wish, request.target
+    views = _views(request.sensors, wish)
+    rates = {stream.sensor: selection.rate(stream) for stream in selection.streams if stream.sensor}
+    primary = selection.primary
+    offset = primary.time_offset
+    path = aside / FILE_NAMES[target]
+    description: dict[str, Any] = {
+        "format": target,
+        "recording": FILE_NAMES[target],
+        "state": _state(path),
+        "sensors": {
+            role: view.replace(rate=rates[view.name] or view.rate).as_json() for role, view in views.items()
+        },
+        "startTime": selection.first / 1e9 + offset,
+        "durationSeconds": (selection.last - selection.first) / 1e9,
+        "frameRate": rates[primary.sensor or ""],
+        "resolution": wish.resolution,
+        "frames": selection.frames(primary),
+    }
+    (aside / DESCRIPTION).write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
+
+
+def _state(path: Path) -> list[int]:
+    """Return size and time of change of a file: a linked one may be changed from outside."""
+    status = path.stat()
+    return [status.st_size, status.st_mtime_ns] if path.is_file() else []
+
+
+def _is_sound(folder: Path) -> bool:
+    try:
+        description = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
+        path = folder / description["recording"]
+        return guess_format(path) is not None and _state(path) == description["state"]
+    except (OSError, ValueError, KeyError, InputError):
+        return False
+
+
+def _load(folder: Path, key: str, source: str) -> Variant:
+    known = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
+    return Variant(
+        path=folder / known["recording"],
+        format=RecordingFormat(known["format"]),
+        sensors={Role(role): SensorView.model_validate(view) for role, view in known["sensors"].items()},
+        start_time=known["startTime"],
+        duration_seconds=known["durationSeconds"],
+        frame_rate=known["frameRate"],
+        resolution=known["resolution"],
+        frames=known["frames"],
+        key=key,
+        source_sha256=source,
+    )

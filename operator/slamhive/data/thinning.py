@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which frames of a stream are kept at a lower rate, by their time stamps alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    Stamps = npt.NDArray[np.int64]
+    Mask = npt.NDArray[np.bool_]
+
+_SAME_RATE = 1.02
+"""A rate within 2 % of the recorded one keeps every frame: drivers are that far off."""
+_GAP = 3.0
+"""Steps longer than this many typical ones are gaps and say nothing about the rate."""
+
+
+def rate_of(stamps: Stamps) -> float | None:
+    """Return the mean rate of a stream in Hz, gaps left out; None for fewer than two stamps.
+
+    Args:
+        stamps: ns, increasing, shape (n,).
+    """
+    steps = np.diff(stamps)
+    steps = steps[steps > 0]
+    if not steps.size:
+        return None
+    steps = steps[steps <= _GAP * np.median(steps)]
+    return float(1e9 * steps.size / steps.sum())
+
+
+def thin(stamps: Stamps, rate: float) -> Mask:
+    """Choose the frames to keep for a lower rate.
+
+    When the recorded rate is a multiple of the wanted one, each kept frame is the one nearest to one
+    wanted period after the frame kept before: spacing stays regular under jitter, drift and drops.
+    Otherwise frames nearest to the ticks of a clock are kept: spacing varies by one recorded period,
+    the mean rate is exact.
+
+    Args:
+        stamps: ns, increasing, shape (n,).
+        rate: Wanted rate, Hz.
+
+    Returns:
+        Mask of the frames to keep, shape (n,); all of them when the stream isn't faster.
+    """
+    recorded = rate_of(stamps)
+    if recorded is None or recorded <= rate * _SAME_RATE:
+        return np.ones(len(stamps), dtype=np.bool_)
+    ratio = recorded / rate
+    whole = round(ratio)
+    regular = abs(ratio - whole) <= 0.02 * whole
+    mask = np.zeros(len(stamps), dtype=np.bool_)
+    mask[_chain(stamps, whole * 1e9 / recorded) if regular else _grid(stamps, 1e9 / rate)] = True
+    return mask
+
+
+def partners(stamps: Stamps, others: Stamps, limit: float) -> npt.NDArray[np.intp]:
+    """Find for each stamp the nearest of another stream.
+
+    Args:
+        stamps: ns, increasing, shape (n,).
+        others: ns, increasing, shape (m,).
+        limit: Largest difference, ns.
+
+    Returns:
+        Index into others, -1 where none is near enough, shape (n,). Each is used once at most.
+    """
+    result = np.full(len(stamps), -1, dtype=np.intp)
+    if not len(others):
+        return result
+    right = np.clip(np.searchsorted(others, stamps), 0, len(others) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(np.abs(others[left] - stamps) <= np.abs(others[right] - stamps), left, right)
+    distance = np.abs(others[nearest] - stamps)
+    result[distance <= limit] = nearest[distance <= limit]
+    if len(np.unique(result[result >= 0])) < np.count_nonzero(result >= 0):
+        _settle_claims(result, distance)
+    return result
+
+
+def _settle_claims(result: npt.NDArray[np.intp], distance: Stamps) -> None:
+    """Leave each partner to the nearest of those who claim it."""
+    owner: dict[int, int] = {}
+    for k in np.flatnonzero(result >= 0).tolist():
+        rival = owner.get(int(result[k]))
+        if rival is None or distance[k] < distance[rival]:
+            if rival is not None:
+                result[rival] = -1
+            owner[int(result[k])] = k
+        else:
+            result[k] = -1
+
+
+def _chain(stamps: Stamps, period: float) -> list[int]:
+    kept = [0]
+    while True:
+        last = kept[-1]
+        if last + 1 >= len(stamps):
+            return kept
+        target = stamps[last] + period
+        right = int(np.searchsorted(stamps, target))
+        right = min(max(right, last + 1), len(stamps))
+        left = right - 1
+        if right == len(stamps):
+            # A frame much nearer than a period isn't kept only because the recording ends after it.
+            if left > last and target - stamps[left] < 0.25 * period:
+                kept.append(left)
+            return kept
+        nearer_left = left > last and target - stamps[left] <= stamps[right] - target
+        kept.append(left if nearer_left else right)
+
+
+def _grid(stamps: Stamps, period: float) -> npt.NDArray[np.intp]:
+    ticks = np.rint((stamps - stamps[0]) / period)
+    distance = np.abs(stamps - stamps[0] - ticks * period)
+    order = np.lexsort((distance, ticks))
+    _, first = np.unique(ticks[order], return_index=True)
+    kept: npt.NDArray[np.intp] = np.sort(order[first])
+    return kept

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Copying the chosen messages of a recording into a variant, changed as the options say."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from slamhive.data import recordings
+from slamhive.data.clouds import cloud_filter, filter_cloud
+from slamhive.data.images import scale_camera_info, scale_compressed, scale_image
+from slamhive.data.recordings import POINT_CLOUD
+from slamhive.data.streams import Kind
+from slamhive.data.writing import RecordingWriter
+from slamhive.model.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from slamhive.data.recordings import Recording
+    from slamhive.data.selection import Selection
+    from slamhive.data.streams import Stream
+    from slamhive.model.algorithm import RecordingFormat
+    from slamhive.model.run import LidarInput
+
+    Change = Callable[[bytes], bytes | memoryview]
+
+
+class Changes(Protocol):
+    """The options that change messages."""
+
+    @property
+    def resolution(self) -> float:
+        """Scale of images."""
+
+    @property
+    def lidar(self) -> LidarInput | None:
+        """What is kept of scans."""
+
+
+def transfer(
+    recording: Recording,
+    selection: Selection,
+    changes: Changes,
+    *,
+    target: Path,
+    target_format: RecordingFormat,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Write the chosen messages into a new recording.
+
+    Args:
+        recording: Where they come from.
+        selection: The messages chosen.
+        changes: What is done to them.
+        target: The recording to make.
+        target_format: How to store it.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        DataError: A message can't be changed as asked.
+    """
+    by_topic = {stream.topic: stream for stream in selection.streams}
+    rules = {topic: _rule(recording, stream, changes) for topic, stream in by_topic.items()}
+    seen = dict.fromkeys(by_topic, 0)
+    first, last = selection.record_window
+    total = max(selection.size_bytes, 1)
+    done = 0
+    with RecordingWriter(recording, target, target_format) as writer:
+        for number, (connection, time, raw) in enumerate(recording.messages(set(by_topic))):
+            topic = connection.topic
+            index = seen[topic]
+            seen[topic] = index + 1
+            done += len(raw)
+            if progress and number % 64 == 0:
+                progress(done / total)
+            if not selection.masks[topic][index]:
+                continue
+            change = rules[topic]
+            # What is said once stays, however much is cut off before it.
+            lasting = by_topic[topic].kind in (Kind.STATIC, Kind.INFO)
+            at = min(max(time, first), last) if lasting else time
+            writer.write(connection, at, raw if change is None else change(raw))
+
+
+def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | None:
+    """Return what is done to the messages of a stream, None when they stay as they are."""
+    where = f"{stream.topic} in {recording.label}"
+    kind, scale = stream.message_type, changes.resolution
+
+    def changed(change: Callable[[Any], Any]) -> Change:
+        return lambda raw: recording.encode(change(recording.decode(raw, kind)), kind)
+
+    if kind == POINT_CLOUD and changes.lidar is not None and stream.declared is not None:
+        kept, _ = cloud_filter(changes.lidar, stream.declared.lidar, stream.sensor or "")
+        return None if kept.is_idle else changed(lambda message: filter_cloud(message, kept, where))
+    if scale == 1.0:
+        return None
+    match kind:
+        case recordings.IMAGE:
+            return changed(lambda message: _image(stream, message, scale, where))
+        case recordings.COMPRESSED_IMAGE:
+            return changed(lambda message: scale_compressed(message, scale, depth=stream.depth, where=where))
+        case recordings.CAMERA_INFO:
+            return changed(lambda message: scale_camera_info(message, scale, where))
+    return None
+
+
+def _image(stream: Stream, message: Any, scale: float, where: str) -> Any:
+    camera = stream.declared.camera if stream.declared else None
+    if camera is not None and (message.width, message.height) != (camera.width, camera.height):
+        raise DataError(
+            f"sensors.{stream.sensor}.camera: states {camera.width}×{camera.height} pixels, but the images "
+            f"on {where} have {message.width}×{message.height}"
+        )
+    return scale_image(message, scale, depth=stream.depth, where=where)
