@@ -16,6 +16,7 @@ import json
 import os
 import sys
 import time
+import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,6 +46,9 @@ def run_adapter(program: Callable[[Run], None]) -> None:
         sys.exit(f"{error}")
     except MemoryError:
         sys.exit("the algorithm asked for more memory than there is")
+    except Exception as error:  # noqa: BLE001 - whatever an algorithm raises ends in a sentence
+        traceback.print_exc()
+        sys.exit(f"the algorithm failed: {' '.join(str(error).split()) or type(error).__name__}")
 
 
 @dataclass(frozen=True)
