@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Datasets: reading and checking recordings, importing them, generating synthetic ones, preparing variants."""
+"""Datasets: recordings read and checked, imported, generated, and prepared for runs."""

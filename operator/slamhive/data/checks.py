@@ -3,14 +3,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.model.errors import DataError
+from slamhive.data import recordings
+from slamhive.data.streams import camera_info_topic
+from slamhive.model.errors import DataError, suggestion
+from slamhive.model.sensors import SensorType
 
 if TYPE_CHECKING:
-    from slamhive.data.recordings import Scan
+    from collections.abc import Mapping
+
+    from slamhive.data.recordings import Recording, Scan
+    from slamhive.model.sensors import Sensor
 
 _DAY = 86_400 * 10**9
 
@@ -56,3 +62,125 @@ def seconds_text(nanoseconds: int) -> str:
     """Write a stamp in s with every digit of its ns."""
     whole, rest = divmod(int(nanoseconds), 10**9)
     return f"{whole}.{rest:09d} s"
+
+
+def content_findings(
+    recording: Recording, sensors: Mapping[str, Sensor], errors: list[str], warnings: list[str]
+) -> dict[str, str]:
+    """Compare the first messages of sensors with what the dataset says of them.
+
+    Args:
+        recording: The recording.
+        sensors: The sensors by name; their topics exist.
+        errors: Takes what can't be.
+        warnings: Takes what is suspicious.
+
+    Returns:
+        What the first message of each is like, in words.
+    """
+    described = {}
+    for name, sensor in sensors.items():
+        kind = recording.topics[sensor.topic].message_type
+        where = f"sensors.{name}"
+        try:
+            match kind:
+                case recordings.IMAGE:
+                    described[name] = _image(recording, sensor, where, errors, warnings)
+                case recordings.COMPRESSED_IMAGE:
+                    described[name] = "compressed " + _first(recording, sensor.topic, kind).format
+                case recordings.POINT_CLOUD:
+                    described[name] = _cloud(recording, sensor, where, errors)
+                case recordings.IMU:
+                    described[name] = _imu(recording, sensor, where, errors, warnings)
+        except DataError as error:
+            errors.append(str(error))
+    return described
+
+
+def _first(recording: Recording, topic: str, kind: str) -> Any:
+    for _, _, raw in recording.messages({topic}):
+        return recording.decode(raw, kind)
+    raise DataError(f"{topic} in {recording.label}: no messages")
+
+
+def _image(recording: Recording, sensor: Sensor, where: str, errors: list[str], warnings: list[str]) -> str:
+    message = _first(recording, sensor.topic, recordings.IMAGE)
+    camera = sensor.camera
+    if camera is None:
+        warnings.append(f"{where}.camera: no intrinsics are given, which most algorithms need")
+        return f"{message.width}×{message.height} {message.encoding}"
+    if (message.width, message.height) != (camera.width, camera.height):
+        errors.append(
+            f"{where}.camera: states {camera.width}×{camera.height} pixels, but the images on "
+            f"{sensor.topic} have "
+            f"{message.width}×{message.height}"
+        )
+    if message.encoding != camera.encoding:
+        warnings.append(
+            f"{where}.camera.encoding: states {camera.encoding}, but the images on {sensor.topic} are "
+            f"{message.encoding}"
+        )
+    if not (0 <= camera.cx < camera.width and 0 <= camera.cy < camera.height):
+        warnings.append(
+            f"{where}.camera: the principal point ({camera.cx:g}, {camera.cy:g}) lies outside of the image "
+            f"of "
+            f"{camera.width}×{camera.height}"
+        )
+    if sensor.type is SensorType.DEPTH_CAMERA and camera.depth_scale is None:
+        warnings.append(
+            f"{where}.camera.depthScale: not given; 1000 (millimetres) is common, TUM RGB-D has 5000"
+        )
+    info = camera_info_topic(recording, sensor.topic)
+    if info is not None:
+        stated = _first(recording, info, recordings.CAMERA_INFO)
+        k = np.reshape(stated.K if hasattr(stated, "K") else stated.k, (3, 3))
+        given = (camera.fx, camera.fy, camera.cx, camera.cy)
+        found = (k[0, 0], k[1, 1], k[0, 2], k[1, 2])
+        if k.any() and not np.allclose(given, found, rtol=0.005, atol=0.5):
+            texts = [", ".join(f"{number:g}" for number in numbers) for numbers in (given, found)]
+            warnings.append(f"{where}.camera: fx, fy, cx, cy are {texts[0]}, but {info} says {texts[1]}")
+    return f"{message.width}×{message.height} {message.encoding}"
+
+
+def _cloud(recording: Recording, sensor: Sensor, where: str, errors: list[str]) -> str:
+    message = _first(recording, sensor.topic, recordings.POINT_CLOUD)
+    names = [item.name for item in message.fields]
+    lidar = sensor.lidar
+    wanted = {"timeField": lidar.time_field, "ringField": lidar.ring_field} if lidar else {}
+    errors += [
+        f"{where}.lidar.{key}: points on {sensor.topic} have no field {value!r}{suggestion(value, names)}"
+        for key, value in wanted.items()
+        if value is not None and value not in names
+    ]
+    missing = [axis for axis in "xyz" if axis not in names]
+    if missing:
+        errors.append(
+            f"{where}: points on {sensor.topic} have no field {missing[0]!r}{suggestion('', names)}"
+        )
+    return f"{message.width * message.height} points with {', '.join(names)}"
+
+
+_IMU_NUMBERS = 37
+"""float64 at the end of a sensor_msgs/Imu: orientation, rate and force, each with its covariance."""
+_STANDARD_GRAVITY = 9.80665
+
+
+def _imu(recording: Recording, sensor: Sensor, where: str, errors: list[str], warnings: list[str]) -> str:
+    tails = [raw[-8 * _IMU_NUMBERS :] for _, _, raw in recording.messages({sensor.topic})]
+    table = np.frombuffer(b"".join(tails), dtype="<f8").reshape(-1, _IMU_NUMBERS)
+    rate, force = table[:, 13:16], table[:, 25:28]
+    wrong = np.flatnonzero(~np.isfinite(np.hstack([rate, force])).all(axis=1))
+    if wrong.size:
+        errors.append(
+            f"{where}: message {wrong[0] + 1} of {len(table)} on {sensor.topic} has a rate or force that "
+            f"is not a "
+            f"finite number ({wrong.size} in all)"
+        )
+        return ""
+    typical = float(np.median(np.linalg.norm(force, axis=1)))
+    if not 0.8 < typical / _STANDARD_GRAVITY < 1.25:
+        hint = "; it looks like units of g" if 0.8 < typical < 1.25 else ""
+        warnings.append(
+            f"{where}: the specific force is {typical:.3g} m/s² typically, about 9.8 is expected{hint}"
+        )
+    return f"{typical:.2f} m/s² typically"

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.data.clouds import cloud_filter
 from slamhive.data.images import scale_camera
 from slamhive.data.once import evict, in_use, make_once
+from slamhive.data.posetopics import truth_topic
 from slamhive.data.recordings import guess_format, open_recording, recording_paths
 from slamhive.data.selection import select
 from slamhive.data.store import recording_sha256
@@ -246,7 +247,7 @@ def _make(request: _Request, aside: Path, progress: Callable[[float], None] | No
     path = aside / FILE_NAMES[target]
     truth = entry.dataset.spec.ground_truth
     with open_recording(entry.dataset, entry.root) as recording:
-        streams = streams_of(recording, request.sensors, truth.topic if truth else None)
+        streams = streams_of(recording, request.sensors, truth_topic(truth.topic) if truth else None)
         selection = select(recording, streams, wish, _share(progress, 0.0, 0.3))
         original = recording_paths(entry.dataset, entry.root)
         whole = {stream.topic for stream in streams} == set(recording.topics)

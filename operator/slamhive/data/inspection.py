@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a dataset really holds, and everything that is wrong with it at once."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.data.checks import check_stamps, content_findings
+from slamhive.data.groundtruth import ground_truth, require_overlap, truth_range
+from slamhive.data.posetopics import truth_topic
+from slamhive.data.recordings import open_recording
+from slamhive.data.streams import STATIC_TRANSFORMS, camera_info_topic, check_topic
+from slamhive.data.thinning import rate_of
+from slamhive.model.errors import DataError
+from slamhive_eval import Trajectory
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from slamhive.data.recordings import Recording, Scan
+    from slamhive.data.store import DatasetEntry
+    from slamhive.model.sensors import Sensor
+
+_GAP_PERIODS = 3.0
+_SHOWN_GAPS = 20
+_RATE_TOLERANCE = 0.05
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A span without messages.
+
+    Attributes:
+        start: Sensor time of the message before it, s.
+        seconds: Its length.
+    """
+
+    start: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class SensorReport:
+    """What a recording holds of a sensor.
+
+    Attributes:
+        name: The sensor's name.
+        type: Kind of device.
+        topic: Its topic.
+        message_type: Type of the messages; None when the topic is missing.
+        messages: Their number.
+        rate: Mean rate without gaps, Hz.
+        first: Sensor time of the first message, s.
+        last: Sensor time of the last message, s.
+        gaps: Spans of more than three periods without messages; the longest ones.
+        gap_count: Number of all such spans.
+        size_bytes: Size of the messages.
+        content: What the first message is like, in words.
+    """
+
+    name: str
+    type: str
+    topic: str
+    message_type: str | None = None
+    messages: int = 0
+    rate: float | None = None
+    first: float | None = None
+    last: float | None = None
+    gaps: list[Gap] = field(default_factory=list)
+    gap_count: int = 0
+    size_bytes: int = 0
+    content: str = ""
+
+
+@dataclass(frozen=True)
+class TruthReport:
+    """What the ground truth is like.
+
+    Attributes:
+        kind: ``trajectory`` or ``relations``.
+        count: Number of poses or relations.
+        first: First time, s.
+        last: Last time, s.
+        overlap_seconds: How much of the recording lies between them, s.
+        path_metres: Length of the path; None for relations.
+        longest_gap: Longest span between poses, s; None for relations.
+    """
+
+    kind: str
+    count: int
+    first: float
+    last: float
+    overlap_seconds: float
+    path_metres: float | None
+    longest_gap: float | None
+
+
+@dataclass(frozen=True)
+class DatasetReport:
+    """What a dataset holds.
+
+    Attributes:
+        name: The dataset's name.
+        format: How its recording is stored.
+        start: Sensor time of the first message of any sensor, s.
+        duration_seconds: Time from it to the last one.
+        sensors: By sensor.
+        ground_truth: None when there is none, or it can't be used.
+        other_topics: Topics of the recording that no sensor names.
+        errors: What keeps the dataset from being used, a sentence each.
+        warnings: What may be wrong, a sentence each.
+    """
+
+    name: str
+    format: str
+    start: float | None
+    duration_seconds: float | None
+    sensors: list[SensorReport]
+    ground_truth: TruthReport | None
+    other_topics: list[str]
+    errors: list[str]
+    warnings: list[str]
+
+    @property
+    def is_usable(self) -> bool:
+        """Tell whether runs can work with the dataset."""
+        return not self.errors
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the report as plain values."""
+        return asdict(self)
+
+
+def inspect(entry: DatasetEntry, cache: Path) -> DatasetReport:
+    """Read a dataset through and say what it holds; what is wrong is collected, not raised.
+
+    Args:
+        entry: The dataset, materialised.
+        cache: Folder for converted ground truth.
+    """
+    errors: list[str] = []
+    warnings: list[str] = []
+    spec = entry.dataset.spec
+    try:
+        with open_recording(entry.dataset, entry.root) as recording:
+            sensors = _sensors(entry, recording, errors, warnings)
+            used = {sensor.topic for sensor in spec.sensors.values()} | {STATIC_TRANSFORMS}
+            used |= {camera_info_topic(recording, sensor.topic) or "" for sensor in spec.sensors.values()}
+            used.add((spec.ground_truth and truth_topic(spec.ground_truth.topic)) or "")
+            others = sorted(set(recording.topics) - used)
+    except DataError as error:
+        return DatasetReport(entry.name, spec.recording.format, None, None, [], None, [], [str(error)], [])
+    firsts = [sensor.first for sensor in sensors if sensor.first is not None]
+    lasts = [sensor.last for sensor in sensors if sensor.last is not None]
+    span = (min(firsts), max(lasts)) if firsts else None
+    truth = _truth(entry, cache, span, errors)
+    if spec.ground_truth is None:
+        warnings.append("groundTruth: none, so runs on this dataset can't be evaluated")
+    return DatasetReport(
+        name=entry.name,
+        format=spec.recording.format,
+        start=span[0] if span else None,
+        duration_seconds=span[1] - span[0] if span else None,
+        sensors=sensors,
+        ground_truth=truth,
+        other_topics=others,
+        errors=errors,
+        warnings=warnings,
+    )
+
+
+def _sensors(
+    entry: DatasetEntry, recording: Recording, errors: list[str], warnings: list[str]
+) -> list[SensorReport]:
+    sound: dict[str, Sensor] = {}
+    for name, sensor in entry.dataset.spec.sensors.items():
+        try:
+            check_topic(recording, name, sensor)
+            sound[name] = sensor
+        except DataError as error:
+            errors.append(str(error))
+    contents = content_findings(recording, sound, errors, warnings)
+    scans = recording.scan({sensor.topic for sensor in sound.values()})
+    reports = []
+    for name, sensor in entry.dataset.spec.sensors.items():
+        if name not in sound:
+            reports.append(SensorReport(name, sensor.type, sensor.topic))
+            continue
+        scan = scans[sensor.topic]
+        try:
+            check_stamps(scan, f"sensors.{name}: {sensor.topic} in {recording.label}")
+        except DataError as error:
+            errors.append(str(error))
+        report = _report(recording, name, sensor, scan, contents.get(name, ""))
+        reports.append(report)
+        warnings += _suspicions(report, sensor)
+    return reports
+
+
+def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content: str) -> SensorReport:
+    stamps = np.sort(scan.stamps)
+    steps = np.diff(stamps)
+    typical = float(np.median(steps)) if steps.size else 0.0
+    wide = np.flatnonzero(steps > _GAP_PERIODS * typical) if typical > 0 else np.array([], dtype=np.intp)
+    longest = np.sort(wide[np.argsort(-steps[wide], kind="stable")][:_SHOWN_GAPS])
+    rate = rate_of(stamps)
+    return SensorReport(
+        name=name,
+        type=sensor.type,
+        topic=sensor.topic,
+        message_type=recording.topics[sensor.topic].message_type,
+        messages=len(stamps),
+        rate=None if rate is None else round(rate, 3),
+        first=float(stamps[0] / 1e9) + sensor.time_offset if len(stamps) else None,
+        last=float(stamps[-1] / 1e9) + sensor.time_offset if len(stamps) else None,
+        gaps=[Gap(float(stamps[k] / 1e9) + sensor.time_offset, float(steps[k] / 1e9)) for k in longest],
+        gap_count=len(wide),
+        size_bytes=scan.size_bytes,
+        content=content,
+    )
+
+
+def _suspicions(report: SensorReport, sensor: Sensor) -> list[str]:
+    found = []
+    if sensor.rate and report.rate and abs(report.rate - sensor.rate) > _RATE_TOLERANCE * sensor.rate:
+        found.append(
+            f"sensors.{report.name}.rate: states {sensor.rate:g} Hz, the recording has {report.rate:g} Hz"
+        )
+    if report.gap_count:
+        longest = max(report.gaps, key=lambda gap: gap.seconds)
+        found.append(
+            f"sensors.{report.name}: {report.gap_count} gap{'s' if report.gap_count > 1 else ''} in "
+            f"{report.topic}, "
+            f"the longest {longest.seconds:.3f} s at {longest.start:.3f} s"
+        )
+    return found
+
+
+def _truth(
+    entry: DatasetEntry, cache: Path, span: tuple[float, float] | None, errors: list[str]
+) -> TruthReport | None:
+    try:
+        file = ground_truth(entry, cache)
+        if file is None:
+            return None
+        truth = file.read()
+        first, last = truth_range(truth)
+        if span is not None:
+            require_overlap(truth, *span, where=f"dataset {entry.name!r}: groundTruth")
+    except DataError as error:
+        errors.append(str(error))
+        return None
+    is_path = isinstance(truth, Trajectory)
+    steps = np.diff(truth.stamps) if isinstance(truth, Trajectory) else np.array([])
+    return TruthReport(
+        kind="trajectory" if is_path else "relations",
+        count=len(truth),
+        first=first,
+        last=last,
+        overlap_seconds=max(0.0, min(last, span[1]) - max(first, span[0])) if span else 0.0,
+        path_metres=truth.path_length if isinstance(truth, Trajectory) else None,
+        longest_gap=float(steps.max()) if steps.size else None,
+    )
