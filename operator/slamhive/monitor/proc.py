@@ -19,8 +19,10 @@ from slamhive.monitor.sources import Sample
 
 _TICK = os.sysconf("SC_CLK_TCK")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
-# Looking for new processes may take this share of a processor, so that large trees don't disturb themselves.
+# Looking for new processes may take this share of a processor, so that large trees aren't disturbed by it;
+# but it is done at least this often, s.
 _SEARCH_SHARE = 0.004
+_SEARCH_SECONDS = 1.0
 
 
 class ProcSource:
@@ -52,7 +54,7 @@ class ProcSource:
         resident = anonymous = 0
         if now >= self._search_at:
             self._search()
-            self._search_at = now + (time.monotonic() - now) / _SEARCH_SHARE
+            self._search_at = now + min((time.monotonic() - now) / _SEARCH_SHARE, _SEARCH_SECONDS)
         for pid, member in list(self._members.items()):
             try:
                 cpu += member.cpu()

@@ -232,20 +232,19 @@ class Supervisor:
         too_much = self._polled_limit is not None and sample.memory > self._polled_limit
         if too_much or (self._cgroup is not None and self._cgroup.oom_kills() > 0):
             self._end(out_of_memory(limit), now)
-        if self._contention.due(now):
-            self._contention.add(now, sample.cpu)
-            self._table.flush()
-            self._check_sizes(now)
-
-    def _check_sizes(self, now: float) -> None:
-        """Look at what is too costly to look at with every sample."""
-        output, limit = self._spec.output_directory, self._spec.output_limit_bytes
-        if output is not None and limit is not None and directory_bytes(output, limit) > limit:
-            self._end(output_too_large(limit), now)
         tasks = self._spec.task_limit
         if self._cgroup is None and tasks is not None and len(self._source.processes()) > tasks:
             message = f"it had more than {tasks} processes at the same time"
             self._end(Stop(Reason.ALGORITHM_FAILED, message, at_once=True), now)
+        if self._contention.due(now):
+            self._contention.add(now, sample.cpu)
+            self._table.flush()
+            self._check_output(now)
+
+    def _check_output(self, now: float) -> None:
+        output, limit = self._spec.output_directory, self._spec.output_limit_bytes
+        if output is not None and limit is not None and directory_bytes(output, limit) > limit:
+            self._end(output_too_large(limit), now)
 
     def _finish(self) -> tuple[float, int]:
         """End what is left; return when the first process ended and how many outlived it."""

@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parts by themselves: specification, accounting, log, cgroup files as other machines have them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.monitor import (
+    Accounting,
+    CgroupV2Source,
+    Contention,
+    ProcessIdentity,
+    ProcSource,
+    Sample,
+    SpecError,
+    SupervisorSpec,
+    accounting,
+    cgroup_source_at,
+    identify,
+    make_run_cgroup,
+    sweep_stale_cgroups,
+)
+from slamhive.monitor.hierarchy import Hierarchy, own_hierarchies, unified_parents
+from slamhive.monitor.log import BoundedLog, clean_tail
+from slamhive.monitor.outcome import Ending, judge
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+SPEC = SupervisorSpec(
+    argv=("a", "b"),
+    cwd="/",
+    env={"A": "1"},
+    log_path="/l",
+    usage_path="/u",
+    summary_path="/s",
+    process_path="/p",
+    cpus=(0, 1),
+    timeout_seconds=1.5,
+)
+
+
+def test_spec_round_trip() -> None:
+    assert SupervisorSpec.from_json(SPEC.to_json()) == SPEC
+    assert json.loads(SPEC.to_json())["timeoutSeconds"] == 1.5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"argv": []}, "argv must be a list of strings that begins with a program, not ()"),
+        ({"argv": ["a\0"]}, "argv must be"),
+        ({"cwd": "here"}, "cwd must be an absolute path, not 'here'"),
+        ({"env": {"A": 1}}, "env must be a map from names to strings"),
+        ({"cpus": [-1]}, "cpus must be a list of processor numbers"),
+        ({"timeoutSeconds": 0}, "timeoutSeconds must be a number of seconds above 0 or null, not 0"),
+        ({"timeoutSeconds": float("nan")}, "timeoutSeconds must be"),
+        ({"memoryLimitBytes": 1.5}, "memoryLimitBytes must be a whole number above 0 or null"),
+        ({"intervalSeconds": 0.001}, "intervalSeconds must be a number of seconds from 0.01 to 10"),
+        ({"cgroup": "v2"}, "cgroup must be auto or none, not 'v2'"),
+        ({"colour": 1}, "unknown field colour; known are argv, "),
+    ],
+)
+def test_spec_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        SupervisorSpec.from_json(json.dumps({**json.loads(SPEC.to_json()), **change}))
+    assert str(caught.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), [("{", "not JSON"), ("[]", "a JSON object"), ("{}", "argv is missing")]
+)
+def test_command_refuses(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "spec.json"
+    path.write_text(text)
+    command = [sys.executable, "-m", "slamhive.monitor", "--spec", str(path)]
+    told = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert told.returncode == 2
+    assert message in told.stderr
+    assert told.stderr.count("\n") == 1
+
+
+def _account(samples: list[tuple[float, float]]) -> Any:
+    account = Accounting(100.0)
+    for time, cpu in samples:
+        account.add(Sample(100.0 + time, cpu, 0, 0))
+    return account.usage("proc").cpu
+
+
+@pytest.mark.parametrize(
+    ("samples", "mean", "most"),
+    [
+        ([(0.5, 0.25)], 0.5, 0.5),
+        ([(0.25 * k, 0.5 * 0.25 * k) for k in range(1, 13)], 0.5, 0.5),
+        # Busy from 1 s to 2 s with two cores, in windows of 1 s on the samples' grid.
+        ([(0.25 * k, 2 * min(max(0.25 * k - 1, 0), 1)) for k in range(1, 17)], 0.5, 2.0),
+        # Half a second of two cores is one core over any window of a second.
+        ([(0.1 * k, 2 * min(max(0.1 * k - 1, 0), 0.5)) for k in range(1, 31)], 1 / 3, 1.0),
+        # A late sample: its window begins between two samples.
+        ([(1.0, 0.0), (1.6, 0.6), (2.3, 1.3)], 1.3 / 2.3, 1.0),
+    ],
+)
+def test_windows(samples: list[tuple[float, float]], mean: float, most: float) -> None:
+    cpu = _account(samples)
+    assert (cpu.mean_cores, cpu.max_cores) == pytest.approx((mean, most))
+
+
+def test_memory_is_weighted_by_time_and_ends_with_the_algorithm() -> None:
+    account = Accounting(0.0)
+    for time, memory in ((0.1, 100), (1.1, 400), (2.1, 200)):
+        account.add(Sample(time, 0.0, memory, memory // 2))
+    account.add(Sample(4.1, 0.0, 9999, 9999), final=True)
+    memory = account.usage("cgroup-v1", kernel_peak=5000).memory
+    assert (memory.peak_bytes, memory.anonymous_peak_bytes, memory.kernel_peak_bytes) == (400, 200, 5000)
+    assert memory.mean_bytes == pytest.approx((100 + 400 + 2 * 200) / 4)
+
+
+@pytest.mark.parametrize(
+    ("others", "waited", "expected"), [(0.5, 0.3, 0.3), (0.2, 0.9, 0.2), (0.01, 0.9, 0.0), (0.9, 0.0, 0.0)]
+)
+def test_contention_takes_both(
+    monkeypatch: pytest.MonkeyPatch, others: float, waited: float, expected: float
+) -> None:
+    class Source:
+        total = 0.0
+
+        def pressure(self) -> float:
+            return self.total
+
+    busy = iter([10.0, 10.0 + 0.4 + others])
+    monkeypatch.setattr(accounting, "_busy_seconds", lambda _names: next(busy))
+    source: Any = Source()
+    contention = Contention([0], source, 0.0)
+    source.total = waited
+    contention.add(1.0, 0.4)
+    assert contention.seconds == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("sizes", [[10], [5000], [100] * 100, [1] * 20000, [9000, 3, 9000]])
+def test_bounded_log(tmp_path: Path, sizes: list[int]) -> None:
+    path = tmp_path / "log"
+    stream = b"".join(bytes([65 + k % 26]) * size for k, size in enumerate(sizes))
+    log = BoundedLog(str(path), 4096)
+    for k, size in enumerate(sizes):
+        log.write(bytes([65 + k % 26]) * size)
+    log.close()
+    kept = path.read_bytes()
+    if len(stream) <= 4096:
+        assert kept == stream
+    else:
+        message = f"\n[... {len(stream) - 4096} bytes left out ...]\n".encode()
+        assert kept == stream[:2048] + message + stream[-2048:]
+
+
+def test_tail_is_short() -> None:
+    assert clean_tail(b"".join(b"%d\n" % k for k in range(100))).split("\n") == [
+        str(k) for k in range(80, 100)
+    ]
+    assert len(clean_tail("é".encode() * 10000).encode()) <= 4096
+    assert clean_tail("a\u202eb\x9bc\td".encode() + b"\xff") == "abc\td\ufffd"
+
+
+def test_out_of_memory_of_the_machine() -> None:
+    assert judge(Ending(status=9, machine_oom_kills=1)).reason == "OutOfMemory"
+    assert judge(Ending(status=9)).reason == "AlgorithmFailed"
+    assert judge(Ending(status=0, machine_oom_kills=1)).reason is None
+
+
+V2 = {
+    "cpu.stat": "usage_usec 2500000\nuser_usec 1\nthrottled_usec 1500000\n",
+    "memory.current": "1000000\n",
+    "memory.stat": "anon 300000\nfile 600000\nkernel 5\ninactive_anon 7\ninactive_file 400000\n",
+    "memory.peak": "1200000\n",
+    "cgroup.procs": "12\n13\n",
+    "cpu.pressure": "some avg10=0.00 avg60=0.00 avg300=0.00 total=250000\nfull avg10=0.00 total=0\n",
+}
+V1 = {
+    "cpuacct/cpuacct.usage": "2500000000\n",
+    "cpuacct/cgroup.procs": "12\n13\n",
+    "memory/memory.usage_in_bytes": "1000000\n",
+    "memory/memory.max_usage_in_bytes": "1200000\n",
+    "memory/memory.stat": "cache 1\nrss 9\ninactive_file 9\ntotal_rss 300000\ntotal_inactive_file 400000\n",
+}
+
+
+def _write(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+@pytest.mark.parametrize(("name", "files"), [("cgroup-v2", V2), ("cgroup-v1", V1)])
+def test_sources_attach_where_a_container_shows_its_cgroup(
+    tmp_path: Path, name: str, files: dict[str, str]
+) -> None:
+    _write(tmp_path, files)
+    source = cgroup_source_at(str(tmp_path))
+    assert source is not None
+    assert source.name == name
+    assert source.read()[1:] == (2.5, 600000, 300000)
+    assert list(source.processes()) == [12, 13]
+    assert source.kernel_peak() == 1200000
+    assert source.pressure() == (0.25 if name == "cgroup-v2" else None)
+    source.close()
+
+
+def test_version_2_without_controllers_is_no_source(tmp_path: Path) -> None:
+    _write(tmp_path, {name: text for name, text in V2.items() if not name.startswith("memory")})
+    assert cgroup_source_at(str(tmp_path)) is None
+    with pytest.raises(FileNotFoundError):
+        CgroupV2Source(str(tmp_path))
+
+
+def test_no_cgroup_where_none_can_be_made(tmp_path: Path) -> None:
+    trees = [
+        Hierarchy(1, frozenset({"memory"}), str(tmp_path), str(tmp_path)),
+        Hierarchy(1, frozenset({"cpuacct"}), str(tmp_path), str(tmp_path / "missing")),
+        Hierarchy(2, frozenset(), str(tmp_path), str(tmp_path)),
+    ]
+    assert make_run_cgroup(ProcessIdentity(1, 2), trees) is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_parents_in_the_unified_tree() -> None:
+    tree = Hierarchy(2, frozenset(), "/sys/fs/cgroup", "/sys/fs/cgroup/user.slice/a.scope")
+    assert unified_parents([tree]) == [
+        "/sys/fs/cgroup/user.slice/a.scope",
+        "/sys/fs/cgroup/user.slice",
+        "/sys/fs/cgroup",
+    ]
+
+
+@pytest.fixture
+def owner() -> ProcessIdentity:
+    me = identify(os.getpid())
+    assert me is not None
+    if (group := make_run_cgroup(me)) is None:
+        pytest.skip("no cgroup with CPU and memory can be made here")
+    group.remove()
+    return me
+
+
+def test_stale_cgroups_are_swept_with_what_runs_in_them(
+    owner: ProcessIdentity, wait_for: Callable[..., Any]
+) -> None:
+    stale = make_run_cgroup(replace_start(owner))
+    living = make_run_cgroup(owner)
+    assert stale is not None
+    assert living is not None
+    process = subprocess.Popen(["sleep", "600"])
+    for directory in stale.directories:
+        with open(f"{directory}/cgroup.procs", "w") as file:  # noqa: PTH123
+            file.write(str(process.pid))
+    try:
+        assert set(sweep_stale_cgroups()) >= set(stale.directories)
+        assert process.wait(20) == -9
+        assert [os.path.exists(path) for path in living.directories] == [True] * len(living.directories)  # noqa: PTH110
+    finally:
+        assert living.remove()
+
+
+def replace_start(process: ProcessIdentity) -> ProcessIdentity:
+    """The process that had this pid before."""
+    return process._replace(start=process.start - 1)
+
+
+def test_groups_of_another_pid_namespace_are_left_alone(owner: ProcessIdentity) -> None:
+    parent = next(tree.directory for tree in own_hierarchies() if tree.version == 1 or not tree.controllers)
+    foreign = f"{parent}/slamhive-{owner.pid}-1-7"
+    os.mkdir(foreign)  # noqa: PTH102
+    try:
+        assert foreign not in sweep_stale_cgroups()
+    finally:
+        os.rmdir(foreign)  # noqa: PTH106
+
+
+def test_proc_source_of_another_process(wait_for: Callable[..., Any]) -> None:
+    thread = "t = threading.Thread(target=lambda: subprocess.run(['cat']))\nt.start()\nt.join()"
+    code = f"import threading, subprocess\n{thread}"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE) as process:
+        source = ProcSource(process.pid)
+        try:
+            wait_for(lambda: source.read() and len(source.processes()) == 2)
+            sample = source.read()
+            assert sample.cpu > 0
+            assert 0 < sample.anonymous < sample.memory
+            assert process.stdin is not None
+            process.stdin.close()
+            process.wait(20)
+            assert source.read().memory == 0
+            assert source.read().cpu >= sample.cpu
+        finally:
+            source.close()
+    with pytest.raises(ProcessLookupError):
+        ProcSource(process.pid)
+
+
+def test_spec_is_frozen() -> None:
+    assert replace(SPEC, data_seconds=2.0).data_seconds == 2.0
+    with pytest.raises(AttributeError):
+        SPEC.cwd = "/tmp"  # type: ignore[misc]
