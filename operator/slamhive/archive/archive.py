@@ -90,16 +90,21 @@ class Archive:
             algorithm: the Algorithm as the run used it.
             dataset: the Dataset as the run used it.
         """
+        row = run_row(record)
         with writing(self._engine) as connection:
-            self._put(connection, record, algorithm, dataset)
+            for column, entry in (("algorithm_hash", algorithm), ("dataset_hash", dataset)):
+                if entry is not None:
+                    self._put_entry(connection, entry)
+                    row[column] = entry.content_hash
+            self._put(connection, [record], [row])
 
     def put_runs(self, records: Iterable[RunRecord]) -> int:
         """Write many runs, in transactions of 500, and return their number."""
         iterator, total = iter(records), 0
         while batch := list(islice(iterator, BATCH)):
+            rows = [run_row(record) for record in batch]
             with writing(self._engine) as connection:
-                for record in batch:
-                    self._put(connection, record, None, None)
+                self._put(connection, batch, rows)
             total += len(batch)
         return total
 
@@ -113,7 +118,7 @@ class Archive:
             found = connection.execute(select(schema.runs.c.id).where(schema.runs.c.uid == uid)).scalar()
             if found is None:
                 raise UnknownNameError("run UID", uid, [], f"archive {self.location}")
-            self._put_results(connection, found, [result])
+            self._upsert_results(connection, [result_row(found, result)])
 
     def put_sweep(self, sweep: SweepRecord) -> None:
         """Write a sweep, in the place of what was there of its UID."""
@@ -264,46 +269,30 @@ class Archive:
             last = rows[-1]["id"]
             left = None if left is None else left - len(rows)
 
-    def _put(
-        self,
-        connection: Connection,
-        record: RunRecord,
-        algorithm: CatalogEntry | None,
-        dataset: CatalogEntry | None,
-    ) -> None:
-        row = run_row(record)
-        for column, entry in (("algorithm_hash", algorithm), ("dataset_hash", dataset)):
-            if entry is not None:
-                self._put_entry(connection, entry)
-                row[column] = entry.content_hash
-        run_id = self._upsert(connection, schema.runs, [row], ("uid",), returning="id")
-        self._put_results(connection, run_id, record.results)
+    def _put(self, connection: Connection, records: list[RunRecord], rows: list[dict[str, Any]]) -> None:
+        self._upsert(connection, schema.runs, rows, ("uid",))
+        columns = schema.runs.c
+        query = select(columns.uid, columns.id).where(columns.uid.in_([row["uid"] for row in rows]))
+        ids = {row.uid: row.id for row in connection.execute(query)}
+        self._upsert_results(
+            connection,
+            [result_row(ids[record.uid], result) for record in records for result in record.results],
+        )
 
     def _put_entry(self, connection: Connection, entry: CatalogEntry) -> None:
         table = _CATALOG[entry.kind]
-        statement = self._insert(table).values(catalog_row(entry)).on_conflict_do_nothing()
-        connection.execute(statement)
+        connection.execute(self._insert(table).on_conflict_do_nothing(), catalog_row(entry))
 
-    def _put_results(self, connection: Connection, run_id: int, results: Iterable[Result]) -> None:
-        rows = [result_row(run_id, result) for result in results]
+    def _upsert_results(self, connection: Connection, rows: list[dict[str, Any]]) -> None:
         if rows:
             self._upsert(connection, schema.results, rows, ("run_id", "evaluation"))
 
     def _upsert(
-        self,
-        connection: Connection,
-        table: Table,
-        rows: list[dict[str, Any]],
-        key: tuple[str, ...],
-        returning: str | None = None,
-    ) -> Any:
-        statement = self._insert(table).values(rows)
+        self, connection: Connection, table: Table, rows: list[dict[str, Any]], key: tuple[str, ...]
+    ) -> None:
+        statement = self._insert(table)
         changes = {name: statement.excluded[name] for name in rows[0] if name not in key}
-        statement = statement.on_conflict_do_update(index_elements=list(key), set_=changes)
-        if returning is None:
-            connection.execute(statement)
-            return None
-        return connection.execute(statement.returning(table.c[returning])).scalar_one()
+        connection.execute(statement.on_conflict_do_update(index_elements=list(key), set_=changes), rows)
 
     def _insert(self, table: Table) -> Any:
         """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""

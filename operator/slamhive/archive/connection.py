@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 BUSY_SECONDS = 30
 """How long a writer waits for another one's transaction."""
 
+_SQLITE_SETTINGS = (
+    f"busy_timeout = {BUSY_SECONDS * 1000}",
+    "foreign_keys = ON",
+    "journal_mode = WAL",
+    "synchronous = FULL",
+)
 _LOCK_KEY = 0x51A_711E
 _DRIVERS = {"sqlite": "sqlite+pysqlite", "postgresql": "postgresql+psycopg", "postgres": "postgresql+psycopg"}
 
@@ -45,8 +51,12 @@ def connect(url: str) -> Engine:
         ) from None
     if parsed.get_backend_name() == "sqlite":
         _tune_sqlite(engine)
-    with failures(parsed):
-        _prepare(engine, shown(parsed))
+    try:
+        with failures(parsed):
+            _prepare(engine, shown(parsed))
+    except BaseException:
+        engine.dispose()
+        raise
     return engine
 
 
@@ -122,12 +132,12 @@ def _tune_sqlite(engine: Engine) -> None:
     def prepare(connection: Any, _record: Any) -> None:
         # The driver's own transactions begin too late; the event below begins them.
         connection.isolation_level = None
-        cursor = connection.cursor()
-        cursor.execute(f"PRAGMA busy_timeout = {BUSY_SECONDS * 1000}")
-        cursor.execute("PRAGMA foreign_keys = ON")
-        cursor.execute("PRAGMA journal_mode = WAL")
-        cursor.execute("PRAGMA synchronous = FULL")
-        cursor.close()
+        try:
+            for setting in _SQLITE_SETTINGS:
+                connection.execute(f"PRAGMA {setting}").close()
+        except Exception:
+            connection.close()
+            raise
 
     def begin(connection: Connection) -> None:
         write = connection.get_execution_options().get("slamhive_write")
