@@ -18,11 +18,11 @@ VERSION = "v1alpha1"
 API_VERSION = f"{GROUP}/{VERSION}"
 
 _DURATION = r"^([0-9]{1,5}(h|m|s|ms)){1,4}$"
-_QUANTITY = r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$"
+QUANTITY_PATTERN = r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$"
 _NAME = r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$"
 _MEANINGS = {
     _DURATION: "expected a duration such as 90s, 1h30m or 250ms",
-    _QUANTITY: "expected a quantity such as 2, 500m or 4Gi",
+    QUANTITY_PATTERN: "expected a quantity such as 2, 500m or 4Gi",
     _NAME: "expected a name of lower-case letters, digits, - and .",
 }
 _UNIT_SECONDS = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 0.001}
@@ -52,8 +52,8 @@ def _integer_as_text(value: object) -> object:
 
 Quantity = Annotated[
     str,
+    StringConstraints(pattern=QUANTITY_PATTERN),
     BeforeValidator(_integer_as_text),
-    StringConstraints(pattern=_QUANTITY),
     Field(description="A quantity as Kubernetes writes it, such as 2, 500m or 4Gi."),
 ]
 Name = Annotated[

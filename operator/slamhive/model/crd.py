@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CustomResourceDefinitions, generated from the models.
+
+``python -m slamhive.model.crd crds/`` writes them; a test compares the committed files with the models.
+The schemas are structural as Kubernetes asks: every node has one type, references and unions are resolved,
+and values of any type are marked to be kept as they are.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any, get_args
+
+import yaml
+from pydantic import BaseModel
+
+from slamhive.model.algorithm import Algorithm
+from slamhive.model.base import GROUP, QUANTITY_PATTERN, VERSION
+from slamhive.model.crd_rules import (
+    EXTRA,
+    FROZEN,
+    LENGTHS,
+    LIST_LENGTH,
+    MAP_LENGTH,
+    PATTERN_LENGTH,
+    RULES,
+    TEXT_LENGTH,
+)
+from slamhive.model.crd_status import COLUMNS, statuses
+from slamhive.model.dataset import Dataset
+from slamhive.model.evaluation import Evaluation
+from slamhive.model.run import MappingRun, MappingRunSpec
+from slamhive.model.sweep import Sweep
+
+Schema = dict[str, Any]
+
+KEEP = "x-kubernetes-preserve-unknown-fields"
+_KINDS: dict[str, tuple[type[BaseModel], str, tuple[str, ...]]] = {
+    "Algorithm": (Algorithm, "algorithms", ("algo",)),
+    "Dataset": (Dataset, "datasets", ("dset",)),
+    "Evaluation": (Evaluation, "evaluations", ("eval",)),
+    "MappingRun": (MappingRun, "mappingruns", ("mrun",)),
+    "Sweep": (Sweep, "sweeps", ("sw",)),
+}
+_COPIED = ("description", "enum", "pattern", "minLength", "maxLength", "minItems", "maxItems", "format")
+_NAME_LIMIT = 63
+
+
+class _Converter:
+    """Turns the JSON schema of a model into a structural one."""
+
+    def __init__(self, model: type[BaseModel]) -> None:
+        self._model = model
+        schema = model.model_json_schema(by_alias=True)
+        self._definitions: dict[str, Schema] = schema.pop("$defs", {})
+        self._schema = schema
+        self._models = {item.__name__: item for item in _reachable(model)}
+
+    def convert(self) -> Schema:
+        """Return the schema of the model itself."""
+        return self._node(self._schema | {"title": self._model.__name__}, self._model.__name__)
+
+    def _node(self, schema: Schema, where: str) -> Schema:
+        if "$ref" in schema:
+            target = self._definitions[schema["$ref"].rsplit("/", 1)[-1]]
+            schema = target | {key: value for key, value in schema.items() if key != "$ref"}
+            schema["title"] = target["title"]
+        options = [item for item in schema.get("anyOf", []) if item.get("type") != "null"]
+        if len(options) == 1:
+            outer = {key: value for key, value in schema.items() if key not in {"anyOf", "title"}}
+            return self._node(options[0] | outer, where)
+        result = {key: schema[key] for key in _COPIED if key in schema}
+        if schema.get("default") is not None:
+            result["default"] = schema["default"]
+        if len(options) > 1 or not (schema.keys() & {"type", "const", "enum"}):
+            return result | {KEEP: True, "nullable": True}
+        if "const" in schema:
+            result["enum"] = [schema["const"]]
+        return self._typed(schema, result, where)
+
+    def _typed(self, schema: Schema, result: Schema, where: str) -> Schema:
+        kind = schema.get("type", "string")
+        result["type"] = kind
+        match kind:
+            case "object" if "properties" in schema:
+                self._record(schema, result)
+            case "object":
+                self._map(schema, result, where)
+            case "array":
+                result["items"] = self._node(schema.get("items", {}), f"{where}[]")
+                result.setdefault("maxItems", LENGTHS.get(where, LIST_LENGTH))
+            case "string" if result.get("pattern") == QUANTITY_PATTERN:
+                del result["type"]
+                result |= {"x-kubernetes-int-or-string": True, "maxLength": _NAME_LIMIT}
+                result["anyOf"] = [{"type": "integer"}, {"type": "string"}]
+            case "string" if "enum" not in result and "format" not in result:
+                usual = PATTERN_LENGTH if "pattern" in result else TEXT_LENGTH
+                result.setdefault("maxLength", LENGTHS.get(where, usual))
+            case "integer":
+                result["format"] = "int64"
+        _bounds(schema, result)
+        return result | EXTRA.get(where, {})
+
+    def _map(self, schema: Schema, result: Schema, where: str) -> None:
+        values = (
+            self._node(schema["additionalProperties"], f"{where}[]") if _values_of(schema) else {KEEP: True}
+        )
+        if KEEP in values and "type" not in values:
+            result[KEEP] = True
+        else:
+            result["additionalProperties"] = values
+        result.setdefault("maxProperties", LENGTHS.get(where, MAP_LENGTH))
+
+    def _record(self, schema: Schema, result: Schema) -> None:
+        name = schema["title"]
+        fields = {f.alias or key: f for key, f in self._models[name].model_fields.items()}
+        properties: Schema = {}
+        for key, item in schema["properties"].items():
+            node = _special(name, key) or self._node(item, f"{name}.{key}")
+            if fields[key].default_factory is not None:
+                node["default"] = _default(fields[key].get_default(call_default_factory=True))
+            if "default" in node and "properties" in node:
+                node["default"] = {}  # its own fields' defaults fill it
+            properties[key] = node
+        result["properties"] = properties
+        if schema.get("required"):
+            result["required"] = list(schema["required"])
+        result |= EXTRA.get(name, {})
+        rules = [{"rule": rule, "message": message} for rule, message in RULES.get(name, ())]
+        if rules:
+            result["x-kubernetes-validations"] = rules
+
+
+def _values_of(schema: Schema) -> bool:
+    return isinstance(schema.get("additionalProperties"), dict)
+
+
+def _bounds(schema: Schema, result: Schema) -> None:
+    for name, exclusive in (("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaximum")):
+        if name in schema:
+            result[name] = schema[name]
+        elif exclusive in schema:
+            result |= {name: schema[exclusive], exclusive: True}
+
+
+def _default(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json", by_alias=True, exclude_none=True)
+    if isinstance(value, list | tuple):
+        return [_default(item) for item in value]
+    return value if not hasattr(value, "value") else str(value)
+
+
+def _special(model: str, field: str) -> Schema | None:
+    """Return the schema of fields that the models leave open and an API server needn't."""
+    if (model, field) != ("RunTemplate", "spec"):
+        return None
+    spec = without_defaults(convert(MappingRunSpec))
+    spec.pop("required", None)
+    return spec | {"description": "Fields of a MappingRun's spec; axes set or replace them.", "default": {}}
+
+
+def without_defaults(schema: Schema) -> Schema:
+    """Return a schema in which nothing is filled in."""
+    result: Schema = {}
+    for key, value in schema.items():
+        if key == "properties":
+            result[key] = {name: without_defaults(item) for name, item in value.items()}
+        elif key in {"items", "additionalProperties"}:
+            result[key] = without_defaults(value)
+        elif key == "x-kubernetes-validations":
+            result[key] = [_tolerant(rule) for rule in value]
+        elif key != "default":
+            result[key] = value
+    return result
+
+
+def _tolerant(rule: Schema) -> Schema:
+    """Return a rule that allows the field to be absent which its message names."""
+    name = rule["message"].split(":")[0]
+    return (
+        rule
+        if f"has(self.{name})" in rule["rule"]
+        else rule | {"rule": f"!has(self.{name}) || {rule['rule']}"}
+    )
+
+
+def _reachable(model: Any) -> set[type[BaseModel]]:
+    found: set[type[BaseModel]] = set()
+    waiting = [model]
+    while waiting:
+        item = waiting.pop()
+        if isinstance(item, type) and issubclass(item, BaseModel):
+            if item not in found:
+                found.add(item)
+                waiting.extend(field.annotation for field in item.model_fields.values())
+        else:
+            waiting.extend(get_args(item))
+    return found
+
+
+def convert(model: type[BaseModel]) -> Schema:
+    """Return the structural schema of a model."""
+    return _Converter(model).convert()
+
+
+def visible(schema: Schema) -> bool:
+    """Tell whether rules in CEL can see a value of a schema."""
+    if "x-kubernetes-int-or-string" in schema:
+        return True
+    if "type" not in schema or (KEEP in schema and "properties" not in schema):
+        return False
+    inner = schema.get("items") or schema.get("additionalProperties")
+    return visible(inner) if isinstance(inner, dict) else True
+
+
+def _freeze(kind: str, spec: Schema) -> None:
+    if kind not in FROZEN:
+        return
+    fields = FROZEN[kind]
+    rules = spec.setdefault("x-kubernetes-validations", [])
+    text = f"cannot change once created; create another {kind} with a new name"
+    if fields is None:
+        rules.append({"rule": "self == oldSelf", "message": f"spec: {text}"})
+        return
+    for name in fields:
+        if not visible(spec["properties"][name]):
+            continue
+        same = f"self.{name} == oldSelf.{name}"
+        if name not in spec.get("required", []):
+            same = f"has(self.{name}) == has(oldSelf.{name}) && (!has(self.{name}) || {same})"
+        rules.append({"rule": same, "message": f"{name}: {text}", "fieldPath": f".{name}"})
+
+
+def definition(kind: str) -> Schema:
+    """Return the CustomResourceDefinition of a kind."""
+    model, plural, short = _KINDS[kind]
+    spec = convert(model.model_fields["spec"].annotation)  # type: ignore[arg-type]
+    _freeze(kind, spec)
+    schema = {
+        "type": "object",
+        "description": (model.__doc__ or "").strip(),
+        "required": ["spec"],
+        "properties": {
+            "apiVersion": {"type": "string"},
+            "kind": {"type": "string"},
+            "metadata": {"type": "object"},
+            "spec": spec,
+            "status": statuses(convert)[kind],
+        },
+        "x-kubernetes-validations": [
+            {
+                "rule": f"size(self.metadata.name) <= {_NAME_LIMIT}",
+                "message": f"metadata.name: at most {_NAME_LIMIT} characters, since it becomes a label",
+            }
+        ],
+    }
+    version = {
+        "name": VERSION,
+        "served": True,
+        "storage": True,
+        "schema": {"openAPIV3Schema": schema},
+        "subresources": {"status": {}},
+        "additionalPrinterColumns": COLUMNS[kind],
+    }
+    names = {
+        "kind": kind,
+        "listKind": f"{kind}List",
+        "plural": plural,
+        "singular": kind.lower(),
+        "shortNames": list(short),
+        "categories": ["slamhive"],
+    }
+    return {
+        "apiVersion": "apiextensions.k8s.io/v1",
+        "kind": "CustomResourceDefinition",
+        "metadata": {"name": f"{plural}.{GROUP}"},
+        "spec": {"group": GROUP, "names": names, "scope": "Namespaced", "versions": [version]},
+    }
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes without anchors, so that the files are plain."""
+
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - the base class' signature
+        return True
+
+
+def render(kind: str) -> str:
+    """Return the CustomResourceDefinition of a kind as YAML."""
+    body = yaml.dump(definition(kind), Dumper=_Dumper, sort_keys=False, width=100, allow_unicode=True)
+    return "# Generated by python -m slamhive.model.crd; do not edit.\n" + body
+
+
+def files() -> dict[str, str]:
+    """Return the content of each generated file by its name."""
+    return {f"{GROUP}_{plural}.yaml": render(kind) for kind, (_, plural, _) in _KINDS.items()}
+
+
+def main(arguments: list[str]) -> int:
+    """Write the files to a folder."""
+    if len(arguments) != 1:
+        sys.stderr.write("usage: python -m slamhive.model.crd FOLDER\n")
+        return 2
+    folder = Path(arguments[0])
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files().items():
+        (folder / name).write_text(content, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a CRD says beyond the types of the models: rules in CEL, bounds, and what may not change.
+
+The rules are those of the models' own validators, in the words of the API server. CEL sees neither typeless
+values nor what holds nothing else, such as parameters, an axis' values, include and exclude: what can be
+said of those without CEL is in EXTRA, the rest is checked by `slamhive validate` and by the operator.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slamhive.model.sweep import MAX_POINTS
+
+Rule = tuple[str, str]
+
+_ROLES = "'camera', 'left', 'right', 'color', 'depth', 'lidar', 'imu'"
+_SELECTABLE = "'algorithm', 'dataset', 'algorithmRef.name', 'datasetRef.name'"
+
+RULES: dict[str, tuple[Rule, ...]] = {
+    "AlgorithmSpec": (
+        ("has(self.image) || has(self.local)", "image: needed, or local for a program without a container"),
+        (
+            "!self.paces.exists(pace, pace == 'Realtime') || has(self.realtime)",
+            "realtime: needed for the pace Realtime (queue and drop policy)",
+        ),
+    ),
+    "Asset": (
+        ("has(self.path) != has(self.url)", "path: give either path or url"),
+        ("!has(self.url) || has(self.sha256)", "sha256: needed with a url"),
+    ),
+    "DataFile": (("!has(self.url) || has(self.sha256)", "sha256: needed with a url"),),
+    "Recording": (
+        ("(size(self.files) > 0) != has(self.synthetic)", "files: give either files or synthetic"),
+    ),
+    "GroundTruth": (("has(self.file) != has(self.topic)", "file: give either file or topic"),),
+    "DatasetSpec": (
+        (
+            "size(self.sensors) > 0 || has(self.recording.synthetic)",
+            "sensors: name at least one, as only a synthetic recording brings its own",
+        ),
+        (
+            (
+                "!has(self.groundTruth) || size(self.sensors) == 0 || has(self.groundTruth.T_body_frame)"
+                " || self.groundTruth.frame == 'body' || self.groundTruth.frame in self.sensors"
+            ),
+            "groundTruth.frame: must be body or the name of a sensor, or T_body_frame must be given",
+        ),
+    ),
+    "Sensor": (
+        (
+            "!has(self.camera) || self.type == 'Camera' || self.type == 'DepthCamera'",
+            "camera: only a sensor of type Camera or DepthCamera takes it",
+        ),
+        ("!has(self.lidar) || self.type == 'Lidar'", "lidar: only a sensor of type Lidar takes it"),
+        ("!has(self.imu) || self.type == 'Imu'", "imu: only a sensor of type Imu takes it"),
+        ("self.T_body_sensor[3] == [0.0, 0.0, 0.0, 1.0]", "T_body_sensor: the last row must be 0 0 0 1"),
+    ),
+    "SyntheticLidar": (("self.minRange < self.maxRange", "maxRange: must be greater than minRange"),),
+    "SyntheticCamera": (
+        (
+            "self.exposureSeconds * self.rate <= 1.0",
+            "exposureSeconds: at most the time of a frame, 1 / rate, is possible",
+        ),
+    ),
+    "SyntheticRecording": (
+        (
+            "!has(self.speed) || !has(self.durationSeconds)",
+            "speed: excludes durationSeconds; with loops, one gives the other",
+        ),
+    ),
+    "LidarInput": (
+        (
+            "!has(self.minRange) || !has(self.maxRange) || self.minRange < self.maxRange",
+            "maxRange: must be greater than minRange",
+        ),
+    ),
+    "InputOptions": (
+        (
+            f"self.remap.all(role, role in [{_ROLES}])",
+            f"remap: its keys are roles: {_ROLES.replace(chr(39), '')}",
+        ),
+    ),
+    "RunSelector": (
+        (
+            "size(self.names) > 0 || has(self.sweepRef) || size(self.matchLabels) > 0",
+            "runs: name runs by names, sweepRef or matchLabels",
+        ),
+    ),
+    "Range": (
+        ("has(self.step) != has(self.count)", "step: give either step or count"),
+        (
+            "self.scale != 'Log' || (has(self.count) && self.from > 0.0 && self.to > 0.0)",
+            "scale: Log needs count, and from and to above zero",
+        ),
+        ("!has(self.step) || self.to >= self.from", "to: must not be below from"),
+    ),
+    "Axis": (
+        (
+            f"!has(self.selector) || (has(self.path) && self.path in [{_SELECTABLE}])",
+            "selector: selects algorithms or datasets, so path must be algorithm or dataset",
+        ),
+    ),
+}
+"""Rules by the name of the model; each message begins with the field."""
+
+_AXIS_SOURCES = ("values", "range", "selector")
+EXTRA: dict[str, dict[str, Any]] = {
+    "Axis": {
+        "oneOf": [
+            *({"required": [source, "path"]} for source in _AXIS_SOURCES),
+            {"required": ["points", "name"], "not": {"required": ["path"]}},
+        ]
+    },
+    "AlgorithmSpec.modes": {"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["name"]},
+    "SyntheticRecording.sensors": {"x-kubernetes-list-type": "set"},
+}
+"""Schema to add to a model, or to a field of one."""
+
+FROZEN: dict[str, tuple[str, ...] | None] = {
+    "Algorithm": None,
+    "Dataset": None,
+    "MappingRun": (
+        "algorithmRef",
+        "datasetRef",
+        "sensors",
+        "parameters",
+        "input",
+        "repetition",
+        "seed",
+        "resources",
+        "timeout",
+        "retries",
+        "evaluate",
+    ),
+    "Sweep": ("template", "matrix", "repetitions", "search"),
+}
+"""Fields of a kind's spec that may not change, None for all of them."""
+
+_SMALL = 64
+LENGTHS: dict[str, int] = {
+    "Axis.values": MAX_POINTS,
+    "Axis.path": 512,
+    "AlgorithmSpec.paces": 2,
+    "AlgorithmSpec.modes": 7,
+    "AlgorithmSpec.recording": 4,
+    "AlgorithmSpec.parameters": 1000,
+    "Axis.points": 10_000,
+    "DatasetSpec.sensors": _SMALL,
+    "InputOptions.remap": 7,
+    "Mode.roles": 7,
+    "Parameter.values": 1000,
+    "Recording.files": 10_000,
+    "RunSelector.names": 10_000,
+    "SyntheticRecording.sensors": 4,
+    "GroundTruth.holes": 1000,
+}
+"""Greatest length of a field; the API server must know one to bound the cost of rules."""
+TEXT_LENGTH, PATTERN_LENGTH, LIST_LENGTH, MAP_LENGTH = 4096, 1024, 256, 256
+"""Greatest lengths where neither the model nor LENGTHS has one."""
