@@ -180,7 +180,7 @@ def _degenerate(
 def _yaw(covariance: FloatArray, reference: Trajectory, estimate: Trajectory, notes: list[str]) -> FloatArray:
     """The turn about z that maximises trace(Rzᵀ·covariance)."""
     sine, cosine = covariance[1, 0] - covariance[0, 1], covariance[0, 0] + covariance[1, 1]
-    size = np.sqrt(np.sum(np.var(reference.positions, axis=0)) * np.sum(np.var(estimate.positions, axis=0)))
+    size = np.std(reference.positions, axis=0).max() * np.std(estimate.positions, axis=0).max()
     if np.hypot(sine, cosine) <= _RANK_TOLERANCE * size or stands_still(estimate.positions):
         notes.append(
             "the positions don't determine a yaw (no common horizontal motion); the orientations did"

@@ -113,7 +113,7 @@ def interpolate(
     before = np.where(exact, after, np.maximum(after - 1, 0))
     span = stamps[after] - stamps[before]
     inside = (wanted >= stamps[0]) & (wanted <= stamps[-1])
-    found = exact | (inside & (span <= max_gap_seconds))
+    found = inside & (span <= max_gap_seconds)
     share = np.where(span > 0, (wanted - stamps[before]) / np.where(span > 0, span, 1.0), 0.0)
     share = np.where(found, share, 0.0)
     p, q = trajectory.positions, trajectory.quaternions

@@ -151,7 +151,9 @@ def parse_table(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            table: FloatArray = np.loadtxt(io.StringIO(text), dtype=np.float64, ndmin=2)
+            # A buffer of bytes: StringIO would hold four for each character.
+            lines = io.TextIOWrapper(io.BytesIO(text.encode()), encoding="utf-8")
+            table: FloatArray = np.loadtxt(lines, dtype=np.float64, ndmin=2)
     except ValueError:
         _raise_bad_line(path, text, columns, meaning, extra=extra)
         raise FileError(path, f"can't be read as lines of {columns} numbers: {meaning}") from None

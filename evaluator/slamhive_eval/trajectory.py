@@ -23,8 +23,8 @@ SMALLEST_QUATERNION_COMPONENT = 1e-3
 LARGEST_STAMP_SECONDS = 1e12
 """30,000 years: stamps beyond are milliseconds, microseconds or nanoseconds by mistake."""
 
-LARGEST_METRES = 1e100
-"""Beyond this squares overflow; only a broken program gets there."""
+LARGEST_METRES = 1e30
+"""A thousand times the observable universe: squares still fit, only a broken program gets there."""
 
 _COLUMNS = ("time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
@@ -73,6 +73,16 @@ class Trajectory:
         if fault is not None:
             raise TrajectoryError(f"pose {fault.row} of {n}: {fault.message}")
         quaternions = rotation.normalize(quaternions / np.abs(quaternions).max(axis=1, keepdims=True))
+        self._set(stamps, positions, quaternions)
+
+    @classmethod
+    def _derived(cls, stamps: FloatArray, positions: FloatArray, quaternions: FloatArray) -> Trajectory:
+        """One made from checked trajectories, which alignment may carry beyond the limits of a file."""
+        made = object.__new__(cls)
+        made._set(stamps, positions, quaternions)
+        return made
+
+    def _set(self, stamps: FloatArray, positions: FloatArray, quaternions: FloatArray) -> None:
         for name, array in (("stamps", stamps), ("positions", positions), ("quaternions", quaternions)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -92,7 +102,7 @@ class Trajectory:
 
     def select(self, index: npt.NDArray[np.intp] | slice) -> Trajectory:
         """The poses at the given indices, which must not decrease; repetitions are allowed."""
-        return Trajectory(self.stamps[index], self.positions[index], self.quaternions[index])
+        return self._derived(self.stamps[index], self.positions[index], self.quaternions[index])
 
     def transformed(self, matrix: FloatArray, translation: FloatArray, scale: float = 1.0) -> Trajectory:
         """The same path in another world frame: p' = R·(s·p) + t and R' = R·R_pose.
@@ -106,9 +116,8 @@ class Trajectory:
             The moved trajectory with unchanged stamps.
         """
         positions = rotation.apply_matrix(matrix, scale * self.positions) + translation
-        return Trajectory(
-            self.stamps, positions, rotation.multiply(rotation.from_matrix(matrix), self.quaternions)
-        )
+        turned = rotation.multiply(rotation.from_matrix(matrix), self.quaternions)
+        return self._derived(self.stamps, positions, rotation.normalize(turned))
 
     def moved(self, extrinsic: FloatArray) -> Trajectory:
         """The path of another frame fixed to the body: T_world_sensor = T_world_body · T_body_sensor.
@@ -124,10 +133,11 @@ class Trajectory:
         """
         matrix = check_rigid(extrinsic)
         lever = np.broadcast_to(matrix[:3, 3], self.positions.shape)
-        return Trajectory(
+        turned = rotation.multiply(self.quaternions, rotation.from_matrix(matrix[:3, :3]))
+        return self._derived(
             self.stamps,
             self.positions + rotation.rotate(self.quaternions, lever),
-            rotation.multiply(self.quaternions, rotation.from_matrix(matrix[:3, :3])),
+            rotation.normalize(turned),
         )
 
 

@@ -49,6 +49,6 @@ def wander(n: int = 200, seed: int = 0, rate: float = 10.0, start: float = 1.6e9
     )
 
 
-@pytest.fixture(name="wander")
+@pytest.fixture(scope="session", name="wander")
 def wander_fixture() -> Callable[..., Trajectory]:
     return wander

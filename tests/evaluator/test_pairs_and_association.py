@@ -55,6 +55,10 @@ def test_the_second_of_equally_long_ones_counts_as_the_shorter() -> None:
     assert found.estimate.tolist() == [0, 1, 2]
 
 
+def test_of_equal_stamps_the_last_is_taken_as_in_evo() -> None:
+    assert associate(at([1.0, 2.0, 2.0, 3.0]), at([2.0, 2.005])).reference.tolist() == [2, 2]
+
+
 @settings(max_examples=200, deadline=None)
 @given(steps, st.sampled_from((0.25, 0.5, 1.0)), st.sampled_from((0.0, 0.25, 1.0)))
 def test_all_pairs_by_path_and_time(lengths: list[float], delta: float, tolerance: float) -> None:
