@@ -225,9 +225,8 @@ def sweep_stale_cgroups(hierarchies: Sequence[Hierarchy] | None = None) -> list[
         The directories removed.
     """
     trees = own_hierarchies() if hierarchies is None else hierarchies
-    parents = {tree.directory for tree in trees if tree.version == 1} | set(unified_parents(trees))
     removed = []
-    for directory in (f"{parent}/{name}" for parent in sorted(parents) for name in _names(parent)):
+    for directory in sorted(path for tree in trees for path in _groups(tree.mount)):
         owner = _owner(directory.rpartition("/")[2])
         if owner is None or is_alive(owner):
             continue
@@ -256,11 +255,12 @@ def _owner(name: str) -> ProcessIdentity | None:
     return ProcessIdentity(pid, start) if namespace == pid_namespace() else None
 
 
-def _names(directory: str) -> list[str]:
-    try:
-        return [name for name in os.listdir(directory) if name.startswith(f"{PREFIX}-")]  # noqa: PTH208
-    except OSError:
-        return []
+def _groups(mount: str) -> list[str]:
+    """Return the groups of ours in a tree; a dead supervisor may have been elsewhere in it than we are."""
+    found = []
+    for directory, names, _ in os.walk(mount):
+        found += [f"{directory}/{name}" for name in names if name.startswith(f"{PREFIX}-")]
+    return found
 
 
 def _identities(processes: Callable[[], Sequence[int]]) -> list[ProcessIdentity]:

@@ -6,8 +6,9 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import time
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.monitor.processes import set_parent_death_signal
 
@@ -24,7 +25,23 @@ class LaunchError(Exception):
     """An algorithm could not be started; the message says why."""
 
 
-def launch(spec: SupervisorSpec, environment: dict[str, str], output: int, cgroups: Sequence[str]) -> int:
+class Launched(NamedTuple):
+    """An algorithm that was started.
+
+    Attributes:
+        pid: Its first process.
+        start: When it became the algorithm, monotonic clock, s: entering a cgroup can take 20 ms before that.
+        cpu: CPU seconds the process had used by then, which are not the algorithm's.
+    """
+
+    pid: int
+    start: float
+    cpu: float
+
+
+def launch(
+    spec: SupervisorSpec, environment: dict[str, str], output: int, cgroups: Sequence[str]
+) -> Launched:
     """Start the algorithm.
 
     Args:
@@ -32,9 +49,6 @@ def launch(spec: SupervisorSpec, environment: dict[str, str], output: int, cgrou
         environment: Its complete environment.
         output: Descriptor for its stdout and stderr.
         cgroups: Directories of the cgroups to join.
-
-    Returns:
-        Its pid.
 
     Raises:
         LaunchError: The program, the working directory or a processor isn't there.
@@ -46,10 +60,11 @@ def launch(spec: SupervisorSpec, environment: dict[str, str], output: int, cgrou
         _become(spec, environment, output, cgroups, supervisor=supervisor, told=told)
     os.close(told)
     with open(report, "rb") as file:  # noqa: PTH123
-        problem = file.read()
-    if problem:
-        raise LaunchError(problem.decode("utf-8", "replace"))
-    return pid
+        start, _, problem = file.read().decode("utf-8", "replace").partition("\n")
+    if problem or not start:
+        raise LaunchError(problem or "it was killed before it began")
+    moment, cpu = map(float, start.split())
+    return Launched(pid, moment, cpu)
 
 
 def _become(
@@ -61,7 +76,11 @@ def _become(
     supervisor: int,
     told: int,
 ) -> None:
-    """Turn this child into the algorithm; `told` closes by itself when that succeeds."""
+    """Turn this child into the algorithm.
+
+    `told` takes a line with time and CPU before that moment, and what went wrong; it closes by itself when
+    nothing did.
+    """
     step = "prepare the process"
     try:
         os.setsid()
@@ -84,10 +103,12 @@ def _become(
         for directory in cgroups:
             _write(f"{directory}/cgroup.procs", b"0")
         step = f"start {spec.argv[0]}"
+        os.write(told, f"{time.monotonic()} {time.process_time()}\n".encode())
         os.execvpe(spec.argv[0], spec.argv, environment)  # noqa: S606 - the algorithm itself
     except (OSError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) else "no such number"
-        os.write(told, f"cannot {step}: {reason}".encode())
+        separator = "" if step.startswith("start ") else "\n"
+        os.write(told, f"{separator}cannot {step}: {reason}".encode())
     finally:
         os._exit(127)
 

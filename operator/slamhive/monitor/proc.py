@@ -41,6 +41,7 @@ class ProcSource:
         self._members: dict[int, _Member] = {}
         self._search_at = 0.0
         self._cpu = 0.0
+        self._left_out = 0.0
         if root is not None and not self._add(root):
             raise ProcessLookupError(f"process {root} is gone")
 
@@ -64,8 +65,12 @@ class ProcSource:
                 continue
             resident += pages
             anonymous += pages - shared
-        self._cpu = max(self._cpu, cpu)
+        self._cpu = max(self._cpu, cpu - self._left_out)
         return Sample(time.monotonic(), self._cpu, resident * _PAGE, max(anonymous, 0) * _PAGE)
+
+    def leave_out(self, cpu_seconds: float) -> None:
+        """Leave out CPU seconds that were used before the tree's first process became what is watched."""
+        self._left_out = cpu_seconds
 
     def processes(self) -> list[int]:
         """Return the ids of the tree's processes as last seen."""

@@ -105,6 +105,7 @@ class Supervisor:
             os.set_blocking(descriptor, False)
         self._poll.register(self._wake, select.POLLIN)
         signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
+        signal.pthread_sigmask(signal.SIG_SETMASK, ())
         for number in (*_STOP_SIGNALS, _PARENT_SIGNAL):
             signal.signal(number, lambda number, _frame: self._signals.append(number))
         signal.signal(signal.SIGCHLD, lambda _number, _frame: None)
@@ -118,16 +119,18 @@ class Supervisor:
         spec = self._spec
         throttled, oom_kills = host_throttled(), _machine_oom_kills()
         self._pipe = OutputPipe(self._log, self._poll)
-        started_at, self._start = time.time(), time.monotonic()
-        self._accounting = Accounting(self._start)
-        self._contention = Contention(spec.cpus, self._source, self._start)
+        self._start = time.monotonic()
         self._follow_signals(self._start)
         if self._stop is None:
             try:
                 self._launch()
-                self._watch()
             except LaunchError as error:
                 self._stop = Stop(Reason.ALGORITHM_FAILED, str(error))
+        started_at = time.time() - (time.monotonic() - self._start)
+        self._accounting = Accounting(self._start)
+        self._contention = Contention(spec.cpus, self._source, self._start)
+        if self._stop is None:
+            self._watch()
         finished, left = self._finish()
         usage = self._usage(finished, throttled)
         self._close_files()
@@ -154,8 +157,10 @@ class Supervisor:
         record = ProcessRecord(boot_id(), pid_namespace(), self._me, None, groups)
         record.write(self._spec.process_path)
         environment = {**self._spec.env, TOKEN: record.token}
-        self._start = time.monotonic()
-        self._algorithm = launch(self._spec, environment, self._pipe.writer, groups)
+        started = launch(self._spec, environment, self._pipe.writer, groups)
+        self._algorithm, self._start = started.pid, started.start
+        if isinstance(self._source, ProcSource):
+            self._source.leave_out(started.cpu)
         replace(record, algorithm=identify(self._algorithm)).write(self._spec.process_path)
 
     def _watch(self) -> None:
