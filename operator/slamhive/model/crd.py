@@ -120,8 +120,6 @@ class _Converter:
             node = _special(name, key) or self._node(item, f"{name}.{key}")
             if fields[key].default_factory is not None:
                 node["default"] = _default(fields[key].get_default(call_default_factory=True))
-            if "default" in node and "properties" in node:
-                node["default"] = {}  # its own fields' defaults fill it
             properties[key] = node
         result["properties"] = properties
         if schema.get("required"):
