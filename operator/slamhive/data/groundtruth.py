@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamhive.data.entries import recording_sha256
 from slamhive.data.once import make_once
 from slamhive.data.posetopics import poses_of_topic
 from slamhive.data.recordings import open_recording
-from slamhive.data.store import file_sha256, recording_sha256
 from slamhive.model.canonical import digest
 from slamhive.model.dataset import TruthFormat
 from slamhive.model.errors import DataError
@@ -29,51 +30,39 @@ from slamhive_eval import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from slamhive.data.store import DatasetEntry
-    from slamhive.model.dataset import GroundTruth, Hole
-    from slamhive.model.sensors import Matrix4
+    import numpy.typing as npt
 
-_IDENTITY: Matrix4 = np.eye(4).tolist()
+    from slamhive.data.entries import DatasetEntry
+    from slamhive.model.dataset import GroundTruth
+
 VERSION = 1
 """Raised when conversion makes something else of the same input."""
 
 
-@dataclass(frozen=True)
-class TruthFile:
-    """Ground truth ready for the evaluator.
+@dataclass(frozen=True, eq=False)
+class GroundTruthPoses:
+    """The reference that runs on a dataset are measured against.
 
     Attributes:
-        path: A TUM file, or a file of relations.
-        is_relations: Which of the two.
-        T_body_frame: Pose in the body of the frame that the file's poses are of, 4×4 by rows.
-        holes: Spans not to be trusted.
+        poses: Poses over time, or relations between pairs of times; poses in declared holes are left out.
+        T_body_frame: Pose in the body of the frame that they are poses of, (4, 4).
     """
 
-    path: Path
-    is_relations: bool
-    T_body_frame: Matrix4
-    holes: list[Hole]
+    poses: Trajectory | Relations
+    T_body_frame: npt.NDArray[np.float64]
 
-    def read(self) -> Trajectory | Relations:
-        """Read the file.
-
-        Raises:
-            DataError: It is damaged.
-        """
-        try:
-            return read_relations(self.path) if self.is_relations else read_tum(self.path)
-        except EvaluationError as error:
-            raise DataError(f"ground truth: {error}") from None
+    @property
+    def is_relations(self) -> bool:
+        """Tell whether there are relations instead of poses."""
+        return isinstance(self.poses, Relations)
 
 
-def ground_truth(entry: DatasetEntry, cache: Path) -> TruthFile | None:
-    """Return a dataset's ground truth in a form that the evaluator reads.
-
-    TUM files and relations are used where they are; everything else is converted once.
+def ground_truth(entry: DatasetEntry, cache: Path | None = None) -> GroundTruthPoses | None:
+    """Read a dataset's ground truth, whatever it is kept as.
 
     Args:
         entry: The dataset, materialised.
-        cache: Folder for converted files.
+        cache: Folder in which the poses of a topic are kept, as getting them takes reading the recording.
 
     Returns:
         None for a dataset without ground truth.
@@ -85,20 +74,33 @@ def ground_truth(entry: DatasetEntry, cache: Path) -> TruthFile | None:
     truth = entry.dataset.spec.ground_truth
     if truth is None:
         return None
-    frame = _frame(entry, truth)
-    if truth.file is not None:
-        path = entry.root / truth.file
-        if not path.is_file():
-            raise DataError(f"dataset {entry.name!r}: groundTruth.file: {path} does not exist")
-        if truth.format in (TruthFormat.TUM, TruthFormat.RELATIONS):
-            return TruthFile(path, truth.format is TruthFormat.RELATIONS, frame, truth.holes)
-    folder = cache / _key(entry, truth, cache)
+    try:
+        poses = _read(entry, truth, cache)
+    except EvaluationError as error:
+        raise DataError(f"dataset {entry.name!r}: ground truth: {error}") from None
+    if isinstance(poses, Trajectory) and truth.holes:
+        poses = _without_holes(poses, truth, entry.name)
+    return GroundTruthPoses(poses, _frame(entry, truth))
 
-    def make(aside: Path) -> None:
-        write_tum(aside / "groundtruth.txt", _convert(entry, truth))
 
-    make_once(folder, make)
-    return TruthFile(folder / "groundtruth.txt", is_relations=False, T_body_frame=frame, holes=truth.holes)
+def write_ground_truth(entry: DatasetEntry, path: Path) -> bool:
+    """Write a dataset's ground truth as custom evaluators get it: TUM lines, or relations as they are.
+
+    Returns:
+        Whether there is any.
+
+    Raises:
+        DataError: It is missing, damaged, or has no poses.
+    """
+    truth = ground_truth(entry)
+    if truth is None:
+        return False
+    if isinstance(truth.poses, Trajectory):
+        write_tum(path, truth.poses)
+    else:
+        source = entry.dataset.spec.ground_truth
+        shutil.copyfile(entry.root / str(source and source.file), path)
+    return True
 
 
 def require_overlap(truth: Trajectory | Relations, start: float, end: float, where: str) -> None:
@@ -131,34 +133,55 @@ def truth_range(truth: Trajectory | Relations) -> tuple[float, float]:
     return float(times.min()), float(times.max())
 
 
-def _frame(entry: DatasetEntry, truth: GroundTruth) -> Matrix4:
+def _frame(entry: DatasetEntry, truth: GroundTruth) -> npt.NDArray[np.float64]:
     if truth.T_body_frame is not None:
-        return truth.T_body_frame
+        return np.array(truth.T_body_frame, dtype=np.float64)
     if truth.frame == "body":
-        return _IDENTITY
-    return entry.dataset.spec.sensors[truth.frame].T_body_sensor
+        return np.eye(4)
+    return np.array(entry.dataset.spec.sensors[truth.frame].T_body_sensor, dtype=np.float64)
 
 
-def _key(entry: DatasetEntry, truth: GroundTruth, cache: Path) -> str:
-    hashes = cache / ".hashes"
-    if truth.file is None:
-        source = [recording_sha256(entry, hashes)]
-    else:
-        source = [file_sha256(entry.root / path, hashes) for path in (truth.file, truth.times) if path]
-    parts = {"version": VERSION, "source": source, "format": truth.format, "topic": truth.topic}
-    return digest(parts)[:32]
-
-
-def _convert(entry: DatasetEntry, truth: GroundTruth) -> Trajectory:
-    try:
-        if truth.topic is not None:
-            with open_recording(entry.dataset, entry.root) as recording:
-                return poses_of_topic(recording, truth.topic)
-        path = entry.root / str(truth.file)
-        if truth.format is TruthFormat.EUROC:
+def _read(entry: DatasetEntry, truth: GroundTruth, cache: Path | None) -> Trajectory | Relations:
+    if truth.topic is not None:
+        return _of_topic(entry, truth.topic, cache)
+    path = entry.root / str(truth.file)
+    if not path.is_file():
+        raise DataError(f"dataset {entry.name!r}: groundTruth.file: {path} does not exist")
+    match truth.format:
+        case TruthFormat.TUM:
+            return read_tum(path)
+        case TruthFormat.EUROC:
             return read_euroc(path)
-        if truth.times is None:
-            raise DataError("groundTruth.times: needed for the format Kitti, whose poses carry no stamps")
-        return read_kitti(path, entry.root / truth.times)
-    except EvaluationError as error:
-        raise DataError(f"dataset {entry.name!r}: ground truth: {error}") from None
+        case TruthFormat.RELATIONS:
+            return read_relations(path)
+        case TruthFormat.KITTI:
+            if truth.times is None:
+                raise DataError(
+                    f"dataset {entry.name!r}: groundTruth.times: needed for the format Kitti, whose poses "
+                    f"carry no "
+                    "stamps"
+                )
+            return read_kitti(path, entry.root / truth.times)
+
+
+def _of_topic(entry: DatasetEntry, topic: str, cache: Path | None) -> Trajectory:
+    if cache is None:
+        with open_recording(entry.dataset, entry.root) as recording:
+            return poses_of_topic(recording, topic)
+    source = recording_sha256(entry, cache / ".hashes")
+    folder = cache / digest({"version": VERSION, "source": source, "topic": topic})[:32]
+
+    def make(aside: Path) -> None:
+        write_tum(aside / "groundtruth.txt", _of_topic(entry, topic, None))
+
+    make_once(folder, make)
+    return read_tum(folder / "groundtruth.txt")
+
+
+def _without_holes(poses: Trajectory, truth: GroundTruth, name: str) -> Trajectory:
+    kept = np.ones(len(poses), dtype=np.bool_)
+    for hole in truth.holes:
+        kept &= (poses.stamps < hole.start) | (poses.stamps > hole.end)
+    if not kept.any():
+        raise DataError(f"dataset {name!r}: groundTruth.holes: they leave none of {len(poses)} poses")
+    return poses.select(np.flatnonzero(kept))

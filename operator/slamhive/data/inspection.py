@@ -20,8 +20,8 @@ from slamhive_eval import Trajectory
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from slamhive.data.entries import DatasetEntry
     from slamhive.data.recordings import Recording, Scan
-    from slamhive.data.store import DatasetEntry
     from slamhive.model.sensors import Sensor
 
 _GAP_PERIODS = 3.0
@@ -134,7 +134,7 @@ class DatasetReport:
         return asdict(self)
 
 
-def inspect(entry: DatasetEntry, cache: Path) -> DatasetReport:
+def inspect(entry: DatasetEntry, cache: Path | None = None) -> DatasetReport:
     """Read a dataset through and say what it holds; what is wrong is collected, not raised.
 
     Args:
@@ -240,13 +240,13 @@ def _suspicions(report: SensorReport, sensor: Sensor) -> list[str]:
 
 
 def _truth(
-    entry: DatasetEntry, cache: Path, span: tuple[float, float] | None, errors: list[str]
+    entry: DatasetEntry, cache: Path | None, span: tuple[float, float] | None, errors: list[str]
 ) -> TruthReport | None:
     try:
-        file = ground_truth(entry, cache)
-        if file is None:
+        found = ground_truth(entry, cache)
+        if found is None:
             return None
-        truth = file.read()
+        truth = found.poses
         first, last = truth_range(truth)
         if span is not None:
             require_overlap(truth, *span, where=f"dataset {entry.name!r}: groundTruth")

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.data.clouds import cloud_filter
+from slamhive.data.entries import recording_sha256
 from slamhive.data.images import scale_camera
 from slamhive.data.once import evict, in_use, make_once
 from slamhive.data.posetopics import truth_topic
 from slamhive.data.recordings import guess_format, open_recording, recording_paths
 from slamhive.data.selection import select
-from slamhive.data.store import recording_sha256
 from slamhive.data.streams import streams_of
 from slamhive.data.transfer import transfer
 from slamhive.data.writing import FILE_NAMES
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
+    from slamhive.data.entries import DatasetEntry
     from slamhive.data.selection import Selection
-    from slamhive.data.store import DatasetEntry
     from slamhive.model.run import InputOptions, LidarInput
 
 VERSION = 1
