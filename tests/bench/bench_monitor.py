@@ -65,7 +65,8 @@ def supervise(folder: Path, argv: list[str], cgroup: str, cpus: tuple[int, ...] 
 def children_cpu() -> float:
     """Return the kernel's account of all processes we waited for, s."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    total: float = used.ru_utime + used.ru_stime
+    return total
 
 
 def report(what: str, ours: str, limit: str) -> None:

@@ -25,6 +25,8 @@ from slamhive.monitor import (
     cgroup_source_at,
     identify,
     make_run_cgroup,
+    proc,
+    processes,
     sweep_stale_cgroups,
 )
 from slamhive.monitor.hierarchy import Hierarchy, own_hierarchies, unified_parents
@@ -282,7 +284,13 @@ def test_groups_of_another_pid_namespace_are_left_alone(owner: ProcessIdentity) 
         os.rmdir(foreign)  # noqa: PTH106
 
 
-def test_proc_source_of_another_process(wait_for: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("listed", [True, False])
+def test_proc_source_of_another_process(
+    monkeypatch: pytest.MonkeyPatch, wait_for: Callable[..., Any], listed: bool
+) -> None:
+    if not listed:
+        for module in (processes, proc):
+            monkeypatch.setattr(module, "kernel_lists_children", lambda: False)
     thread = "t = threading.Thread(target=lambda: subprocess.run(['cat']))\nt.start()\nt.join()"
     code = f"import threading, subprocess\n{thread}"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE) as process:

@@ -14,7 +14,7 @@ import resource
 import time
 from contextlib import suppress
 
-from slamhive.monitor.processes import identify, read_file, stat_fields
+from slamhive.monitor.processes import children, identify, kernel_lists_children, read_file, stat_fields
 from slamhive.monitor.sources import Sample
 
 _TICK = os.sysconf("SC_CLK_TCK")
@@ -113,7 +113,7 @@ class ProcSource:
     def _children(self, pid: int) -> list[int]:
         member = self._members.get(pid)
         try:
-            return _children_of_self() if member is None else member.children()
+            return children(pid) if member is None else member.children()
         except OSError:
             return []
 
@@ -140,7 +140,8 @@ class _Member:
         self._clock = (~pid << 3) | 2
         self._files: list[int] = []
         try:
-            for name in ("stat", "statm", f"task/{pid}/children"):
+            names = ["stat", "statm", f"task/{pid}/children"]
+            for name in names if kernel_lists_children() else names[:2]:
                 self._files.append(os.open(f"/proc/{pid}/{name}", os.O_RDONLY | os.O_CLOEXEC))
         except OSError:
             self.close()
@@ -160,6 +161,8 @@ class _Member:
 
     def children(self) -> list[int]:
         """Return the children of all its threads."""
+        if len(self._files) < 3:
+            return children(self._pid)
         found = os.pread(self._files[2], 65536, 0).split()
         if self._threads > 1:
             for task in os.listdir(f"/proc/{self._pid}/task"):  # noqa: PTH208
@@ -171,8 +174,3 @@ class _Member:
     def close(self) -> None:
         while self._files:
             os.close(self._files.pop())
-
-
-def _children_of_self() -> list[int]:
-    own = os.getpid()
-    return [int(pid) for pid in read_file(f"/proc/{own}/task/{own}/children").split()]

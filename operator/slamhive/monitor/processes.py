@@ -84,14 +84,29 @@ def pid_namespace() -> int:
     return os.stat("/proc/self/ns/pid").st_ino  # noqa: PTH116
 
 
+def kernel_lists_children() -> bool:
+    """Tell whether /proc lists a process's children; it doesn't in every kernel (CONFIG_PROC_CHILDREN)."""
+    return os.path.exists(f"/proc/self/task/{os.getpid()}/children")  # noqa: PTH110
+
+
 def children(pid: int) -> list[int]:
     """Return the children of all threads of a process, none if it is gone."""
     found: list[int] = []
+    if not kernel_lists_children():
+        parents = ((int(name), _parent(name)) for name in os.listdir("/proc") if name.isdigit())  # noqa: PTH208
+        return [child for child, parent in parents if parent == pid]
     with suppress(OSError):
         for task in os.listdir(f"/proc/{pid}/task"):  # noqa: PTH208
             with suppress(OSError):
                 found.extend(map(int, read_file(f"/proc/{pid}/task/{task}/children").split()))
     return found
+
+
+def _parent(pid: str) -> int | None:
+    try:
+        return int(stat_fields(read_file(f"/proc/{pid}/stat"))[1])
+    except (OSError, ValueError):
+        return None
 
 
 def descendants(pids: Iterable[int]) -> list[int]:
