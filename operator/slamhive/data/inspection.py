@@ -203,10 +203,9 @@ def _sensors(
 def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content: str) -> SensorReport:
     stamps = np.sort(scan.stamps)
     steps = np.diff(stamps)
-    typical = float(np.median(steps)) if steps.size else 0.0
-    wide = np.flatnonzero(steps > _GAP_PERIODS * typical) if typical > 0 else np.array([], dtype=np.intp)
-    longest = np.sort(wide[np.argsort(-steps[wide], kind="stable")][:_SHOWN_GAPS])
     rate = rate_of(stamps)
+    wide = np.flatnonzero(steps > _GAP_PERIODS * 1e9 / rate) if rate else np.array([], dtype=np.intp)
+    longest = np.sort(wide[np.argsort(-steps[wide], kind="stable")][:_SHOWN_GAPS])
     return SensorReport(
         name=name,
         type=sensor.type,

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
     Poses = npt.NDArray[np.float64]
 
+Edges = dict[tuple[str, str], list[tuple[float, tuple[float, ...]]]]
+"""Transforms by parent and child: stamp in s and x, y, z, qx, qy, qz, qw of each message."""
+
 POSE_TYPES = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -95,6 +98,25 @@ def _row(p: Any, q: Any) -> tuple[float, ...]:
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
+def static_tree(recording: Recording) -> Edges:
+    """Return the transforms that /tf_static states, by parent and child; empty when there are none."""
+    found = recording.topics.get(STATIC_TRANSFORMS)
+    if found is None or found.message_type not in TF_TYPES:
+        return {}
+    return _edges(recording, STATIC_TRANSFORMS)
+
+
+def relative_pose(edges: Edges, parent: str, child: str) -> Poses | None:
+    """Return the pose (4, 4) of one frame in another by static transforms, None when none lead there."""
+    if parent == child:
+        return np.eye(4)
+    steps = _steps(edges, parent, child)
+    if not steps:
+        return None
+    result: Poses = _compose(edges, steps)[0]
+    return result
+
+
 def _transforms(recording: Recording, topic: str, where: str) -> tuple[Poses, Poses]:
     name, _, frames = topic.partition(":")
     edges = _edges(recording, name)
@@ -106,14 +128,8 @@ def _transforms(recording: Recording, topic: str, where: str) -> tuple[Poses, Po
                 f"{where}: name two frames as in {name}:map.base_link; {frame!r} is "
                 f"none{suggestion(frame, names)}"
             )
-    chain = [(key, False) for key in _up(edges, child)]
-    # Up from the child to the root and down again to the parent; what both share cancels.
-    back = [(key, True) for key in _up(edges, parent)]
-    while chain and back and chain[-1][0] == back[-1][0]:
-        chain.pop()
-        back.pop()
-    steps = [*back, *reversed(chain)]
-    if not steps or _root(edges, parent) != _root(edges, child):
+    steps = _steps(edges, parent, child)
+    if not steps:
         raise DataError(f"{where}: no transforms lead from {parent!r} to {child!r}")
     moving = [key for key, _ in steps if len(edges[key]) > 1]
     if len(moving) > 1:
@@ -124,15 +140,32 @@ def _transforms(recording: Recording, topic: str, where: str) -> tuple[Poses, Po
             "their stamps differ"
         )
     stamps = np.array([at for at, _ in edges[(moving or [steps[0][0]])[0]]])
-    result = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))
-    for key, inverse in steps:
-        matrices = _matrices(np.array([pose for _, pose in edges[key]]))
-        result = result @ (np.linalg.inv(matrices) if inverse else matrices)
+    result = _compose(edges, steps)
     return stamps, np.hstack([result[:, :3, 3], from_matrix(result[:, :3, :3])])
 
 
-def _edges(recording: Recording, topic: str) -> dict[tuple[str, str], list[tuple[float, tuple[float, ...]]]]:
-    edges: dict[tuple[str, str], list[tuple[float, tuple[float, ...]]]] = {}
+def _steps(edges: Edges, parent: str, child: str) -> list[tuple[tuple[str, str], bool]]:
+    """Return the transforms from a frame to another, each with whether it is gone through backwards."""
+    chain = [(key, False) for key in _up(edges, child)]
+    # Up from the child to the root and down again to the parent; what both share cancels.
+    back = [(key, True) for key in _up(edges, parent)]
+    while chain and back and chain[-1][0] == back[-1][0]:
+        chain.pop()
+        back.pop()
+    return [*back, *reversed(chain)] if _root(edges, parent) == _root(edges, child) else []
+
+
+def _compose(edges: Edges, steps: list[tuple[tuple[str, str], bool]]) -> Poses:
+    """Multiply transforms out, (n, 4, 4) where one of them moves, (1, 4, 4) otherwise."""
+    result: Poses = np.eye(4)[None]
+    for key, inverse in steps:
+        matrices = _matrices(np.array([pose for _, pose in edges[key]]))
+        result = result @ (np.linalg.inv(matrices) if inverse else matrices)
+    return result
+
+
+def _edges(recording: Recording, topic: str) -> Edges:
+    edges: Edges = {}
     topics = {name for name in (topic, STATIC_TRANSFORMS) if name in recording.topics}
     for connection, _, raw in recording.messages(topics):
         for item in recording.decode(raw, connection.msgtype).transforms:
@@ -145,9 +178,7 @@ def _edges(recording: Recording, topic: str) -> dict[tuple[str, str], list[tuple
     return edges
 
 
-def _up(
-    edges: dict[tuple[str, str], list[tuple[float, tuple[float, ...]]]], frame: str
-) -> list[tuple[str, str]]:
+def _up(edges: Edges, frame: str) -> list[tuple[str, str]]:
     """Return the transforms from a frame up to its root."""
     parents = {child: parent for parent, child in edges}
     chain: list[tuple[str, str]] = []
@@ -157,7 +188,7 @@ def _up(
     return chain
 
 
-def _root(edges: dict[tuple[str, str], list[tuple[float, tuple[float, ...]]]], frame: str) -> str:
+def _root(edges: Edges, frame: str) -> str:
     chain = _up(edges, frame)
     return chain[-1][0] if chain else frame
 

@@ -17,10 +17,15 @@ _SAME_RATE = 1.02
 """A rate within 2 % of the recorded one keeps every frame: drivers are that far off."""
 _GAP = 3.0
 """Steps longer than this many typical ones are gaps and say nothing about the rate."""
+_RARE = 0.1
+"""More gaps than this share of all steps are no gaps: the stream is irregular."""
 
 
 def rate_of(stamps: Stamps) -> float | None:
     """Return the mean rate of a stream in Hz, gaps left out; None for fewer than two stamps.
+
+    Gaps are rare steps of more than three typical ones; where they aren't rare, the stream is an irregular
+    one and its mean rate that over all of it.
 
     Args:
         stamps: ns, increasing, shape (n,).
@@ -29,7 +34,9 @@ def rate_of(stamps: Stamps) -> float | None:
     steps = steps[steps > 0]
     if not steps.size:
         return None
-    steps = steps[steps <= _GAP * np.median(steps)]
+    regular = steps[steps <= _GAP * np.median(steps)]
+    if steps.size - regular.size <= _RARE * steps.size:
+        steps = regular
     return float(1e9 * steps.size / steps.sum())
 
 
