@@ -55,7 +55,7 @@ class SensorReport:
         rate: Mean rate without gaps, Hz.
         first: Sensor time of the first message, s.
         last: Sensor time of the last message, s.
-        gaps: Spans of more than three periods without messages; the longest ones.
+        gaps: Spans of more than three periods without messages, longest first; the longest 20.
         gap_count: Number of all such spans.
         size_bytes: Size of the messages.
         content: What the first message is like, in words.
@@ -205,7 +205,7 @@ def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content
     steps = np.diff(stamps)
     rate = rate_of(stamps)
     wide = np.flatnonzero(steps > _GAP_PERIODS * 1e9 / rate) if rate else np.array([], dtype=np.intp)
-    longest = np.sort(wide[np.argsort(-steps[wide], kind="stable")][:_SHOWN_GAPS])
+    longest = wide[np.argsort(-steps[wide], kind="stable")][:_SHOWN_GAPS]
     return SensorReport(
         name=name,
         type=sensor.type,
@@ -229,7 +229,7 @@ def _suspicions(report: SensorReport, sensor: Sensor) -> list[str]:
             f"sensors.{report.name}.rate: states {sensor.rate:g} Hz, the recording has {report.rate:g} Hz"
         )
     if report.gap_count:
-        longest = max(report.gaps, key=lambda gap: gap.seconds)
+        longest = report.gaps[0]
         found.append(
             f"sensors.{report.name}: {report.gap_count} gap{'s' if report.gap_count > 1 else ''} in "
             f"{report.topic}, "

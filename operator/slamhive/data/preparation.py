@@ -114,13 +114,12 @@ class Wish:
         return self == Wish(None, 1.0, 0.0, None, None)
 
 
-def prepare(
+def prepare(  # noqa: PLR0917 - progress comes last everywhere
     entry: DatasetEntry,
     roles: Sequence[Role],
     options: InputOptions,
     formats: Sequence[RecordingFormat],
     cache: Path,
-    *,
     progress: Callable[[float], None] | None = None,
 ) -> Variant:
     """Make the variant of a dataset that a run needs, or find it in the cache.

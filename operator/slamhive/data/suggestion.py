@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import yaml
 
 from slamhive.data import recordings
 from slamhive.data.clouds import cloud_points
@@ -18,8 +20,6 @@ from slamhive.data.thinning import rate_of
 from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from slamhive.data.recordings import Scan
 
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("infra1", "infra2"), ("image_00", "image_01"))
@@ -38,26 +38,47 @@ class Suggestion:
     """A manifest to start from.
 
     Attributes:
-        manifest: A Dataset as plain values; its paths start from the recording's folder.
-        notes: What isn't known or was guessed, a sentence each with the field it is about.
+        manifest: A Dataset as plain values.
+        missing: What isn't known or was guessed, a sentence each with the field it is about.
     """
 
     manifest: dict[str, Any]
-    notes: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """Return the manifest as YAML, what is missing as comments above it."""
+        notes = "".join(f"# - {sentence}\n" for sentence in self.missing)
+        head = f"# To check and complete:\n{notes}" if notes else ""
+        return head + yaml.safe_dump(
+            self.manifest, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
+        )
 
 
-def suggest_dataset(path: Path, name: str) -> Suggestion:
+def suggest_dataset(path: Path, name: str, base: Path | None = None) -> Suggestion:
     """Look into a recording and write down what it says of itself.
 
     Args:
         path: A ROS 1 bag, a ROS 2 bag's folder or an MCAP file.
         name: Name of the dataset.
+        base: Folder that the manifest will lie in; default: the working directory.
 
     Raises:
         DataError: It can't be read, or holds no sensor that is known.
     """
     with Recording([path], guess_format(path)) as recording:
-        return _Look(recording, name).suggestion()
+        look = _Look(recording, name)
+        found = look.suggestion()
+    base = (base or Path.cwd()).resolve()
+    if path.resolve().is_relative_to(base):
+        file = str(path.resolve().relative_to(base))
+    else:
+        file = path.name
+        found.missing.append(
+            f"recording.files: paths start from the manifest's folder: move it to {path.parent}"
+        )
+    found.manifest["spec"]["recording"]["files"] = [{"path": file}]
+    return found
 
 
 class _Look:
@@ -86,10 +107,7 @@ class _Look:
         }
         spec: dict[str, Any] = {
             "description": "",
-            "recording": {
-                "format": str(self.recording.format),
-                "files": [{"path": path.name} for path in self.recording.paths],
-            },
+            "recording": {"format": str(self.recording.format)},
             "sensors": sensors,
         }
         truth = self._truth()
