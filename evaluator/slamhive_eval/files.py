@@ -146,19 +146,18 @@ def parse_table(
     first = next(_data_lines(text), None)
     if first is None:
         raise FileError(path, "holds no poses: every line is empty or a comment")
-    if "," in first[1]:
-        text = text.replace(",", " ")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # A buffer of bytes: StringIO would hold four for each character.
-            lines = io.TextIOWrapper(io.BytesIO(text.encode()), encoding="utf-8")
+            data = (text.replace(",", " ") if "," in first[1] else text).encode()
+            lines = io.TextIOWrapper(io.BytesIO(data), encoding="utf-8")
             table: FloatArray = np.loadtxt(lines, dtype=np.float64, ndmin=2)
     except ValueError:
+        table = np.empty((0, 0))
+    if not len(table) or table.shape[1] < columns or (table.shape[1] > columns and not extra):
         _raise_bad_line(path, text, columns, meaning, extra=extra)
-        raise FileError(path, f"can't be read as lines of {columns} numbers: {meaning}") from None
-    if table.shape[1] != columns and not (extra and table.shape[1] > columns):
-        _raise_bad_line(path, text, columns, meaning, extra=extra)
+        raise FileError(path, f"can't be read as lines of {columns} numbers: {meaning}")
     return table[:, :columns]
 
 

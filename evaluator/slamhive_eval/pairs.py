@@ -125,8 +125,7 @@ def _all_along(position: FloatArray, delta: float, tolerance: float) -> IndexArr
     above = np.clip(np.searchsorted(position, position[:-1] + delta), i + 1, n - 1)
     below = np.maximum(above - 1, i + 1)
     best = np.where(miss(below) <= miss(above), below, above)
-    best = np.maximum(first_of_equals[best], i + 1)
-    # Differences may round to the same miss although the positions differ.
+    # Back to the first of equal positions, and of different ones that miss equally after rounding.
     while True:
         before = np.maximum(first_of_equals[np.maximum(best - 1, 0)], i + 1)
         better = (before < best) & (miss(before) <= miss(best))

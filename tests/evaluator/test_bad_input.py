@@ -82,6 +82,8 @@ def test_what_is_read_all_the_same(tmp_path: Path, text: str, pack: Callable[[by
         (GOOD + "3.0 1 2 3 0 0 0 0\n", 3, "the quaternion is zero"),
         ("1403636579758555392 1 2 3 0 0 0 1\n", 1, "nanoseconds perhaps"),
         (GOOD + "3.0 1e200 2 3 0 0 0 1\n", 3, "beyond 1e+30 m"),
+        (GOOD + ",\n3.0 1 2 3 0 0 0 x\n", 3, "found 0 of 8 values"),
+        (",", 1, "no known format"),
         ("1 2 3\n", 1, "found 3 values a line, which is no known format"),
         ("hello there, world\n", 1, "no known format"),
         ("PK\0\1", None, "is no text file"),
@@ -116,6 +118,8 @@ def test_unsorted_poses_are_sorted_on_request_only(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="line 2: time stamp"):
         read_tum(file)
     np.testing.assert_array_equal(read_tum(file, unsorted="sort").positions[:, 0], (1, 2, 4, 3))
+    file.write_text("".join(f"{k % 2} {k} 0 0 0 0 0 1\n" for k in range(100)))
+    np.testing.assert_array_equal(read_tum(file, unsorted="sort").positions[:50, 0], np.arange(0, 100, 2))
     file.write_text("2 2 0 0 0 0 0 1\n1 nan 0 0 0 0 0 1\n")
     with pytest.raises(FileError, match="line 2: tx is nan"):
         read_tum(file, unsorted="sort")
@@ -286,6 +290,9 @@ def test_relations_file(tmp_path: Path) -> None:
     file = tmp_path / "r"
     file.write_text("1 2 0 0 0 0 0 0\n1 2 0 0 0 0 0\n")
     with pytest.raises(FileError, match="line 2: found 7 of 8 values; expected t1 t2 x y z roll pitch yaw"):
+        read_relations(file)
+    file.write_text(",")
+    with pytest.raises(FileError, match="line 1: found 0 of 8 values"):
         read_relations(file)
     file.write_text("1 2 0 0 0 0 0 0\n# c\n1 2 0 0 nan 0 0 0\n")
     with pytest.raises(FileError, match="line 3: every value must be a finite number"):

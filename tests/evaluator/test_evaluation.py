@@ -108,6 +108,13 @@ def test_ground_truth_is_moved_to_the_sensor(wander: Callable[..., Trajectory]) 
     assert evaluate(truth, estimate, Options("sim3", has_scale=False)).ate.rmse > 0.01
 
 
+def test_an_algorithm_may_say_that_it_writes_keyframes(wander: Callable[..., Trajectory]) -> None:
+    truth = wander(400)
+    sparse = truth.select(np.arange(0, 400, 20))
+    assert evaluate(truth, sparse).coverage.share > 0.9
+    assert evaluate(truth, sparse, Options(keyframes=False)).outcome == "Lost"
+
+
 def statistics(rmse: float) -> Statistics:
     return Statistics(rmse, rmse, rmse, 0.0, rmse, rmse, rmse)
 

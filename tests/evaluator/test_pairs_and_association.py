@@ -92,6 +92,8 @@ def test_pairs_by_angle(wander: Callable[..., Trajectory]) -> None:
     angles = np.rad2deg(rotation.angle(rotation.multiply(rotation.conjugate(q)[:, None], q[None])))
     expected = np.argwhere(np.triu((angles >= 9) & (angles <= 11), 1))
     np.testing.assert_array_equal(find_pairs(trajectory, 10, "deg", all_pairs=True), expected)
+    wide = find_pairs(trajectory, 10, "deg", all_pairs=True, rel_tolerance=1.0)
+    np.testing.assert_array_equal(wide, np.argwhere(np.triu(angles <= 20, 1)))
     consecutive = find_pairs(trajectory, 10, "deg", all_pairs=False)
     turned = np.diag(angles, 1)
     assert len(consecutive) > 3
@@ -116,6 +118,8 @@ def test_frames(wander: Callable[..., Trajectory]) -> None:
 def test_interpolation(wander: Callable[..., Trajectory]) -> None:
     whole = wander(101)
     sparse = whole.select(np.arange(0, 101, 4))
+    signs = np.where(np.arange(len(sparse)) % 2, -1.0, 1.0)[:, np.newaxis]
+    sparse = Trajectory(sparse.stamps, sparse.positions, signs * sparse.quaternions)
     found, positions, quaternions = interpolate(sparse, whole.stamps, 0.5)
     assert found.all()
     assert np.abs(positions - whole.positions).max() < 0.1
