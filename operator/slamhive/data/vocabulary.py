@@ -17,10 +17,12 @@ from typing import TYPE_CHECKING, Final
 import cv2
 import numpy as np
 
+from slamhive.data.images import image_pixels
+from slamhive.data.recordings import Recording, guess_format
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -100,6 +102,34 @@ def train_vocabulary(
     weigh(nodes, per_image)
     out.write_text(render(nodes, branching, depth), encoding="ascii")
     return sum(not node.children for node in nodes[1:])
+
+
+def training_images(recording: Path, topic: str, every: int = 3) -> Iterator[NDArray[np.uint8]]:
+    """Read the images to train on.
+
+    Args:
+        recording: A recording that no algorithm is evaluated on.
+        topic: Its sensor_msgs/Image topic.
+        every: One image of so many is taken, since those that follow each other show the same.
+
+    Yields:
+        Grey images `(height, width)`.
+
+    Raises:
+        InputError: The recording has no such topic, or its images don't have 8 bits.
+        DataError: The recording can't be read.
+    """
+    with Recording([recording], guess_format(recording)) as source:
+        if topic not in source.topics:
+            raise InputError(f"vocabulary: {recording} has no topic {topic}, only {', '.join(source.topics)}")
+        for index, (connection, _, raw) in enumerate(source.messages([topic])):
+            if index % every:
+                continue
+            image = image_pixels(source.decode(raw, connection.msgtype), topic)
+            if image.dtype != np.uint8:
+                raise InputError(f"vocabulary: the images of {topic} must have 8 bits, not {image.dtype}")
+            # The mean is the same for red, green, blue and for blue, green, red.
+            yield np.asarray(image if image.ndim == 2 else image[:, :, :3].mean(axis=2), np.uint8)
 
 
 def describe(images: Iterable[NDArray[np.uint8]], features: int) -> list[Descriptors]:

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs ORB-SLAM3 on a camera, a stereo pair or an RGB-D camera.
+
+It is GPL-3.0 and is only ever run in an environment or image of its own, by this program.
+
+Its trajectory is read when the recording is at its end, after loop closure. It is that of all tracked frames,
+without those whose reference keyframe was culled since. Stereo images are rectified here, which turns the left
+camera; the poses are turned back to the left camera as it is.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import orbslam3
+from adapter_recording import Recording, decode_image
+from adapter_support import NANOSECONDS, AdapterError, Run, Stopwatch, Trajectory, run_adapter, write_results
+from cameras import Pinhole, Rectification, Undistortion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from adapter_recording import Item
+
+ROLES = {"mono": ["camera"], "stereo": ["left", "right"], "rgbd": ["color", "depth"]}
+QUIET_SECONDS = 0.3
+"""Mapping and loop closing are taken to be done when the process has been idle for so long."""
+
+
+def settings(run: Run, camera: Pinhole, extra: dict[str, Any]) -> str:
+    """Write ORB-SLAM3's settings.
+
+    Args:
+        run: The run.
+        camera: The first camera, as its images are handed over.
+        extra: What the mode adds.
+
+    Returns:
+        YAML as OpenCV reads it.
+    """
+    rate = run.sensor(ROLES[run.mode][0]).rate or 30.0
+    values: dict[str, Any] = {
+        "File.version": '"1.0"',
+        "Camera.type": '"PinHole"',
+        "Camera1.fx": camera.K[0, 0],
+        "Camera1.fy": camera.K[1, 1],
+        "Camera1.cx": camera.K[0, 2],
+        "Camera1.cy": camera.K[1, 2],
+        "Camera.width": camera.size[0],
+        "Camera.height": camera.size[1],
+        "Camera.fps": max(1, round(rate)),
+        "Camera.RGB": 1,
+        "ORBextractor.nFeatures": run.parameter("nFeatures"),
+        "ORBextractor.scaleFactor": float(run.parameter("scaleFactor")),
+        "ORBextractor.nLevels": run.parameter("nLevels"),
+        "ORBextractor.iniThFAST": run.parameter("iniThFAST"),
+        "ORBextractor.minThFAST": run.parameter("minThFAST"),
+        "loopClosing": int(run.parameter("loopClosing")),
+    }
+    names = ("k1", "k2", "p1", "p2", "k3")
+    if camera.distortion.any():
+        values |= {f"Camera1.{name}": value for name, value in zip(names, camera.distortion, strict=True)}
+    # The viewer is never shown, but without these the settings are refused.
+    viewer = ("KeyFrameSize", "KeyFrameLineWidth", "GraphLineWidth", "PointSize", "CameraSize")
+    viewer += ("CameraLineWidth", "ViewpointX", "ViewpointY", "ViewpointZ", "ViewpointF", "imageViewScale")
+    values |= {f"Viewer.{name}": 1.0 for name in viewer}
+    lines = [f"{name}: {_scalar(value)}" for name, value in (values | extra).items()]
+    return "\n".join(["%YAML:1.0", "---", *lines]) + "\n"
+
+
+def _scalar(value: Any) -> str:
+    # A real number must have a point, or OpenCV reads an integer and ORB-SLAM3 refuses it.
+    return f"{value:.12f}" if isinstance(value, float) else str(value)
+
+
+def program(run: Run) -> None:
+    """Track every frame."""
+    roles = ROLES.get(run.mode)
+    if roles is None:
+        raise AdapterError(f"the mode {run.mode} isn't known; this adapter has {', '.join(ROLES)}")
+    cameras = {role: Pinhole.of(run.sensor(role)) for role in roles}
+    first = cameras[roles[0]]
+    T_frame_camera = np.eye(4)
+    extra: dict[str, Any] = {}
+    depth_scale = 1.0
+    if run.mode == "stereo":
+        rectify = Rectification(cameras["left"], cameras["right"])
+        first = Pinhole(first.size, rectify.K, np.zeros(5), first.T_body_camera)
+        T_frame_camera = rectify.T_left_rectified
+        extra = {"Camera.type": '"Rectified"', "Stereo.b": float(rectify.baseline)}
+    elif run.mode == "rgbd":
+        depth_scale = float(run.sensor("depth").detail("depthScale"))
+        undistort = Undistortion(first, cameras["depth"])
+        first = undistort.camera
+        extra = {"Stereo.b": float(run.parameter("virtualBaseline")), "RGBD.DepthMapFactor": depth_scale}
+    if len(roles) == 2:
+        extra["Stereo.ThDepth"] = float(run.parameter("thDepth"))
+    system = start(run, settings(run, first, extra))
+
+    def track(images: list[np.ndarray], seconds: float) -> None:
+        if run.mode == "mono":
+            system.process_image_mono(images[0], seconds)
+        elif run.mode == "stereo":
+            system.process_image_stereo(*rectify(*images), seconds)
+        else:
+            system.process_image_rgbd(*undistort(*images, depth_scale), seconds)
+
+    recording = Recording(run, dict.fromkeys(roles, decode_image))
+    watch, stamps = Stopwatch(), {}
+    for items in frames(recording, roles, run.sensor(roles[0]).rate):
+        images = [item.data for item in items]
+        for role, image in zip(roles, images, strict=True):
+            check_size(role, image, cameras[role])
+        # As far as ORB-SLAM3 is concerned time begins with the recording: it keeps it in float64 seconds.
+        origin = next(iter(stamps.values()), items[0].stamp)
+        seconds = (items[0].stamp - origin) / NANOSECONDS
+        stamps[seconds] = items[0].stamp
+        with watch.frame():
+            track(images, seconds)
+    if not stamps:
+        raise AdapterError(f"{recording.name} has no {' and '.join(roles)} images of the same time")
+    wait_until_quiet()
+    trajectory = Trajectory()
+    for seconds, T_camera_world in system.get_trajectory_points():
+        trajectory.add(stamps[seconds], np.linalg.inv(T_camera_world) @ np.linalg.inv(T_frame_camera))
+    dropped = recording.offered[roles[0]] - len(stamps)
+    lost = len(stamps) - len(trajectory.stamps)
+    keyframes = len(system.get_keyframe_points())
+    write_results(run, trajectory, watch, recording.cpu_seconds, dropped, framesLost=lost, keyframes=keyframes)
+    system.shutdown()
+
+
+def start(run: Run, text: str) -> Any:
+    """Start ORB-SLAM3 with its settings and the run's vocabulary."""
+    vocabulary = run.folder / "assets" / "vocabulary.txt"
+    if not vocabulary.exists():
+        raise AdapterError("assets/vocabulary.txt isn't in the run folder; ORB-SLAM3 needs its vocabulary")
+    path = run.output / "settings.yaml"
+    path.write_text(text, encoding="ascii")
+    sensor = {"mono": "MONOCULAR", "stereo": "STEREO", "rgbd": "RGBD"}[run.mode]
+    system = orbslam3.System(str(vocabulary), str(path), getattr(orbslam3.Sensor, sensor))
+    system.set_use_viewer(False)
+    if not system.initialize():
+        raise AdapterError("ORB-SLAM3 didn't start; the lines above say why")
+    return system
+
+
+def frames(recording: Recording, roles: list[str], rate: float | None) -> Iterator[list[Item]]:
+    """Put together the images of one time; those without a partner are left out.
+
+    Args:
+        recording: What to read.
+        roles: One camera, or two.
+        rate: Of the first, in Hz; images half a period or more apart are no pair.
+    """
+    if len(roles) == 1:
+        for item in recording.items():
+            yield [item]
+        return
+    limit = NANOSECONDS / (rate or 30.0) / 2
+    waiting: dict[str, list[Item]] = {role: [] for role in roles}
+    for item in recording.items():
+        waiting[item.role].append(item)
+        while all(waiting.values()):
+            pair = [waiting[role][0] for role in roles]
+            apart = pair[0].stamp - pair[1].stamp
+            if abs(apart) < limit:
+                yield pair
+            for role, behind in zip(roles, (apart < limit, apart > -limit), strict=True):
+                if behind:
+                    waiting[role].pop(0)
+
+
+def check_size(role: str, image: np.ndarray, camera: Pinhole) -> None:
+    """Refuse images of another size than the calibration's, of which OpenCV would make nonsense."""
+    height, width = image.shape[:2]
+    if (width, height) != camera.size:
+        expected = "{} by {}".format(*camera.size)
+        raise AdapterError(f"the images of {role} are {width} by {height} pixels; config.yaml says {expected}")
+
+
+def wait_until_quiet(limit_seconds: float = 30.0) -> None:
+    """Wait for the threads that map and close loops, which have no way to be asked."""
+    deadline = time.monotonic() + limit_seconds
+    while time.monotonic() < deadline:
+        before = time.process_time()
+        time.sleep(QUIET_SECONDS)
+        # They look for work every few milliseconds, which takes next to nothing.
+        if time.process_time() - before < 0.1 * QUIET_SECONDS:
+            return
+
+
+if __name__ == "__main__":
+    run_adapter(program)
+    # The libraries it links to may fall over each other in their destructors.
+    os._exit(0)
