@@ -16,6 +16,7 @@ import rfc8785
 from slamhive.model.errors import InputError
 
 _EXACT = 2**53
+_WRITTEN_OUT = 10**21  # from here on JSON writers use exponents
 
 
 def normalize(value: Any, where: str = "") -> Any:
@@ -27,9 +28,7 @@ def normalize(value: Any, where: str = "") -> Any:
     if value is None or isinstance(value, bool | str):
         return value
     if isinstance(value, int):
-        if abs(value) >= _EXACT:
-            raise InputError(f"{where or 'value'}: {value} is too large, integers go up to 2^53")
-        return value
+        return value if abs(value) < _EXACT else _large(value, where)
     if isinstance(value, float):
         if not math.isfinite(value):
             raise InputError(f"{where or 'value'}: {value} is not a finite number")
@@ -41,6 +40,14 @@ def normalize(value: Any, where: str = "") -> Any:
     if isinstance(value, list | tuple):
         return [normalize(item, f"{where}[{number}]") for number, item in enumerate(value)]
     raise InputError(f"{where or 'value'}: {type(value).__name__} is not a JSON value")
+
+
+def _large(value: int, where: str) -> float:
+    """Return the number that an API server wrote as so many digits, such as 1e16."""
+    if abs(value) < _WRITTEN_OUT and rfc8785.dumps(float(value)) == str(value).encode():
+        return float(value)
+    shown = str(value) if abs(value) < _WRITTEN_OUT else "an integer of more than 21 digits"
+    raise InputError(f"{where or 'value'}: {shown} is too large, integers go up to 2^53")
 
 
 def digest(value: Any) -> str:

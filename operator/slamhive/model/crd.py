@@ -203,16 +203,6 @@ def convert(model: type[BaseModel]) -> Schema:
     return _Converter(model).convert()
 
 
-def visible(schema: Schema) -> bool:
-    """Tell whether rules in CEL can see a value of a schema."""
-    if "x-kubernetes-int-or-string" in schema:
-        return True
-    if "type" not in schema or (KEEP in schema and "properties" not in schema):
-        return False
-    inner = schema.get("items") or schema.get("additionalProperties")
-    return visible(inner) if isinstance(inner, dict) else True
-
-
 def _freeze(kind: str, spec: Schema) -> None:
     if kind not in FROZEN:
         return
@@ -223,8 +213,6 @@ def _freeze(kind: str, spec: Schema) -> None:
         rules.append({"rule": "self == oldSelf", "message": f"spec: {text}"})
         return
     for name in fields:
-        if not visible(spec["properties"][name]):
-            continue
         same = f"self.{name} == oldSelf.{name}"
         if name not in spec.get("required", []):
             same = f"has(self.{name}) == has(oldSelf.{name}) && (!has(self.{name}) || {same})"

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a CRD says beyond the types of the models: rules in CEL, bounds, and what may not change.
 
-The rules are those of the models' own validators, in the words of the API server. CEL sees neither typeless
-values nor what holds nothing else, such as parameters, an axis' values, include and exclude: what can be
-said of those without CEL is in EXTRA, the rest is checked by `slamhive validate` and by the operator.
+The rules are those of the models' own validators, in the words of the API server. CEL knows no typeless
+values, such as those of an axis: what can be said of them without CEL is in EXTRA, the rest is checked by
+`slamhive validate` and by the operator. Objects whose fields are free, such as parameters, it can compare but
+not look into.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from slamhive.model.sweep import MAX_POINTS
+from slamhive.model.run import MappingRunSpec
+from slamhive.model.sweep import IMMUTABLE, MAX_POINTS
 
 Rule = tuple[str, str]
 
@@ -120,20 +122,10 @@ EXTRA: dict[str, dict[str, Any]] = {
 FROZEN: dict[str, tuple[str, ...] | None] = {
     "Algorithm": None,
     "Dataset": None,
-    "MappingRun": (
-        "algorithmRef",
-        "datasetRef",
-        "sensors",
-        "parameters",
-        "input",
-        "repetition",
-        "seed",
-        "resources",
-        "timeout",
-        "retries",
-        "evaluate",
+    "MappingRun": tuple(
+        field.alias or name for name, field in MappingRunSpec.model_fields.items() if name != "cancel"
     ),
-    "Sweep": ("template", "matrix", "repetitions", "search"),
+    "Sweep": IMMUTABLE,
 }
 """Fields of a kind's spec that may not change, None for all of them."""
 

@@ -126,8 +126,8 @@ def _points(axis: Axis, where: str, problems: list[str]) -> Dimension:
 def _steps(axis: Axis, where: str, catalog: Catalog, problems: list[str]) -> Dimension:
     path = parse_path(axis.path or "", f"{where}.path")
     values, source = _values(axis, path, where, catalog)
-    seen: dict[str, int] = {}
-    settings = []
+    seen: set[str] = set()
+    plain, settings = [], []
     for number, value in enumerate(values):
         place = f"{where}.values[{number}]" if source == "values" else f"{where}.{source}"
         try:
@@ -138,10 +138,10 @@ def _steps(axis: Axis, where: str, catalog: Catalog, problems: list[str]) -> Dim
         key = json.dumps(sorted(setting.items()))
         if key in seen:
             problems.append(f"{place}: the value {value!r} stands twice")
-        seen[key] = number
+        seen.add(key)
+        plain.append(normalize(value, place))
         settings.append(setting)
-    plain = tuple(normalize(value, where) for value in values)
-    return Dimension(axis.label, where, source, plain, tuple(settings), path)
+    return Dimension(axis.label, where, source, tuple(plain), tuple(settings), path)
 
 
 def _values(axis: Axis, path: Path, where: str, catalog: Catalog) -> tuple[list[Any], str]:

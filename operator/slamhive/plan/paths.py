@@ -40,6 +40,7 @@ REMAP: Path = ("input", "remap")
 
 _ALIASES = {"algorithm": ALGORITHM, "dataset": DATASET}
 _MAPS = (PARAMETERS, REMAP)
+_ROLES = [str(role) for role in Role]
 
 
 def _models_in(annotation: Any) -> Iterator[type[Model]]:
@@ -60,7 +61,7 @@ OBJECTS = frozenset(path[:-1] for path in _FIELDS if len(path) > 1)
 """Paths of fields that hold other fields."""
 LEAVES = frozenset(_FIELDS) - OBJECTS - set(_MAPS)
 """Paths of fields that hold one value."""
-_KNOWN = sorted([*map(".".join, LEAVES), *_ALIASES, "parameters.NAME", *(f"input.remap.{r}" for r in Role)])
+_KNOWN = sorted([*map(".".join, LEAVES), *_ALIASES, "parameters.NAME", *(f"input.remap.{r}" for r in _ROLES)])
 
 
 def written(path: Path) -> str:
@@ -80,8 +81,8 @@ def parse_path(text: str, where: str) -> Path:
         start = written(prefix) + "."
         if text.startswith(start) and len(text) > len(start):
             key = text.removeprefix(start)
-            if prefix == REMAP and key not in set(Role):
-                raise InputError(f"{where}: unknown role {key!r}{suggestion(key, set(Role))}")
+            if prefix == REMAP and key not in _ROLES:
+                raise InputError(f"{where}: unknown role {key!r}{suggestion(key, _ROLES)}")
             return (*prefix, key)
     path = tuple(text.split("."))
     if path in _FIELDS:
