@@ -87,6 +87,7 @@ class MemoryUsage(Model):
     peak_bytes: int | None = None
     mean_bytes: float | None = None
     anonymous_peak_bytes: int | None = None
+    kernel_peak_bytes: int | None = None
 
 
 class Usage(Model):

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measuring one run's trajectory: the settings of an Evaluation translated for the evaluator.
+
+The workstation, the importer and the evaluator's container all measure through here, so that equal
+settings mean the same everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from slamhive.model.base import seconds
+from slamhive.model.canonical import digest, normalize
+from slamhive.model.errors import InputError
+from slamhive.model.evaluation import Alignment, EvaluationSettings
+from slamhive.model.results import Outcome, Result
+from slamhive_eval import (
+    Options,
+    Relations,
+    RpeOptions,
+    Trajectory,
+    evaluate,
+    evaluate_relations,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from slamhive.model.sensors import SensorMode
+
+SETTINGS_KEY = "settings"
+"""Key of a result's values under which the hash of its settings stands."""
+
+Method = Literal["none", "origin", "se3", "sim3", "yaw"]
+_METHODS: dict[Alignment, Method] = {
+    Alignment.SE3: "se3",
+    Alignment.SIM3: "sim3",
+    Alignment.YAW: "yaw",
+    Alignment.ORIGIN: "origin",
+    Alignment.NONE: "none",
+}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is to know of a run to measure it.
+
+    Attributes:
+        mode: its sensor mode.
+        extrinsic: T_truth_estimate, (4, 4): the estimate's frame in the ground truth's; None to leave it.
+        gravity_aligned: whether both the dataset's and the algorithm's world have z pointing up.
+        keyframes: whether the estimate holds keyframes alone; None when unknown.
+        window: first and last sensor time of the run's input in s; None for all of the ground truth.
+    """
+
+    mode: SensorMode
+    extrinsic: npt.NDArray[np.float64] | None = None
+    gravity_aligned: bool = False
+    keyframes: bool | None = None
+    window: tuple[float, float] | None = None
+
+
+def method(settings: EvaluationSettings, subject: Subject) -> Method:
+    """Return the alignment that the settings mean for a run.
+
+    Raises:
+        InputError: yaw alone, but the worlds are not known to be gravity-aligned.
+    """
+    if settings.alignment is Alignment.AUTO:
+        return "se3" if subject.mode.has_scale else "sim3"
+    if settings.alignment is Alignment.YAW and not subject.gravity_aligned:
+        raise InputError(
+            "evaluation.alignment: Yaw needs a Dataset and an Algorithm that are both gravityAligned; use SE3"
+        )
+    return _METHODS[settings.alignment]
+
+
+def settings_hash(settings: EvaluationSettings) -> str:
+    """Return what tells apart settings that may give different results."""
+    return digest(normalize(EvaluationSettings.as_json(settings)))[:16]
+
+
+def measure(
+    reference: Trajectory | Relations,
+    estimate: Trajectory,
+    settings: EvaluationSettings,
+    subject: Subject,
+    name: str | None = None,
+) -> Result:
+    """Measure an estimate against its dataset's ground truth.
+
+    Args:
+        reference: poses of the ground truth, or relations between poses.
+        estimate: what the algorithm wrote.
+        settings: how to measure.
+        subject: what is known of the run.
+        name: the evaluation's name; default: the alignment, such as ``se3``.
+
+    Raises:
+        InputError: the settings don't fit the run.
+    """
+    if isinstance(reference, Relations):
+        return _measure_relations(reference, estimate, settings, subject, name or "relations")
+    alignment = method(settings, subject)
+    options = Options(
+        alignment=alignment,
+        extrinsic=subject.extrinsic if settings.frame == "Estimate" else None,
+        max_difference_seconds=seconds(settings.association.max_difference),
+        offset_seconds=settings.association.offset,
+        rpe=tuple(
+            RpeOptions(
+                delta=one.delta,
+                unit=one.unit,
+                pairs="all" if one.pairs == "All" else "consecutive",
+                rel_tolerance=one.rel_tolerance,
+            )
+            for one in settings.rpe
+        ),
+        min_coverage=settings.success.min_coverage,
+        max_ate=settings.success.max_ate,
+        keyframes=subject.keyframes,
+        has_scale=subject.mode.has_scale,
+        window=subject.window,
+    )
+    values = evaluate(reference, estimate, options).as_dict()
+    outcome = Outcome(values.pop("outcome"))
+    coverage = values.pop("coverage")
+    return Result(
+        evaluation=name or alignment,
+        outcome=outcome,
+        coverage=coverage,
+        values=_tagged(values, settings),
+    )
+
+
+def _measure_relations(
+    reference: Relations, estimate: Trajectory, settings: EvaluationSettings, subject: Subject, name: str
+) -> Result:
+    found = evaluate_relations(
+        reference,
+        estimate,
+        max_difference_seconds=seconds(settings.association.max_difference),
+        extrinsic=subject.extrinsic if settings.frame == "Estimate" else None,
+    )
+    share = found.count / found.relations
+    if share >= settings.success.min_coverage:
+        outcome = Outcome.TRACKED
+    else:
+        outcome = Outcome.PARTIAL if share >= 0.5 else Outcome.LOST
+    values = {"alignment": "none", "relations": found.as_dict()}
+    return Result(evaluation=name, outcome=outcome, coverage=share, values=_tagged(values, settings))
+
+
+def _tagged(values: dict[str, Any], settings: EvaluationSettings) -> dict[str, Any]:
+    return {**values, SETTINGS_KEY: settings_hash(settings)}

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive algorithm``: what is known, and whether what it declares is true."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from slamhive.cli.console import FAILED, listing, open_workbench, out
+from slamhive.local.catalog import load_workshop
+from slamhive.local.checking import check_algorithm
+from slamhive.local.environments import availability
+from slamhive.local.home import Home
+
+if TYPE_CHECKING:
+    from slamhive.model.algorithm import Algorithm, Parameter
+
+app = typer.Typer(no_args_is_help=True, help="Algorithms: what is known, and whether it works.")
+
+Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@app.command("list")
+def list_algorithms(*, as_json: AsJson = False) -> None:
+    """List the algorithms that are known here.
+
+    Example: slamhive algorithm list
+    """
+    workshop = load_workshop(Home.from_environment())
+    rows = [(entry.algorithm, availability(entry)) for _, entry in sorted(workshop.algorithm_entries.items())]
+    if as_json:
+        typer.echo(json.dumps([_summary(algorithm, problem) for algorithm, problem in rows], indent=2))
+        return
+    table = Table("algorithm", "sensors", "version", "licence", "here", "what it is")
+    for algorithm, problem in rows:
+        spec = algorithm.spec
+        table.add_row(
+            algorithm.name,
+            listing([mode.name for mode in spec.modes]),
+            spec.version or "",
+            spec.license or "",
+            "[green]yes[/]" if problem is None else f"[yellow]unavailable: {escape(problem)}[/]",
+            escape(spec.description),
+        )
+    out.print(table)
+
+
+@app.command("show")
+def show_algorithm(name: Name, *, as_json: AsJson = False) -> None:
+    """Show an algorithm: its sensors, its parameters, what its poses mean.
+
+    Example: slamhive algorithm show kiss-icp
+    """
+    entry = load_workshop(Home.from_environment()).algorithm(name)
+    algorithm = entry.algorithm
+    if as_json:
+        typer.echo(json.dumps(algorithm.as_json(), indent=2))
+        return
+    spec = algorithm.spec
+    out.print(f"[bold]{escape(name)}[/] {escape(spec.version or '')}: {escape(spec.description)}")
+    out.print(f"{spec.homepage or ''}  {spec.license or ''}", style="dim")
+    for mode in spec.modes:
+        output = spec.output_of(mode)
+        scale = "metric" if output.scale else "without scale"
+        out.print(
+            f"{mode.name}: takes {', '.join(mode.needs)}; "
+            f"writes {output.poses.lower()} of the {output.frame}, stamped {output.stamp}, {scale}"
+        )
+    out.print(
+        f"paces: {', '.join(spec.paces)}; deterministic: {spec.deterministic}; seed: {spec.seed.lower()}"
+    )
+    table = Table("parameter", "default", "allowed", "what it does")
+    for key, parameter in sorted(spec.parameters.items()):
+        table.add_row(key, json.dumps(parameter.default), _allowed(parameter), escape(parameter.description))
+    out.print(table)
+    problem = availability(entry)
+    if problem:
+        out.print(f"[yellow]unavailable here: {escape(problem)}[/]")
+
+
+@app.command("check")
+def check(name: Name) -> None:
+    """Run an algorithm on a generated recording and tell whether what it declares is true.
+
+    Example: slamhive algorithm check kiss-icp
+    """
+    home = Home.from_environment()
+    with home.exclusive():
+        bench = open_workbench(home)
+        with bench.archive:
+            findings = check_algorithm(bench, name)
+    for finding in findings:
+        mark = "[green]true[/]  " if finding.holds else "[red]false[/] "
+        out.print(f"{mark} {escape(finding.text)}")
+    if not all(finding.holds for finding in findings):
+        raise typer.Exit(FAILED)
+
+
+def _summary(algorithm: Algorithm, problem: str | None) -> dict[str, Any]:
+    return {
+        "name": algorithm.name,
+        "sensors": [mode.name for mode in algorithm.spec.modes],
+        "version": algorithm.spec.version,
+        "license": algorithm.spec.license,
+        "available": problem is None,
+        "unavailable": problem,
+        "labels": algorithm.metadata.labels,
+    }
+
+
+def _allowed(parameter: Parameter) -> str:
+    if parameter.values is not None:
+        return ", ".join(json.dumps(value) for value in parameter.values)
+    low = "" if parameter.minimum is None else f"{parameter.minimum:g}"
+    high = "" if parameter.maximum is None else f"{parameter.maximum:g}"
+    bounds = f" {low} … {high}" if low or high else ""
+    unit = f" {parameter.unit}" if parameter.unit else ""
+    return f"{parameter.type.lower()}{bounds}{unit}{' or null' if parameter.nullable else ''}"

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where commands print: results to standard output, everything else to standard error."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+
+from slamhive.archive import Archive
+from slamhive.local.catalog import Workshop, load_workshop
+from slamhive.local.workbench import Workbench
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.local.home import Home
+
+FAILED = 1
+WRONG_INPUT = 2
+INTERRUPTED = 130
+
+out = Console(highlight=False, soft_wrap=not sys.stdout.isatty())
+err = Console(stderr=True, highlight=False, soft_wrap=not sys.stderr.isatty())
+
+
+def complain(message: str) -> None:
+    """Print an error; each line is a sentence of its own."""
+    for line in message.splitlines():
+        err.print(f"[bold red]error:[/] {escape(line)}")
+
+
+def remark(message: str) -> None:
+    """Print a sentence about what is going on."""
+    err.print(f"[dim]{escape(message)}[/]")
+
+
+def open_workbench(home: Home, workshop: Workshop | None = None) -> Workbench:
+    """Return a workbench on a home with its archive open."""
+    home.folder(".")
+    return Workbench(home, workshop or load_workshop(home), Archive.open(home.archive_url), remark)
+
+
+def bytes_text(count: float | None) -> str:
+    """Return a size as people read it.
+
+    >>> bytes_text(82_000_000)
+    '78 MiB'
+    """
+    if count is None:
+        return "–"
+    for unit in ("B", "KiB", "MiB"):
+        if count < 1024:
+            return f"{count:.0f} {unit}"
+        count /= 1024
+    return f"{count:.1f} GiB"
+
+
+def plural(count: int, noun: str) -> str:
+    """Return a count with its noun.
+
+    >>> plural(1, "run"), plural(3, "run")
+    ('1 run', '3 runs')
+    """
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def listing(names: Sequence[str], most: int = 6) -> str:
+    """Return the first few names of a list."""
+    return ", ".join(names[:most]) + (", …" if len(names) > most else "")

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive dataset``: what is known, adding more, and looking into it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+import yaml
+from rich.markup import escape
+from rich.progress import Progress
+from rich.table import Table
+
+from slamhive.cli.console import FAILED, bytes_text, complain, err, listing, open_workbench, out, remark
+from slamhive.data.carmen import import_carmen
+from slamhive.data.euroc import import_euroc
+from slamhive.data.inspection import inspect
+from slamhive.data.preparation import prepare
+from slamhive.data.store import add_dataset, materialise
+from slamhive.data.suggestion import suggest_dataset
+from slamhive.local.catalog import load_workshop
+from slamhive.local.home import Home
+from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.dataset import Dataset
+from slamhive.model.errors import InputError
+from slamhive.model.loading import load_file
+from slamhive.model.run import InputOptions, LidarInput
+from slamhive.model.sensors import ROLES, SensorMode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from slamhive.data.inspection import DatasetReport, SensorReport
+    from slamhive.model.dataset import DatasetSpec
+
+app = typer.Typer(no_args_is_help=True, help="Datasets: what is known, adding more, looking into them.")
+
+Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+_MANIFESTS = {".yaml", ".yml"}
+_CARMEN = {".clf", ".log", ".bz2", ".gz"}
+
+
+@app.command("list")
+def list_datasets(*, as_json: AsJson = False) -> None:
+    """List the datasets that are known here.
+
+    Example: slamhive dataset list
+    """
+    datasets = load_workshop(Home.from_environment()).datasets
+    if as_json:
+        rows = [
+            {"name": name, "source": _source(one.spec), "attributes": one.spec.attributes}
+            for name, one in sorted(datasets.items())
+        ]
+        typer.echo(json.dumps(rows, indent=2))
+        return
+    table = Table("dataset", "source", "sensors", "ground truth", "attributes", "what it is")
+    for name, dataset in sorted(datasets.items()):
+        spec = dataset.spec
+        truth = spec.ground_truth
+        generated = spec.recording.synthetic
+        sensors = [str(one) for one in generated.sensors] if generated else sorted(spec.sensors)
+        table.add_row(
+            name,
+            _source(spec),
+            listing(sensors),
+            "exact" if generated else (str(truth.format) if truth else "none"),
+            escape(", ".join(f"{key}: {value}" for key, value in spec.attributes.items())),
+            escape(spec.description),
+        )
+    out.print(table)
+
+
+@app.command("show")
+def show(name: Name) -> None:
+    """Show a dataset's manifest.
+
+    Example: slamhive dataset show synthetic-lidar
+    """
+    dataset = load_workshop(Home.from_environment()).dataset(name).dataset
+    typer.echo(yaml.safe_dump(dataset.as_json(), sort_keys=False, allow_unicode=True), nl=False)
+
+
+@app.command("add")
+def add(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SOURCE", help="A manifest, a bag, an EuRoC folder (with mav0/) or a CARMEN log."
+        ),
+    ],
+    *,
+    name: Annotated[str | None, typer.Option("--name", help="Name of the dataset.")] = None,
+    relations: Annotated[
+        Path | None, typer.Option("--relations", help="Ground truth of a CARMEN log: a .relations file.")
+    ] = None,
+) -> None:
+    """Make a dataset known: from its manifest, or from what is found in a recording.
+
+    A bag gets a manifest in this folder, to be completed and added then. EuRoC folders and CARMEN logs
+    are converted into the home and are known at once.
+
+    Example: slamhive dataset add my.bag --name hall
+    """
+    home = Home.from_environment()
+    if not source.exists():
+        raise InputError(f"{source}: no such file or folder")
+    if source.suffix in _MANIFESTS and source.is_file():
+        _add_manifest(source, home)
+    elif (source / "mav0").is_dir() or (source / "cam0").is_dir():
+        chosen = _named(source, name)
+        import_euroc(source, home.folder("datasets") / chosen, chosen)
+        _added(home.path / "datasets" / chosen / "dataset.yaml")
+    elif source.is_file() and source.suffix in _CARMEN:
+        chosen = _named(source, name)
+        import_carmen(source, home.folder("datasets") / chosen, chosen, relations)
+        _added(home.path / "datasets" / chosen / "dataset.yaml")
+    else:
+        _suggest(source, _named(source, name))
+
+
+@app.command("make")
+def make(name: Name) -> None:
+    """Generate a synthetic dataset's recording, and say where it is.
+
+    Example: slamhive dataset make synthetic-lidar
+    """
+    home = Home.from_environment()
+    place = load_workshop(home).dataset(name)
+    if place.dataset.spec.recording.synthetic is None:
+        raise InputError(f"dataset {name}: it is not synthetic, there is nothing to generate")
+    with _progress() as progress:
+        task = progress.add_task(f"generating {name}", total=1.0)
+        entry = materialise(
+            place.dataset,
+            place.folder,
+            home.folder("datasets"),
+            lambda share: progress.update(task, completed=share),
+        )
+        progress.update(task, completed=1.0)
+    out.print(str(entry.root), soft_wrap=True)
+
+
+@app.command("prepare")
+def prepare_variant(
+    name: Name,
+    *,
+    sensors: Annotated[SensorMode, typer.Option("--sensors", help="Sensor mode to prepare for.")],
+    frame_rate: Annotated[float | None, typer.Option("--frame-rate", min=0.001, help="Hz.")] = None,
+    resolution: Annotated[
+        float | None, typer.Option("--resolution", min=0.01, max=1, help="Scale of images.")
+    ] = None,
+    start: Annotated[str | None, typer.Option("--start", help="Time to leave out, such as 10s.")] = None,
+    duration: Annotated[str | None, typer.Option("--duration", help="Length to keep, such as 1m.")] = None,
+    max_range: Annotated[
+        float | None, typer.Option("--max-range", min=0.01, help="LiDAR range in m.")
+    ] = None,
+    rings: Annotated[int | None, typer.Option("--rings", min=1, help="LiDAR rings to keep.")] = None,
+    recording: Annotated[
+        RecordingFormat | None, typer.Option("--format", help="Format; default: as recorded.")
+    ] = None,
+) -> None:
+    """Make the variant of a dataset that a run would get, and say where it is.
+
+    Example: slamhive dataset prepare synthetic-camera --sensors stereo --resolution 0.5 --frame-rate 7.5
+    """
+    bench = open_workbench(Home.from_environment())
+    with bench.archive:
+        entry = bench.dataset(name)
+        options = InputOptions.model_validate(
+            {
+                "frameRate": frame_rate,
+                "resolution": resolution,
+                "start": start,
+                "duration": duration,
+                "lidar": LidarInput(max_range=max_range, rings=rings),
+            }
+        )
+        with _progress() as progress:
+            task = progress.add_task(f"preparing {name}", total=1.0)
+            variant = prepare(
+                entry,
+                ROLES[sensors],
+                options,
+                [recording or entry.dataset.spec.recording.format],
+                bench.home.folder("variants"),
+                lambda share: progress.update(task, completed=share),
+            )
+    rate = f"{variant.frame_rate:.4g} Hz" if variant.frame_rate else "one frame"
+    remark(f"{variant.frames} frames, {rate}, {variant.duration_seconds:.1f} s, scale {variant.resolution:g}")
+    out.print(str(variant.path), soft_wrap=True)
+
+
+@app.command("check")
+def check(name: Name, *, as_json: AsJson = False) -> None:
+    """Read a dataset through: topics, rates, gaps, calibration, overlap with its ground truth.
+
+    Example: slamhive dataset check synthetic-lidar
+    """
+    bench = open_workbench(Home.from_environment())
+    with bench.archive:
+        report = inspect(bench.dataset(name), bench.home.folder("truths"))
+    if as_json:
+        typer.echo(json.dumps(report.as_json(), indent=2))
+    else:
+        _print_report(report)
+    if not report.is_usable:
+        raise typer.Exit(FAILED)
+
+
+def _source(spec: DatasetSpec) -> str:
+    if spec.recording.synthetic is not None:
+        return "generated"
+    return str(spec.recording.format)
+
+
+def _named(source: Path, name: str | None) -> str:
+    return name or source.name.split(".")[0].lower().replace("_", "-")
+
+
+def _add_manifest(source: Path, home: Home) -> None:
+    datasets = [item for item in load_file(source) if isinstance(item, Dataset)]
+    if not datasets:
+        raise InputError(f"{source}: no Dataset in it")
+    for dataset in datasets:
+        _added(add_dataset(dataset, source.parent.absolute(), home.folder("datasets")))
+
+
+def _added(manifest: Path) -> None:
+    out.print(f"known now as {manifest.parent.name}: {manifest}", soft_wrap=True)
+    remark(f"look into it: slamhive dataset check {manifest.parent.name}")
+
+
+def _suggest(source: Path, name: str) -> None:
+    target = Path(f"{name}.yaml")
+    if target.exists():
+        raise InputError(f"{target} exists already; complete it and add it: slamhive dataset add {target}")
+    suggestion = suggest_dataset(source, name)
+    target.write_text(suggestion.text, encoding="utf-8")
+    out.print(f"wrote {target}", soft_wrap=True)
+    for sentence in suggestion.missing:
+        remark(f"- {sentence}")
+    remark(f"then: slamhive dataset add {target}")
+
+
+def _progress() -> Progress:
+    return Progress(console=err, disable=not err.is_terminal)
+
+
+def _print_report(report: DatasetReport) -> None:
+    duration = f"{report.duration_seconds:.1f} s" if report.duration_seconds is not None else "unknown length"
+    out.print(f"[bold]{escape(report.name)}[/] {report.format}, {duration}")
+    table = Table("sensor", "topic", "messages", "rate", "size", "gaps", "content")
+    for sensor in report.sensors:
+        table.add_row(*_sensor_cells(sensor))
+    out.print(table)
+    truth = report.ground_truth
+    if truth is not None:
+        path = f", path {truth.path_metres:.1f} m" if truth.path_metres is not None else ""
+        gap = f", longest gap {truth.longest_gap:.2f} s" if truth.longest_gap is not None else ""
+        out.print(
+            f"ground truth: {truth.count} ({truth.kind}), {truth.overlap_seconds:.1f} s overlap{path}{gap}"
+        )
+    if report.other_topics:
+        out.print(f"other topics: {escape(', '.join(report.other_topics))}", style="dim")
+    for warning in report.warnings:
+        out.print(f"[yellow]warning:[/] {escape(warning)}")
+    for error in report.errors:
+        complain(error)
+
+
+def _sensor_cells(sensor: SensorReport) -> Iterator[str]:
+    longest = f"{sensor.gap_count}, longest {sensor.gaps[0].seconds:.2f} s" if sensor.gaps else "none"
+    yield escape(sensor.name)
+    yield escape(sensor.topic)
+    yield str(sensor.messages)
+    yield f"{sensor.rate:.4g} Hz" if sensor.rate else "–"
+    yield bytes_text(sensor.size_bytes)
+    yield longest
+    yield escape(sensor.content)

@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive run``, ``plan``, ``validate`` and ``demo``."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from slamhive.cli.console import (
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    complain,
+    err,
+    open_workbench,
+    out,
+    plural,
+    remark,
+)
+from slamhive.cli.progress import Display
+from slamhive.cli.results import print_summary_table
+from slamhive.engine import PointState, Verdict
+from slamhive.local.catalog import bundled, load_workshop, read_files
+from slamhive.local.environments import availability
+from slamhive.local.evaluations import evaluate_again
+from slamhive.local.home import Home
+from slamhive.local.runner import Job, Runner
+from slamhive.model.errors import InputError
+from slamhive.model.evaluation import Evaluation
+from slamhive.model.run import MappingRun
+from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec
+from slamhive.plan import Plan, local_uid
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.local.catalog import Workshop
+    from slamhive.local.workbench import Workbench
+    from slamhive.model.loading import Kind
+
+Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]
+
+_WATCH_SECONDS = 1.0
+_REPORTED = 20
+
+
+def run(
+    files: Files,
+    *,
+    parallelism: Annotated[
+        int | None, typer.Option("-j", "--parallelism", min=1, help="Runs at the same time at most.")
+    ] = None,
+    rerun: Annotated[bool, typer.Option("--rerun", help="Do finished runs again, reuse nothing.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do failed runs again.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Stay, and run what is new whenever a file changes.")
+    ] = False,
+) -> None:
+    """Run sweeps on this machine.
+
+    Finished runs are kept: after Ctrl-C or a crash the same command goes on where it was.
+
+    Example: slamhive run sweep.yaml -j 2
+    """
+    home = Home.from_environment()
+    with home.exclusive():
+        code = _run_files(files, home, parallelism, rerun=rerun, retry_failed=retry_failed)
+        while watch and code != INTERRUPTED:
+            remark("watching; Ctrl-C ends")
+            try:
+                _wait_for_change(files)
+            except KeyboardInterrupt:
+                break
+            try:
+                code = _run_files(files, home, parallelism, rerun=False, retry_failed=False)
+            except InputError as error:
+                complain(str(error))
+    raise typer.Exit(code)
+
+
+def plan(
+    files: Files,
+    *,
+    count: Annotated[bool, typer.Option("--count", help="Print the number of runs alone.")] = False,
+    head: Annotated[int | None, typer.Option("--head", min=1, help="Print the first N runs.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print every run as a line of JSON.")] = False,
+) -> None:
+    """Show the runs that sweeps expand to, without running them.
+
+    Names that are not in the catalog are allowed here; validate tells of them.
+
+    Example: slamhive plan sweep.yaml --head 10
+    """
+    workshop = load_workshop(Home.from_environment())
+    plans = [(sweep, Plan(sweep, workshop, strict=False)) for sweep in _sweeps(read_files(files, workshop))]
+    if not plans:
+        raise InputError(f"{files[0]}: no Sweep or MappingRun in it")
+    if count:
+        out.print(sum(len(points) for _, points in plans))
+        return
+    for sweep, points in plans:
+        shown = len(points) if as_json else min(len(points), head or 10)
+        if as_json:
+            _print_json(points, min(shown, head or shown))
+        else:
+            _print_points(sweep, points, shown)
+
+
+def validate(files: Files) -> None:
+    """Check manifests against the catalog: everything that run would refuse, and what isn't here.
+
+    Example: slamhive validate sweep.yaml
+    """
+    workshop = load_workshop(Home.from_environment())
+    objects = read_files(files, workshop)
+    problems = 0
+    for sweep in _sweeps(objects):
+        points = Plan(sweep, workshop, strict=True)
+        found = points.check()
+        problems += len(found)
+        for problem in found:
+            complain(f"{sweep.kind} {sweep.name}: {problem}")
+        if not found:
+            out.print(f"{sweep.kind} {escape(sweep.name)}: {plural(len(points), 'run')}")
+    for item in objects:
+        if not isinstance(item, Sweep | MappingRun):
+            out.print(f"{item.kind} {escape(item.name)}: valid")
+    if problems:
+        raise typer.Exit(WRONG_INPUT)
+
+
+def demo(
+    *,
+    parallelism: Annotated[
+        int | None, typer.Option("-j", "--parallelism", min=1, help="Runs at the same time at most.")
+    ] = None,
+) -> None:
+    """Compare real algorithms on a generated recording, and show the table.
+
+    Example: slamhive demo
+    """
+    home = Home.from_environment()
+    sweep = bundled("examples") / "demo.yaml"
+    with home.exclusive():
+        code = _run_files([sweep], home, parallelism, rerun=False, retry_failed=False)
+    if code != INTERRUPTED:
+        out.print()
+        out.print(f"The sweep:  {sweep}", soft_wrap=True)
+        out.print("Next:       slamhive results table --sweep demo --where 'outcome == \"Tracked\"'")
+        out.print("            slamhive algorithm list")
+        out.print("            slamhive run your-sweep.yaml      (copy the sweep above and change it)")
+    raise typer.Exit(code)
+
+
+def _run_files(
+    files: Sequence[Path], home: Home, parallelism: int | None, *, rerun: bool, retry_failed: bool
+) -> int:
+    workshop = load_workshop(home)
+    objects = read_files(files, workshop)
+    evaluations = [item for item in objects if isinstance(item, Evaluation)]
+    sweeps = _sweeps(objects)
+    if not sweeps and not evaluations:
+        raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
+    jobs = [_job(sweep, workshop) for sweep in sweeps]
+    bench = open_workbench(home, workshop)
+    with bench.archive:
+        interrupted = False
+        if jobs:
+            interrupted = _drive(jobs, bench, parallelism, rerun=rerun, retry_failed=retry_failed)
+        for evaluation in evaluations:
+            done, problems = evaluate_again(bench, evaluation)
+            out.print(f"Evaluation {escape(evaluation.name)}: {plural(done, 'run')} evaluated")
+            for problem in problems:
+                complain(problem)
+        for job in jobs:
+            _report(job, bench)
+    if interrupted:
+        remark("interrupted; the same command goes on where it was")
+        return INTERRUPTED
+    failed = any(job.count(PointState.FAILED) or job.verdict is not Verdict.COMPLETE for job in jobs)
+    return FAILED if failed else 0
+
+
+def _drive(
+    jobs: Sequence[Job], bench: Workbench, parallelism: int | None, *, rerun: bool, retry_failed: bool
+) -> bool:
+    with Display() as display:
+        runner = Runner(bench, display, parallelism=parallelism, rerun=rerun, retry_failed=retry_failed)
+        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+        def interrupt(_number: int, _frame: Any) -> None:
+            runner.interrupt()
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+        for number in before:
+            signal.signal(number, interrupt)
+        try:
+            return runner.run(jobs)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def _sweeps(objects: Sequence[Kind]) -> list[Sweep]:
+    """Return the sweeps among objects; a single run is a sweep of one."""
+    return [
+        item if isinstance(item, Sweep) else _as_sweep(item)
+        for item in objects
+        if isinstance(item, Sweep | MappingRun)
+    ]
+
+
+def _as_sweep(single: MappingRun) -> Sweep:
+    spec = single.spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    return Sweep(metadata=single.metadata, spec=SweepSpec(template=RunTemplate(spec=spec)))
+
+
+def _job(sweep: Sweep, workshop: Workshop) -> Job:
+    points = Plan(sweep, workshop, strict=True)
+    problems = points.check()
+    if problems:
+        raise InputError("\n".join(f"{sweep.kind} {sweep.name}: {problem}" for problem in problems))
+    for name in points.algorithm_names():
+        reason = availability(workshop.algorithm(name))
+        if reason:
+            err.print(f"[yellow]{escape(name)} can't run here: {escape(reason)}[/]")
+    return Job(sweep, local_uid(sweep), points)
+
+
+def _report(job: Job, bench: Workbench) -> None:
+    succeeded, failed = job.count(PointState.SUCCEEDED), job.count(PointState.FAILED)
+    parts = [f"{succeeded} succeeded", f"{failed} failed"]
+    waiting = len(job.points) - succeeded - failed
+    parts += [f"{waiting} not run"] if waiting else []
+    parts += [f"{job.kept} done before"] if job.kept else []
+    parts += [f"{job.reused} reused"] if job.reused else []
+    if succeeded or failed:
+        out.print()
+        print_summary_table(bench.archive, job.sweep.name)
+    reason = f" ({job.verdict}: {job.message})" if job.message and waiting else ""
+    out.print(
+        f"{escape(job.sweep.name)}: {plural(len(job.points), 'run')}: {', '.join(parts)}{escape(reason)}"
+    )
+    out.print(f"Files:      {bench.home.path / 'runs' / job.sweep.name}", soft_wrap=True)
+    out.print(f"More:       slamhive results table --sweep {job.sweep.name}   (list, show, export)")
+
+
+def _wait_for_change(files: Sequence[Path]) -> None:
+    def state() -> list[float]:
+        return [path.stat().st_mtime if path.exists() else 0.0 for path in files]
+
+    before = state()
+    while state() == before:
+        time.sleep(_WATCH_SECONDS)
+
+
+def _print_json(points: Plan, count: int) -> None:
+    for index in range(count):
+        point = points.point(index)
+        line = {"index": index, "name": point.name, "specHash": point.spec_hash, "spec": point.spec}
+        typer.echo(json.dumps(line, separators=(",", ":")))
+
+
+def _print_points(sweep: Sweep, points: Plan, count: int) -> None:
+    first = [points.point(index) for index in range(count)]
+    labels = list(dict.fromkeys(label for point in first for label in point.coordinates))
+    table = Table(title=f"{sweep.name}: {plural(len(points), 'run')}", title_justify="left")
+    for column in ("index", "name", *labels, "repetition", "seed"):
+        table.add_column(column, overflow="fold")
+    for point in first:
+        cells = [str(point.coordinates.get(label, "")) for label in labels]
+        table.add_row(str(point.index), point.name, *cells, str(point.repetition), str(point.seed))
+    out.print(table)
+    if count < len(points):
+        out.print(f"… and {plural(len(points) - count, 'run')} more (--head N, --json)")

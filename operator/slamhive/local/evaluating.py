@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measuring the runs of a workstation, right after they end or again later with other settings."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.measuring import SETTINGS_KEY, Subject, measure, settings_hash
+from slamhive.data.groundtruth import ground_truth
+from slamhive.model.algorithm import Poses
+from slamhive.model.errors import InputError, SlamHiveError
+from slamhive.model.sensors import Role, SensorMode
+from slamhive_eval import EvaluationError, read_tum
+
+if TYPE_CHECKING:
+    from slamhive.data.groundtruth import GroundTruthPoses
+    from slamhive.data.preparation import Variant
+    from slamhive.local.attempt import Attempt
+    from slamhive.local.run import RunOrder
+    from slamhive.local.workbench import Workbench
+    from slamhive.model.evaluation import EvaluationSettings
+    from slamhive.model.results import Result, RunRecord
+
+
+class Evaluator:
+    """Measures trajectories against the ground truth of their datasets.
+
+    Args:
+        bench: what runs share.
+    """
+
+    def __init__(self, bench: Workbench) -> None:
+        self._bench = bench
+        self._truths: dict[str, GroundTruthPoses | None] = {}
+        self._lock = threading.Lock()
+
+    def measure_attempt(self, attempt: Attempt, order: RunOrder, variant: Variant | None) -> list[Result]:
+        """Return the result of an attempt that ended well; none where there is no ground truth."""
+        path = attempt.output / "trajectory.txt"
+        result = self.measure_file(path, order.point.spec, order.settings, variant)
+        return [result] if result else []
+
+    def measure_file(
+        self,
+        path: Path,
+        spec: dict[str, Any],
+        settings: EvaluationSettings,
+        variant: Variant | None = None,
+        name: str | None = None,
+    ) -> Result | None:
+        """Measure a trajectory file of a run.
+
+        Args:
+            path: the trajectory, in TUM format.
+            spec: the run's resolved spec.
+            settings: how to measure.
+            variant: the prepared recording, when it is at hand.
+            name: the evaluation's name; default: the alignment.
+
+        Returns:
+            The result, or None when the dataset has no ground truth.
+
+        Raises:
+            InputError: the settings, the trajectory or the ground truth can't be used.
+        """
+        truth = self.truth(spec["datasetRef"]["name"])
+        if truth is None:
+            return None
+        algorithm = self._bench.workshop.algorithm(spec["algorithmRef"]["name"]).algorithm
+        variant = variant or self._bench.prepare(spec, algorithm)
+        mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
+        output = algorithm.spec.output_of(mode)
+        estimate_frame = np.eye(4)
+        if output.frame != "body":
+            estimate_frame = self._pose_of(Role(output.frame), spec, variant)
+        dataset = self._bench.dataset(spec["datasetRef"]["name"]).dataset
+        subject = Subject(
+            mode=SensorMode(spec["sensors"]),
+            extrinsic=np.linalg.inv(truth.T_body_frame) @ estimate_frame,
+            gravity_aligned=output.gravity_aligned and dataset.spec.gravity_aligned,
+            keyframes=output.poses is Poses.KEYFRAMES,
+            window=(variant.start_time, variant.start_time + variant.duration_seconds),
+        )
+        try:
+            return measure(truth.poses, read_tum(path), settings, subject, name)
+        except EvaluationError as error:
+            raise InputError(str(error)) from None
+
+    def results_of_twin(self, twin: RunRecord, order: RunOrder) -> list[Result]:
+        """Return an equal run's results under the order's settings, measured again if need be."""
+        wanted = settings_hash(order.settings)
+        fitting = [result for result in twin.results if result.values.get(SETTINGS_KEY) == wanted]
+        if fitting or not order.point.spec["evaluate"]:
+            return fitting
+        path = Path(twin.folder or "") / "run" / "output" / "trajectory.txt"
+        if twin.folder and path.is_file():
+            try:
+                result = self.measure_file(path, order.point.spec, order.settings)
+            except SlamHiveError:
+                return list(twin.results)
+            return [result] if result else []
+        return list(twin.results)
+
+    def truth(self, name: str) -> GroundTruthPoses | None:
+        """Return a dataset's ground truth, read once; None where it has none.
+
+        Raises:
+            InputError: it can't be read.
+        """
+        entry = self._bench.dataset(name)
+        with self._lock:
+            if name not in self._truths:
+                self._truths[name] = ground_truth(entry, self._bench.home.folder("truths"))
+            return self._truths[name]
+
+    def _pose_of(self, role: Role, spec: dict[str, Any], variant: Variant) -> np.ndarray[Any, Any]:
+        if role in variant.sensors:
+            return np.array(variant.sensors[role].T_body_sensor)
+        dataset = self._bench.dataset(spec["datasetRef"]["name"]).dataset
+        sensor = dataset.spec.sensor_for(role, spec["input"].get("remap"))
+        return np.array(dataset.spec.sensors[sensor].T_body_sensor)

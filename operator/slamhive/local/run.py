@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Driving one run on this machine: observe, decide, act, until it is finished."""
+
+from __future__ import annotations
+
+import os
+import platform
+import threading
+import time
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from slamhive import __version__
+from slamhive.data.preparation import VERSION
+from slamhive.engine import (
+    AttemptState,
+    Decision,
+    Evaluate,
+    Finish,
+    Prepare,
+    RunObserved,
+    RunState,
+    Start,
+    Stop,
+    VariantState,
+    decide_run,
+)
+from slamhive.local.attempt import Attempt, AttemptOrder
+from slamhive.local.environments import Unavailable
+from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
+from slamhive.model.errors import InputError, SlamHiveError
+from slamhive.model.results import Phase, Provenance, Reason, Result, RunRecord
+from slamhive.plan import content_hash
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from slamhive.data.preparation import Variant
+    from slamhive.local.catalog import AlgorithmEntry
+    from slamhive.local.environments import Environment
+    from slamhive.local.evaluating import Evaluator
+    from slamhive.local.workbench import Workbench
+    from slamhive.model.evaluation import EvaluationSettings
+
+
+class Point(Protocol):
+    """What a plan says of one run."""
+
+    @property
+    def name(self) -> str:
+        """Return the run's name."""
+
+    @property
+    def index(self) -> int:
+        """Return its place in the sweep."""
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """Return the resolved spec, all defaults filled in."""
+
+    @property
+    def spec_hash(self) -> str:
+        """Return the hash of the spec."""
+
+
+@dataclass(frozen=True)
+class RunOrder:
+    """A run to be done.
+
+    Attributes:
+        uid: its identity in the archive.
+        point: what the plan says of it.
+        sweep: name of the sweep it belongs to.
+        labels: labels that it carries.
+        settings: how it is measured.
+        reuse: whether an equal run's result may be taken.
+    """
+
+    uid: str
+    point: Point
+    sweep: str
+    labels: dict[str, str]
+    settings: EvaluationSettings
+    reuse: bool
+
+
+@dataclass
+class _Progress:
+    """What has been found out about a run so far."""
+
+    environment: Environment | None = None
+    variant: Variant | None = None
+    variant_state: VariantState = VariantState.ABSENT
+    variant_problem: tuple[Reason, str] | None = None
+    attempt_state: AttemptState = AttemptState.NONE
+    twin: RunRecord | None = None
+    results: list[Result] = field(default_factory=list)
+    remark: str | None = None
+    provenance: Provenance = field(default_factory=Provenance)
+
+
+class RunDriver:
+    """Brings one run to its end.
+
+    Args:
+        order: the run.
+        bench: what runs share.
+        cpus: logical processors it is pinned to.
+        tell: told of each phase.
+    """
+
+    def __init__(
+        self, order: RunOrder, bench: Workbench, cpus: tuple[int, ...], tell: Callable[[Phase], None]
+    ) -> None:
+        self._order = order
+        self._bench = bench
+        self._cpus = cpus
+        self._tell = tell
+        self._spec = order.point.spec
+        self._attempt = Attempt(bench.home.path / "runs" / order.sweep / order.point.name)
+        self._cancelled = threading.Event()
+        self._progress = _Progress()
+
+    def cancel(self) -> None:
+        """End the run; its thread comes back soon after."""
+        self._cancelled.set()
+        self._attempt.stop()
+
+    def drive(self) -> RunRecord:
+        """Lead the run to its end and return what is to be recorded of it."""
+        os.sched_setaffinity(0, self._cpus)  # of this thread: what prepares and measures shares its cores
+        created = datetime.now(UTC)
+        state = RunState()
+        self._look_up()
+        while not state.phase.is_finished:
+            decision = decide_run(state, self._observe(), time.monotonic())
+            if decision.state.phase is not state.phase:
+                self._tell(decision.state.phase)
+            state = decision.state
+            for action in decision.actions:
+                self._act(action)
+            self._pause(decision)
+        return self._record(state, created)
+
+    def _pause(self, decision: Decision) -> None:
+        if not decision.actions and decision.look_again_at is not None:
+            self._cancelled.wait(max(0.0, decision.look_again_at - time.monotonic()))
+            self._progress.attempt_state = AttemptState.NONE
+            if self._progress.variant_state is VariantState.FAILED:
+                self._progress.variant_state = VariantState.ABSENT
+
+    def _look_up(self) -> None:
+        """Find out what makes the result what it is, and whether it is there already."""
+        progress, order, bench = self._progress, self._order, self._bench
+        try:
+            entry = self._algorithm
+            environment = bench.environments.digest(entry)
+            checksum = bench.checksum(self._spec["datasetRef"]["name"])
+        except (SlamHiveError, OSError):
+            return  # preparing meets it again and gives it its reason
+        hashed = content_hash(
+            order.point.spec_hash, entry.algorithm.spec, checksum, str(VERSION), environment
+        )
+        progress.provenance = Provenance(
+            content_hash=hashed,
+            spec_hash=order.point.spec_hash,
+            environment=environment,
+            dataset_sha256=checksum,
+            node=platform.node(),
+            cpu_model=cpu_model(),
+            slamhive_version=__version__,
+        )
+        if order.reuse:
+            progress.twin = bench.archive.find_reusable(hashed)
+            if self._attempt.finished(order.uid, hashed):
+                progress.attempt_state = AttemptState.ENDED
+
+    def _observe(self) -> RunObserved:
+        progress = self._progress
+        ended = progress.attempt_state is AttemptState.ENDED
+        return RunObserved(
+            retries=self._spec["retries"],
+            cancel=self._cancelled.is_set(),
+            reusable=progress.twin is not None,
+            variant=progress.variant_state,
+            variant_problem=progress.variant_problem,
+            attempt=progress.attempt_state,
+            end=self._attempt.end() if ended else None,
+            wants_evaluation=self._spec["evaluate"],
+        )
+
+    def _act(self, action: Prepare | Start | Stop | Evaluate | Finish) -> None:
+        match action:
+            case Prepare():
+                self._prepare()
+            case Start():
+                self._start()
+            case Evaluate():
+                self._evaluate()
+            case Stop():
+                self._attempt.stop()
+            case Finish():
+                pass
+
+    def _evaluate(self) -> None:
+        progress = self._progress
+        try:
+            progress.results = self._evaluator.measure_attempt(self._attempt, self._order, progress.variant)
+        except (SlamHiveError, OSError) as error:
+            progress.remark = f"not evaluated: {error}"
+
+    def _prepare(self) -> None:
+        progress, bench = self._progress, self._bench
+        try:
+            progress.environment = bench.environments.get(self._algorithm)
+            progress.variant = bench.prepare(self._spec, self._algorithm.algorithm)
+            progress.variant_state = VariantState.READY
+        except (SlamHiveError, OSError) as error:
+            progress.variant_state = VariantState.FAILED
+            progress.variant_problem = _problem(error)
+
+    def _start(self) -> None:
+        progress = self._progress
+        if progress.variant is None or progress.environment is None:
+            raise RuntimeError("an attempt was started before its recording was prepared")
+        order = AttemptOrder(
+            uid=self._order.uid,
+            content_hash=progress.provenance.content_hash or "",
+            configuration=self._configuration(progress.variant),
+            entry=self._algorithm,
+            environment=progress.environment,
+            dataset=progress.variant.folder,
+            spec=self._spec,
+            cpus=self._cpus,
+        )
+        with progress.variant.in_use():
+            try:
+                self._attempt.start(order)
+            except SlamHiveError as error:
+                progress.variant_state = VariantState.FAILED
+                progress.variant_problem = _problem(error)
+                return
+            if self._cancelled.is_set():
+                self._attempt.stop()
+            self._attempt.wait()
+        progress.attempt_state = AttemptState.ENDED
+
+    def _configuration(self, variant: Variant) -> RunConfiguration:
+        options = self._spec["input"]
+        dataset = self._bench.dataset(self._spec["datasetRef"]["name"]).dataset
+        return RunConfiguration(
+            run=self._order.point.name,
+            algorithm=self._spec["algorithmRef"]["name"],
+            mode=self._spec["sensors"],
+            dataset=DatasetView(
+                name=dataset.name,
+                recording=RecordingPlace(format=variant.format, path=f"dataset/{variant.path.name}"),
+                start_time=variant.start_time,
+                duration_seconds=variant.duration_seconds,
+                gravity_aligned=dataset.spec.gravity_aligned,
+            ),
+            sensors={role.value: view for role, view in variant.sensors.items()},
+            parameters=self._spec["parameters"],
+            input=InputView(
+                pace=options["pace"],
+                frame_rate=variant.frame_rate,
+                resolution=variant.resolution,
+                rate=options.get("rate") or 1.0,
+                duration=variant.duration_seconds,
+            ),
+            seed=self._spec["seed"],
+            cores=len(self._cpus),
+        )
+
+    def _record(self, state: RunState, created: datetime) -> RunRecord:
+        progress, order, attempt = self._progress, self._order, self._attempt
+        base = RunRecord(
+            uid=order.uid,
+            name=order.point.name,
+            sweep=order.sweep,
+            index=order.point.index,
+            labels=order.labels,
+            spec=self._spec,
+            attributes=self._bench.attributes(self._spec["datasetRef"]["name"]),
+            phase=state.phase,
+            reason=state.reason,
+            message=state.message or progress.remark,
+            attempts=state.attempts,
+            created=created,
+            finished=datetime.now(UTC),
+            provenance=progress.provenance,
+        )
+        if progress.twin is not None and state.phase is Phase.SUCCEEDED:
+            return _from_twin(base, progress.twin, self._evaluator.results_of_twin(progress.twin, order))
+        if progress.attempt_state is not AttemptState.ENDED:
+            return base
+        attempt.collect()
+        started, finished = attempt.times()
+        return base.replace(
+            started=datetime.fromisoformat(started) if started else None,
+            finished=datetime.fromisoformat(finished) if finished else base.finished,
+            usage=attempt.usage(),
+            frames=attempt.frames(progress.variant.frames if progress.variant else None),
+            metrics=attempt.metrics(),
+            trajectory=attempt.trajectory(),
+            results=progress.results,
+            folder=str(attempt.folder),
+            log_tail=attempt.log_tail(),
+        )
+
+    @property
+    def _evaluator(self) -> Evaluator:
+        return self._bench.evaluator
+
+    @property
+    def _algorithm(self) -> AlgorithmEntry:
+        return self._bench.workshop.algorithm(self._spec["algorithmRef"]["name"])
+
+
+def _from_twin(record: RunRecord, twin: RunRecord, results: list[Result]) -> RunRecord:
+    """Return a run's record with an equal run's result; its usage only when the processor is the same."""
+    same_cpu = twin.provenance.cpu_model == record.provenance.cpu_model
+    return record.replace(
+        started=twin.started,
+        finished=twin.finished,
+        usage=twin.usage if same_cpu else None,
+        frames=twin.frames,
+        metrics=twin.metrics,
+        trajectory=twin.trajectory,
+        results=results,
+        folder=twin.folder,
+        log_tail=twin.log_tail,
+        provenance=record.provenance.replace(reused_from=twin.name),
+    )
+
+
+def _problem(error: Exception) -> tuple[Reason, str]:
+    if isinstance(error, Unavailable):
+        return Reason.ALGORITHM_UNAVAILABLE, str(error)
+    if isinstance(error, InputError):
+        return Reason.PREPARATION_FAILED, str(error)
+    return Reason.SYSTEM_FAULT, str(error)
+
+
+@cache
+def cpu_model() -> str:
+    """Return the processor's name as the kernel gives it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

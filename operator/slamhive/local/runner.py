@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Running sweeps on this machine: the window of runs in flight, and what is kept of them."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+from slamhive.archive import CatalogEntry
+from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, Verdict, decide_sweep
+from slamhive.local.cores import CorePool
+from slamhive.local.run import RunDriver, RunOrder
+from slamhive.model.base import quantity
+from slamhive.model.results import Phase, Reason, RunRecord
+from slamhive.model.sweep import CachePolicy
+from slamhive.monitor import sweep_stale_cgroups
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.engine import SweepDecision
+    from slamhive.local.run import Point
+    from slamhive.local.workbench import Workbench
+    from slamhive.model.sweep import Sweep
+
+_LOOK_SECONDS = 0.25
+
+
+class Points(Protocol):
+    """The runs of a sweep, made when they are asked for."""
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+
+    def point(self, index: int) -> Point:
+        """Return one of them."""
+
+    def start_order(self) -> Sequence[int]:
+        """Return the indices in the order in which they are to be started."""
+
+
+@dataclass
+class Job:
+    """A sweep on its way.
+
+    Attributes:
+        sweep: what was asked for.
+        uid: its identity.
+        points: its runs.
+        states: state of each point.
+        reused: points that took an equal run's result.
+        kept: points that were finished before.
+        cpu_seconds: CPU time of the runs finished now.
+        verdict: where it stands.
+        message: why.
+    """
+
+    sweep: Sweep
+    uid: str
+    points: Points
+    states: bytearray = field(default_factory=bytearray)
+    order: Sequence[int] = ()
+    reused: int = 0
+    kept: int = 0
+    cursor: int = 0
+    cpu_seconds: float = 0.0
+    started_at: float | None = None
+    verdict: Verdict = Verdict.RUNNING
+    message: str = ""
+
+    def __post_init__(self) -> None:
+        self.states = bytearray(len(self.points))
+        self.order = self.points.start_order()
+
+    def run_uid(self, index: int) -> str:
+        """Return the identity of a point's run."""
+        return f"{self.uid[:16]}-{index}"
+
+    def count(self, state: PointState) -> int:
+        """Return how many points are in a state."""
+        return self.states.count(state)
+
+
+class Watcher(Protocol):
+    """Is told what happens, to show it."""
+
+    def phase(self, job: Job, index: int, phase: Phase) -> None:
+        """A run has entered a phase."""
+
+    def finished(self, job: Job, record: RunRecord) -> None:
+        """A run is finished and kept."""
+
+    def tick(self, jobs: Sequence[Job]) -> None:
+        """Some time has passed."""
+
+
+@dataclass(frozen=True)
+class _Ended:
+    job: Job
+    index: int
+    record: RunRecord | None
+    error: BaseException | None = None
+
+
+class Runner:
+    """Drives jobs with as many runs at a time as the machine's cores allow.
+
+    Args:
+        bench: what runs share.
+        watcher: told what happens.
+        parallelism: runs at the same time at most; default: as many as fit.
+        rerun: whether to do finished runs again and to reuse nothing.
+        retry_failed: whether to do failed runs again.
+    """
+
+    def __init__(
+        self,
+        bench: Workbench,
+        watcher: Watcher,
+        *,
+        parallelism: int | None = None,
+        rerun: bool = False,
+        retry_failed: bool = False,
+    ) -> None:
+        self._bench = bench
+        self._watcher = watcher
+        self._rerun = rerun
+        self._retry_failed = retry_failed
+        self._cores = CorePool()
+        self._parallelism = parallelism or self._cores.size
+        self._drivers: dict[tuple[str, int], RunDriver] = {}
+        self._threads: list[threading.Thread] = []
+        self._events: queue.SimpleQueue[_Ended] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._interrupted = False
+
+    def run(self, jobs: Sequence[Job]) -> bool:
+        """Bring jobs to their end, one after another.
+
+        Returns:
+            Whether it was interrupted.
+        """
+        sweep_stale_cgroups()
+        for job in jobs:
+            self._resume(job)
+        for job in jobs:
+            if not self._interrupted:
+                self._run(job, jobs)
+        return self._interrupted
+
+    def interrupt(self) -> None:
+        """Start nothing more and end what runs; safe to call from a signal handler."""
+        self._interrupted = True
+
+    def _resume(self, job: Job) -> None:
+        """Mark the points that are done."""
+        if self._rerun:
+            return
+        for uid, point in self._bench.archive.finished(job.sweep.name).items():
+            index = point.index
+            if index is None or index >= len(job.points) or uid != job.run_uid(index):
+                continue
+            if point.phase is Phase.SUCCEEDED:
+                job.states[index] = PointState.SUCCEEDED
+            elif point.phase is Phase.FAILED and not self._again(point.reason):
+                job.states[index] = PointState.FAILED
+        job.kept = job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
+
+    def _again(self, reason: Reason | None) -> bool:
+        return self._retry_failed or (reason is not None and reason.is_infrastructure)
+
+    def _run(self, job: Job, jobs: Sequence[Job]) -> None:
+        job.started_at = time.monotonic()
+        stopping = False
+        while True:
+            decision = self._decide(job)
+            job.cursor = decision.cursor
+            job.verdict, job.message = decision.verdict, decision.message
+            if decision.verdict.is_final or self._interrupted:
+                if not stopping:
+                    stopping = True
+                    self._stop(job)
+                if not job.count(PointState.ACTIVE):
+                    break
+            else:
+                for action in decision.actions:
+                    self._act(job, action)
+                if decision.verdict is Verdict.SUSPENDED and not job.count(PointState.ACTIVE):
+                    break
+            self._wait(jobs)
+        for thread in self._threads:
+            thread.join()
+        self._threads.clear()
+
+    def _decide(self, job: Job) -> SweepDecision:
+        seen = SweepObserved(
+            states=job.states,
+            order=job.order,
+            parallelism=min(self._parallelism, job.sweep.spec.parallelism or self._parallelism),
+            started_at=job.started_at,
+            cpu_seconds=job.cpu_seconds,
+            cursor=job.cursor,
+        )
+        return decide_sweep(job.sweep.spec, seen, time.monotonic())
+
+    def _act(self, job: Job, action: StartPoints | StopPoints) -> None:
+        if isinstance(action, StopPoints):
+            self._stop(job)
+            return
+        for index in action.indices:
+            job.states[index] = PointState.ACTIVE
+            thread = threading.Thread(target=self._drive, args=(job, index), name=f"run-{index}")
+            self._threads.append(thread)
+            thread.start()
+
+    def _stop(self, job: Job) -> None:
+        with self._lock:
+            drivers = [driver for (uid, _), driver in self._drivers.items() if uid == job.uid]
+        for driver in drivers:
+            driver.cancel()
+
+    def _drive(self, job: Job, index: int) -> None:
+        try:
+            point = job.points.point(index)
+            cores = self._cores.take(max(1, round(quantity(point.spec["resources"]["cpu"]))))
+            try:
+                record = self._one(job, index, point, cores)
+            finally:
+                self._cores.give_back(cores)
+            self._events.put(_Ended(job, index, record))
+        except BaseException as error:  # noqa: BLE001 - a thread's error is raised again by the runner
+            self._events.put(_Ended(job, index, None, error))
+
+    def _one(self, job: Job, index: int, point: Point, cores: list[tuple[int, ...]]) -> RunRecord | None:
+        order = RunOrder(
+            uid=job.run_uid(index),
+            point=point,
+            sweep=job.sweep.name,
+            labels=dict(job.sweep.spec.template.metadata.labels),
+            settings=job.sweep.spec.evaluation,
+            reuse=not self._rerun and job.sweep.spec.cache_policy is CachePolicy.REUSE,
+        )
+        cpus = tuple(cpu for core in cores for cpu in core)
+        driver = RunDriver(order, self._bench, cpus, lambda phase: self._watcher.phase(job, index, phase))
+        with self._lock:
+            if self._interrupted:
+                return None
+            self._drivers[job.uid, index] = driver
+        try:
+            return driver.drive()
+        finally:
+            with self._lock:
+                del self._drivers[job.uid, index]
+
+    def _wait(self, jobs: Sequence[Job]) -> None:
+        """Wait for a run to end, and keep it; look up now and then."""
+        try:
+            ended = self._events.get(timeout=_LOOK_SECONDS)
+        except queue.Empty:
+            self._watcher.tick(jobs)
+            return
+        if ended.error is not None:
+            raise ended.error
+        self._keep(ended)
+        self._threads = [thread for thread in self._threads if thread.is_alive()]
+        self._watcher.tick(jobs)
+
+    def _snapshots(self, record: RunRecord) -> tuple[CatalogEntry, CatalogEntry]:
+        workshop = self._bench.workshop
+        return (
+            CatalogEntry.of(workshop.algorithm(record.spec["algorithmRef"]["name"]).algorithm),
+            CatalogEntry.of(workshop.dataset(record.spec["datasetRef"]["name"]).dataset),
+        )
+
+    def _keep(self, ended: _Ended) -> None:
+        job, record = ended.job, ended.record
+        if record is None or record.phase is Phase.CANCELLED:
+            job.states[ended.index] = PointState.PENDING
+            return
+        self._bench.archive.put_run(record, *self._snapshots(record))
+        good = record.phase is Phase.SUCCEEDED
+        job.states[ended.index] = PointState.SUCCEEDED if good else PointState.FAILED
+        if record.provenance.reused_from:
+            job.reused += 1
+        elif record.usage and record.usage.cpu.seconds:
+            job.cpu_seconds += record.usage.cpu.seconds
+        self._watcher.finished(job, record)

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the runs of a workstation share: catalog, datasets, environments, archive."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any
+
+from slamhive.data.preparation import prepare
+from slamhive.data.store import DatasetEntry, dataset_sha256, materialise
+from slamhive.local.environments import Environments
+from slamhive.local.evaluating import Evaluator
+from slamhive.model.run import InputOptions
+from slamhive.model.sensors import SensorMode
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from slamhive.archive import Archive
+    from slamhive.data.preparation import Variant
+    from slamhive.local.catalog import Workshop
+    from slamhive.local.home import Home
+    from slamhive.model.algorithm import Algorithm
+
+
+class Workbench:
+    """The tools that all runs use.
+
+    Args:
+        home: where things are kept.
+        workshop: algorithms and datasets by name.
+        archive: where finished runs go.
+        notify: told in a sentence of what takes long.
+    """
+
+    def __init__(
+        self,
+        home: Home,
+        workshop: Workshop,
+        archive: Archive,
+        notify: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.home = home
+        self.workshop = workshop
+        self.archive = archive
+        self.environments = Environments(home.folder("environments"), notify)
+        self.evaluator = Evaluator(self)
+        self._notify = notify
+        self._datasets: dict[str, DatasetEntry] = {}
+        self._checksums: dict[str, str] = {}
+        self._lock = threading.Lock()
+
+    def dataset(self, name: str) -> DatasetEntry:
+        """Return a dataset ready for use; a synthetic one is generated if need be.
+
+        Raises:
+            InputError: it can't be used.
+            SystemFault: it can't be generated right now.
+        """
+        place = self.workshop.dataset(name)
+        with self._lock:
+            if name not in self._datasets:
+                self._datasets[name] = materialise(
+                    place.dataset, place.folder, self.home.folder("datasets"), self._generating(name)
+                )
+            return self._datasets[name]
+
+    def checksum(self, name: str) -> str:
+        """Return the hash of all of a dataset that results depend on.
+
+        Raises:
+            InputError: a file of it can't be read.
+        """
+        entry = self.dataset(name)
+        with self._lock:
+            if name not in self._checksums:
+                self._checksums[name] = dataset_sha256(entry, self.home.folder("variants") / ".hashes")
+            return self._checksums[name]
+
+    def attributes(self, name: str) -> dict[str, Any]:
+        """Return a dataset's free attributes."""
+        entry = self._datasets.get(name)
+        dataset = entry.dataset if entry else self.workshop.dataset(name).dataset
+        return dict(dataset.spec.attributes)
+
+    def _generating(self, name: str) -> Callable[[float], None]:
+        told = False
+
+        def progress(_share: float) -> None:
+            nonlocal told
+            if not told:
+                told = True
+                self._notify(f"generating the dataset {name} (once)")
+
+        return progress
+
+    def prepare(self, spec: dict[str, Any], algorithm: Algorithm) -> Variant:
+        """Return the variant of the dataset that a run's spec asks for, made when it isn't there.
+
+        Raises:
+            InputError: the dataset can't be prepared like this.
+        """
+        mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
+        return prepare(
+            self.dataset(spec["datasetRef"]["name"]),
+            mode.needs,
+            InputOptions.model_validate(spec["input"]),
+            algorithm.spec.recording,
+            self.home.folder("variants"),
+        )

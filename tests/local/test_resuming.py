@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finished runs are kept, equal ones reused, half-done ones started afresh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slamhive.local.attempt import Attempt
+from slamhive.model.results import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def test_running_again_repeats_nothing(run_acts: Callable) -> None:
+    run_acts(["good", "crash"])
+    job, notes = run_acts(["good", "crash"])
+    assert notes.records == []
+    assert job.kept == 2
+
+
+def test_rerun_repeats_all(run_acts: Callable) -> None:
+    run_acts(["good", "crash"])
+    _, notes = run_acts(["good", "crash"], rerun=True)
+    assert len(notes.records) == 2
+
+
+def test_another_sweep_reuses_equal_runs_but_not_failed_ones(run_acts: Callable) -> None:
+    first, _ = run_acts(["good", "crash"])
+    job, notes = run_acts(["good", "crash"], name="others")
+    assert job.reused == 1
+    good = next(record for record in notes.records if record.phase is Phase.SUCCEEDED)
+    assert good.provenance.reused_from == first.points.point(0).name
+    assert good.results
+    assert good.usage
+
+
+def test_a_changed_adapter_makes_other_results(run_acts: Callable, home) -> None:  # noqa: ANN001
+    run_acts(["good"])
+    adapter = home.path / "algorithms/actor/adapter.py"
+    adapter.write_text(adapter.read_text() + "\n# changed\n")
+    job, _ = run_acts(["good"], name="others")
+    assert job.reused == 0
+
+
+def test_cache_policy_rerun_reuses_nothing(run_acts: Callable) -> None:
+    run_acts(["good"])
+    job, _ = run_acts(["good"], name="others", cachePolicy="Rerun")
+    assert job.reused == 0
+
+
+def test_an_attempt_that_ended_before_a_crash_is_taken_up(run_acts: Callable, bench) -> None:  # noqa: ANN001
+    job, notes = run_acts(["good"])
+    before = (Path(notes.records[0].folder) / "summary.json").stat().st_mtime_ns
+    bench.archive.remove_run(job.run_uid(0))
+    _, again = run_acts(["good"])
+    assert (Path(again.records[0].folder) / "summary.json").stat().st_mtime_ns == before
+    assert again.records[0].results == notes.records[0].results
+
+
+def test_an_attempt_without_its_last_word_starts_afresh(run_acts: Callable, bench) -> None:  # noqa: ANN001
+    job, notes = run_acts(["good"])
+    record = notes.records[0]
+    (Path(record.folder) / "summary.json").unlink()
+    bench.archive.remove_run(job.run_uid(0))
+    attempt = Attempt(Path(record.folder))
+    assert not attempt.finished(record.uid, record.provenance.content_hash)
+    _, again = run_acts(["good"])
+    assert again.records[0].phase is Phase.SUCCEEDED
+    assert (Path(record.folder) / "summary.json").exists()
