@@ -30,8 +30,9 @@ GUTTER = 16
 """Texels of margin around each face, so that smaller copies don't mix neighbours."""
 WIDTH = 4096
 
-_SCALES = ((75, 0.18), (28, 0.28), (11, 0.34), (5, 0.22), (2, 0.10))
-"""Block sizes in texels and their contrast."""
+_SCALES = ((60, 0.30), (25, 0.38), (11, 0.12), (5, 0.06), (2, 0.03))
+"""Block sizes in texels and their contrast. Strong blocks are 20 cm and more, so that an image holds about as
+many strong corners as a feature extractor takes: with fine ones, each frame would choose others."""
 _SHADE = (0.78, 0.90, 0.84, 1.0, 0.66, 1.08)
 """Brightness of faces looking to -x, +x, -y, +y, -z, +z."""
 
