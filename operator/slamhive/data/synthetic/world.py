@@ -114,18 +114,24 @@ def build_world(seed: int) -> World:
     boxes += _scatter(
         rng, half, 5, lambda: (rng.uniform(0.4, 1.4, 2), height - rng.uniform(0.6, 1.9), height)
     )
-    # Inside the lap, where the cameras look: without these a monocular algorithm sees far walls alone.
-    boxes += _scatter(rng, half * 0.55, 4, lambda: (rng.uniform(0.25, 0.5, 2), 0.0, height))
-    boxes += _scatter(rng, half * 0.55, 6, lambda: (rng.uniform(0.3, 0.9, 2), 0.0, rng.uniform(0.7, 2.0)))
+    # Inside the lap, where the cameras look: without these a monocular algorithm sees far walls alone, and
+    # any nearer they would fill its view.
+    inner, far = half * 0.55, CLEARANCE + 0.7
+    boxes += _scatter(rng, inner, 4, lambda: (rng.uniform(0.25, 0.5, 2), 0.0, height), far)
+    boxes += _scatter(rng, inner, 6, lambda: (rng.uniform(0.3, 0.9, 2), 0.0, rng.uniform(0.7, 2.0)), far)
     boxes += [_mounted(rng, half, height) for _ in range(14)]
     low, high = (np.array(side) for side in zip(*boxes, strict=True))
     return World(low, high)
 
 
 def _scatter(
-    rng: np.random.Generator, half: Array, count: int, draw: Callable[[], tuple[Array, float, float]]
+    rng: np.random.Generator,
+    half: Array,
+    count: int,
+    draw: Callable[[], tuple[Array, float, float]],
+    clearance: float = CLEARANCE,
 ) -> list[tuple[Array, Array]]:
-    """Place boxes of drawn size and height range where they leave the path free and don't overlap."""
+    """Place boxes of drawn size and height range where they leave the path free."""
     phi = np.linspace(0.0, 2.0 * np.pi, 400)
     path = np.stack([SEMI_AXES[0] * np.cos(phi), SEMI_AXES[1] * np.sin(phi)], axis=1)
     placed: list[tuple[Array, Array]] = []
@@ -133,7 +139,7 @@ def _scatter(
         size, bottom, top = draw()
         centre = rng.uniform(-half + size / 2 + 0.1, half - size / 2 - 0.1)
         gap = np.maximum(np.abs(path - centre) - size / 2, 0.0)
-        if np.linalg.norm(gap, axis=1).min() >= CLEARANCE:
+        if np.linalg.norm(gap, axis=1).min() >= clearance:
             placed.append((np.append(centre - size / 2, bottom), np.append(centre + size / 2, top)))
     return placed
 
