@@ -78,9 +78,8 @@ MANY = "matrix: [{path: seed, range: {from: 1, to: 400, step: 1}}, {path: retrie
         ("matrix: [{path: seed, selector: {matchLabels: {a: b}}}]", "selects algorithms or datasets"),
         (MANY + "repetitions: 100", "expands to 1200 combinations × 100 repetitions = 120000 runs"),
         (
-            "matrix: [{path: input.rate, range: {from: 1, to: 3, step: 5.0e-5}},"
-            " {path: retries, values: [1, 2, 3]}]",
-            "spec.matrix: 40001 × 3 = 120003 combinations, at most 100000 are allowed",
+            "matrix: [{path: input.rate, range: {from: 1, to: 61, step: 0.001}}, {path: seed, values: [1, 2]}]",
+            "spec.matrix: 60001 × 2 = 120002 combinations, at most 100000 are allowed",
         ),
         (MANY + "exclude: [{retries: 1}, {retries: 2}, {retries: 3}]", "nothing is left to run"),
         (MANY + "exclude: [{retry: 1}]", "spec.exclude[0].retry: 'retry' is no field"),

@@ -41,6 +41,7 @@ KINDS: dict[str, type[Kind]] = {
 
 _MAX_BYTES = 4 * 1024 * 1024
 _MAX_NODES = 500_000
+_MAX_DIGITS = 400
 _INT = re.compile(
     r"^[-+]?(0b_*[01][01_]*|0o_*[0-7][0-7_]*|0x_*[0-9a-fA-F][0-9a-fA-F_]*|0[0-7_]*|[1-9][0-9_]*)$"
 )
@@ -52,6 +53,19 @@ _WORDS: dict[str, bool | None] = (
 )
 
 Path_ = tuple[str | int, ...]
+
+_PLAIN = "plain"
+_STRING = "tag:yaml.org,2002:str"
+_TAGS = {_PLAIN, *(f"tag:yaml.org,2002:{name}" for name in ("int", "float", "bool", "null"))}
+
+
+class _Loader(yaml.SafeLoader):
+    """Tells plain scalars from tagged ones; what plain ones mean is decided by the reader."""
+
+    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
+        if kind is yaml.ScalarNode and implicit[0]:
+            return _PLAIN
+        return super().resolve(kind, value, implicit)  # type: ignore[no-untyped-call]
 
 
 class _Reader:
@@ -80,7 +94,7 @@ class _Reader:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
                 raise ManifestError(f"{self.source}:{line}: a key must be text")
-            key = str(key_node.value)
+            key = self._text(key_node)
             if key == "<<" and key_node.style is None:
                 for source in value_node.value if isinstance(value_node, yaml.SequenceNode) else [value_node]:
                     extra = self.value(source, path)
@@ -94,14 +108,27 @@ class _Reader:
             result[key] = self.value(value_node, (*path, key))
         return merged | result
 
-    def _scalar(self, node: yaml.Node) -> Any:
+    def _text(self, node: yaml.Node) -> str:
+        """Return a scalar's text, pairs of surrogates (as JSON escapes them) joined."""
         text = str(node.value)
+        try:
+            return text.encode("utf-16", "surrogatepass").decode("utf-16")
+        except UnicodeDecodeError:
+            line = node.start_mark.line + 1
+            raise ManifestError(f"{self.source}:{line}: half a character (a lone surrogate)") from None
+
+    def _scalar(self, node: yaml.Node) -> Any:
+        text = self._text(node)
         line = node.start_mark.line + 1
-        if getattr(node, "style", None) is not None or node.tag == "tag:yaml.org,2002:str!":
+        if node.tag == _STRING:
             return text
+        if node.tag not in _TAGS:
+            raise ManifestError(f"{self.source}:{line}: the tag {node.tag} means nothing here")
         if text in _WORDS:
             return _WORDS[text]
         if _INT.match(text):
+            if len(text) > _MAX_DIGITS:
+                raise ManifestError(f"{self.source}:{line}: an integer of {len(text)} characters")
             return _integer(text)
         if _FLOAT.match(text):
             return normalize(float(text), f"{self.source}:{line}")
@@ -143,8 +170,9 @@ def parse(text: str, source: str) -> list[Document]:
     if len(text) > _MAX_BYTES:
         raise ManifestError(f"{source}: larger than {_MAX_BYTES} bytes")
     documents = []
-    loader = yaml.SafeLoader(text)
+    loader = None
     try:
+        loader = _Loader(text)
         while loader.check_node():
             node = loader.get_node()
             reader = _Reader(source)
@@ -154,7 +182,8 @@ def parse(text: str, source: str) -> list[Document]:
     except (yaml.YAMLError, RecursionError) as error:
         raise ManifestError(f"{source}{_problem(error)}") from None
     finally:
-        loader.dispose()
+        if loader is not None:
+            loader.dispose()
     return documents
 
 

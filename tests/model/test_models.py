@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rules between fields of the models."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from slamhive.model.algorithm import AlgorithmSpec, Asset, Parameter
+from slamhive.model.dataset import DataFile, DatasetSpec, GroundTruth, Recording
+from slamhive.model.evaluation import RunSelector
+from slamhive.model.sensors import Sensor
+from slamhive.model.sweep import Axis, Range
+
+ALGORITHM: dict[str, Any] = {"image": "i", "modes": [{"name": "lidar"}], "output": {"frame": "lidar"}}
+LIDAR: dict[str, Any] = {"type": "Lidar", "topic": "/p"}
+FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
+
+
+@pytest.mark.parametrize(
+    ("model", "fields", "message"),
+    [
+        (AlgorithmSpec, ALGORITHM | {"image": None}, "give an image, or local"),
+        (AlgorithmSpec, ALGORITHM | {"modes": [{"name": "lidar"}] * 2}, "each mode may be named once"),
+        (AlgorithmSpec, ALGORITHM | {"paces": ["Realtime"]}, "realtime: needed"),
+        (Asset, {"name": "a"}, "either path or url"),
+        (Asset, {"name": "a", "url": "https://x"}, "needs its sha256"),
+        (Asset, {"name": "../a", "path": "a"}, "pattern"),
+        (Asset, {"name": "a", "path": "/a"}, "pattern"),
+        (Asset, {"name": "a", "path": "a/../../b"}, "pattern"),
+        (DataFile, {"path": "a", "url": "https://x"}, "needs its sha256"),
+        (Recording, {}, "either files or synthetic"),
+        (Recording, FILES | {"synthetic": {}}, "either files or synthetic"),
+        (GroundTruth, {}, "either file or topic"),
+        (DatasetSpec, {"recording": FILES}, "name at least one"),
+        (
+            DatasetSpec,
+            {"recording": FILES, "sensors": {"lidar": LIDAR}, "groundTruth": {"file": "a", "frame": "lydar"}},
+            "unknown frame 'lydar'; did you mean 'lidar'",
+        ),
+        (Sensor, LIDAR | {"imu": {}}, "takes no block 'imu'"),
+        (Sensor, LIDAR | {"T_body_sensor": [[1, 0, 0, 0]] * 4}, "last row must be 0 0 0 1"),
+        (RunSelector, {}, "name runs by"),
+        (Range, {"from": 1, "to": 2}, "either step or count"),
+        (Range, {"from": 1, "to": 2, "step": 1, "count": 2}, "either step or count"),
+        (Range, {"from": 0, "to": 2, "count": 3, "scale": "Log"}, "Log needs count"),
+        (Range, {"from": 3, "to": 2, "step": 1}, "to must not be below from"),
+        (Axis, {"path": "seed"}, "give one of values"),
+        (
+            Axis,
+            {"path": "seed", "values": [1], "range": {"from": 1, "to": 2, "count": 2}},
+            "give one of values",
+        ),
+        (Axis, {"values": [1]}, "path: needed"),
+        (Axis, {"path": "seed", "points": {"a": {}}}, "has a name and no path"),
+        (Parameter, {"type": "Integer", "default": 0.5}, "default: 0.5 is not allowed"),
+        (Parameter, {"type": "Number"}, "null is not allowed"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(model: Any, fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        model.model_validate(fields)
+
+
+@pytest.mark.parametrize(
+    ("declared", "value", "message"),
+    [
+        (
+            {"type": "Number", "default": 1, "minimum": 0, "maximum": 2},
+            3,
+            "above the maximum, allowed: a number from 0",
+        ),
+        ({"type": "Number", "default": 1, "minimum": 0}, -1, "a number of at least 0"),
+        ({"type": "Number", "default": 1}, True, "True is not allowed, only a number"),
+        ({"type": "Integer", "default": 1}, 1.5, "only an integer"),
+        ({"type": "Boolean", "default": True}, 1, "only true or false"),
+        ({"type": "String", "default": "a", "values": ["a", "b"]}, "c", "only one of 'a', 'b'"),
+        ({"type": "String", "default": "a"}, None, "null is not allowed"),
+        ({"type": "Number", "nullable": True}, None, None),
+        ({"type": "Number", "default": 1.5}, 2, None),
+    ],
+)
+def test_values_of_parameters(declared: dict[str, Any], value: Any, message: str | None) -> None:
+    problem = Parameter.model_validate(declared).problem(value)
+    assert problem is None if message is None else message in str(problem)
+
+
+def test_fields_have_their_outside_names_and_absent_ones_are_left_out() -> None:
+    made = Sensor.model_validate(LIDAR | {"frameId": "f", "lidar": {"minRange": 1}}).as_json()
+    assert made["frameId"] == "f"
+    assert made["lidar"] == {"minRange": 1, "maxRange": 1000}
+    assert "camera" not in made
+    assert made["T_body_sensor"][3] == [0, 0, 0, 1]
