@@ -6,7 +6,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Self
 
-from sqlalchemy import Table, delete, exists, func, select
+from sqlalchemy import Table, delete, exists, func, literal, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from slamhive.archive import schema
@@ -137,6 +137,33 @@ class Archive:
         with writing(self._engine) as connection:
             return connection.execute(delete(schema.runs).where(schema.runs.c.uid == uid)).rowcount > 0
 
+    def set_aside(self, sweep: str, kept: str) -> int:
+        """Give the runs of an earlier version of a sweep another sweep name, ``NAME@`` and 8 digits.
+
+        Those of the present version that were set aside before come back.
+
+        Args:
+            sweep: name of the sweep.
+            kept: what the UIDs of the runs of its present version begin with.
+
+        Returns:
+            How many runs were set aside.
+        """
+        runs = schema.runs.c
+        change = (
+            update(schema.runs)
+            .where(runs.sweep == sweep, func.substr(runs.uid, 1, len(kept)) != kept)
+            .values(sweep=literal(f"{sweep}@") + func.substr(runs.uid, 1, 8))
+        )
+        back = (
+            update(schema.runs)
+            .where(runs.sweep == f"{sweep}@{kept[:8]}", func.substr(runs.uid, 1, len(kept)) == kept)
+            .values(sweep=sweep)
+        )
+        with writing(self._engine) as connection:
+            connection.execute(back)
+            return connection.execute(change).rowcount
+
     def get(self, uid: str) -> RunRecord | None:
         """Return a run by its UID."""
         return next(self.runs({"uid": uid}), None)
@@ -238,6 +265,13 @@ class Archive:
         query = select(schema.sweeps).order_by(columns.created.asc().nulls_first(), columns.uid)
         with reading(self._engine) as connection:
             return [SweepRecord.model_validate(dict(row)) for row in connection.execute(query).mappings()]
+
+    def sweep_names(self) -> list[str]:
+        """Return the names of all sweeps that runs belong to, sorted."""
+        column = schema.runs.c.sweep
+        query = select(column).where(column.is_not(None)).distinct().order_by(column)
+        with reading(self._engine) as connection:
+            return [str(name) for name in connection.execute(query).scalars()]
 
     def catalog(self, kind: str) -> list[CatalogEntry]:
         """Return the stored Algorithms or Datasets by name, versions of a name in the order of storing."""

@@ -25,11 +25,11 @@ from slamhive.cli.console import (
     remark,
 )
 from slamhive.cli.progress import Display
-from slamhive.cli.results import print_summary_table
+from slamhive.cli.results import show_table
 from slamhive.engine import PointState, Verdict
 from slamhive.local.catalog import bundled, load_workshop, read_files
 from slamhive.local.environments import availability
-from slamhive.local.evaluations import evaluate_again
+from slamhive.local.evaluations import bring_up_to_date, evaluate_again
 from slamhive.local.home import Home
 from slamhive.local.runner import Job, Runner
 from slamhive.model.errors import InputError
@@ -174,6 +174,9 @@ def _run_files(
         interrupted = False
         if jobs:
             interrupted = _drive(jobs, bench, parallelism, rerun=rerun, retry_failed=retry_failed)
+        for job in jobs:
+            for problem in bring_up_to_date(bench, job.sweep.name, job.sweep.spec.evaluation):
+                remark(problem)
         for evaluation in evaluations:
             done, problems = evaluate_again(bench, evaluation)
             out.print(f"Evaluation {escape(evaluation.name)}: {plural(done, 'run')} evaluated")
@@ -243,7 +246,7 @@ def _report(job: Job, bench: Workbench) -> None:
     parts += [f"{job.reused} reused"] if job.reused else []
     if succeeded or failed:
         out.print()
-        print_summary_table(bench.archive, job.sweep.name)
+        show_table(sweep=job.sweep.name)
     reason = f" ({job.verdict}: {job.message})" if job.message and waiting else ""
     out.print(
         f"{escape(job.sweep.name)}: {plural(len(job.points), 'run')}: {', '.join(parts)}{escape(reason)}"

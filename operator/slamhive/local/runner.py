@@ -7,9 +7,10 @@ import queue
 import threading
 import time
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Protocol
 
-from slamhive.archive import CatalogEntry
+from slamhive.archive import CatalogEntry, SweepRecord
 from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, Verdict, decide_sweep
 from slamhive.local.cores import CorePool
 from slamhive.local.run import RunDriver, RunOrder
@@ -156,10 +157,21 @@ class Runner:
         self._interrupted = True
 
     def _resume(self, job: Job) -> None:
-        """Mark the points that are done."""
+        """Mark the points that are done; runs of an earlier version of the sweep stay under another name."""
+        archive, sweep = self._bench.archive, job.sweep
+        archive.set_aside(sweep.name, f"{job.uid[:16]}-")
+        archive.put_sweep(
+            SweepRecord(
+                uid=job.uid,
+                name=sweep.name,
+                spec=sweep.spec.as_json(),
+                created=datetime.now(UTC),
+                evaluation=sweep.spec.evaluation.as_json(),
+            )
+        )
         if self._rerun:
             return
-        for uid, point in self._bench.archive.finished(job.sweep.name).items():
+        for uid, point in archive.finished(sweep.name).items():
             index = point.index
             if index is None or index >= len(job.points) or uid != job.run_uid(index):
                 continue
