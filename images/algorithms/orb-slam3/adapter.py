@@ -3,15 +3,16 @@
 
 It is GPL-3.0 and is only ever run in an environment or image of its own, by this program.
 
-Its trajectory is read when the recording is at its end, after loop closure. It is that of all tracked frames,
-without those whose reference keyframe was culled since. Stereo images are rectified here, which turns the left
-camera; the poses are turned back to the left camera as it is.
+Its trajectory is read when the recording is at its end, after loop closure. It holds all tracked frames but
+those whose reference keyframe was culled since. Stereo images are rectified here, which turns the left
+camera, and the poses are turned back.
 """
 
 from __future__ import annotations
 
 import os
 import time
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from adapter_support import NANOSECONDS, AdapterError, Run, Stopwatch, Trajector
 from cameras import Pinhole, Rectification, Undistortion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from adapter_recording import Item
 
@@ -30,17 +31,9 @@ QUIET_SECONDS = 0.3
 """Mapping and loop closing are taken to be done when the process has been idle for so long."""
 
 
-def settings(run: Run, camera: Pinhole, extra: dict[str, Any]) -> str:
-    """Write ORB-SLAM3's settings.
-
-    Args:
-        run: The run.
-        camera: The first camera, as its images are handed over.
-        extra: What the mode adds.
-
-    Returns:
-        YAML as OpenCV reads it.
-    """
+def settings(run: Run, rig: Rig) -> str:
+    """Write ORB-SLAM3's settings, YAML as OpenCV reads it."""
+    camera = rig.camera
     rate = run.sensor(ROLES[run.mode][0]).rate or 30.0
     values: dict[str, Any] = {
         "File.version": '"1.0"',
@@ -67,7 +60,7 @@ def settings(run: Run, camera: Pinhole, extra: dict[str, Any]) -> str:
     viewer = ("KeyFrameSize", "KeyFrameLineWidth", "GraphLineWidth", "PointSize", "CameraSize")
     viewer += ("CameraLineWidth", "ViewpointX", "ViewpointY", "ViewpointZ", "ViewpointF", "imageViewScale")
     values |= {f"Viewer.{name}": 1.0 for name in viewer}
-    lines = [f"{name}: {_scalar(value)}" for name, value in (values | extra).items()]
+    lines = [f"{name}: {_scalar(value)}" for name, value in (values | dict(rig.settings)).items()]
     return "\n".join(["%YAML:1.0", "---", *lines]) + "\n"
 
 
@@ -76,60 +69,75 @@ def _scalar(value: Any) -> str:
     return f"{value:.12f}" if isinstance(value, float) else str(value)
 
 
+@dataclass(frozen=True)
+class Rig:
+    """What a mode hands to ORB-SLAM3, and how.
+
+    Attributes:
+        camera: The first camera, as its images are handed over.
+        method: ORB-SLAM3's method that takes them.
+        prepare: Turns the images of one time, as recorded, into its arguments.
+        settings: What the mode adds to the settings.
+        T_frame_camera: `(4, 4)`, pose of that camera in the frame that poses are given of.
+    """
+
+    camera: Pinhole
+    method: str
+    prepare: Callable[..., tuple[np.ndarray, ...]] = lambda *images: images
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    T_frame_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    @classmethod
+    def of(cls, run: Run, cameras: Mapping[str, Pinhole]) -> Rig:
+        """Make the rig of the run's mode."""
+        if run.mode == "mono":
+            return cls(cameras["camera"], "process_image_mono")
+        close = {"Stereo.ThDepth": float(run.parameter("thDepth"))}
+        if run.mode == "stereo":
+            rectify = Rectification(cameras["left"], cameras["right"])
+            camera = replace(cameras["left"], K=rectify.K, distortion=np.zeros(5))
+            more = {"Camera.type": '"Rectified"', "Stereo.b": float(rectify.baseline)}
+            return cls(camera, "process_image_stereo", rectify, close | more, rectify.T_left_rectified)
+        scale = float(run.sensor("depth").detail("depthScale"))
+        undistort = Undistortion(cameras["color"], cameras["depth"], scale)
+        more = {"Stereo.b": float(run.parameter("virtualBaseline")), "RGBD.DepthMapFactor": scale}
+        return cls(undistort.camera, "process_image_rgbd", undistort, close | more)
+
+
 def program(run: Run) -> None:
     """Track every frame."""
     roles = ROLES.get(run.mode)
     if roles is None:
         raise AdapterError(f"the mode {run.mode} isn't known; this adapter has {', '.join(ROLES)}")
     cameras = {role: Pinhole.of(run.sensor(role)) for role in roles}
-    first = cameras[roles[0]]
-    T_frame_camera = np.eye(4)
-    extra: dict[str, Any] = {}
-    depth_scale = 1.0
-    if run.mode == "stereo":
-        rectify = Rectification(cameras["left"], cameras["right"])
-        first = Pinhole(first.size, rectify.K, np.zeros(5), first.T_body_camera)
-        T_frame_camera = rectify.T_left_rectified
-        extra = {"Camera.type": '"Rectified"', "Stereo.b": float(rectify.baseline)}
-    elif run.mode == "rgbd":
-        depth_scale = float(run.sensor("depth").detail("depthScale"))
-        undistort = Undistortion(first, cameras["depth"])
-        first = undistort.camera
-        extra = {"Stereo.b": float(run.parameter("virtualBaseline")), "RGBD.DepthMapFactor": depth_scale}
-    if len(roles) == 2:
-        extra["Stereo.ThDepth"] = float(run.parameter("thDepth"))
-    system = start(run, settings(run, first, extra))
-
-    def track(images: list[np.ndarray], seconds: float) -> None:
-        if run.mode == "mono":
-            system.process_image_mono(images[0], seconds)
-        elif run.mode == "stereo":
-            system.process_image_stereo(*rectify(*images), seconds)
-        else:
-            system.process_image_rgbd(*undistort(*images, depth_scale), seconds)
-
     recording = Recording(run, dict.fromkeys(roles, decode_image))
-    watch, stamps = Stopwatch(), {}
+    rig = Rig.of(run, cameras)
+    system = start(run, settings(run, rig))
+    process = getattr(system, rig.method)
+    watch = Stopwatch()
+    stamps: dict[float, int] = {}
     for items in frames(recording, roles, run.sensor(roles[0]).rate):
-        images = [item.data for item in items]
-        for role, image in zip(roles, images, strict=True):
-            check_size(role, image, cameras[role])
-        # As far as ORB-SLAM3 is concerned time begins with the recording: it keeps it in float64 seconds.
+        for item in items:
+            check_size(item, cameras[item.role])
+        # ORB-SLAM3 keeps times as float64 seconds, which are exact enough from the beginning on.
         origin = next(iter(stamps.values()), items[0].stamp)
         seconds = (items[0].stamp - origin) / NANOSECONDS
         stamps[seconds] = items[0].stamp
         with watch.frame():
-            track(images, seconds)
+            process(*rig.prepare(*(item.data for item in items)), seconds)
     if not stamps:
         raise AdapterError(f"{recording.name} has no {' and '.join(roles)} images of the same time")
     wait_until_quiet()
     trajectory = Trajectory()
+    T_camera_frame = np.linalg.inv(rig.T_frame_camera)
     for seconds, T_camera_world in system.get_trajectory_points():
-        trajectory.add(stamps[seconds], np.linalg.inv(T_camera_world) @ np.linalg.inv(T_frame_camera))
+        trajectory.add(stamps[seconds], np.linalg.inv(T_camera_world) @ T_camera_frame)
+    numbers = {
+        "framesLost": len(stamps) - len(trajectory.stamps),
+        "keyframes": len(system.get_keyframe_points()),
+    }
     dropped = recording.offered[roles[0]] - len(stamps)
-    lost = len(stamps) - len(trajectory.stamps)
-    keyframes = len(system.get_keyframe_points())
-    write_results(run, trajectory, watch, recording.cpu_seconds, dropped, framesLost=lost, keyframes=keyframes)
+    write_results(run, trajectory, watch, recording.cpu_seconds, dropped, **numbers)
     system.shutdown()
 
 
@@ -174,12 +182,12 @@ def frames(recording: Recording, roles: list[str], rate: float | None) -> Iterat
                     waiting[role].pop(0)
 
 
-def check_size(role: str, image: np.ndarray, camera: Pinhole) -> None:
+def check_size(item: Item, camera: Pinhole) -> None:
     """Refuse images of another size than the calibration's, of which OpenCV would make nonsense."""
-    height, width = image.shape[:2]
+    height, width = item.data.shape[:2]
     if (width, height) != camera.size:
-        expected = "{} by {}".format(*camera.size)
-        raise AdapterError(f"the images of {role} are {width} by {height} pixels; config.yaml says {expected}")
+        found = f"the images of {item.role} are {width} by {height} pixels"
+        raise AdapterError("{}; config.yaml says {} by {}".format(found, *camera.size))
 
 
 def wait_until_quiet(limit_seconds: float = 30.0) -> None:

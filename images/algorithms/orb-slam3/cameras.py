@@ -100,11 +100,17 @@ class Undistortion:
     ORB-SLAM3 1.0 takes distortion into account for a single camera alone, although its settings hold it for
     RGB-D too: it is silently taken for zero there.
 
+    Args:
+        color: The colour camera.
+        depth: The depth camera.
+        scale: Units of a depth image per metre.
+
     Attributes:
         camera: The colour camera without its distortion.
     """
 
-    def __init__(self, color: Pinhole, depth: Pinhole) -> None:
+    def __init__(self, color: Pinhole, depth: Pinhole, scale: float) -> None:
+        self._scale = scale
         self.camera = Pinhole(color.size, color.K, np.zeros(5), color.T_body_camera)
         self._distorted = bool(color.distortion.any())
         self._maps = cv2.initUndistortRectifyMap(
@@ -118,18 +124,17 @@ class Undistortion:
         )
         self._registration = None if registered else DepthRegistration(depth, self.camera)
 
-    def __call__(self, color: np.ndarray, depth: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, color: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Undistort a pair of images.
 
         Args:
             color: `(height, width)` or `(height, width, 3)`.
             depth: `(height, width)`, z along the axis of the camera that took it.
-            scale: Units of the depth image per metre.
         """
         if self._distorted:
             color = cv2.remap(color, *self._maps, cv2.INTER_LINEAR)
         if self._registration is not None:
-            return color, self._registration(depth, scale)
+            return color, self._registration(depth, self._scale)
         # Nearest, since a mean of near and far is the depth of nothing.
         return color, cv2.remap(depth, *self._maps, cv2.INTER_NEAREST) if self._distorted else depth
 
