@@ -78,8 +78,8 @@ MANY = "matrix: [{path: seed, range: {from: 1, to: 400, step: 1}}, {path: retrie
         ("matrix: [{path: seed, selector: {matchLabels: {a: b}}}]", "selects algorithms or datasets"),
         (MANY + "repetitions: 100", "expands to 1200 combinations × 100 repetitions = 120000 runs"),
         (
-            "matrix: [{path: input.rate, range: {from: 1, to: 61, step: 0.001}}, {path: seed, values: [1, 2]}]",
-            "spec.matrix: 60001 × 2 = 120002 combinations, at most 100000 are allowed",
+            "matrix: [{path: seed, values: [1, 2]}, {path: input.rate, range: {from: 1, to: 7, step: 1e-4}}]",
+            "spec.matrix: 2 × 60001 = 120002 combinations, at most 100000 are allowed",
         ),
         (MANY + "exclude: [{retries: 1}, {retries: 2}, {retries: 3}]", "nothing is left to run"),
         (MANY + "exclude: [{retry: 1}]", "spec.exclude[0].retry: 'retry' is no field"),
@@ -189,6 +189,12 @@ def test_a_mistake_in_the_template_is_told_once(plan: Callable[..., Plan]) -> No
     assert points.check() == [
         "spec.template.spec: parameters.maxRange: 0 is below the minimum, allowed: a number from 1 to 200 (m)"
     ]
+
+
+def test_the_list_of_what_cannot_be_expanded_is_bounded(plan: Callable[..., Plan]) -> None:
+    with pytest.raises(InputError) as error:
+        plan("matrix: [{path: seed, range: {from: -5000, to: -1, step: 1}}]")
+    assert str(error.value).splitlines()[20:] == ["… and 4980 more"]
 
 
 def test_missing_names_are_told(plan: Callable[..., Plan]) -> None:

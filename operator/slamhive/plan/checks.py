@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.errors import suggestion
-from slamhive.plan.paths import ALGORITHM, DATASET, PACE, PARAMETERS, REMAP, SENSORS, written
+from slamhive.plan.paths import ALGORITHM, DATASET, PACE, PARAMETERS, REMAP, SENSORS, bounded, written
 from slamhive.plan.resolution import mode_of, pace_problem, parameter_problem, role_problems
 
 if TYPE_CHECKING:
@@ -38,9 +38,7 @@ class Checker:
         """Return at most so many sentences, and how many more there are."""
         for row in range(len(self._plan.grid)):
             self._row(row)
-        found = list(self._found)
-        more = len(found) - limit
-        return found[:limit] + ([f"… and {more} more"] if more > 0 else [])
+        return bounded(list(self._found), limit)
 
     def _row(self, row: int) -> None:
         plan = self._plan

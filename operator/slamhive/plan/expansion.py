@@ -18,7 +18,7 @@ from slamhive.plan.axes import compile_axes
 from slamhive.plan.checks import Checker
 from slamhive.plan.grid import Coordinates, Grid
 from slamhive.plan.hashes import local_uid, run_name
-from slamhive.plan.paths import ALGORITHM, DATASET, PACE, SEED, Settings, flatten
+from slamhive.plan.paths import ALGORITHM, DATASET, PACE, SEED, Settings, bounded, flatten
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -107,7 +107,7 @@ class Plan:
         self.template = flatten(sweep.spec.template.spec, "spec.template.spec", problems, strict=True)
         dimensions = compile_axes(sweep.spec.matrix, catalog, problems)
         if problems:
-            raise InputError("\n".join(problems))
+            raise InputError("\n".join(bounded(problems)))
         self.grid = Grid(dimensions, self.template, sweep.spec.include, sweep.spec.exclude)
         self.assembler = Assembler(self.template, self.algorithms)
         self._bounded()

@@ -24,7 +24,7 @@ import numpy as np
 
 from slamhive.model.errors import InputError, suggestion
 from slamhive.model.sweep import MAX_POINTS
-from slamhive.plan.paths import Settings, assign, parse_path, written
+from slamhive.plan.paths import Settings, assign, bounded, parse_path, written
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -102,7 +102,7 @@ class Grid:
         excluded = [self._exclusion(item, f"spec.exclude[{n}]", problems) for n, item in enumerate(exclude)]
         included = [self._inclusion(item, f"spec.include[{n}]", problems) for n, item in enumerate(include)]
         if problems:
-            raise InputError("\n".join(problems))
+            raise InputError("\n".join(bounded(problems)))
         self._kept = self._keep(excluded, only_include=not self.dimensions and bool(included))
         self._additions: list[Addition] = [Addition()]
         self._addition_of: npt.NDArray[np.int32] | None = None

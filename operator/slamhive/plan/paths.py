@@ -64,6 +64,12 @@ LEAVES = frozenset(_FIELDS) - OBJECTS - set(_MAPS)
 _KNOWN = sorted([*map(".".join, LEAVES), *_ALIASES, "parameters.NAME", *(f"input.remap.{r}" for r in _ROLES)])
 
 
+def bounded(problems: list[str], limit: int = 20) -> list[str]:
+    """Return at most so many sentences, and one that tells how many more there are."""
+    more = len(problems) - limit
+    return problems[:limit] + ([f"… and {more} more"] if more > 0 else [])
+
+
 def written(path: Path) -> str:
     """Return a path as it is written in a manifest, without aliases."""
     return ".".join(path)
