@@ -8,6 +8,7 @@ a condition or a mean.
 from slamhive.analysis.expressions import ExpressionError, compile_where
 from slamhive.analysis.flattening import CORE_COLUMNS, columns_of, flatten
 from slamhive.analysis.metrics import Metric
+from slamhive.analysis.ordering import order_by
 from slamhive.analysis.pivot import Group, Outcomes, PivotTable, Summary, table, varying
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "columns_of",
     "compile_where",
     "flatten",
+    "order_by",
     "table",
     "varying",
 ]

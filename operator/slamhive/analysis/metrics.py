@@ -18,6 +18,14 @@ UNITS: dict[str, dict[str, float]] = {
 """By the unit of the stored number: what it can be shown in, and the factor."""
 
 _SHOWN_IN = {"B": "MiB"}
+_TITLES = {
+    "ate.rmse": "ATE",
+    "rpe[0].rmse": "RPE",
+    "usage.cpu.meanCores": "CPU [cores]",
+    "usage.cpu.maxCores": "CPU max [cores]",
+    "usage.cpu.secondsPerDataSecond": "CPU [s/s]",
+    "usage.memory.peakBytes": "peak memory",
+}
 _FORMAT = re.compile(r"\.\d{1,2}[efg]")
 _ERRORS = re.compile(r"(ate|rpe\[\d+\])\.(rmse|mean|median|std|min|max)")
 
@@ -62,6 +70,12 @@ class Metric:
     def heading(self) -> str:
         """Return the column's name with the unit."""
         return f"{self.column} [{self.unit}]" if self.unit else self.column
+
+    @property
+    def title(self) -> str:
+        """Return what people call the column, with the unit."""
+        title = _TITLES.get(self.column, self.column)
+        return f"{title} [{self.unit}]" if self.unit else title
 
     def show(self, value: float | None) -> str:
         """Return a stored number as it is shown, a dash for none."""

@@ -15,6 +15,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from slamhive.analysis.ordering import sort_key
 from slamhive.model.base import Choice
 from slamhive.model.results import Outcome, Phase
 
@@ -172,15 +173,6 @@ def status(row: Row) -> str:
     if row.get("phase") == Phase.SUCCEEDED.value:
         return "NotEvaluated"
     return str(row.get("reason") or row.get("phase"))
-
-
-def sort_key(value: Any) -> tuple[int, float, str]:
-    """Return what values of any kind are sorted by: numbers, then texts, then what is missing."""
-    if value is None:
-        return (2, 0.0, "")
-    if isinstance(value, int | float):
-        return (3, 0.0, "") if value != value else (0, float(value), "")  # noqa: PLR0124 - NaN
-    return (1, 0.0, str(value))
 
 
 def _with_facets(rows: Sequence[Row]) -> list[Row]:

@@ -19,7 +19,7 @@ import io
 import math
 import re
 from dataclasses import dataclass
-from pathlib import Path
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.canonical import digest
@@ -31,6 +31,7 @@ from slamhive_eval import Trajectory, read_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
 SOURCE = "slam-hive"
 """Name of the sweep that imported runs belong to, and value of their label ``source``."""
@@ -211,7 +212,7 @@ def read_run(folder: Path) -> OriginalRun:
         algorithm=algorithm,
         sensors=sensors,
         parameters={
-            key: digest_text(value) if isinstance(value, list | dict) else value
+            key: _as_text(value) if isinstance(value, list | dict) else value
             for key, value in parameters.items()
         },
         attributes=attributes,
@@ -271,7 +272,7 @@ def read_usage(path: Path) -> Usage | None:
     if not samples:
         return None
     times, cores, memory = zip(*samples, strict=True)
-    steps = [later - earlier for earlier, later in zip(times, times[1:], strict=False)]
+    steps = [later - earlier for earlier, later in pairwise(times)]
     whole = bool(steps) and max(steps) <= LONGEST_STEP
     return Usage(
         cpu=CpuUsage(
@@ -327,8 +328,8 @@ class GroundTruthFolder:
         return self._read[dataset]
 
 
-def digest_text(value: Any) -> str:
-    """Return a list or mapping among the parameters as text: a parameter is a single value."""
+def _as_text(value: Any) -> str:
+    """A parameter is a single value: write a list or mapping among them as text."""
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 

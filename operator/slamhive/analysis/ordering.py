@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The order of values of any kind, and sorting by several columns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+T = TypeVar("T")
+
+
+def sort_key(value: Any) -> tuple[int, float, str]:
+    """Return what values of any kind are sorted by: numbers, then texts, then what is missing."""
+    if isinstance(value, int | float):
+        return (2, 0.0, "") if value != value else (0, float(value), "")  # noqa: PLR0124 - NaN
+    return (3, 0.0, "") if value is None else (1, 0.0, str(value))
+
+
+def order_by(items: Iterable[T], columns: Iterable[str], get: Callable[[T, str], Any]) -> list[T]:
+    """Return items sorted by columns, the first one slowest.
+
+    Args:
+        items: what to sort; equal ones keep their order.
+        columns: names; a dash before one turns its order round. What is missing comes last either way.
+        get: returns an item's value of a column.
+    """
+    found = list(items)
+    for column in reversed(list(columns)):
+        name = column.removeprefix("-")
+        present = [item for item in found if get(item, name) is not None]
+        absent = [item for item in found if get(item, name) is None]
+        present.sort(key=lambda item: sort_key(get(item, name)), reverse=column.startswith("-"))
+        found = present + absent
+    return found

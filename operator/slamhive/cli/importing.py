@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive import``: results of other systems become runs of the archive."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import track
+
+from slamhive.analysis.measuring import Subject, measure, method
+from slamhive.archive import Archive, CatalogEntry, SweepRecord
+from slamhive.cli.console import FAILED, complain, err, out, plural
+from slamhive.data import slamhive1
+from slamhive.local.home import Home
+from slamhive.model.errors import InputError
+from slamhive.model.evaluation import Alignment, EvaluationSettings
+from slamhive.model.results import Phase, Reason, RunRecord, TrajectoryInfo
+from slamhive_eval import EvaluationError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from slamhive_eval import Trajectory
+
+app = typer.Typer(no_args_is_help=True, help="Bring results of other systems into the archive.")
+
+
+@app.callback()
+def _imports() -> None:
+    """Bring results of other systems into the archive."""
+
+
+@app.command("slam-hive")
+def import_slam_hive(
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder with a folder for each run.", exists=True)
+    ],
+    ground_truth: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Folder with the ground truth, by dataset name.", exists=True),
+    ],
+    *,
+    alignment: Annotated[
+        Alignment, typer.Option(help="Auto: Sim3 for mono, SE3 for all others.", case_sensitive=False)
+    ] = Alignment.AUTO,
+) -> None:
+    """Import results of the original SLAM Hive (config.yaml, traj.txt and profiling.csv in each folder).
+
+    Runs that are there already stay as they are; another alignment adds an evaluation of that name.
+
+    Example: slamhive import slam-hive results --ground-truth groundtruth --alignment sim3
+    """
+    folders = slamhive1.find_runs(directory)
+    settings = EvaluationSettings(alignment=alignment, frame="None")
+    with Archive.open(Home.from_environment().archive_url) as archive:
+        importer = SlamHiveImporter(archive, slamhive1.GroundTruthFolder(ground_truth), settings)
+        report = importer.take(track(folders, "importing", console=err, transient=True))
+        location = archive.location
+    for sentence in report.sentences():
+        complain(sentence)
+    out.print(
+        f"{plural(report.added, 'run')} imported, {plural(report.evaluated, 'run')} evaluated, "
+        f"{plural(report.unchanged, 'run')} there already; archive: {location}",
+        markup=False,
+    )
+    if report.outcomes:
+        counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(report.outcomes.items()))
+        out.print(f"outcomes: {counts}", markup=False)
+    if report.problems:
+        raise typer.Exit(FAILED)
+
+
+@dataclass
+class Report:
+    """What an import did.
+
+    Attributes:
+        added: runs that were new.
+        evaluated: runs that got the evaluation asked for.
+        unchanged: runs that had both.
+        outcomes: outcomes of all runs under the evaluation asked for.
+        problems: folders by what is wrong with them.
+    """
+
+    added: int = 0
+    evaluated: int = 0
+    unchanged: int = 0
+    outcomes: Counter[str] = field(default_factory=Counter)
+    problems: dict[str, list[str]] = field(default_factory=dict)
+
+    def sentences(self) -> list[str]:
+        """Return one sentence for each kind of problem, with the folders that have it."""
+        return [f"{', '.join(folders)}: {problem}" for problem, folders in self.problems.items()]
+
+
+class SlamHiveImporter:
+    """Takes run folders of the original system into an archive.
+
+    Nothing is merged: each folder is a run of its own, and runs of equal configuration become numbered
+    repetitions. A run without a usable trajectory is kept as a failed one; a folder that doesn't say what
+    was run, or whose ground truth is missing, is left out.
+    """
+
+    def __init__(
+        self, archive: Archive, truth: slamhive1.GroundTruthFolder, settings: EvaluationSettings
+    ) -> None:
+        self._archive = archive
+        self._truth = truth
+        self._settings = settings
+        self._known = {record.uid: record for record in archive.runs(sweep=slamhive1.SOURCE)}
+        self._repetitions: dict[str, set[int]] = {}
+        for record in self._known.values():
+            taken = self._repetitions.setdefault(record.provenance.spec_hash or "", set())
+            taken.add(int(record.spec.get("repetition", 0)))
+
+    def take(self, folders: Iterable[Path]) -> Report:
+        """Import folders and return what was done; a problem with one doesn't keep the others out."""
+        report = Report()
+        for folder in folders:
+            try:
+                problem = self._take(folder, report)
+            except (InputError, EvaluationError) as error:
+                problem = str(error)
+            except OSError as error:
+                problem = f"{error.filename}: {error.strerror}"
+            if problem:
+                report.problems.setdefault(problem, []).append(folder.name)
+        if report.added:
+            self._archive.put_sweep(
+                SweepRecord(uid=slamhive1.SOURCE, name=slamhive1.SOURCE, spec={}, evaluation=None)
+            )
+        return report
+
+    def _take(self, folder: Path, report: Report) -> str | None:
+        """Import a folder; return what is wrong with its run, if anything."""
+        run = slamhive1.read_run(folder)
+        subject = Subject(run.sensors)
+        evaluation = method(self._settings, subject)
+        known = self._known.get(run.uid)
+        if known is not None:
+            done = [result for result in known.results if result.evaluation == evaluation]
+            if known.phase is not Phase.SUCCEEDED or done:
+                report.unchanged += 1
+                report.outcomes.update(result.outcome.value for result in done)
+                return known.message
+        reference = self._truth.read(run.dataset_name)
+        try:
+            estimate = run.read_trajectory()
+        except EvaluationError as error:
+            return self._keep_failed(run, str(error), report)
+        result = measure(reference, estimate, self._settings, subject)
+        report.outcomes[result.outcome.value] += 1
+        report.evaluated += 1
+        if known is not None:
+            self._archive.put_result(run.uid, result)
+            return None
+        record = self._new_record(run)
+        info = _trajectory_info(estimate, run.trajectory_sha256 or "")
+        self._put(run, record.replace(trajectory=info, results=[result]), report)
+        return None
+
+    def _keep_failed(self, run: slamhive1.OriginalRun, problem: str, report: Report) -> str:
+        reason = Reason.NO_TRAJECTORY if run.trajectory_is_empty else Reason.INVALID_TRAJECTORY
+        message = f"{problem}; kept as a failed run ({reason})"
+        record = self._new_record(run).replace(phase=Phase.FAILED, reason=reason, message=message)
+        self._put(run, record, report)
+        return message
+
+    def _new_record(self, run: slamhive1.OriginalRun) -> RunRecord:
+        taken = self._repetitions.setdefault(run.configuration_hash, set())
+        repetition = next(number for number in range(len(taken) + 1) if number not in taken)
+        record = run.record(repetition)
+        taken.add(repetition)
+        return record
+
+    def _put(self, run: slamhive1.OriginalRun, record: RunRecord, report: Report) -> None:
+        self._archive.put_run(record, _algorithm_entry(run), _dataset_entry(run, self._truth))
+        self._known[run.uid] = record
+        report.added += 1
+
+
+def _trajectory_info(estimate: Trajectory, sha256: str) -> TrajectoryInfo:
+    length = float(estimate.stamps[-1] - estimate.stamps[0])
+    return TrajectoryInfo(poses=len(estimate), duration_seconds=length, sha256=sha256, path="traj.txt")
+
+
+def _algorithm_entry(run: slamhive1.OriginalRun) -> CatalogEntry:
+    return CatalogEntry(
+        kind="Algorithm",
+        name=run.algorithm,
+        labels={"source": slamhive1.SOURCE, "algorithm": run.algorithm_name},
+        spec={
+            "description": f"{run.algorithm_name} as the original SLAM Hive ran it",
+            "modes": [{"name": run.sensors.value}],
+        },
+    )
+
+
+def _dataset_entry(run: slamhive1.OriginalRun, truth: slamhive1.GroundTruthFolder) -> CatalogEntry:
+    return CatalogEntry(
+        kind="Dataset",
+        name=run.dataset,
+        labels={"source": slamhive1.SOURCE, "dataset": run.dataset_name},
+        spec={
+            "description": f"{run.dataset_name} as the original SLAM Hive played it",
+            "groundTruth": {"file": truth.path(run.dataset_name).name},
+        },
+    )
