@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conditions: what they mean, and what they say when they can't be understood."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slamhive.analysis import ExpressionError, compile_where
+
+ROW = {
+    "run": 126,
+    "algorithm": "orb-slam2",
+    "ate.rmse": 0.0125,
+    "rpe[0].rmse": 0.5,
+    "parameters.nFeatures": 1000,
+    "parameters.ORBextractor.nLevels": 8,
+    "parameters.loop": True,
+    "parameters.min-dist": 30,
+    "label.run": "126",
+    "message": "it's",
+    "scale": None,
+    "unset": None,
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("run in (126, 141)", True),
+        ("run not in (126, 141,)", False),
+        ("run in (1, 'x', null)", False),
+        ("label.run in (126, 141)", True),
+        ("label.run == 126 and label.run < 127", True),
+        ("label.run == '126'", True),
+        ("parameters.nFeatures < 1000", False),
+        ("500 < parameters.nFeatures <= 1e3", True),
+        ("500 < parameters.nFeatures < 900", False),
+        ("rpe[0].rmse >= .5", True),
+        ("parameters.ORBextractor.nLevels == 8", True),
+        ("`parameters.min-dist` = 30", True),
+        ("algorithm == 'orb-slam2' AND NOT run == 5", True),
+        ('algorithm <> "kiss-icp"', True),
+        (r"message == 'it\'s'", True),
+        ("run == 5 or run == 126 and algorithm == 'x'", False),
+        ("(run == 126 or run == 5) and algorithm != 'x'", True),
+        ("not (run == 5)", True),
+        ("not run == 5 and run == 126", True),
+        ("parameters.loop", True),
+        ("parameters.loop == true", True),
+        ("scale < 5 or scale >= 5", False),
+        ("scale == null and scale is null", True),
+        ("scale is not null", False),
+        ("scale != 5", True),
+        ("run > -1", True),
+        ("ate.rmse < parameters.nFeatures", True),
+        ("algorithm < 5", False),
+        ("  run==126\n", True),
+    ],
+)
+def test_meaning(text: str, expected: bool) -> None:
+    assert compile_where(text, ROW)(ROW) is expected
+
+
+def test_a_column_that_a_row_lacks_is_null() -> None:
+    condition = compile_where("scale is null", ["scale"])
+    assert condition({})
+    assert not condition({"scale": 1})
+
+
+@pytest.mark.parametrize(
+    ("text", "position", "problem"),
+    [
+        ("", 0, "expected a column, a number or a text in quotes, found the end"),
+        ("parameters.nFeature < 5", 0, "unknown column 'parameters.nFeature'; did you mean"),
+        ("algorithm == orbslam", 13, "unknown column 'orbslam'"),
+        ("algorithm == zzz", 13, "a text stands in quotes"),
+        ("run in (1, abc)", 11, "expected a number or a text in quotes, found the name 'abc'"),
+        ("run in ()", 8, r"found '\)'"),
+        ("run in 5", 7, r"expected '\(', found '5'"),
+        ("run in (5", 9, r"expected '\)', found the end"),
+        ("(run == 5", 9, r"expected '\)', found the end"),
+        ("run == 5)", 8, "expected 'and', 'or' or the end"),
+        ("run not 5", 8, "expected 'in' after 'not'"),
+        ("scale is 5", 9, "expected 'null' after 'is'"),
+        ("run == 5 run", 9, "expected 'and', 'or' or the end"),
+        ("algorithm == 'x", 13, "the quote ' is never closed"),
+        ("run == 5x", 7, "not a number"),
+        ("run @ 5", 4, "unexpected '@'"),
+        ("parameters.min-dist > 1", 0, "unknown column 'parameters.min'"),
+        ("run == --5", 8, "expected a column"),
+        ("run == -'x'", 8, "expected a column"),
+        ("__import__('os').system('true')", 16, r"unexpected '\.'"),
+        ("__import__('os')", 0, "unknown column '__import__'"),
+        ("run == (1)", 7, "expected a column"),
+        ("(" * 60 + "run", 50, "nested more than 50 deep"),
+        ("not " * 60 + "run", 200, "nested more than 50 deep"),
+        ("x" * 10_001, 0, "may have 10000 characters"),
+    ],
+)
+def test_mistakes_are_named_where_they_are(text: str, position: int, problem: str) -> None:
+    with pytest.raises(ExpressionError, match=problem) as caught:
+        compile_where(text, ROW)
+    assert caught.value.position == position
+    if len(text) < 60:
+        sentence, line, caret = str(caught.value).split("\n")
+        assert f"character {position + 1}:" in sentence
+        assert line == f"  {text}"
+        assert caret.index("^") == position + 2
+
+
+@given(st.text(alphabet="run().'\"<=>!andoritn 0123456789,-`[]\\é\n", max_size=40))
+def test_any_text_is_a_condition_or_a_mistake(text: str) -> None:
+    try:
+        condition = compile_where(text, ROW)
+    except ExpressionError:
+        return
+    assert condition(ROW) in (True, False)
