@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from slamhive import __version__
-from slamhive.cli import algorithms, datasets, importing, results, running
+from slamhive.cli import algorithms, datasets, importing, results, running, vocabulary
 from slamhive.cli.console import FAILED, INTERRUPTED, WRONG_INPUT, complain
 from slamhive.model.errors import InputError, SlamHiveError
 
@@ -24,6 +24,7 @@ app.command()(running.demo)
 app.command()(running.run)
 app.command()(running.plan)
 app.command()(running.validate)
+algorithms.app.command("train-vocabulary")(vocabulary.train)
 app.add_typer(results.app, name="results")
 app.add_typer(datasets.app, name="dataset")
 app.add_typer(algorithms.app, name="algorithm")
