@@ -64,7 +64,7 @@ def test_defaults_are_filled_in(plan: Callable[..., Plan]) -> None:
         "datasetRef": {"name": "hall"},
         "sensors": "lidar",
         "parameters": {"ICP.iterations": 30, "deskew": True, "maxRange": 20, "voxelSize": None},
-        "input": {"remap": {}, "pace": "Lockstep"},
+        "input": {"remap": {}, "resolution": 1, "pace": "Lockstep"},
         "repetition": 0,
         "seed": 7,
         "resources": {"cpu": "2", "memory": "4Gi"},

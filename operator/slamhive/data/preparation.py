@@ -210,7 +210,7 @@ def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> Wish:
     lidar = options.lidar if SensorType.LIDAR in types else None
     return Wish(
         frame_rate=options.frame_rate,
-        resolution=float(options.resolution or 1.0) if cameras else 1.0,
+        resolution=options.resolution if cameras else 1.0,
         start=seconds(options.start) if options.start else 0.0,
         duration=seconds(options.duration) if options.duration else None,
         lidar=lidar if lidar and lidar.as_json() else None,

@@ -29,9 +29,7 @@ class InputOptions(Model):
     frame_rate: float | None = Field(
         default=None, gt=0, description="Frames per second of cameras and LiDARs; default: as recorded."
     )
-    resolution: float | None = Field(
-        default=None, gt=0, le=1, description="Scale of images in each direction; default: 1."
-    )
+    resolution: float = Field(default=1.0, gt=0, le=1, description="Scale of images in each direction.")
     start: Duration | None = Field(default=None, description="Time to leave out at the beginning.")
     duration: Duration | None = Field(default=None, description="Length to keep.")
     rate: float | None = Field(default=None, gt=0, le=100, description="Speed of playback in real time.")
