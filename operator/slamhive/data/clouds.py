@@ -138,7 +138,9 @@ def cloud_points(message: Any, where: str) -> npt.NDArray[np.void]:
     rows = message.data[: message.row_step * message.height].reshape(message.height, message.row_step)[
         :, :used
     ]
-    return np.ascontiguousarray(rows).reshape(-1).view(dtype)
+    # A copy: readers hand out views of what they read. numpy doesn't copy the padding inside of structured types,
+    # so points are chosen and copied as bytes.
+    return np.array(rows).reshape(-1, message.point_step).view(dtype)[:, 0]
 
 
 def filter_cloud(message: Any, kept: CloudFilter, where: str) -> Any:
@@ -161,21 +163,19 @@ def filter_cloud(message: Any, kept: CloudFilter, where: str) -> Any:
         if kept.max_range is not None:
             mask &= squares <= kept.max_range**2
     if kept.ring_map is not None:
-        points, rings_kept = _renumber(points, kept, where)
-        mask &= rings_kept
-    chosen = points[mask]
+        mask &= _renumber(points, kept, where)
+    chosen = points.view(np.uint8).reshape(len(points), -1)[mask]
     return replace(
         message,
         height=1,
         width=len(chosen),
         row_step=len(chosen) * message.point_step,
-        data=chosen.view(np.uint8).reshape(-1),
+        data=chosen.reshape(-1),
     )
 
 
-def _renumber(
-    points: npt.NDArray[np.void], kept: CloudFilter, where: str
-) -> tuple[npt.NDArray[np.void], npt.NDArray[np.bool_]]:
+def _renumber(points: npt.NDArray[np.void], kept: CloudFilter, where: str) -> npt.NDArray[np.bool_]:
+    """Write the new ring numbers into points; return which of them stay."""
     field, ring_map = kept.ring_field, kept.ring_map
     if field not in (points.dtype.names or ()) or ring_map is None:
         raise DataError(
@@ -189,6 +189,6 @@ def _renumber(
             f"states {len(ring_map)} rings"
         )
     numbers = ring_map[rings]
-    points = points.copy()
     points[field] = np.maximum(numbers, 0)
-    return points, numbers >= 0
+    kept_rings: npt.NDArray[np.bool_] = numbers >= 0
+    return kept_rings

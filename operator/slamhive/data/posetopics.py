@@ -90,8 +90,8 @@ def _stamped(recording: Recording, topic: str, kind: str) -> tuple[Poses, Poses]
 
 
 def _seconds(stamp: Any) -> float:
-    # As one integer of ns, divided once: the nearest float64 of the stamp.
-    return (int(stamp.sec) * 10**9 + int(stamp.nanosec)) / 1e9
+    # Integer by integer: the float64 nearest to the stamp, as reading its decimal digits gives it.
+    return (int(stamp.sec) * 10**9 + int(stamp.nanosec)) / 10**9
 
 
 def _row(p: Any, q: Any) -> tuple[float, ...]:

@@ -294,8 +294,8 @@ def _describe(request: _Request, selection: Selection, aside: Path) -> None:
         "sensors": {
             role: view.replace(rate=rates[view.name] or view.rate).as_json() for role, view in views.items()
         },
-        "startTime": selection.first / 1e9 + offset,
-        "durationSeconds": (selection.last - selection.first) / 1e9,
+        "startTime": selection.first / 10**9 + offset,
+        "durationSeconds": (selection.last - selection.first) / 10**9,
         "frameRate": rates[primary.sensor or ""],
         "resolution": wish.resolution,
         "frames": selection.frames(primary),

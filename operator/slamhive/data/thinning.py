@@ -17,6 +17,8 @@ _SAME_RATE = 1.02
 """A rate within 2 % of the recorded one keeps every frame: drivers are that far off."""
 _GAP = 3.0
 """Steps longer than this many typical ones are gaps and say nothing about the rate."""
+_EARLY = 0.3
+"""How many wanted periods a frame may come before its time."""
 _RARE = 0.1
 """More gaps than this share of all steps are no gaps: the stream is irregular."""
 
@@ -110,16 +112,17 @@ def _chain(stamps: Stamps, period: float) -> list[int]:
         if last + 1 >= len(stamps):
             return kept
         target = stamps[last] + period
-        right = int(np.searchsorted(stamps, target))
-        right = min(max(right, last + 1), len(stamps))
+        right = max(int(np.searchsorted(stamps, target)), last + 1)
         left = right - 1
-        if right == len(stamps):
-            # A frame much nearer than a period isn't kept only because the recording ends after it.
-            if left > last and target - stamps[left] < 0.25 * period:
-                kept.append(left)
+        # Before a gap or the end, or for a dropped frame, a frame much too early isn't taken instead.
+        early = target - stamps[left] if left > last else np.inf
+        late = stamps[right] - target if right < len(stamps) else np.inf
+        if early <= min(late, _EARLY * period):
+            kept.append(left)
+        elif right < len(stamps):
+            kept.append(right)
+        else:
             return kept
-        nearer_left = left > last and target - stamps[left] <= stamps[right] - target
-        kept.append(left if nearer_left else right)
 
 
 def _grid(stamps: Stamps, period: float) -> npt.NDArray[np.intp]:

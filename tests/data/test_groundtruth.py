@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slamhive.data.groundtruth import ground_truth, write_ground_truth
+from slamhive.data.inspection import inspect
+from slamhive.data.posetopics import poses_of_topic
+from slamhive.data.recordings import Recording, guess_format
+from slamhive.model.errors import DataError
+from slamhive_eval import Relations, read_tum
+
+TUM = "1600000000.0 1 2 3 0 0 0 1\n1600000001.0 2 2 3 0 0 0 1\n1600000002.0 3 2 3 0 0 0 1\n"
+EUROC = "#timestamp\n1600000000000000000,1,2,3,1,0,0,0,0\n1600000001000000000,2,2,3,1,0,0,0,0\n"
+KITTI = "1 0 0 1 0 1 0 2 0 0 1 3\n1 0 0 2 0 1 0 2 0 0 1 3\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "truth", "count"),
+    [
+        (TUM, {"file": "gt"}, 3),
+        (EUROC, {"file": "gt", "format": "Euroc"}, 2),
+        (KITTI, {"file": "gt", "format": "Kitti", "times": "times"}, 2),
+        (TUM, {"file": "gt", "holes": [{"start": 1600000000.5, "end": 1600000001.5}]}, 2),
+    ],
+)
+def test_files(tmp_path: Path, bag_with_truth: Any, text: str, truth: Any, count: int) -> None:
+    (tmp_path / "gt").write_text(text)
+    (tmp_path / "times").write_text("1600000000\n1600000001\n")
+    found = ground_truth(bag_with_truth(tmp_path, groundTruth=truth))
+    assert len(found.poses) == count
+    assert found.poses.stamps[0] == 1600000000
+    assert found.poses.positions[0].tolist() == [1, 2, 3]
+    assert found.T_body_frame.tolist() == np.eye(4).tolist()
+
+
+def test_a_topic_is_read_once(tmp_path: Path, bag_with_truth: Any) -> None:
+    entry = bag_with_truth(tmp_path)
+    plain, kept = ground_truth(entry), ground_truth(entry, tmp_path / "cache")
+    assert plain.poses.positions[:, 0] == pytest.approx(0.1 * np.arange(30))
+    assert kept.poses.stamps.tolist() == plain.poses.stamps.tolist()
+    note = next((tmp_path / "cache").glob("*/groundtruth.txt"))
+    assert read_tum(note).positions.tolist() == plain.poses.positions.tolist()
+    assert write_ground_truth(entry, tmp_path / "out.txt")
+    assert (tmp_path / "out.txt").read_text() == note.read_text()
+
+
+@pytest.mark.parametrize(
+    ("truth", "expected"),
+    [
+        ({"frame": "lidar"}, "sensor"),
+        ({"T_body_frame": [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "marker"),
+    ],
+)
+def test_frames(tmp_path: Path, bag_with_truth: Any, truth: Any, expected: str) -> None:
+    entry = bag_with_truth(tmp_path, groundTruth={"topic": "/truth", **truth})
+    pose = np.eye(4)
+    pose[0, 3] = 5.0 if expected == "marker" else 0.25
+    sensor = entry.dataset.spec.sensors["lidar"].replace(T_body_sensor=pose.tolist())
+    spec = entry.dataset.spec.replace(sensors={"lidar": sensor})
+    moved = type(entry)(entry.dataset.replace(spec=spec), entry.root)
+    assert ground_truth(moved).T_body_frame.tolist() == pose.tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "truth", "words"),
+    [
+        (None, {"file": "gt"}, "gt does not exist"),
+        ("", {"file": "gt"}, "holds no poses"),
+        (TUM + "nan 1 2 3 0 0 0 1\n", {"file": "gt"}, "line 4"),
+        (TUM + TUM, {"file": "gt"}, "line 4.*must not decrease"),
+        (KITTI, {"file": "gt", "format": "Kitti"}, "groundTruth.times: needed"),
+        (TUM, {"topic": "/trut"}, "no topic '/trut' .*did you mean '/truth'"),
+        (TUM, {"topic": "/points"}, "PointCloud2 carry no pose; allowed"),
+        (TUM, {"topic": "/tf_static:map.lidar"}, "'map' is none"),
+        (TUM, {"file": "gt", "holes": [{"start": 0, "end": 2e9}]}, "leave none of 3 poses"),
+        (TUM.replace("16", "15"), {"file": "gt"}, r"1500000000\.000 to .* doesn't overlap .*1600000000\.000"),
+        (TUM.replace("1600000", ""), {"file": "gt"}, "may not be Unix time"),
+    ],
+)
+def test_bad_ground_truth(tmp_path: Path, bag_with_truth: Any, text: str, truth: Any, words: str) -> None:
+    if text is not None:
+        (tmp_path / "gt").write_text(text)
+    entry = bag_with_truth(tmp_path, groundTruth=truth)
+    if "overlap" not in words and "Unix" not in words:
+        with pytest.raises(DataError, match=words):
+            ground_truth(entry)
+    report = inspect(entry)
+    assert len(report.errors) == 1
+    with pytest.raises(DataError, match=words):
+        raise DataError(report.errors[0])
+    assert not report.is_usable
+
+
+@pytest.mark.parametrize(
+    ("name", "topic", "count"),
+    [
+        ("ROS_example.bag", "groundtruth", 12765),
+        ("robot_localization_test1.bag", "/husky_velocity_controller/odom", 3952),
+        ("nav2_turtlebot.mcap", "/amcl_pose", 135),
+        ("tf_example", "/tf:odom.base_link", 517),
+        ("tf_example.bag", "/tf:odom.base_link", 517),
+        ("foxglove_example-bz2.bag", "/tf:turtle1.turtle2", None),
+    ],
+)
+def test_real_recordings(shared: Path, name: str, topic: str, count: int | None) -> None:
+    path = shared / "bags" / name
+    with Recording([path], guess_format(path)) as recording:
+        if count is None:
+            with pytest.raises(DataError, match="only one may"):
+                poses_of_topic(recording, topic)
+        else:
+            assert len(poses_of_topic(recording, topic)) == count
+
+
+def test_relations_are_kept_as_they_are(shared: Path, tmp_path: Path, bag_with_truth: Any) -> None:
+    text = (shared / "lidar2d" / "intel.relations").read_text()
+    (tmp_path / "gt").write_text(text)
+    entry = bag_with_truth(tmp_path, groundTruth={"file": "gt", "format": "Relations"})
+    found = ground_truth(entry)
+    assert isinstance(found.poses, Relations)
+    write_ground_truth(entry, tmp_path / "copy")
+    assert (tmp_path / "copy").read_text() == text

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+import bz2
+import gzip
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from slamhive.data.carmen import import_carmen, read_log, scan_points
+from slamhive.data.entries import DatasetEntry
+from slamhive.data.euroc import import_euroc
+from slamhive.data.groundtruth import ground_truth
+from slamhive.data.inspection import inspect
+from slamhive.data.preparation import prepare
+from slamhive.data.suggestion import suggest_dataset
+from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.errors import DataError, InputError
+from slamhive.model.loading import load_file, parse, to_object
+from slamhive.model.run import InputOptions
+from slamhive.model.sensors import Role
+
+LOG = """# CARMEN
+PARAM robot_frontlaser_offset 0.25 nohost 0
+FLASER 4 1.0 2.0 81.91 3.0 0 0 0 0 0 0 20.000002 nohost 1
+ODOM 1 2 0.5 0.1 0.2 0 10.5 nohost 1
+FLASER 4 1.5 2.0 3.0 3.0 0 0 0 0 0 0 10.100001 nohost 1
+TRUEPOS 0 0 0 0 0 0 1 nohost 1
+"""
+ROBOTLASER = "ROBOTLASER1 0 -1.5 3.0 1.5 30 0.01 0 3 1 2 31 0 1.2 0 0 1 0 0 0 0 0 0 0 5.25 nohost 1\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "pack"), [("a.log", bytes), ("a.bz2", bz2.compress), ("a.gz", gzip.compress)]
+)
+def test_carmen_logs_are_sorted_by_their_own_stamps(tmp_path: Path, name: str, pack: Any) -> None:
+    (tmp_path / name).write_bytes(pack(LOG.encode()))
+    log = read_log(tmp_path / name)
+    assert [scan.stamp for scan in log.scans] == [10_100_001_000, 20_000_002_000]
+    assert (log.inversions, log.laser_offset, len(log.odometry)) == (2, 0.25, 1)
+    points = scan_points(log.scans[1])
+    assert len(points) == 3
+    assert (points["x"][0], points["y"][0]) == pytest.approx((0, -1), abs=1e-6)
+    assert (points["x"][1], points["y"][1]) == pytest.approx((2**0.5, -(2**0.5)), abs=1e-6)
+
+
+def test_robotlaser_lines(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(ROBOTLASER)
+    log = read_log(tmp_path / "a.log")
+    assert log.laser_offset == pytest.approx(0.2)
+    points = scan_points(log.scans[0])
+    assert np.arctan2(points["y"], points["x"]).tolist() == pytest.approx([-1.5, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (LOG.replace("nohost 1\nTRUE", "\nFLASER 9 1 2\nTRUE"), "line 6: not a complete FLASER"),
+        (LOG.replace("1.5", "nan"), "line 5: not a complete FLASER"),
+        ("ODOM 1 2 0 0 0 0 1.0 nohost 1\n", "no laser scans"),
+        (LOG.replace("10.5", "-1"), "line 4: not a complete ODOM"),
+    ],
+)
+def test_damaged_logs(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "a.log").write_text(text)
+    with pytest.raises(DataError, match=words):
+        import_carmen(tmp_path / "a.log", tmp_path / "out", "a")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_whole_intel_log(shared: Path, tmp_path: Path) -> None:
+    source = shared / "lidar2d"
+    dataset = import_carmen(source / "intel.clf.bz2", tmp_path / "intel", "intel", source / "intel.relations")
+    entry = DatasetEntry(dataset, tmp_path / "intel")
+    truth = ground_truth(entry)
+    variant = prepare(entry, [Role.LIDAR], InputOptions(), [RecordingFormat.ROSBAG1], tmp_path / "cache")
+    assert variant.frames == 13_631
+    with AnyReader([variant.path]) as reader:
+        assert set(reader.topics) == {"/points", "/tf_static"}
+        scans = [c for c in reader.connections if c.topic == "/points"]
+        stamps = [reader.deserialize(raw, c.msgtype).header.stamp for c, _, raw in reader.messages(scans)]
+    times = np.array([(stamp.sec * 10**9 + stamp.nanosec) / 10**9 for stamp in stamps])
+    assert np.all(np.diff(times) >= 0)
+    # Each relation is between the stamps of two scans, to the last bit.
+    assert np.isin(truth.poses.begin, times).all()
+    assert np.isin(truth.poses.end, times).all()
+
+
+def euroc(folder: Path, *, cameras: int = 2) -> Path:
+    """Write a little folder in EuRoC's layout."""
+    base = folder / "mav0"
+    pose = "T_BS:\n  cols: 4\n  rows: 4\n  data: [1, 0, 0, {}, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n"
+    for n in range(cameras):
+        (base / f"cam{n}" / "data").mkdir(parents=True)
+        lens = (
+            "rate_hz: 20\nresolution: [8, 6]\ncamera_model: pinhole\nintrinsics: [5, 5.5, 3, 2]\n"
+            "distortion_model: radial-tangential\ndistortion_coefficients: [0.1, 0.2, 0.3, 0.4]\n"
+        )
+        (base / f"cam{n}" / "sensor.yaml").write_text("%YAML:1.0\n" + pose.format(0.1 * n) + lens)
+        rows = ["#timestamp [ns],filename"]
+        for k in range(4):
+            stamp = 10**18 + 50_000_000 * k
+            pixels = np.full((6, 8), 10 * k + n, dtype=np.uint8)
+            cv2.imwrite(str(base / f"cam{n}" / "data" / f"{stamp}.png"), pixels)
+            rows.append(f"{stamp},{stamp}.png")
+        (base / f"cam{n}" / "data.csv").write_text("\r\n".join(rows) + "\r\n")
+    (base / "imu0").mkdir()
+    (base / "imu0" / "sensor.yaml").write_text(
+        "%YAML:1.0\n" + pose.format(0) + "rate_hz: 200\ngyroscope_noise_density: 1.7e-04\n"
+    )
+    samples = [f"{10**18 + 5_000_000 * k},1,2,3,4,5,6" for k in range(30)]
+    (base / "imu0" / "data.csv").write_text("#t\n" + "\n".join(samples) + "\n")
+    (base / "state_groundtruth_estimate0").mkdir()
+    truth = [f"{10**18 + 50_000_000 * k},{k},0,0,1,0,0,0,9,9" for k in range(4)]
+    (base / "state_groundtruth_estimate0" / "data.csv").write_text("#t\n" + "\n".join(truth) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize(("cameras", "names"), [(2, {"left", "right", "imu"}), (1, {"camera", "imu"})])
+def test_euroc_folders(tmp_path: Path, cameras: int, names: set[str]) -> None:
+    dataset = import_euroc(euroc(tmp_path / "mh", cameras=cameras), tmp_path / "out", "mh")
+    assert load_file(tmp_path / "out" / "dataset.yaml")[0] == dataset
+    assert set(dataset.spec.sensors) == names
+    report = inspect(DatasetEntry(dataset, tmp_path / "out"))
+    assert report.errors == []
+    assert report.ground_truth is not None
+    assert report.ground_truth.path_metres == pytest.approx(3)
+    camera = dataset.spec.sensors["left" if cameras == 2 else "camera"].camera
+    assert camera is not None
+    assert (camera.fx, camera.cy, camera.coefficients) == (5, 2, [0.1, 0.2, 0.3, 0.4, 0.0])
+    assert dataset.spec.sensors["imu"].imu.gyroscope_noise == 1.7e-4
+    with AnyReader([tmp_path / "out" / "recording.bag"]) as reader:
+        images = [c for c in reader.connections if c.topic == "/cam0/image_raw"]
+        first = [reader.deserialize(raw, c.msgtype).data[0] for c, _, raw in reader.messages(images)]
+    assert first == [0, 10, 20, 30]
+    with pytest.raises(InputError, match="exists already"):
+        import_euroc(tmp_path / "mh", tmp_path / "out", "mh")
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "words"),
+    [
+        ("cam0/sensor.yaml", "camera_model: mei\n", "camera_model 'mei' .*allowed: pinhole"),
+        ("cam0/data.csv", "#t\n1,none.png\n", "line 2: .*none.png does not exist"),
+        ("cam0/data.csv", "#t\n", "no rows in it"),
+        ("imu0/data.csv", "#t\n1,2,3\n", "line 2: 7 values are needed, found 3"),
+        ("imu0/data.csv", "#t\n1,2,3,nan,5,6,7\n", "line 2: a value is not a finite number"),
+        ("imu0/sensor.yaml", "T_BS: {data: [1]}\n", "T_BS: 16 numbers are needed, found 1"),
+        ("cam1/sensor.yaml", "a: [", "not YAML"),
+    ],
+)
+def test_damaged_euroc_folders(tmp_path: Path, path: str, text: str, words: str) -> None:
+    (euroc(tmp_path / "mh") / "mav0" / path).write_text(text)
+    with pytest.raises(DataError, match=words):
+        import_euroc(tmp_path / "mh", tmp_path / "out", "mh")
+
+
+def test_the_real_euroc_folder(shared: Path, tmp_path: Path) -> None:
+    dataset = import_euroc(shared / "euroc_v1_01_start", tmp_path / "out", "v101")
+    report = inspect(DatasetEntry(dataset, tmp_path / "out"))
+    assert (report.errors, report.warnings) == ([], [])
+    assert {sensor.name: sensor.messages for sensor in report.sensors} == {"camera": 95, "imu": 29_120}
+
+
+def test_a_suggestion_from_a_generated_bag_is_nearly_its_dataset(camera_entries: Any, tmp_path: Path) -> None:
+    entry = camera_entries[0.5]
+    bag = shutil.copy(entry.root / "recording.bag", tmp_path / "my.bag")
+    found = suggest_dataset(Path(bag), "my", tmp_path)
+    dataset = to_object(parse(found.text, "my.yaml")[0])
+    for name, sensor in entry.dataset.spec.sensors.items():
+        guess = dataset.spec.sensors[name]
+        assert (guess.topic, guess.type) == (sensor.topic, sensor.type)
+        assert np.allclose(guess.T_body_sensor, sensor.T_body_sensor)
+        assert guess.camera.fx == pytest.approx(sensor.camera.fx)
+    assert any("groundTruth" in sentence for sentence in found.missing)
+    assert inspect(DatasetEntry(dataset, tmp_path)).errors == []
+
+
+def test_suggestions_from_real_bags(shared: Path) -> None:
+    found = suggest_dataset(shared / "bags" / "robot_localization_test1.bag", "husky")
+    assert found.manifest["spec"]["sensors"]["imu"]["topic"] == "/imu/data"
+    assert any("noise" in sentence for sentence in found.missing)
+    with pytest.raises(DataError, match="no camera, LiDAR or IMU topic among"):
+        suggest_dataset(shared / "bags" / "nav2_turtlebot.mcap", "nav2")
