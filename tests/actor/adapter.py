@@ -30,6 +30,11 @@ def slow() -> None:
     good()
 
 
+def second() -> None:
+    time.sleep(1)
+    good()
+
+
 def crash() -> None:
     sys.stdout.write("something about the map\n")
     sys.exit("cannot open the map")
@@ -119,6 +124,7 @@ def noted() -> None:
 ACTS: dict[str, Callable[[], object]] = {
     "good": good,
     "slow": slow,
+    "second": second,
     "crash": crash,
     "segfault": segfault,
     "hang": hang,
