@@ -223,3 +223,10 @@ def test_a_broken_run_is_named_and_the_others_go_on(
     found = rows(show)
     assert [row["run"] for row in found if row["outcome"] == "Tracked"] == [1, 3]
     assert [row["run"] for row in found if row["phase"] == "Failed"] == ([2] if kept else [])
+
+
+def test_an_alignment_that_needs_more_than_is_known(tmp_path: Path, take: Command, make_run: MakeRun) -> None:
+    make_run()
+    outcome = take(*words(tmp_path, "--alignment", "yaw"))
+    assert isinstance(outcome.exception, InputError)
+    assert "Yaw needs a Dataset and an Algorithm that are both gravityAligned" in str(outcome.exception)

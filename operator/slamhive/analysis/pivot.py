@@ -28,6 +28,7 @@ FACETS = ("algorithm", "sensors", "dataset", "evaluation", "alignment", "input.p
 """Columns that are never pooled: they become keys where they vary."""
 
 _CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
+_MOST_NAMES = 6
 _SUBJECT = ("algorithm", "sensors", "dataset")
 
 
@@ -137,6 +138,8 @@ def table(
         groups.setdefault(tuple(_hashable(row.get(name)) for name in keys), []).append(row)
     members = sorted(groups.values(), key=lambda group: [sort_key(group[0].get(name)) for name in keys])
     pooled = [name for name in changing if name not in keys]
+    if len(pooled) > _MOST_NAMES:
+        pooled = [*pooled[:_MOST_NAMES], f"{len(pooled) - _MOST_NAMES} more"]
     return PivotTable(
         tuple(keys[: len(keys) - len(across)]),
         tuple(across),

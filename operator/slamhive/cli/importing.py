@@ -19,6 +19,7 @@ from slamhive.local.home import Home
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Alignment, EvaluationSettings
 from slamhive.model.results import Phase, Reason, RunRecord, TrajectoryInfo
+from slamhive.model.sensors import SensorMode
 from slamhive_eval import EvaluationError
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ def import_slam_hive(
     """
     folders = slamhive1.find_runs(directory)
     settings = EvaluationSettings(alignment=alignment, frame="None")
+    method(settings, Subject(SensorMode.STEREO))  # refuses what no run could be measured by
     with Archive.open(Home.from_environment().archive_url) as archive:
         importer = SlamHiveImporter(archive, slamhive1.GroundTruthFolder(ground_truth), settings)
         report = importer.take(track(folders, "importing", console=err, transient=True))
