@@ -10,7 +10,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from slamhive.cli.console import FAILED, listing, open_workbench, out
+from slamhive.cli.console import FAILED, listing, open_workbench, out, remark
+from slamhive.cli.listing import show_catalog
 from slamhive.local.catalog import load_workshop
 from slamhive.local.checking import check_algorithm
 from slamhive.local.environments import availability
@@ -36,18 +37,24 @@ def list_algorithms(*, as_json: AsJson = False) -> None:
     if as_json:
         typer.echo(json.dumps([_summary(algorithm, problem) for algorithm, problem in rows], indent=2))
         return
-    table = Table("algorithm", "sensors", "version", "licence", "here", "what it is")
-    for algorithm, problem in rows:
-        spec = algorithm.spec
-        table.add_row(
+    lines = [
+        (
             algorithm.name,
-            listing([mode.name for mode in spec.modes]),
-            spec.version or "",
-            spec.license or "",
-            "[green]yes[/]" if problem is None else f"[yellow]unavailable: {escape(problem)}[/]",
-            escape(spec.description),
+            listing([mode.name for mode in algorithm.spec.modes]),
+            algorithm.spec.version or "",
+            algorithm.spec.license or "",
+            "yes" if problem is None else "no",
+            algorithm.spec.description,
         )
-    out.print(table)
+        for algorithm, problem in rows
+    ]
+    headings = ("algorithm", "sensors", "version", "licence", "here", "what it is")
+    complete = show_catalog(headings, lines, prose=(5,))
+    for algorithm, problem in rows:
+        if problem is not None:
+            out.print(f"[yellow]{escape(algorithm.name)}: unavailable here: {escape(problem)}[/]")
+    if not complete:
+        remark("more of each: slamhive algorithm show NAME")
 
 
 @app.command("show")

@@ -5,15 +5,27 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import yaml
+from pydantic import ValidationError
 from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from slamhive.cli.console import FAILED, bytes_text, complain, err, listing, open_workbench, out, remark
+from slamhive.cli.console import (
+    FAILED,
+    bytes_text,
+    complain,
+    err,
+    listing,
+    open_workbench,
+    out,
+    plural,
+    remark,
+)
+from slamhive.cli.listing import show_catalog
 from slamhive.data.carmen import import_carmen
 from slamhive.data.euroc import import_euroc
 from slamhive.data.inspection import inspect
@@ -23,6 +35,7 @@ from slamhive.data.suggestion import suggest_dataset
 from slamhive.local.catalog import load_workshop
 from slamhive.local.home import Home
 from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.base import explain
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
 from slamhive.model.loading import load_file
@@ -58,21 +71,10 @@ def list_datasets(*, as_json: AsJson = False) -> None:
         ]
         typer.echo(json.dumps(rows, indent=2))
         return
-    table = Table("dataset", "source", "sensors", "ground truth", "attributes", "what it is")
-    for name, dataset in sorted(datasets.items()):
-        spec = dataset.spec
-        truth = spec.ground_truth
-        generated = spec.recording.synthetic
-        sensors = [str(one) for one in generated.sensors] if generated else sorted(spec.sensors)
-        table.add_row(
-            name,
-            _source(spec),
-            listing(sensors),
-            "exact" if generated else (str(truth.format) if truth else "none"),
-            escape(", ".join(f"{key}: {value}" for key, value in spec.attributes.items())),
-            escape(spec.description),
-        )
-    out.print(table)
+    lines = [(name, *_catalog_cells(dataset.spec)) for name, dataset in sorted(datasets.items())]
+    headings = ("dataset", "source", "sensors", "ground truth", "attributes", "what it is")
+    if not show_catalog(headings, lines, prose=(5, 4)):
+        remark("more of each: slamhive dataset show NAME")
 
 
 @app.command("show")
@@ -171,7 +173,7 @@ def prepare_variant(
     bench = open_workbench(Home.from_environment())
     with bench.archive:
         entry = bench.dataset(name)
-        options = InputOptions.model_validate(
+        options = _options(
             {
                 "frameRate": frame_rate,
                 "resolution": resolution,
@@ -212,6 +214,21 @@ def check(name: Name, *, as_json: AsJson = False) -> None:
         raise typer.Exit(FAILED)
 
 
+def _catalog_cells(spec: DatasetSpec) -> tuple[str, ...]:
+    generated, truth = spec.recording.synthetic, spec.ground_truth
+    sensors = [str(one).lower() for one in generated.sensors] if generated else sorted(spec.sensors)
+    kept_as = "none"
+    if truth is not None:
+        kept_as = truth.topic or str(truth.format)
+    return (
+        _source(spec),
+        listing(sensors),
+        "exact" if generated else kept_as,
+        ", ".join(f"{key}: {value}" for key, value in spec.attributes.items()),
+        spec.description,
+    )
+
+
 def _source(spec: DatasetSpec) -> str:
     if spec.recording.synthetic is not None:
         return "generated"
@@ -247,6 +264,15 @@ def _suggest(source: Path, name: str) -> None:
     remark(f"then: slamhive dataset add {target}")
 
 
+def _options(given: dict[str, Any]) -> InputOptions:
+    """Return input options from those of the command line, absent ones left to their defaults."""
+    try:
+        return InputOptions.model_validate({key: value for key, value in given.items() if value is not None})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"--{first['loc'][0]}: {explain(first)}, found {first['input']!r}") from None
+
+
 def _progress() -> Progress:
     return Progress(console=err, disable=not err.is_terminal)
 
@@ -254,17 +280,19 @@ def _progress() -> Progress:
 def _print_report(report: DatasetReport) -> None:
     duration = f"{report.duration_seconds:.1f} s" if report.duration_seconds is not None else "unknown length"
     out.print(f"[bold]{escape(report.name)}[/] {report.format}, {duration}")
-    table = Table("sensor", "topic", "messages", "rate", "size", "gaps", "content")
+    table = Table()
+    for heading in ("sensor", "topic", "messages", "rate", "size", "gaps", "content"):
+        table.add_column(heading, overflow="fold", no_wrap=heading in {"sensor", "topic"})
     for sensor in report.sensors:
         table.add_row(*_sensor_cells(sensor))
     out.print(table)
     truth = report.ground_truth
     if truth is not None:
+        noun = "pose" if truth.kind == "trajectory" else "relation"
         path = f", path {truth.path_metres:.1f} m" if truth.path_metres is not None else ""
         gap = f", longest gap {truth.longest_gap:.2f} s" if truth.longest_gap is not None else ""
-        out.print(
-            f"ground truth: {truth.count} ({truth.kind}), {truth.overlap_seconds:.1f} s overlap{path}{gap}"
-        )
+        overlap = f"{truth.overlap_seconds:.1f} s overlap"
+        out.print(f"ground truth: {plural(truth.count, noun)}, {overlap}{path}{gap}")
     if report.other_topics:
         out.print(f"other topics: {escape(', '.join(report.other_topics))}", style="dim")
     for warning in report.warnings:
