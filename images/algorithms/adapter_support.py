@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import sys
 import time
 import traceback
@@ -28,6 +29,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
 NANOSECONDS = 1_000_000_000
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads 5e-6 as the number that it is in JSON and to Kubernetes; PyYAML takes it for a text."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
 
 
 class AdapterError(Exception):
@@ -120,7 +130,7 @@ class Run:
         """
         path = folder / "config.yaml"
         try:
-            config = yaml.safe_load(path.read_bytes())
+            config = yaml.load(path.read_bytes(), _Loader)  # noqa: S506 - it is a SafeLoader
         except (OSError, yaml.YAMLError) as error:
             raise AdapterError(f"{path} can't be read: {' '.join(str(error).split())}") from None
         if not isinstance(config, dict) or config.get("kind") != "RunConfiguration":

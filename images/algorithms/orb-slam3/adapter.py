@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from adapter_recording import Item
 
 ROLES = {"mono": ["camera"], "stereo": ["left", "right"], "rgbd": ["color", "depth"]}
-QUIET_SECONDS = 0.3
-"""Mapping and loop closing are taken to be done when the process has been idle for so long."""
 
 
 def settings(run: Run, rig: Rig) -> str:
@@ -125,9 +123,9 @@ def program(run: Run) -> None:
         stamps[seconds] = items[0].stamp
         with watch.frame():
             process(*rig.prepare(*(item.data for item in items)), seconds)
+        wait_until_quiet()
     if not stamps:
         raise AdapterError(f"{recording.name} has no {' and '.join(roles)} images of the same time")
-    wait_until_quiet()
     trajectory = Trajectory()
     T_camera_frame = np.linalg.inv(rig.T_frame_camera)
     for seconds, T_camera_world in system.get_trajectory_points():
@@ -190,15 +188,23 @@ def check_size(item: Item, camera: Pinhole) -> None:
         raise AdapterError("{}; config.yaml says {} by {}".format(found, *camera.size))
 
 
-def wait_until_quiet(limit_seconds: float = 30.0) -> None:
-    """Wait for the threads that map and close loops, which have no way to be asked."""
+def wait_until_quiet(interval_seconds: float = 0.005, limit_seconds: float = 30.0) -> None:
+    """Wait for the threads that map and close loops, which have no way to be asked.
+
+    A frame that is tracked before the map has taken in the last keyframe is tracked worse. In lockstep that
+    must not depend on how fast the machine is, or on what else it does.
+
+    Args:
+        interval_seconds: They are taken to be done when the process has been idle for two such intervals.
+            They look for work every 3 to 5 ms, which takes next to nothing.
+        limit_seconds: Longest wait.
+    """
     deadline = time.monotonic() + limit_seconds
-    while time.monotonic() < deadline:
+    quiet = 0
+    while quiet < 2 and time.monotonic() < deadline:
         before = time.process_time()
-        time.sleep(QUIET_SECONDS)
-        # They look for work every few milliseconds, which takes next to nothing.
-        if time.process_time() - before < 0.1 * QUIET_SECONDS:
-            return
+        time.sleep(interval_seconds)
+        quiet = quiet + 1 if time.process_time() - before < 0.2 * interval_seconds else 0
 
 
 if __name__ == "__main__":

