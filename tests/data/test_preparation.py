@@ -1,4 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
+import multiprocessing
+import os
+import shutil
+import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +15,7 @@ from rosbags.rosbag1 import Reader
 from slamhive.data.clouds import cloud_points
 from slamhive.data.entries import DatasetEntry
 from slamhive.data.images import image_pixels
-from slamhive.data.preparation import prepare
+from slamhive.data.preparation import evict_variants, prepare
 from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.dataset import DataFile, Recording
 from slamhive.model.errors import DataError, InputError
@@ -155,6 +160,7 @@ def test_there_and_back_again(camera_entries: Any, tmp_path: Path, there: Any) -
 def test_an_unchanged_recording_is_linked(lidar_entry: Any, tmp_path: Path) -> None:
     variant = make(lidar_entry, [Role.LIDAR, Role.IMU], tmp_path)
     assert variant.path.read_bytes() == (lidar_entry.root / "recording.bag").read_bytes()
+    assert variant.path.samefile(lidar_entry.root / "recording.bag")
     assert not variant.path.is_symlink()
     assert sorted(path.name for path in variant.folder.iterdir()) == ["recording.bag", "variant.json"]
 
@@ -248,12 +254,79 @@ def test_options_that_do_not_fit(
 
 def test_a_size_that_calibration_does_not_state(tmp_path: Path, frames_of: Any) -> None:
     entry = frames_of(tmp_path / "a.bag", rate=10, count=5, size=(10, 16))
-    with pytest.raises(
-        DataError, match=r"states 16×12 pixels, but the images on /cam/image_raw .* have 16×10"
-    ):
+    with pytest.raises(DataError, match=r"states 16×12 pixels, but the images on /cam/image_raw have 16×10"):
         make(entry, [Role.CAMERA], tmp_path / "cache", resolution=0.5)
 
 
 def test_ground_truth_never_reaches_a_variant(tmp_path: Path, bag_with_truth: Any) -> None:
     entry = bag_with_truth(tmp_path)
     assert set(read(make(entry, [Role.LIDAR], tmp_path / "cache").path)) == {"/points", "/tf_static"}
+
+
+def test_a_writable_recording_is_copied(tmp_path: Path, bag_with_truth: Any) -> None:
+    entry = bag_with_truth(tmp_path)
+    walk = make(entry, [Role.LIDAR], tmp_path / "cache")
+    shutil.copy(walk.path, tmp_path / "plain.bag")
+    (tmp_path / "plain.bag").chmod(0o644)
+    recording = Recording(files=[DataFile(path="plain.bag")])
+    spec = entry.dataset.spec.replace(recording=recording, ground_truth=None)
+    plain = DatasetEntry(entry.dataset.replace(spec=spec), tmp_path)
+    variant = make(plain, [Role.LIDAR], tmp_path / "cache")
+    assert variant.path.read_bytes() == walk.path.read_bytes()
+    assert not variant.path.samefile(tmp_path / "plain.bag")
+    assert (tmp_path / "plain.bag").stat().st_mode & 0o777 == 0o644
+
+
+def _prepare(entry: Any, cache: Path, start: Any, times: Any) -> None:
+    start.wait(30)
+    variant = make(entry, [Role.LIDAR], cache, frameRate=5)
+    with variant.in_use():
+        times.put((variant.frames, variant.path.stat().st_mtime_ns, len(read(variant.path)["/points"])))
+
+
+def test_ten_runs_share_one_variant(lidar_entry: Any, tmp_path: Path) -> None:
+    context = multiprocessing.get_context("fork")
+    start, times = context.Barrier(10), context.Queue()
+    processes = [
+        context.Process(target=_prepare, args=(lidar_entry, tmp_path, start, times)) for _ in range(10)
+    ]
+    for process in processes:
+        process.start()
+    found = {times.get(timeout=60) for _ in processes}
+    for process in processes:
+        process.join(60)
+    assert len(found) == 1
+    assert found.pop()[::2] == (40, 40)
+
+
+def _prepare_slowly(entry: Any, cache: Path, reached: Any) -> None:
+    def progress(share: float) -> None:
+        if share > 0.5:
+            reached.set()
+            time.sleep(60)
+
+    prepare(entry, [Role.LIDAR], InputOptions(frame_rate=5), [BAG1], cache, progress)
+
+
+def test_killed_while_writing_and_prepared_again(lidar_entry: Any, tmp_path: Path) -> None:
+    context = multiprocessing.get_context("fork")
+    reached = context.Event()
+    process = context.Process(target=_prepare_slowly, args=(lidar_entry, tmp_path, reached))
+    process.start()
+    assert reached.wait(30)
+    os.kill(process.pid or 0, signal.SIGKILL)
+    process.join(30)
+    assert not [path for path in tmp_path.iterdir() if path.is_dir() and not path.name.startswith(".")]
+    variant = make(lidar_entry, [Role.LIDAR], tmp_path, frameRate=5)
+    assert len(read(variant.path)["/points"]) == 40
+    assert not list(tmp_path.glob(".*.making"))
+
+
+def test_least_recently_used_variants_go_first(lidar_entry: Any, tmp_path: Path) -> None:
+    variants = [make(lidar_entry, [Role.LIDAR], tmp_path, frameRate=rate) for rate in (5, 2)]
+    for age, variant in enumerate(variants):
+        then = time.time() - 10_000 + age
+        os.utime(tmp_path / f".{variant.folder.name}.lock", (then, then))
+    size = variants[1].path.stat().st_size
+    assert evict_variants(tmp_path, size + 10_000) == [variants[0].folder.name]
+    assert make(lidar_entry, [Role.LIDAR], tmp_path, frameRate=5).frames == 40

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from slamhive.data import recordings
@@ -64,6 +65,23 @@ def seconds_text(nanoseconds: int) -> str:
     return f"{whole}.{rest:09d} s"
 
 
+def check_content(recording: Recording, sensors: Mapping[str, Sensor]) -> None:
+    """Check that the first images and scans are what the dataset says of them.
+
+    Args:
+        recording: The recording.
+        sensors: The sensors by name; their topics exist.
+
+    Raises:
+        DataError: They aren't.
+    """
+    errors: list[str] = []
+    quick = {name: sensor for name, sensor in sensors.items() if sensor.type is not SensorType.IMU}
+    content_findings(recording, quick, errors, [])
+    if errors:
+        raise DataError(errors[0])
+
+
 def content_findings(
     recording: Recording, sensors: Mapping[str, Sensor], errors: list[str], warnings: list[str]
 ) -> dict[str, str]:
@@ -87,7 +105,7 @@ def content_findings(
                 case recordings.IMAGE:
                     described[name] = _image(recording, sensor, where, errors, warnings)
                 case recordings.COMPRESSED_IMAGE:
-                    described[name] = "compressed " + _first(recording, sensor.topic, kind).format
+                    described[name] = _compressed(recording, sensor, where, errors)
                 case recordings.POINT_CLOUD:
                     described[name] = _cloud(recording, sensor, where, errors)
                 case recordings.IMU:
@@ -140,6 +158,22 @@ def _image(recording: Recording, sensor: Sensor, where: str, errors: list[str], 
             texts = [", ".join(f"{number:g}" for number in numbers) for numbers in (given, found)]
             warnings.append(f"{where}.camera: fx, fy, cx, cy are {texts[0]}, but {info} says {texts[1]}")
     return f"{message.width}×{message.height} {message.encoding}"
+
+
+def _compressed(recording: Recording, sensor: Sensor, where: str, errors: list[str]) -> str:
+    message = _first(recording, sensor.topic, recordings.COMPRESSED_IMAGE)
+    pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED) if message.data.size else None
+    if pixels is None:
+        # Other transports, such as compressedDepth, are the algorithm's own business at full resolution.
+        return f"compressed as {message.format!r}"
+    height, width = pixels.shape[:2]
+    camera = sensor.camera
+    if camera is not None and (width, height) != (camera.width, camera.height):
+        errors.append(
+            f"{where}.camera: states {camera.width}×{camera.height} pixels, but the images on {sensor.topic} "
+            f"have {width}×{height}"
+        )
+    return f"{width}×{height} {message.format}"
 
 
 def _cloud(recording: Recording, sensor: Sensor, where: str, errors: list[str]) -> str:

@@ -135,11 +135,10 @@ def cloud_points(message: Any, where: str) -> npt.NDArray[np.void]:
             f"{where}: a scan of {message.width}×{message.height} points of {message.point_step} bytes "
             f"has only {message.data.size} bytes in rows of {message.row_step}"
         )
-    rows = message.data[: message.row_step * message.height].reshape(message.height, message.row_step)[
-        :, :used
-    ]
-    # A copy: readers hand out views of what they read. numpy doesn't copy the padding inside of structured types,
-    # so points are chosen and copied as bytes.
+    data = message.data[: message.row_step * message.height]
+    rows = data.reshape(message.height, message.row_step)[:, :used]
+    # A copy, as readers hand out views of what they read, and one of bytes, as numpy doesn't copy the
+    # padding inside of structured types.
     return np.array(rows).reshape(-1, message.point_step).view(dtype)[:, 0]
 
 

@@ -11,9 +11,11 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from slamhive.data.checks import check_content
 from slamhive.data.clouds import cloud_filter
 from slamhive.data.entries import recording_sha256
 from slamhive.data.images import scale_camera
@@ -247,6 +249,7 @@ def _make(request: _Request, aside: Path, progress: Callable[[float], None] | No
     truth = entry.dataset.spec.ground_truth
     with open_recording(entry.dataset, entry.root) as recording:
         streams = streams_of(recording, request.sensors, truth_topic(truth.topic) if truth else None)
+        check_content(recording, {view.name: view for view in request.sensors.values()})
         selection = select(recording, streams, wish, _share(progress, 0.0, 0.3))
         original = recording_paths(entry.dataset, entry.root)
         whole = {stream.topic for stream in streams} == set(recording.topics)
@@ -269,15 +272,19 @@ def _share(
 
 
 def _link(original: Path, path: Path) -> None:
-    """Put a recording into the variant under another name, so that nothing leads to what lies beside it."""
+    """Put a recording into the variant so that nothing leads to what lies beside it, as a symlink would.
+
+    Only a read-only file is linked: an algorithm must not be able to write into someone's data.
+    """
     original = original.resolve()
     if original.is_dir():
         shutil.copytree(original, path)
         return
-    try:
-        os.link(original, path)
-    except OSError:  # another file system, or one without hard links
-        shutil.copyfile(original, path)
+    if not original.stat().st_mode & 0o222:
+        with suppress(OSError):  # another file system, or one without hard links
+            os.link(original, path)
+            return
+    shutil.copyfile(original, path)
 
 
 def _describe(request: _Request, selection: Selection, aside: Path) -> None:
