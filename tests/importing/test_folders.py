@@ -173,6 +173,21 @@ def test_importing_again_changes_nothing_and_another_alignment_adds(
     assert rows(show, "--evaluation", "sim3") == first
 
 
+def test_the_configuration_as_the_original_named_it(
+    tmp_path: Path, take: Command, show: Command, make_run: MakeRun
+) -> None:
+    folder = make_run("052")
+    assert take(*words(tmp_path)).exit_code == 0
+    first = rows(show)
+    (folder / "config.yaml").rename(folder / "14_ORB2 mono.yaml")
+    again = take(*words(tmp_path))
+    assert (again.exit_code, rows(show)) == (0, first)
+    (folder / "15.yaml").touch()
+    outcome = take(*words(tmp_path))
+    assert outcome.exit_code == 1
+    assert "expected config.yaml or one other .yaml file, found 14_ORB2 mono.yaml, 15.yaml" in outcome.stderr
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence", "kept"),
     [

@@ -3,7 +3,8 @@
 
 ::
 
-    DIR/052/config.yaml     algorithm, dataset, their parameters and topics
+    DIR/052/config.yaml     algorithm, dataset, their parameters and topics; or the only *.yaml, such as
+                            16_ORB2_stereo_EuRoC.yaml, as the original named it
     DIR/052/traj.txt        estimate, TUM format
     DIR/052/profiling.csv   time [s], cpu_usage [cores], memory_usage [bytes], a line each 1 to 2 s
 
@@ -81,7 +82,7 @@ class OriginalRun:
         sensors: the sensor mode.
         parameters: the algorithm's parameters.
         attributes: the dataset's parameters, and the topics under ``algorithm-remap`` and ``dataset-remap``.
-        files_sha256: check sum of each file that is there.
+        files_sha256: check sum of each file that is there; the configuration's stands under ``config.yaml``.
     """
 
     folder: Path
@@ -187,9 +188,10 @@ def read_run(folder: Path) -> OriginalRun:
     Raises:
         InputError: it is missing, can't be read, or doesn't say what was run; names file and line.
     """
-    documents = parse(read_text(folder / _CONFIG), str(folder / _CONFIG))
+    config = _config_file(folder)
+    documents = parse(read_text(config), str(config))
     if len(documents) != 1 or not isinstance(documents[0].value, dict):
-        raise InputError(f"{folder / _CONFIG}: expected one mapping with slam-hive-algorithm and more")
+        raise InputError(f"{config}: expected one mapping with slam-hive-algorithm and more")
     document = documents[0]
     algorithm_name = _text(document, "slam-hive-algorithm")
     dataset_name = _text(document, "slam-hive-dataset")
@@ -217,11 +219,26 @@ def read_run(folder: Path) -> OriginalRun:
         },
         attributes=attributes,
         files_sha256={
-            name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
-            for name in (_CONFIG, _TRAJECTORY, _PROFILE)
-            if (folder / name).is_file()
+            name: hashlib.sha256(file.read_bytes()).hexdigest()
+            for name, file in (
+                (_CONFIG, config),
+                (_TRAJECTORY, folder / _TRAJECTORY),
+                (_PROFILE, folder / _PROFILE),
+            )
+            if file.is_file()
         },
     )
+
+
+def _config_file(folder: Path) -> Path:
+    file = folder / _CONFIG
+    if file.is_file():
+        return file
+    others = sorted(other for other in folder.iterdir() if other.suffix in {".yaml", ".yml"})
+    if len(others) != 1:
+        found = ", ".join(other.name for other in others) or "none"
+        raise InputError(f"{folder}: expected {_CONFIG} or one other .yaml file, found {found}")
+    return others[0]
 
 
 def identify(name: str, topics: Iterable[str] = ()) -> tuple[str, SensorMode | None]:
