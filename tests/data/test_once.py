@@ -98,6 +98,13 @@ def test_an_unsound_one_is_made_again_and_files_are_read_only(tmp_path: Path) ->
     assert (folder / "sub" / "two").stat().st_mode & 0o222 == 0
 
 
+@pytest.mark.timeout(30)
+def test_who_finds_it_does_not_wait_for_its_users(tmp_path: Path) -> None:
+    make_once(tmp_path / "it", fill)
+    with in_use(tmp_path / "it"), in_use(tmp_path / "it"):
+        assert not make_once(tmp_path / "it", fill, lambda _: True)
+
+
 def test_eviction_takes_the_longest_unused_and_spares_those_in_use(tmp_path: Path) -> None:
     for age, name in enumerate(("new", "used", "old", "oldest")):
         make_once(tmp_path / name, fill)

@@ -135,13 +135,46 @@ def test_formats_hold_the_same(lidar_entry: Any, tmp_path: Path, format_: Any) -
     assert stamps(found["/imu"]).tolist() == stamps(source["/imu"]).tolist()
 
 
+def as_dataset(variant: Any, entry: Any) -> DatasetEntry:
+    """Take a variant for a dataset of its own."""
+    recording = Recording(format=variant.format, files=[DataFile(path=variant.path.name)])
+    spec = entry.dataset.spec.replace(recording=recording, ground_truth=None)
+    return DatasetEntry(entry.dataset.replace(spec=spec), variant.folder)
+
+
+@pytest.mark.parametrize("format_", [BAG2, MCAP])
+def test_ros2_recordings_are_prepared_alike(
+    camera_entries: Any, lidar_entry: Any, tmp_path: Path, format_: Any
+) -> None:
+    cases = (
+        (camera_entries[1.0], RGBD, {"resolution": 0.5, "frameRate": 1, "start": "1s"}),
+        (lidar_entry, (Role.LIDAR, Role.IMU), {"lidar": {"maxRange": 5, "rings": 2}, "duration": "2s"}),
+    )
+    for entry, roles, options in cases:
+        source = as_dataset(make(entry, roles, tmp_path, [format_]), entry)
+        theirs = make(source, roles, tmp_path, [format_], **options)
+        assert theirs.format is format_
+        ours = make(entry, roles, tmp_path, **options)
+        assert (theirs.sensors, theirs.start_time, theirs.frames) == (
+            ours.sensors,
+            ours.start_time,
+            ours.frames,
+        )
+        expected, found = read(ours.path), read(theirs.path)
+        assert set(found) == set(expected)
+        for topic, messages in found.items():
+            assert len(messages) == len(expected[topic])
+            for (_, mine), (_, other) in zip(messages, expected[topic], strict=True):
+                if hasattr(mine, "data"):
+                    assert mine.data.tobytes() == other.data.tobytes()
+                if hasattr(mine, "k"):
+                    assert (mine.k.tolist(), mine.p.tolist()) == (other.K.tolist(), other.P.tolist())
+
+
 @pytest.mark.parametrize("there", [BAG2, MCAP])
 def test_there_and_back_again(camera_entries: Any, tmp_path: Path, there: Any) -> None:
     away = make(camera_entries[0.5], RGBD, tmp_path, [there])
-    recording = Recording(format=there, files=[DataFile(path=away.path.name)])
-    dataset = camera_entries[0.5].dataset
-    spec = dataset.spec.replace(recording=recording, ground_truth=None)
-    back = make(DatasetEntry(dataset.replace(spec=spec), away.folder), RGBD, tmp_path)
+    back = make(as_dataset(away, camera_entries[0.5]), RGBD, tmp_path)
     source = camera_entries[0.5].root / "recording.bag"
     ours, original = read(back.path), read(source)
     assert set(ours) == {topic for topic in original if "color" in topic or "depth" in topic or "tf" in topic}

@@ -44,11 +44,14 @@ def make_once(
     """
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
+        # First shared, which waits for a maker but not for users.
+        with _locked(folder, fcntl.LOCK_SH):
+            if _is_whole(folder, is_sound):
+                return False
         with _locked(folder, fcntl.LOCK_EX):
-            if folder.is_dir():
-                if is_sound is None or is_sound(folder):
-                    return False
-                _remove(folder)
+            if _is_whole(folder, is_sound):
+                return False
+            _remove(folder)
             _make(folder, make)
             return True
     except OSError as error:
@@ -95,6 +98,10 @@ def evict(parent: Path, limit_bytes: int, now: float | None = None) -> list[str]
             total -= sizes[folder]
             removed.append(folder.name)
     return removed
+
+
+def _is_whole(folder: Path, is_sound: Callable[[Path], bool] | None) -> bool:
+    return folder.is_dir() and (is_sound is None or is_sound(folder))
 
 
 def _make(folder: Path, make: Callable[[Path], None]) -> None:
