@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs MAD-ICP, as evalio has it, on the lidar of a recording.
 
-evalio hands it points without their times, so that the motion within a scan stays as it is: its pose belongs
-best to the middle of the scan.
+Where it undoes the motion within a scan, it tells the time of a point by its azimuth and moves the points to
+the end, and there its pose belongs; or else best to the middle.
 """
 
 from adapter_support import Run, run_adapter
@@ -29,7 +29,7 @@ def program(run: Run) -> None:
     parameters |= {"num_threads": run.cores, "realtime": False}
     limits = run.parameter("minRange"), run.parameter("maxRange")
     configure(run, pipeline, parameters, layout, limits)
-    run_pipeline(run, pipeline, layout, "middle")
+    run_pipeline(run, pipeline, layout, "end" if run.parameter("deskew") else "middle")
 
 
 if __name__ == "__main__":

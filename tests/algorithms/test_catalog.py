@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folders of algorithms: what they declare is there, and is what their adapters use."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import re
+from pathlib import Path
+
+import pytest
+
+from slamhive.model.algorithm import Algorithm
+from slamhive.model.loading import load_file
+
+ALGORITHMS = Path(__file__).parents[2] / "images" / "algorithms"
+FOLDERS = sorted(path.parent for path in ALGORITHMS.glob("*/algorithm.yaml"))
+EVALIO = ("ct-icp", "liosam-odometry", "loam", "mad-icp")
+
+each = pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+
+
+def declared(folder: Path) -> Algorithm:
+    (algorithm,) = load_file(folder / "algorithm.yaml")
+    assert isinstance(algorithm, Algorithm)
+    return algorithm
+
+
+def parameters_used(folder: Path) -> set[str]:
+    """Names that the adapter asks the run for, written out or in its table PARAMETERS."""
+    used = set()
+    for node in ast.walk(ast.parse((folder / "adapter.py").read_text())):
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Attribute)
+            and node.func.attr == "parameter"
+        ):
+            used |= {argument.value for argument in node.args if isinstance(argument, ast.Constant)}
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "PARAMETERS":
+            used |= set(ast.literal_eval(node.value))
+    return used
+
+
+@each
+def test_files_are_there(folder: Path) -> None:
+    spec = declared(folder).spec
+    assert spec.local is not None
+    names = [spec.local.adapter, spec.local.requirements, "Dockerfile"]
+    assert [name for name in names if not (folder / name).is_file()] == []
+    for asset in spec.assets:
+        assert asset.path is not None
+        assert hashlib.sha256((folder / asset.path).read_bytes()).hexdigest() == asset.sha256
+
+
+@each
+def test_parameters_are_those_that_the_adapter_uses(folder: Path) -> None:
+    assert parameters_used(folder) == set(declared(folder).spec.parameters)
+
+
+@each
+def test_requirements_are_pinned(folder: Path) -> None:
+    lines = (folder / "requirements.txt").read_text().splitlines()
+    packages = [line for line in lines if line and not line.startswith("#")]
+    assert [line for line in packages if not re.fullmatch(r"[\w.-]+==[\w.]+", line)] == []
+    assert {"numpy", "rosbags", "PyYAML"} <= {line.partition("==")[0] for line in packages}
+
+
+def test_evalio_s_share_an_environment() -> None:
+    assert len({(ALGORITHMS / name / "requirements.txt").read_bytes() for name in EVALIO}) == 1
+
+
+@each
+def test_the_image_runs_as_nobody_and_has_all_that_the_adapter_imports(folder: Path) -> None:
+    text = (folder / "Dockerfile").read_text()
+    assert re.search(r"^ARG BASE=", text, re.MULTILINE)
+    assert re.search(r"^USER 65532", text, re.MULTILINE)
+    assert not re.search(r"\b(gcc|g\+\+|build-essential|cmake)\b", text)
+    copied = {
+        Path(word).name
+        for line in re.findall(r"^COPY (.*) \S+$", text, re.MULTILINE)
+        for word in line.split()
+    }
+    assert modules_needed(folder, "adapter.py") <= copied
+
+
+def modules_needed(folder: Path, name: str) -> set[str]:
+    """The module and those of ours that it imports, of whatever depth."""
+    needed = {name}
+    path = folder / name if (folder / name).is_file() else ALGORITHMS / name
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            other = f"{node.module}.py"
+            if (folder / other).is_file() or (ALGORITHMS / other).is_file():
+                needed |= modules_needed(folder, other)
+    return needed
