@@ -21,13 +21,17 @@ _SHOWN_IN = {"B": "MiB"}
 _TITLES = {
     "ate.rmse": "ATE",
     "rpe[0].rmse": "RPE",
+    "relations.translation.mean": "relations",
+    "relations.rotationDeg.mean": "relations [°]",
     "usage.cpu.meanCores": "CPU [cores]",
     "usage.cpu.maxCores": "CPU max [cores]",
     "usage.cpu.secondsPerDataSecond": "CPU [s/s]",
     "usage.memory.peakBytes": "peak memory",
 }
 _FORMAT = re.compile(r"\.\d{1,2}[efg]")
-_ERRORS = re.compile(r"(ate|rpe\[\d+\])\.(rmse|mean|median|std|min|max)")
+_ERRORS = re.compile(
+    r"(ate|rpe\[\d+\]|relations(\.byTime\[\d+\])?\.translation)\.(rmse|mean|median|std|min|max)"
+)
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,9 @@ err = Console(stderr=True, highlight=False, soft_wrap=not sys.stderr.isatty())
 
 
 def complain(message: str) -> None:
-    """Print an error; each line is a sentence of its own."""
+    """Print an error; each line is a sentence of its own, or goes on when it starts with a space."""
     for line in message.splitlines():
-        err.print(f"[bold red]error:[/] {escape(line)}")
+        err.print(escape(line) if line.startswith(" ") else f"[bold red]error:[/] {escape(line)}")
 
 
 def remark(message: str) -> None:

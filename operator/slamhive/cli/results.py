@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from typing import TextIO
 
     from slamhive.analysis import Group, PivotTable
-    from slamhive.model.results import RunRecord
+    from slamhive.model.results import Result, RunRecord
 
     Row = dict[str, Any]
 
@@ -45,9 +45,10 @@ LIST_COLUMNS = (
     *("ate.rmse", "rpe[0].rmse", "coverage", "usage.cpu.meanCores", "usage.memory.peakBytes"),
 )
 TABLE_METRICS = (
-    *("ate.rmse", "rpe[0].rmse", "usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores"),
-    "usage.memory.peakBytes",
+    *("ate.rmse", "rpe[0].rmse", "relations.translation.mean", "relations.rotationDeg.mean"),
+    *("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores", "usage.memory.peakBytes"),
 )
+_BY_TIME = "relations.byTime["
 
 Where = Annotated[
     str | None,
@@ -149,7 +150,7 @@ def show_table(
     with _archive() as archive:
         selected, known = _select(archive, sweep, evaluation, where)
         location = archive.location
-    metrics = [Metric.parse(text) for text in metric or TABLE_METRICS]
+    metrics = [Metric.parse(text) for text in metric or [name for name in TABLE_METRICS if name in known]]
     by, across = _names(rows), _names(columns)
     _check_columns([*(one.column for one in metrics), *(by or ()), *(across or ())], known)
     found = table(selected, [one.column for one in metrics], by, across or (), outcomes)
@@ -269,7 +270,9 @@ def _show_record(record: RunRecord, rows: Sequence[Row]) -> None:
     names = [
         name
         for name in columns_of(rows)
-        if name != "transform" and any(row.get(name) not in (None, {}, []) for row in rows)
+        if name != "transform"
+        and not name.startswith(_BY_TIME)
+        and any(row.get(name) not in (None, {}, []) for row in rows)
     ]
     common = [name for name in names if all(name in row and row[name] == rows[0][name] for row in rows)]
     out.print(record.name, style="bold", markup=False)
@@ -283,9 +286,29 @@ def _show_record(record: RunRecord, rows: Sequence[Row]) -> None:
             [plain[name].heading, *(cell(plain[name], row.get(name)) for row in rows)] for name in results
         ]
         show(out, ["by evaluation", *(str(row["evaluation"]) for row in rows)], lines)
+    for result in record.results:
+        _show_relations(result)
     if record.log_tail:
         out.print("last lines of its log", style="bold")
         out.print(record.log_tail, markup=False)
+
+
+def _show_relations(result: Result) -> None:
+    """Show the errors over relations by the time between their two poses."""
+    groups = (result.values.get("relations") or {}).get("byTime") or []
+    if not groups:
+        return
+    lines = []
+    for group in groups:
+        until = f"{group['toSeconds']:g}" if group["toSeconds"] is not None else "∞"
+        numbers = [
+            f"{group[kind][name]:.4g}" if group[kind] else "–"
+            for kind in ("translation", "rotationDeg")
+            for name in ("mean", "rmse", "max")
+        ]
+        lines.append([f"{group['fromSeconds']:g} … {until} s", str(group["count"]), *numbers])
+    units = [f"{name} [{unit}]" for unit in ("m", "°") for name in ("mean", "rmse", "max")]
+    show(out, ["relations by time", "n", *units], lines)
 
 
 def _names(text: str | None) -> list[str] | None:

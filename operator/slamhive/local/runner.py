@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from slamhive.archive import CatalogEntry, SweepRecord
 from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, Verdict, decide_sweep
+from slamhive.local.attempt import end_left_behind
 from slamhive.local.cores import CorePool
 from slamhive.local.run import RunDriver, RunOrder
 from slamhive.model.base import quantity
@@ -137,6 +138,7 @@ class Runner:
         self._events: queue.SimpleQueue[_Ended] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._interrupted = False
+        self._stopped: set[str] = set()
 
     def run(self, jobs: Sequence[Job]) -> bool:
         """Bring jobs to their end, one after another.
@@ -144,7 +146,9 @@ class Runner:
         Returns:
             Whether it was interrupted.
         """
+        end_left_behind(self._bench.home.path / "runs")
         sweep_stale_cgroups()
+        self._bench.tidy()
         for job in jobs:
             self._resume(job)
         for job in jobs:
@@ -185,15 +189,23 @@ class Runner:
         return self._retry_failed or (reason is not None and reason.is_infrastructure)
 
     def _run(self, job: Job, jobs: Sequence[Job]) -> None:
+        try:
+            self._lead(job, jobs)
+        except BaseException:
+            self._stop(job)
+            raise
+        for thread in self._threads:
+            thread.join()
+        self._threads.clear()
+
+    def _lead(self, job: Job, jobs: Sequence[Job]) -> None:
         job.started_at = time.monotonic()
-        stopping = False
         while True:
             decision = self._decide(job)
             job.cursor = decision.cursor
             job.verdict, job.message = decision.verdict, decision.message
             if decision.verdict.is_final or self._interrupted:
-                if not stopping:
-                    stopping = True
+                if job.uid not in self._stopped:
                     self._stop(job)
                 if not job.count(PointState.ACTIVE):
                     break
@@ -203,9 +215,6 @@ class Runner:
                 if decision.verdict is Verdict.SUSPENDED and not job.count(PointState.ACTIVE):
                     break
             self._wait(jobs)
-        for thread in self._threads:
-            thread.join()
-        self._threads.clear()
 
     def _decide(self, job: Job) -> SweepDecision:
         seen = SweepObserved(
@@ -224,12 +233,15 @@ class Runner:
             return
         for index in action.indices:
             job.states[index] = PointState.ACTIVE
-            thread = threading.Thread(target=self._drive, args=(job, index), name=f"run-{index}")
+            # A daemon: a second Ctrl-C shall not wait for a preparation to end.
+            thread = threading.Thread(target=self._drive, args=(job, index), name=f"run-{index}", daemon=True)
             self._threads.append(thread)
             thread.start()
 
     def _stop(self, job: Job) -> None:
+        """End the job's runs, and let none begin that still waits for cores; a second time: at once."""
         with self._lock:
+            self._stopped.add(job.uid)
             drivers = [driver for (uid, _), driver in self._drivers.items() if uid == job.uid]
         for driver in drivers:
             driver.cancel()
@@ -258,7 +270,7 @@ class Runner:
         cpus = tuple(cpu for core in cores for cpu in core)
         driver = RunDriver(order, self._bench, cpus, lambda phase: self._watcher.phase(job, index, phase))
         with self._lock:
-            if self._interrupted:
+            if job.uid in self._stopped:
                 return None
             self._drivers[job.uid, index] = driver
         try:

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from typing import TYPE_CHECKING, Any
 
-from slamhive.data.preparation import prepare
+from slamhive.data.preparation import evict_variants, prepare
 from slamhive.data.store import DatasetEntry, dataset_sha256, materialise
 from slamhive.local.environments import Environments
 from slamhive.local.evaluating import Evaluator
+from slamhive.model.base import quantity
+from slamhive.model.errors import InputError
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
 
@@ -21,6 +24,8 @@ if TYPE_CHECKING:
     from slamhive.local.catalog import Workshop
     from slamhive.local.home import Home
     from slamhive.model.algorithm import Algorithm
+
+_VARIANTS_LIMIT = "100Gi"
 
 
 class Workbench:
@@ -76,6 +81,15 @@ class Workbench:
             if name not in self._checksums:
                 self._checksums[name] = dataset_sha256(entry, self.home.folder("variants") / ".hashes")
             return self._checksums[name]
+
+    def tidy(self) -> None:
+        """Remove variants that nothing has used for longest while they take more room than is allowed."""
+        limit = os.environ.get("SLAMHIVE_VARIANTS_LIMIT", _VARIANTS_LIMIT)
+        try:
+            size = quantity(limit)
+        except ValueError as error:
+            raise InputError(f"SLAMHIVE_VARIANTS_LIMIT: {error}") from None
+        evict_variants(self.home.folder("variants"), int(size))
 
     def attributes(self, name: str) -> dict[str, Any]:
         """Return a dataset's free attributes."""

@@ -128,7 +128,7 @@ class DatasetSpec(Model):
             if candidate in self.sensors:
                 return candidate
         raise InputError(
-            f"no sensor for the role {role!r}; the dataset has: {', '.join(sorted(self.sensors))}"
+            f"no sensor for the role {role.value!r}; the dataset has: {', '.join(sorted(self.sensors))}"
         )
 
 
