@@ -20,8 +20,6 @@ PARAMETERS = (
     "mappingCornerLeafSize",
     "mappingSurfLeafSize",
     "mappingProcessInterval",
-    "surroundingkeyframeAddingDistThreshold",
-    "surroundingkeyframeAddingAngleThreshold",
     "surroundingKeyframeDensity",
     "surroundingKeyframeSearchRadius",
 )

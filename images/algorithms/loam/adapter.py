@@ -22,7 +22,6 @@ PARAMETERS = {
     "maxIterations": "max_icf_iterations",
     "maxEdgeNeighborDistance": "max_edge_neighbor_dist",
     "maxPlaneNeighborDistance": "max_plane_neighbor_dist",
-    "maxPointPlaneDistance": "max_avg_point_plane_dist",
 }
 
 
