@@ -35,7 +35,7 @@ from slamhive.local.runner import Job, Runner
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.run import MappingRun
-from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec
+from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec, TemplateMeta
 from slamhive.plan import Plan, local_uid
 
 if TYPE_CHECKING:
@@ -71,11 +71,12 @@ def run(
     """
     home = Home.from_environment()
     with home.exclusive():
+        seen = _state(files)
         code = _run_files(files, home, parallelism, rerun=rerun, retry_failed=retry_failed)
         while watch and code != INTERRUPTED:
             remark("watching; Ctrl-C ends")
             try:
-                _wait_for_change(files)
+                seen = _wait_for_change(files, seen)
             except KeyboardInterrupt:
                 break
             try:
@@ -174,10 +175,10 @@ def _run_files(
         interrupted = False
         if jobs:
             interrupted = _drive(jobs, bench, parallelism, rerun=rerun, retry_failed=retry_failed)
-        for job in jobs:
+        for job in [] if interrupted else jobs:
             for problem in bring_up_to_date(bench, job.sweep.name, job.sweep.spec.evaluation):
                 remark(problem)
-        for evaluation in evaluations:
+        for evaluation in [] if interrupted else evaluations:
             done, problems = evaluate_again(bench, evaluation)
             out.print(f"Evaluation {escape(evaluation.name)}: {plural(done, 'run')} evaluated")
             for problem in problems:
@@ -222,7 +223,8 @@ def _sweeps(objects: Sequence[Kind]) -> list[Sweep]:
 
 def _as_sweep(single: MappingRun) -> Sweep:
     spec = single.spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
-    return Sweep(metadata=single.metadata, spec=SweepSpec(template=RunTemplate(spec=spec)))
+    template = RunTemplate(metadata=TemplateMeta(labels=single.metadata.labels), spec=spec)
+    return Sweep(metadata=single.metadata, spec=SweepSpec(template=template))
 
 
 def _job(sweep: Sweep, workshop: Workshop) -> Job:
@@ -255,13 +257,15 @@ def _report(job: Job, bench: Workbench) -> None:
     out.print(f"More:       slamhive results table --sweep {job.sweep.name}   (list, show, export)")
 
 
-def _wait_for_change(files: Sequence[Path]) -> None:
-    def state() -> list[float]:
-        return [path.stat().st_mtime if path.exists() else 0.0 for path in files]
-
-    before = state()
-    while state() == before:
+def _wait_for_change(files: Sequence[Path], seen: list[int]) -> list[int]:
+    """Wait until files are other than they were seen, and return what is seen of them now."""
+    while (now := _state(files)) == seen:
         time.sleep(_WATCH_SECONDS)
+    return now
+
+
+def _state(files: Sequence[Path]) -> list[int]:
+    return [path.stat().st_mtime_ns if path.exists() else 0 for path in files]
 
 
 def _print_json(points: Plan, count: int) -> None:

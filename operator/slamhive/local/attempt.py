@@ -19,6 +19,7 @@ import signal
 import stat
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -261,6 +262,7 @@ class Attempt:
             output_limit_bytes=_OUTPUT_LIMIT,
             data_seconds=order.configuration.dataset.duration_seconds,
             includes_reader=order.entry.algorithm.spec.includes_reader,
+            parent_pid=os.getpid(),
         )
 
     def _variables(self, order: AttemptOrder) -> dict[str, str]:
@@ -278,6 +280,18 @@ class Attempt:
             "SLAMHIVE_SEED": str(order.configuration.seed),
             **dict.fromkeys(_THREAD_VARIABLES, threads),
         }
+
+
+def end_left_behind(runs: Path) -> None:
+    """End what a slamhive that was killed left running, its supervisors included, in any folder of a home.
+
+    An attempt whose supervisor wrote its summary left nothing. Only the home's one runner may call this.
+    """
+    for record in runs.glob("*/*/process.json"):
+        if not record.with_name("summary.json").exists():
+            with suppress(ValueError):  # no record: half a disk's worth, nobody is named by it
+                end_orphans(record)
+            record.unlink(missing_ok=True)
 
 
 _THREAD_VARIABLES = (

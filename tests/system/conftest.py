@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command itself, as a process of its own on a home of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+from slamhive.archive import Archive
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from slamhive.local.home import Home
+    from slamhive.model.results import RunRecord
+
+COMMAND = Path(sys.executable).with_name("slamhive")
+DEADLINE_SECONDS = 120.0
+HEADER = {"apiVersion": "slamhive.io/v1alpha1"}
+
+
+def until(condition: Callable[[], Any], what: str, seconds: float = DEADLINE_SECONDS) -> Any:
+    """Return what a condition says as soon as it holds."""
+    deadline = time.monotonic() + seconds
+    while not (found := condition()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"{what}: not within {seconds:g} s")
+        time.sleep(0.01)
+    return found
+
+
+class System:
+    """A home, the command on it, and what can be seen of it from outside."""
+
+    def __init__(self, home: Home, folder: Path) -> None:
+        self.home = home
+        self.folder = folder
+        self._started: list[subprocess.Popen[str]] = []
+
+    def start(self, *arguments: str | Path) -> subprocess.Popen[str]:
+        """Start the command; its output goes to files, so that it never waits for a reader."""
+        number = len(self._started)
+        with (
+            (self.folder / f"{number}.out").open("w") as out,
+            (self.folder / f"{number}.err").open("w") as err,
+        ):
+            process = subprocess.Popen(
+                [COMMAND, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                text=True,
+                cwd=self.folder,
+                env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+                | {"SLAMHIVE_HOME": str(self.home.path), "COLUMNS": "200"},
+            )
+        self._started.append(process)
+        return process
+
+    def __call__(self, *arguments: str | Path) -> tuple[int, str, str]:
+        """Run the command to its end; return exit code, standard output and standard error."""
+        process = self.start(*arguments)
+        code = process.wait(DEADLINE_SECONDS)
+        return code, *self.printed(process)
+
+    def printed(self, process: subprocess.Popen[str]) -> tuple[str, str]:
+        """Return what a command has printed so far to standard output and standard error."""
+        number = self._started.index(process)
+        return (self.folder / f"{number}.out").read_text(), (self.folder / f"{number}.err").read_text()
+
+    def sweep(self, name: str = "s", /, template: dict[str, Any] | None = None, **spec: Any) -> Path:
+        """Write a sweep of runs of the actor that note when they start and end."""
+        base = {"algorithmRef": {"name": "actor"}, "datasetRef": {"name": "tiny"}}
+        base |= {"parameters": {"act": "noted"}} | (template or {})
+        return self.manifest("Sweep", name, {"template": {"spec": base}} | spec)
+
+    def manifest(self, kind: str, name: str, spec: dict[str, Any]) -> Path:
+        """Write a manifest, whole or not at all."""
+        path = self.folder / f"{name}.yaml"
+        text = yaml.safe_dump({**HEADER, "kind": kind, "metadata": {"name": name}, "spec": spec})
+        path.with_suffix(".new").write_text(text)
+        path.with_suffix(".new").replace(path)
+        return path
+
+    def journal(self, event: str | None = None) -> list[dict[str, Any]]:
+        """Return what the actors noted, in order."""
+        path = self.home.path / "journal"
+        lines = path.read_text().splitlines() if path.exists() else []
+        found = [json.loads(line) for line in lines]
+        return [entry for entry in found if event in (None, entry["event"])]
+
+    def records(self, sweep: str = "s") -> list[RunRecord]:
+        """Return the archived runs of a sweep."""
+        with Archive.open(self.home.archive_url) as archive:
+            return list(archive.runs(sweep=sweep))
+
+    def alive(self) -> list[int]:
+        """Return all living processes of this home: their environment names it."""
+        found = []
+        for entry in Path("/proc").iterdir():
+            if entry.name.isdigit() and int(entry.name) != os.getpid():
+                with suppress(OSError):
+                    if str(self.home.path).encode() in (entry / "environ").read_bytes():
+                        found.append(int(entry.name))
+        return found
+
+    def supervisors(self) -> list[int]:
+        """Return the living supervisors of this home."""
+        found = []
+        for pid in self.alive():
+            with suppress(OSError):
+                if b"slamhive.monitor" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                    found.append(pid)
+        return found
+
+    def end(self) -> None:
+        """Leave nothing behind."""
+        for process in self._started:
+            process.kill()
+            process.wait()
+        deadline = time.monotonic() + 10
+        while (left := self.alive()) and time.monotonic() < deadline:
+            for pid in left:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            time.sleep(0.01)
+
+
+@pytest.fixture
+def system(home: Home, tmp_path: Path) -> Iterator[System]:
+    """A home with the actor, and the command on it."""
+    found = System(home, tmp_path)
+    try:
+        yield found
+    finally:
+        found.end()
