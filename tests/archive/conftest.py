@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
+import tempfile
 import uuid
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,7 +20,6 @@ from slamhive.model.results import Outcome, Phase, Result, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 SERVER = "SLAMHIVE_TEST_POSTGRESQL"
 
@@ -26,11 +29,50 @@ def sqlite_url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path / 'sub' / 'archive.sqlite'}"
 
 
+def _programs() -> Path | None:
+    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb")) or [Path(shutil.which("initdb") or "/")]
+    return found[-1].parent if found[-1].name == "initdb" else None
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[str]:
+    """A PostgreSQL server: the one that the variable names, or one of our own in a temporary folder."""
+    given = os.environ.get(SERVER)
+    if given:
+        yield given
+        return
+    programs = _programs()
+    if programs is None:
+        pytest.skip(f"no PostgreSQL here: apt-get install postgresql, or let {SERVER} name a server")
+    # PostgreSQL refuses to run as root.
+    user = "nobody" if os.getuid() == 0 else None
+    folder = Path(tempfile.mkdtemp(prefix="slamhive-postgresql-"))
+    if user is not None:
+        shutil.chown(folder, user)
+    data = str(folder / "data")
+
+    def call(program: str, *arguments: str) -> None:
+        subprocess.run(
+            [str(programs / program), *arguments],
+            user=user,
+            cwd=folder,
+            check=True,
+            stdout=subprocess.DEVNULL,
+            timeout=120,
+        )
+
+    call("initdb", "--pgdata", data, "--username", "slamhive", "--auth", "trust", "--no-sync")
+    options = f"-c listen_addresses= -c unix_socket_directories={folder} -c fsync=off"
+    call("pg_ctl", "start", "--wait", "--silent", "-D", data, "-o", options, "-l", str(folder / "log"))
+    try:
+        yield f"postgresql://slamhive@/postgres?host={folder}"
+    finally:
+        call("pg_ctl", "stop", "-D", data, "--mode", "immediate", "--silent")
+        shutil.rmtree(folder)
+
+
 @pytest.fixture
-def postgresql_url() -> Iterator[str]:
-    server = os.environ.get(SERVER)
-    if not server:
-        pytest.skip(f"{SERVER} names no PostgreSQL server")
+def postgresql_url(server: str) -> Iterator[str]:
     pytest.importorskip("psycopg")
     base = make_url(server).set(drivername="postgresql+psycopg")
     name = f"slamhive_{uuid.uuid4().hex[:12]}"
