@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test lint bench install crds clean help
+.PHONY: demo test test-packages lint bench install crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -30,8 +30,17 @@ install: $(STAMP)
 demo: $(STAMP)
 	$(BIN)/slamhive demo
 
-test: $(STAMP)
+test: $(STAMP) test-packages
 	$(BIN)/python -m pytest
+
+# Shared libraries that ORB-SLAM3 links to; without them its tests are skipped.
+TEST_PACKAGES := libglu1-mesa libopengl0 libegl1 libgl1 libsm6 libglib2.0-0
+test-packages:
+	@if command -v dpkg-query >/dev/null && ! dpkg-query -W $(TEST_PACKAGES) >/dev/null 2>&1; then \
+	  if [ "$$(id -u)" = 0 ]; then \
+	    apt-get update -q >/dev/null && apt-get install -y -q --no-install-recommends $(TEST_PACKAGES) >/dev/null \
+	      || echo 'could not install $(TEST_PACKAGES): ORB-SLAM3 will be skipped'; \
+	  else echo 'ORB-SLAM3 will be skipped: sudo apt-get install $(TEST_PACKAGES)'; fi; fi
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole commands with real algorithms, in one home; environments are kept between test sessions."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A home whose environments of algorithms outlive the session: making them takes minutes."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    environments = cache / "slamhive-tests" / "environments"
+    environments.mkdir(parents=True, exist_ok=True)
+    folder = tmp_path_factory.mktemp("shows")
+    (folder / "environments").symlink_to(environments)
+    return folder
+
+
+@pytest.fixture
+def slamhive(home: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs the command in the home."""
+
+    def run(*arguments: str, timeout: float = 1500) -> subprocess.CompletedProcess[str]:
+        variables = {name: value for name, value in os.environ.items() if not name.startswith("SLAMHIVE_")}
+        return subprocess.run(
+            [str(Path(sys.executable).with_name("slamhive")), *arguments],
+            env=variables | {"SLAMHIVE_HOME": str(home), "COLUMNS": "200"},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=timeout,
+            cwd=ROOT,
+        )
+
+    return run

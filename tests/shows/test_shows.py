@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the project promises, on real algorithms: the demo, the standard sequences, a real robot's log."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+if TYPE_CHECKING:
+    import subprocess
+    from collections.abc import Callable
+
+    Command = Callable[..., subprocess.CompletedProcess[str]]
+
+ROOT = Path(__file__).resolve().parents[2]
+INTEL = ROOT.parent / "shared" / "data" / "lidar2d"
+UNAVAILABLE = "AlgorithmUnavailable"
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
+
+
+def rows_of(slamhive: Command, sweep: str) -> list[dict[str, Any]]:
+    result = slamhive("results", "export", "--sweep", sweep, "--format", "json")
+    assert result.returncode == 0, result.stderr
+    rows: list[dict[str, Any]] = json.loads(result.stdout)
+    return rows
+
+
+def test_the_demo_compares_three_algorithms_and_says_what_is_next(slamhive: Command) -> None:
+    result = slamhive("demo")
+    assert result.returncode == 0, result.stderr
+    for word in (
+        "kiss-icp",
+        "genz-icp",
+        "rko-lio",
+        "ATE",
+        "RPE",
+        "coverage",
+        "CPU",
+        "memory",
+        "failures",
+        "±",
+    ):
+        assert word in result.stdout
+    assert "Next:" in result.stdout
+    rows = rows_of(slamhive, "demo")
+    assert len(rows) == 18
+    assert {row["repetition"] for row in rows} == {0, 1, 2}
+    for row in rows:
+        assert row["outcome"] == "Tracked"
+        assert row["usage.cpu.seconds"] > 0
+        assert row["usage.memory.peakBytes"] > 10_000_000
+
+
+LIDAR_SHARES = {
+    "kiss-icp": 0.005,
+    "genz-icp": 0.005,
+    "rko-lio": 0.005,
+    "ct-icp": 0.005,
+    "loam": 0.005,
+    "mad-icp": 0.005,
+    "liosam-odometry": 0.01,
+}
+CAMERA_SHARES = {"stereo": 0.005, "rgbd": 0.005, "mono": 0.01}
+
+
+def share(row: dict[str, Any]) -> float:
+    """Return the ATE as a share of the path."""
+    return float(row["ate.rmse"] / row["pathLength"])
+
+
+def test_every_algorithm_follows_its_standard_sequence(slamhive: Command) -> None:
+    """The ATE is SE(3)-aligned, with the ground truth in the right frame; Sim(3) for mono."""
+    result = slamhive("run", "examples/standard.yaml")
+    assert result.returncode in {0, 1}, result.stderr
+    lidar = {row["algorithm"]: row for row in rows_of(slamhive, "standard-lidar")}
+    camera = {row["sensors"]: row for row in rows_of(slamhive, "standard-camera")}
+    unavailable = [row["message"] for row in (lidar | camera).values() if row["reason"] == UNAVAILABLE]
+    for name, limit in LIDAR_SHARES.items():
+        row = lidar[name]
+        assert row["reason"] == UNAVAILABLE or share(row) < limit, (name, row["message"])
+    for name, limit in CAMERA_SHARES.items():
+        row = camera[name]
+        assert row["reason"] == UNAVAILABLE or share(row) < limit, (name, row["message"])
+        assert row["reason"] == UNAVAILABLE or row["coverage"] >= 0.9
+    if unavailable:
+        pytest.skip("; ".join(sorted(set(unavailable))))
+
+
+def test_a_real_robots_log_is_mapped_and_measured_by_relations(slamhive: Command, tmp_path: Path) -> None:
+    if not INTEL.is_dir():
+        pytest.skip(f"{INTEL} is not there")
+    log, relations = INTEL / "intel.clf.bz2", INTEL / "intel.relations"
+    added = slamhive("dataset", "add", str(log), "--name", "intel", "--relations", str(relations))
+    assert added.returncode == 0, added.stderr
+    sweep = {
+        "apiVersion": "slamhive.io/v1alpha1",
+        "kind": "Sweep",
+        "metadata": {"name": "intel"},
+        "spec": {
+            "template": {"spec": {"datasetRef": {"name": "intel"}, "algorithmRef": {"name": "kiss-icp"}}}
+        },
+    }
+    path = tmp_path / "intel.yaml"
+    path.write_text(yaml.safe_dump(sweep))
+    result = slamhive("run", str(path))
+    assert result.returncode == 0, result.stderr
+    (row,) = rows_of(slamhive, "intel")
+    assert row["frames.processed"] == row["trajectory.poses"] == 13631
+    assert (row["relations.count"], row["relations.missing"]) == (2984, 0)
+    assert row["relations.translation.mean"] > 0
+    counts = [row[f"relations.byTime[{number}].count"] for number in range(5)]
+    assert sum(counts) == 2984
+    shown = slamhive("results", "show", row["name"])
+    assert "relations by time" in shown.stdout
