@@ -46,6 +46,21 @@ def test_mean_and_sample_deviation_of_tracked_runs() -> None:
     assert (group.coverage.n, group.coverage.min) == (4, 0.3)
 
 
+def test_a_disturbed_run_says_nothing_of_load_but_all_else_counts() -> None:
+    load = {"usage.wallSeconds": 10.0, "usage.cpu.meanCores": 0.9, "usage.cpu.seconds": 9.0}
+    rows = [
+        row(1.0, **load, **{"usage.contendedSeconds": 0.5}),
+        row(1.0, **load | {"usage.cpu.meanCores": 0.3}, **{"usage.contendedSeconds": 6.0}),
+        row(1.0, **load | {"usage.cpu.meanCores": 0.4}, **{"usage.throttledSeconds": 2.0}),
+    ]
+    found = table(rows, ["usage.cpu.meanCores", "usage.cpu.seconds", "ate.rmse"])
+    (group,) = found.groups
+    assert group.metrics["usage.cpu.meanCores"] == Summary.of([0.9])
+    assert group.metrics["usage.cpu.seconds"] == Summary.of([9.0] * 3)
+    assert group.metrics["ate.rmse"] == Summary.of([1.0] * 3)
+    assert "2 runs shared cores" in found.notes[-1]
+
+
 def test_all_evaluated_runs_on_request() -> None:
     rows = [row(1.0), row(3.0, "Partial"), row(None, None)]
     (group,) = table(rows, ["ate.rmse"], outcomes=Outcomes.ALL).groups

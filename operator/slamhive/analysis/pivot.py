@@ -27,6 +27,13 @@ if TYPE_CHECKING:
 FACETS = ("algorithm", "sensors", "dataset", "evaluation", "alignment", "input.pace", "provenance.cpuModel")
 """Columns that are never pooled: they become keys where they vary."""
 
+DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
+"""Columns that say nothing where a run shared its cores with other work or was throttled."""
+
+_MAX_CONTENDED = 0.1
+_MAX_THROTTLED = 0.01
+"""Shares of the wall time from which a run counts as disturbed."""
+
 _CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
 _MOST_NAMES = 6
 _SUBJECT = ("algorithm", "sensors", "dataset")
@@ -140,13 +147,30 @@ def table(
     pooled = [name for name in changing if name not in keys]
     if len(pooled) > _MOST_NAMES:
         pooled = [*pooled[:_MOST_NAMES], f"{len(pooled) - _MOST_NAMES} more"]
+    notes = [f"averaged over different values of {', '.join(pooled)}"] if pooled else []
+    left_out = [name for name in metrics if name in DISTURBED]
+    count = sum(map(disturbed, rows)) if left_out else 0
+    if count:
+        runs = "1 run" if count == 1 else f"{count} runs"
+        notes.append(
+            f"{runs} shared cores with other work or were throttled: left out of {', '.join(left_out)}"
+        )
     return PivotTable(
         tuple(keys[: len(keys) - len(across)]),
         tuple(across),
         tuple(metrics),
         [_group(group, keys, metrics, outcomes) for group in members],
-        (f"averaged over different values of {', '.join(pooled)}",) if pooled else (),
+        tuple(notes),
     )
+
+
+def disturbed(row: Row) -> bool:
+    """Tell whether other work on a run's cores, or throttling, falsified its load and wall time."""
+    wall = row.get("usage.wallSeconds")
+    if not wall:
+        return False
+    contended, throttled = row.get("usage.contendedSeconds") or 0.0, row.get("usage.throttledSeconds") or 0.0
+    return bool(contended > _MAX_CONTENDED * wall or throttled > _MAX_THROTTLED * wall)
 
 
 def varying(rows: Sequence[Row]) -> list[str]:
@@ -224,8 +248,12 @@ def _group(rows: Sequence[Row], keys: Sequence[str], metrics: Sequence[str], out
         n=len(counted),
         failures=dict(sorted(failures.items())),
         coverage=Summary.of(_numbers(rows, "coverage")),
-        metrics={name: Summary.of(_numbers(counted, name)) for name in metrics},
+        metrics={name: Summary.of(_numbers(_sound(counted, name), name)) for name in metrics},
     )
+
+
+def _sound(rows: Sequence[Row], name: str) -> Sequence[Row]:
+    return [row for row in rows if not disturbed(row)] if name in DISTURBED else rows
 
 
 def _numbers(rows: Iterable[Row], name: str) -> list[float]:
