@@ -29,7 +29,7 @@ DEADLINE_SECONDS = 120.0
 HEADER = {"apiVersion": "slamhive.io/v1alpha1"}
 
 
-def until(condition: Callable[[], Any], what: str, seconds: float = DEADLINE_SECONDS) -> Any:
+def wait_until(condition: Callable[[], Any], what: str, seconds: float = DEADLINE_SECONDS) -> Any:
     """Return what a condition says as soon as it holds."""
     deadline = time.monotonic() + seconds
     while not (found := condition()):
@@ -144,3 +144,9 @@ def system(home: Home, tmp_path: Path) -> Iterator[System]:
         yield found
     finally:
         found.end()
+
+
+@pytest.fixture(name="until")
+def _until() -> Callable[..., Any]:
+    """Waits for a condition, and fails when it doesn't come."""
+    return wait_until

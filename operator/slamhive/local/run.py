@@ -77,6 +77,7 @@ class RunOrder:
         labels: labels that it carries.
         settings: how it is measured.
         reuse: whether an equal run's result may be taken.
+        take_up: whether its own attempt may be taken up that ended while slamhive was not there to keep it.
     """
 
     uid: str
@@ -85,6 +86,7 @@ class RunOrder:
     labels: dict[str, str]
     settings: EvaluationSettings
     reuse: bool
+    take_up: bool
 
 
 @dataclass
@@ -175,8 +177,8 @@ class RunDriver:
         )
         if order.reuse:
             progress.twin = bench.archive.find_reusable(hashed)
-            if self._attempt.finished(order.uid, hashed):
-                progress.attempt_state = AttemptState.ENDED
+        if order.take_up and self._attempt.finished(order.uid, hashed):
+            progress.attempt_state = AttemptState.ENDED
 
     def _observe(self) -> RunObserved:
         progress = self._progress

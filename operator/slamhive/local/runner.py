@@ -55,6 +55,7 @@ class Job:
         states: state of each point.
         reused: points that took an equal run's result.
         kept: points that were finished before.
+        afresh: points that failed before and are done again.
         cpu_seconds: CPU time of the runs finished now.
         verdict: where it stands.
         message: why.
@@ -67,6 +68,7 @@ class Job:
     order: Sequence[int] = ()
     reused: int = 0
     kept: int = 0
+    afresh: set[int] = field(default_factory=set)
     cursor: int = 0
     cpu_seconds: float = 0.0
     started_at: float | None = None
@@ -183,6 +185,8 @@ class Runner:
                 job.states[index] = PointState.SUCCEEDED
             elif point.phase is Phase.FAILED and not self._again(point.reason):
                 job.states[index] = PointState.FAILED
+            else:
+                job.afresh.add(index)
         job.kept = job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
 
     def _again(self, reason: Reason | None) -> bool:
@@ -266,6 +270,7 @@ class Runner:
             labels=dict(job.sweep.spec.template.metadata.labels),
             settings=job.sweep.spec.evaluation,
             reuse=not self._rerun and job.sweep.spec.cache_policy is CachePolicy.REUSE,
+            take_up=not self._rerun and index not in job.afresh,
         )
         cpus = tuple(cpu for core in cores for cpu in core)
         driver = RunDriver(order, self._bench, cpus, lambda phase: self._watcher.phase(job, index, phase))
