@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that the documents show is true: links, manifests, what a matrix expands to, commands.
+
+A fenced block is ``sh`` (each line is run), ``yaml`` (loaded), ``python``, ``mermaid`` or ``text``. A first
+line ``# FILE`` makes it a file of that name for the commands. A ``yaml`` block without a kind is part of a
+Sweep's spec, and its first line says how many runs it has.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+from slamhive.local.catalog import load_workshop, read_files
+from slamhive.model.configuration import RunConfiguration
+from slamhive.model.loading import parse
+from slamhive.model.run import MappingRun
+from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec
+from slamhive.plan import Plan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+NAMES = [path.name for path in DOCUMENTS]
+LANGUAGES = {"sh", "yaml", "python", "mermaid", "text"}
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FILE = re.compile(r"^# ([\w./-]+\.\w+)$")
+LINK = re.compile(r"(?<!!)\[[^\]]+\]\(([^)\s]+)\)")
+TEMPLATE = {"algorithmRef": {"name": "kiss-icp"}, "datasetRef": {"name": "synthetic-lidar"}}
+
+ELSEWHERE = {
+    "algorithm train-vocabulary": "takes minutes, and has its own tests",
+}
+"""Commands that are not run here, and why."""
+BEFORE = {"results.md": "README.md"}
+"""Documents whose commands ask for what those of another one made."""
+SLOW = {"algorithms.md"}
+"""Documents whose commands install packages."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its language, its text, and the file that its first line names."""
+
+    language: str
+    text: str
+
+    @property
+    def file(self) -> str | None:
+        match = FILE.match(self.text.split("\n", 1)[0])
+        return match.group(1) if match else None
+
+
+def blocks(document: Path, *languages: str) -> list[Block]:
+    found = [Block(*match.groups()) for match in FENCE.finditer(document.read_text())]
+    return [block for block in found if not languages or block.language in languages]
+
+
+def commands(document: Path) -> list[str]:
+    lines = [line for block in blocks(document, "sh") for line in block.text.splitlines()]
+    return [line for line in lines if shlex.split(line, comments=True)]
+
+
+def lay_out(document: Path, folder: Path) -> None:
+    for block in blocks(document):
+        if block.file:
+            (folder / block.file).parent.mkdir(parents=True, exist_ok=True)
+            (folder / block.file).write_text(block.text)
+
+
+def slug(heading: str) -> str:
+    """Return the anchor that GitHub gives a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=NAMES)
+def test_fences_say_what_they_are(document: Path) -> None:
+    assert document.read_text().count("```") % 2 == 0
+    assert {block.language for block in blocks(document)} <= LANGUAGES
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=NAMES)
+def test_links_lead_somewhere(document: Path) -> None:
+    text = FENCE.sub("", document.read_text())
+    for target in LINK.findall(text):
+        if target.startswith("https://"):
+            continue
+        path, _, anchor = target.partition("#")
+        place = (document.parent / path).resolve() if path else document
+        assert place.is_relative_to(ROOT)
+        assert place.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.+)$", FENCE.sub("", place.read_text()), re.MULTILINE)
+            assert anchor in map(slug, headings), target
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=NAMES)
+def test_manifests_are_valid(document: Path, tmp_path: Path) -> None:
+    files = []
+    for number, block in enumerate(blocks(document, "yaml")):
+        value = yaml.safe_load(block.text)
+        if value.get("kind") == "RunConfiguration":
+            RunConfiguration.model_validate(value)
+        elif "kind" in value:
+            files.append(tmp_path / f"{number}.yaml")
+            files[-1].write_text(block.text)
+    workshop = load_workshop()
+    for item in read_files(files, workshop):
+        if isinstance(item, Sweep):
+            assert Plan(item, workshop).check() == []
+        elif isinstance(item, MappingRun):
+            spec = item.spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
+            single = Sweep(metadata=item.metadata, spec=SweepSpec(template=RunTemplate(spec=spec)))
+            assert Plan(single, workshop).check() == []
+
+
+def parts_of_sweeps() -> list[Any]:
+    parts = [
+        pytest.param(block.text, id=f"{document.name}-{number}")
+        for document in DOCUMENTS
+        for number, block in enumerate(blocks(document, "yaml"))
+        if "kind" not in yaml.safe_load(block.text)
+    ]
+    assert parts
+    return parts
+
+
+@pytest.mark.parametrize("text", parts_of_sweeps())
+def test_parts_of_a_sweep_expand_to_what_they_say(text: str) -> None:
+    stated = re.search(r"# (\d+) runs?$", text.split("\n", 1)[0])
+    assert stated, "the first line says how many runs there are"
+    fields = parse(text, "part")[0].value
+    sweep = Sweep.model_validate(
+        {"metadata": {"name": "part"}, "spec": {"template": {"spec": TEMPLATE}, **fields}}
+    )
+    plan = Plan(sweep, load_workshop())
+    assert plan.check() == []
+    assert len(plan) == int(stated.group(1))
+
+
+def test_the_table_of_include_and_exclude() -> None:
+    document = ROOT / "docs" / "sweeps.md"
+    (block,) = (one for one in blocks(document, "yaml") if "\nexclude:" in one.text)
+    sweep = {
+        "metadata": {"name": "part"},
+        "spec": {"template": {"spec": TEMPLATE}, **yaml.safe_load(block.text)},
+    }
+    plan = Plan(Sweep.model_validate(sweep), load_workshop())
+    table = document.read_text().split("| index | maxRange |")[1].split("\n\n")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+    shown = {int(row[0]): row[1:5] for row in rows if row[0]}
+    assert len(rows) == len(plan) + 1
+    for point in plan:
+        names = ("parameters.maxRange", "input.frameRate", "parameters.deskew", "parameters.voxelSize")
+        found = [str(point.coordinates.get(name, "")).lower() for name in names]
+        assert shown[point.index] == found
+
+
+def run(line: str, slamhive: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+    """Run a command as it stands in a document; a number in its comment is what it prints."""
+    program, *rest = shlex.split(line, comments=True)
+    if program == "make":
+        assert re.search(rf"^{rest[0]}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        return
+    assert program.removeprefix(".venv/bin/") == "slamhive", line
+    if " ".join(rest[:2]) in ELSEWHERE:
+        rest.append("--help")
+    elif rest[:2] == ["import", "slam-hive"] and not Path("runs").exists():
+        pytest.skip("the published runs are not here (../shared/data/icra2023)")
+    capsys.readouterr()
+    code, printed = slamhive(*rest), capsys.readouterr()
+    assert code == 0, f"{line}\n{printed.err}"
+    stated = re.search(r"# (\d+)$", line)
+    assert stated is None or printed.out.strip() == stated.group(1), line
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        pytest.param(path, id=path.name, marks=[pytest.mark.slow] if path.name in SLOW else [])
+        for path in DOCUMENTS
+        if commands(path)
+    ],
+)
+def test_commands_do_what_the_document_says(
+    document: Path, desk: Path, slamhive: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    order = [document]
+    if document.name in BEFORE:
+        order.insert(0, ROOT / BEFORE[document.name])
+    for one in order:
+        lay_out(one, desk)
+        for line in commands(one):
+            run(line, slamhive, capsys)
+
+
+EXAMPLES = [path for path in sorted((ROOT / "examples").rglob("*.yaml")) if path.stem != "icra2023-80000"]
+"""All but the one with algorithms that the catalog hasn't, which the tests of plans count."""
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_are_valid(path: Path) -> None:
+    workshop = load_workshop()
+    for item in read_files([path], workshop):
+        if isinstance(item, Sweep):
+            assert Plan(item, workshop).check() == []
