@@ -100,7 +100,9 @@ def plan(
     Example: slamhive plan sweep.yaml --head 10
     """
     workshop = load_workshop(Home.from_environment())
-    plans = [(sweep, Plan(sweep, workshop, strict=False)) for sweep in _sweeps(read_files(files, workshop))]
+    plans = [
+        (sweep, _planned(sweep, workshop, strict=False)) for sweep in _sweeps(read_files(files, workshop))
+    ]
     if not plans:
         raise InputError(f"{files[0]}: no Sweep or MappingRun in it")
     if count:
@@ -123,7 +125,7 @@ def validate(files: Files) -> None:
     objects = read_files(files, workshop)
     problems = 0
     for sweep in _sweeps(objects):
-        points = Plan(sweep, workshop, strict=True)
+        points = _planned(sweep, workshop, strict=True)
         found = points.check()
         problems += len(found)
         for problem in found:
@@ -227,8 +229,15 @@ def _as_sweep(single: MappingRun) -> Sweep:
     return Sweep(metadata=single.metadata, spec=SweepSpec(template=template))
 
 
+def _planned(sweep: Sweep, workshop: Workshop, *, strict: bool) -> Plan:
+    try:
+        return Plan(sweep, workshop, strict=strict)
+    except InputError as error:
+        raise InputError(f"{sweep.kind} {sweep.name}: {error}") from None
+
+
 def _job(sweep: Sweep, workshop: Workshop) -> Job:
-    points = Plan(sweep, workshop, strict=True)
+    points = _planned(sweep, workshop, strict=True)
     problems = points.check()
     if problems:
         raise InputError("\n".join(f"{sweep.kind} {sweep.name}: {problem}" for problem in problems))

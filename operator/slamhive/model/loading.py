@@ -188,9 +188,11 @@ def parse(text: str, source: str) -> list[Document]:
 
 
 def _problem(error: Exception) -> str:
+    if isinstance(error, RecursionError):
+        return ": not YAML: nested too deeply"
     mark = getattr(error, "problem_mark", None)
     line = f":{mark.line + 1}" if mark is not None else ""
-    return f"{line}: not YAML: {getattr(error, 'problem', None) or 'nested too deeply'}"
+    return f"{line}: not YAML: {getattr(error, 'problem', None) or str(error).partition(chr(10))[0]}"
 
 
 def read_text(path: Path) -> str:

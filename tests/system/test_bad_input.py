@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with the input is said in one sentence on standard error, with exit code 2."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.cli.main import main
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from slamhive.local.home import Home
+
+SWEEP = """apiVersion: slamhive.io/v1alpha1
+kind: Sweep
+metadata: {name: s}
+spec:
+  template: {spec: {algorithmRef: {name: actor}, datasetRef: {name: tiny}}}
+"""
+LONG = "[" + ", ".join(map(str, range(400))) + "]"
+
+
+@pytest.fixture
+def call(
+    home: Home, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Calls the command in this process; returns exit code, standard output and standard error."""
+    monkeypatch.setenv("SLAMHIVE_HOME", str(home.path))
+
+    def run(*arguments: str | Path) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["slamhive", *map(str, arguments)])
+        code: Any = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+        return code or 0, *capsys.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("actor", "acter", ["spec.template.spec", "unknown algorithm 'acter'", "did you mean 'actor'?"]),
+        ("tiny", "tinny", ["unknown dataset 'tinny'", "did you mean 'tiny'?"]),
+        ("{name: tiny}", "{name: tiny}, sensors: lidr", ["sensors", "lidr", "did you mean 'lidar'?"]),
+        ("{name: tiny}", "{name: tiny}, sensors: stereo", ["sensors", "stereo", "lidar"]),
+        ("{name: tiny}", "{name: tiny}, parameters: {nummer: 1}", ["nummer", "did you mean 'number'?"]),
+        ("{name: tiny}", "{name: tiny}, parameters: {number: -1}", ["parameters.number", "-1", "0"]),
+        ("{name: tiny}", "{name: tiny}, parameters: {number: one}", ["parameters.number", "one"]),
+        (
+            "{name: tiny}",
+            "{name: tiny}, input: {resolution: 7}",
+            ["input.resolution", "less than or equal to 1"],
+        ),
+        ("{name: tiny}", "{name: tiny}, input: {remap: {lidar: lidr}}", ["lidr", "did you mean 'lidar'?"]),
+        (
+            "spec:\n",
+            "spec:\n  repetitons: 3\n",
+            ["sweep.yaml:5: spec.repetitons", "did you mean 'repetitions'?"],
+        ),
+        ("kind: Sweep", "kind: Sweap", ["Sweap", "did you mean 'Sweep'?"]),
+        ("v1alpha1", "v2", ["v2", "slamhive.io/v1alpha1"]),
+        ("name: s}", "name: S_}", ["metadata.name", "S_"]),
+        (
+            "spec:\n",
+            "spec:\n  parallelism: 2\n  parallelism: 3\n",
+            ["sweep.yaml:6: ", "'parallelism' stands twice"],
+        ),
+        ("spec:\n", "spec: [\n", ["sweep.yaml:6: not YAML"]),
+        (SWEEP, "", ["empty"]),
+        (SWEEP, "- 1\n", ["sweep.yaml:1: expected an object"]),
+        (SWEEP, "\x00\x01\x02", ["sweep.yaml: not YAML", "character"]),
+    ],
+)
+def test_a_wrong_manifest_is_refused(
+    before: str, after: str, words: list[str], call: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "sweep.yaml"
+    assert before in SWEEP
+    path.write_text(SWEEP.replace(before, after))
+    for command in ("run", "validate"):
+        code, out, err = call(command, path)
+        assert (code, out) == (2, ""), err
+        assert err.startswith("error: ")
+        for word in words:
+            assert word in err
+        assert "Traceback" not in err
+        assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("  matrix: [{path: parameter.act, values: [good]}]", ["matrix[0].path", "parameter.act"]),
+        ("  matrix: [{path: parameters.acts, values: [good]}]", ["acts", "did you mean 'act'?"]),
+        ("  matrix: [{path: algorithm, values: [actor, actr]}]", ["matrix[0].values[1]", "'actr'"]),
+        (
+            "  matrix: [{path: parameters.number, values: []}]",
+            ["sweep.yaml:6: spec.matrix", "values", "at least 1"],
+        ),
+        (
+            "  matrix: [{path: parameters.act, values: [good]}]\n  exclude: [{parameters.act: good}]",
+            ["Sweep s: spec.exclude", "nothing is left to run"],
+        ),
+        (
+            f"  matrix: [{{path: parameters.number, values: {LONG}}}, {{path: seed, values: {LONG}}}]",
+            ["Sweep s: ", "160000", "100000"],
+        ),
+        ("  repetitions: 100001", ["sweep.yaml:6: spec.repetitions", "10000"]),
+    ],
+)
+def test_a_matrix_that_means_nothing_is_refused(
+    lines: str, words: list[str], call: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "sweep.yaml"
+    path.write_text(f"{SWEEP}{lines}\n")
+    code, out, err = call("run", path)
+    assert (code, out) == (2, ""), err
+    for word in words:
+        assert word in err
+    assert "Traceback" not in err
+
+
+def test_files_that_cannot_be_read_are_named(call: Any, tmp_path: Path) -> None:
+    (tmp_path / "image.yaml").write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
+    for path, words in (
+        (tmp_path / "nothing.yaml", "nothing.yaml"),
+        (tmp_path, "directory"),
+        (tmp_path / "image.yaml", "UTF-8"),
+    ):
+        for command in ("run", "plan", "validate"):
+            code, out, err = call(command, path)
+            assert (code, out) == (2, ""), err
+            assert words in err
+            assert len(err.splitlines()) == 1
+
+
+def test_a_file_without_runs_is_refused(call: Any, home: Home) -> None:
+    code, _, err = call("run", home.path / "tiny.yaml")
+    assert code == 2
+    assert "no Sweep, MappingRun or Evaluation" in err
+
+
+def test_the_same_name_twice_is_refused(call: Any, tmp_path: Path) -> None:
+    path = tmp_path / "twice.yaml"
+    path.write_text(f"{SWEEP}---\n{SWEEP}")
+    code, _, err = call("run", path)
+    assert code == 2
+    assert "Sweep 's'" in err
+
+
+def test_all_problems_are_told_at_once(call: Any, tmp_path: Path) -> None:
+    path = tmp_path / "sweep.yaml"
+    matrix = "  matrix: [{path: algorithm, values: [acter, actr]}, {path: dataset, values: [tinny, tiny]}]\n"
+    path.write_text(SWEEP + matrix)
+    code, _, err = call("validate", path)
+    assert code == 2
+    assert sorted(word for word in ("'acter'", "'actr'", "'tinny'") if word in err) == [
+        "'acter'",
+        "'actr'",
+        "'tinny'",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("home", "words"),
+    [("/dev/null/home", "SLAMHIVE_HOME"), ("/proc/home", "SLAMHIVE_HOME")],
+    indirect=False,
+)
+def test_a_home_that_cannot_be_made_is_named(
+    home: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "sweep.yaml"
+    path.write_text(SWEEP)
+    monkeypatch.setenv("SLAMHIVE_HOME", home)
+    monkeypatch.setattr("sys.argv", ["slamhive", "run", str(path)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert words in capsys.readouterr().err
+
+
+def test_an_archive_that_is_none_is_named(call: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "sweep.yaml"
+    path.write_text(SWEEP)
+    monkeypatch.setenv("SLAMHIVE_ARCHIVE", "mysql://x/y")
+    code, _, err = call("run", path)
+    assert code == 2
+    assert "mysql://x/y" in err
+
+
+@pytest.mark.parametrize(
+    "arguments", [["runn"], ["run"], ["run", "--jobs", "2"], ["run", "-j", "0", "x.yaml"]]
+)
+def test_a_wrong_command_line_is_refused(arguments: list[str], call: Any) -> None:
+    code, out, err = call(*arguments)
+    assert (code, out) == (2, "")
+    assert "Usage" in err
