@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
+from slamhive.archive import Archive
 from slamhive.local.catalog import load_workshop, read_files
+from slamhive.local.home import Home
 from slamhive.model.configuration import RunConfiguration
 from slamhive.model.loading import parse
 from slamhive.model.run import MappingRun
@@ -106,7 +108,7 @@ def test_links_lead_somewhere(document: Path) -> None:
 def test_manifests_are_valid(document: Path, tmp_path: Path) -> None:
     files = []
     for number, block in enumerate(blocks(document, "yaml")):
-        value = yaml.safe_load(block.text)
+        value = next(yaml.safe_load_all(block.text))
         if value.get("kind") == "RunConfiguration":
             RunConfiguration.model_validate(value)
         elif "kind" in value:
@@ -127,7 +129,7 @@ def parts_of_sweeps() -> list[Any]:
         pytest.param(block.text, id=f"{document.name}-{number}")
         for document in DOCUMENTS
         for number, block in enumerate(blocks(document, "yaml"))
-        if "kind" not in yaml.safe_load(block.text)
+        if "kind" not in next(yaml.safe_load_all(block.text))
     ]
     assert parts
     return parts
@@ -182,6 +184,22 @@ def run(line: str, slamhive: Callable[..., int], capsys: pytest.CaptureFixture[s
     assert stated is None or printed.out.strip() == stated.group(1), line
 
 
+def the_example_is_right(home: Path) -> None:
+    """Dead reckoning without noise is exact but for the integration's steps."""
+    with Archive.open(Home.at(home).archive_url) as archive:
+        errors = {
+            record.spec["datasetRef"]["name"]: record.results[0].values["ate"]["rmse"]
+            for record in archive.runs(sweep="reckon")
+        }
+        paths = {record.results[0].values["pathLength"] for record in archive.runs(sweep="reckon")}
+    assert errors["perfect"] < 0.002 * max(paths)
+    assert errors["perfect"] < 0.1 * errors["synthetic-lidar"]
+
+
+AFTER = {"algorithms.md": the_example_is_right}
+"""What else is to hold when a document's commands have been run."""
+
+
 @pytest.mark.parametrize(
     "document",
     [
@@ -200,6 +218,8 @@ def test_commands_do_what_the_document_says(
         lay_out(one, desk)
         for line in commands(one):
             run(line, slamhive, capsys)
+    if document.name in AFTER:
+        AFTER[document.name](desk.parent / "home")
 
 
 EXAMPLES = [path for path in sorted((ROOT / "examples").rglob("*.yaml")) if path.stem != "icra2023-80000"]
