@@ -66,7 +66,10 @@ class Environments:
         python = interpreter(program)
         parts = [f"{python.version[0]}.{python.version[1]}", platform.machine()]
         parts.extend(_sha256(entry.folder / name) for name in (program.requirements, program.adapter))
-        parts.extend(_sha256(path) for path in sorted(entry.folder.parent.glob("*_support.py")))
+        # What the adapter may import: its own folder, and the helpers that adapters share.
+        parts.extend(_sha256(path) for path in sorted(entry.folder.glob("*.py")))
+        for pattern in ("adapter_*.py", "*_support.py"):
+            parts.extend(_sha256(path) for path in sorted(entry.folder.parent.glob(pattern)))
         parts.extend(
             _sha256(entry.folder / asset.path) for asset in entry.algorithm.spec.assets if asset.path
         )
