@@ -59,6 +59,7 @@ class Environments:
     def __init__(self, folder: Path, notify: Callable[[str], None] = lambda _: None) -> None:
         self._folder = folder
         self._notify = notify
+        self._usable: set[tuple[str, Path]] = set()
 
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return what tells apart environments and adapters: equal digests run the same program."""
@@ -94,7 +95,9 @@ class Environments:
                 if not (path / _MARKER).exists():
                     self._make(entry.name, path, python, requirements)
         environment = Environment(path, self.digest(entry))
-        _check_libraries(entry, program, environment)
+        if (entry.name, path) not in self._usable:
+            _check_libraries(entry, program, environment)
+            self._usable.add((entry.name, path))
         return environment
 
     def _make(self, name: str, path: Path, python: Interpreter, requirements: Path) -> None:
