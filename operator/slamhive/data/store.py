@@ -12,10 +12,11 @@ import yaml
 
 from slamhive.data import synthetic
 from slamhive.data.entries import DatasetEntry, dataset_sha256, file_sha256, recording_sha256
+from slamhive.data.fetching import fetch
 from slamhive.data.groundtruth import GroundTruthPoses, ground_truth
 from slamhive.data.once import make_once
 from slamhive.model.algorithm import RecordingFormat
-from slamhive.model.canonical import digest
+from slamhive.model.canonical import digest, normalize
 from slamhive.model.dataset import DataFile, Dataset, GroundTruth, Recording
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.sensors import Sensor
@@ -36,6 +37,7 @@ __all__ = [
 ]
 
 MANIFEST = "dataset.yaml"
+HASHES = ".hashes"
 
 
 def materialise(
@@ -55,9 +57,7 @@ def materialise(
     """
     spec = dataset.spec.recording.synthetic
     if spec is None:
-        for file in dataset.spec.recording.files:
-            _require(dataset, root, file)
-        return DatasetEntry(dataset, root)
+        return _with_recording(dataset, root, datasets)
     key = digest({"recording": spec.model_dump(mode="json", by_alias=True), "generator": _generator_hash()})
     folder = datasets / f"{dataset.name}-{key[:16]}"
 
@@ -68,10 +68,36 @@ def materialise(
     return DatasetEntry(_with_files(dataset, folder), folder)
 
 
-def _require(dataset: Dataset, root: Path, file: DataFile) -> None:
-    if not (root / file.path).exists():
-        hint = f"; get it from {file.url}" if file.url else ""
-        raise DataError(f"dataset {dataset.name!r}: recording.files: {root / file.path} does not exist{hint}")
+def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntry:
+    """Return a dataset whose files are there, fetched if need be, and are what their checksums say."""
+    files = dataset.spec.recording.files
+    missing = [file for file in files if not (root / file.path).exists()]
+    for file in missing:
+        if file.url is None:
+            where = f"dataset {dataset.name!r}: recording.files"
+            raise DataError(f"{where}: {root / file.path} does not exist")
+    if missing:
+        folder = datasets / f"{dataset.name}-{digest(normalize(dataset.spec.recording.as_json()))[:16]}"
+        make_once(folder, lambda aside: _gather(dataset, root, aside))
+        root = folder
+    for file in files:
+        found = file_sha256(root / file.path, datasets / HASHES) if file.sha256 else None
+        if found != file.sha256:
+            where = f"dataset {dataset.name!r}: recording.files: {root / file.path}"
+            raise DataError(f"{where} has sha256 {found}, expected {file.sha256}")
+    return DatasetEntry(dataset, root)
+
+
+def _gather(dataset: Dataset, root: Path, aside: Path) -> None:
+    """Fetch what isn't there, and link what is."""
+    for file in dataset.spec.recording.files:
+        if file.url and file.sha256 and not (root / file.path).exists():
+            fetch(file.url, aside / file.path, file.sha256, f"dataset {dataset.name!r}")
+    for relative in _paths(dataset):
+        link = aside / relative
+        if not link.exists() and (root / relative).exists():
+            link.parent.mkdir(parents=True, exist_ok=True)
+            link.symlink_to((root / relative).resolve())
 
 
 def _with_files(dataset: Dataset, folder: Path) -> Dataset:
@@ -121,8 +147,11 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
             f"dataset {dataset.name!r} is known already and differs; results stay valid only if a "
             f"dataset never changes: give it another name, or remove {folder}"
         )
+    fetched = {file.path for file in dataset.spec.recording.files if file.url}
     for relative in _paths(dataset):
         source, link = (root / relative).absolute(), folder / relative
+        if not source.exists() and relative in fetched:
+            continue
         if not source.exists():
             raise DataError(f"dataset {dataset.name!r}: {source} does not exist")
         link.parent.mkdir(parents=True, exist_ok=True)

@@ -3,23 +3,17 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import shutil
-import tempfile
-import urllib.request
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slamhive.data.fetching import fetch, require_sha256
 from slamhive.local.home import lock
-from slamhive.model.errors import DataError, SystemFault
+from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from slamhive.local.catalog import AlgorithmEntry
     from slamhive.model.algorithm import Asset
-
-_CHUNK = 1 << 20
-_TIMEOUT_SECONDS = 60
 
 
 def place_assets(entry: AlgorithmEntry, target: Path, cache: Path) -> None:
@@ -35,7 +29,7 @@ def place_assets(entry: AlgorithmEntry, target: Path, cache: Path) -> None:
         if not source.is_file():
             raise DataError(f"assets: {asset.name}: {source} is not there")
         if asset.sha256 and asset.path:
-            _verify(source, asset.sha256, asset.name)
+            require_sha256(source, asset.sha256, f"assets: {asset.name}")
         place = target / asset.name
         place.parent.mkdir(parents=True, exist_ok=True)
         place.symlink_to(source.resolve())
@@ -46,31 +40,5 @@ def _fetched(asset: Asset, cache: Path) -> Path:
     place = cache / checksum
     with lock(cache / f"{checksum}.lock"):
         if not place.exists():
-            _download(asset.url or "", place, checksum, asset.name)
+            fetch(asset.url or "", place, checksum, f"assets: {asset.name}")
     return place
-
-
-def _download(url: str, place: Path, checksum: str, name: str) -> None:
-    descriptor, temporary = tempfile.mkstemp(dir=place.parent)
-    try:
-        # The model allows https alone.
-        with (
-            urllib.request.urlopen(url, timeout=_TIMEOUT_SECONDS) as answer,  # noqa: S310
-            os.fdopen(descriptor, "wb") as out,
-        ):
-            shutil.copyfileobj(answer, out, _CHUNK)
-        _verify(Path(temporary), checksum, name)
-        Path(temporary).replace(place)
-    except OSError as error:
-        raise SystemFault(f"assets: {name}: {url}: {error}") from None
-    finally:
-        Path(temporary).unlink(missing_ok=True)
-
-
-def _verify(path: Path, checksum: str, name: str) -> None:
-    found = hashlib.sha256()
-    with path.open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            found.update(chunk)
-    if found.hexdigest() != checksum:
-        raise DataError(f"assets: {name}: has sha256 {found.hexdigest()}, expected {checksum}")
