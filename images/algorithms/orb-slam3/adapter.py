@@ -112,6 +112,7 @@ def program(run: Run) -> None:
     rig = Rig.of(run, cameras)
     system = start(run, settings(run, rig))
     process = getattr(system, rig.method)
+    period = 1 / (run.sensor(roles[0]).rate or 30.0)
     watch = Stopwatch()
     stamps: dict[float, int] = {}
     for items in frames(recording, roles, run.sensor(roles[0]).rate):
@@ -123,9 +124,12 @@ def program(run: Run) -> None:
         stamps[seconds] = items[0].stamp
         with watch.frame():
             process(*rig.prepare(*(item.data for item in items)), seconds)
-        wait_until_quiet()
+        # ORB-SLAM3's own programs hand over no frame before its time, so that the map can take in the last
+        # keyframe. Here no frame waits longer than that, and none when there is nothing to do.
+        wait_until_quiet(period - watch.seconds[-1])
     if not stamps:
         raise AdapterError(f"{recording.name} has no {' and '.join(roles)} images of the same time")
+    wait_until_quiet(limit_seconds=30.0)
     trajectory = Trajectory()
     T_camera_frame = np.linalg.inv(rig.T_frame_camera)
     for seconds, T_camera_world in system.get_trajectory_points():
@@ -188,16 +192,13 @@ def check_size(item: Item, camera: Pinhole) -> None:
         raise AdapterError("{}; config.yaml says {} by {}".format(found, *camera.size))
 
 
-def wait_until_quiet(interval_seconds: float = 0.005, limit_seconds: float = 30.0) -> None:
+def wait_until_quiet(limit_seconds: float, interval_seconds: float = 0.005) -> None:
     """Wait for the threads that map and close loops, which have no way to be asked.
 
-    A frame that is tracked before the map has taken in the last keyframe is tracked worse. In lockstep that
-    must not depend on how fast the machine is, or on what else it does.
-
     Args:
+        limit_seconds: Longest wait.
         interval_seconds: They are taken to be done when the process has been idle for two such intervals.
             They look for work every 3 to 5 ms, which takes next to nothing.
-        limit_seconds: Longest wait.
     """
     deadline = time.monotonic() + limit_seconds
     quiet = 0
