@@ -73,7 +73,11 @@ def main() -> None:
         cache = folder / "variants"
         roles = (Role.LEFT, Role.RIGHT, Role.IMU)
         options = InputOptions(resolution=0.5, frame_rate=RATE / 2)
-        times: dict[str, list[float]] = {"plain copy": [], "plain copy to the disk": [], "preparation": []}
+        times: dict[str, list[float]] = {
+            "plain copy": [],
+            "plain copy to the disk": [],
+            "preparation to half resolution and half rate": [],
+        }
         for number in range(ROUNDS):
             for what, durable in (("plain copy", False), ("plain copy to the disk", True)):
                 begin = time.perf_counter()
@@ -81,11 +85,10 @@ def main() -> None:
                 times[what].append(time.perf_counter() - begin)
             begin = time.perf_counter()
             prepare(entry, roles, options, [RecordingFormat.ROSBAG1], cache / str(number))
-            times["preparation"].append(time.perf_counter() - begin)
-        print(f"stereo-inertial bag of {size:.0f} MB to half resolution and half rate, best of {ROUNDS}:")
+            times["preparation to half resolution and half rate"].append(time.perf_counter() - begin)
+        about = f"stereo-inertial bag of {size:.0f} MB, best of {ROUNDS}"
         for what, seconds in times.items():
-            print(f"  {what:22s} {size / min(seconds):7.0f} MB/s  ({min(seconds):.2f} s)")
-        print("  (preparation hashes the recording, reads it twice, and writes an eighth of its images)")
+            print(f"{what} · {size / min(seconds):.0f} MB/s ({min(seconds):.2f} s) · {about}")
 
 
 if __name__ == "__main__":
