@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The entry point of ``slamhive-eval``: what must happen before numpy is imported, and how errors leave.
 
-Exit codes: 0 done, 2 wrong input with one sentence on stderr.
+Exit codes: 0 done, 1 some of many pairs failed (``batch``), 2 wrong input with one sentence on stderr.
 """
 
 from __future__ import annotations
@@ -21,20 +21,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Words after the program's name; None for those of the process.
 
     Returns:
-        The exit code: 0, or 2 for wrong input.
+        The exit code.
     """
     # More BLAS threads cost 0.1 s at start and serve 3×3 matrices nothing; their number is read on import.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    from slamhive_eval import subcommands  # noqa: PLC0415 - imports numpy
+    from slamhive_eval import subcommands  # noqa: PLC0415 - its commands import numpy
     from slamhive_eval.errors import EvaluationError  # noqa: PLC0415
 
     try:
-        sys.stdout.write(subcommands.run(arguments) + "\n")
+        return subcommands.run(arguments)
     except EvaluationError as error:
         sys.stderr.write(f"slamhive-eval: {error}\n")
         return 2
-    return 0
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
 
 
 if __name__ == "__main__":
