@@ -67,12 +67,13 @@ def test_orphans_of_any_run_are_ended(folder: Path, supervisor_too: bool) -> Non
     assert find_orphans(folder / "process.json") == []
 
 
-def test_a_record_that_was_cut_off_stops_nobody(tmp_path: Path) -> None:
-    folder = tmp_path / "sweep" / "run"
-    folder.mkdir(parents=True)
-    (folder / "process.json").write_text('{"boot": "')
+def test_what_is_no_record_stops_nobody(tmp_path: Path) -> None:
+    for name in ("cut-off", "folder"):
+        (tmp_path / "sweep" / name).mkdir(parents=True)
+    (tmp_path / "sweep/cut-off/process.json").write_text('{"boot": "')
+    (tmp_path / "sweep/folder/process.json").mkdir()
     end_left_behind(tmp_path)
-    assert not (folder / "process.json").exists()
+    assert not (tmp_path / "sweep/cut-off/process.json").exists()
 
 
 def test_runs_that_wait_for_cores_do_not_begin_after_the_limit_of_failures(run_acts: Callable) -> None:

@@ -102,8 +102,9 @@ class Attempt:
         Raises:
             SystemFault: the folder can't be made or the supervisor can't be started.
         """
-        end_orphans(self.folder / "process.json")
         try:
+            with suppress(ValueError):  # no record: nobody is named by it
+                end_orphans(self.folder / "process.json")
             self._lay_out(order)
             spec = self._supervisor_spec(order)
             spec_path = self.folder / "supervisor.json"
@@ -154,8 +155,9 @@ class Attempt:
     def collect(self) -> None:
         """Put the usage samples beside the trajectory."""
         source = self.folder / "usage.csv"
-        if source.exists() and self.output.is_dir() and not self.output.is_symlink():
-            source.replace(self.output / "usage.csv")
+        with suppress(OSError):  # the algorithm may have put something else there, or locked its folder
+            if source.exists() and self.output.is_dir() and not self.output.is_symlink():
+                source.replace(self.output / "usage.csv")
 
     def usage(self) -> Usage | None:
         """Return what the attempt cost."""
@@ -178,12 +180,14 @@ class Attempt:
         text = _read_regular(self.output / "metrics.json", _METRICS_LIMIT)
         try:
             found = json.loads(text) if text else {}
-        except ValueError:
+        except (ValueError, RecursionError):
             return {}
         if not isinstance(found, dict):
             return {}
         return {
-            str(key): value for key, value in found.items() if isinstance(value, int | float | str | dict)
+            str(key): value
+            for key, value in found.items()
+            if isinstance(value, int | float | str | dict) and _is_shallow(value)
         }
 
     def frames(self, offered: int | None) -> Frames:
@@ -289,9 +293,10 @@ def end_left_behind(runs: Path) -> None:
     """
     for record in runs.glob("*/*/process.json"):
         if not record.with_name("summary.json").exists():
-            with suppress(ValueError):  # no record: half a disk's worth, nobody is named by it
+            with suppress(ValueError, OSError):  # an algorithm may have spoilt it: it names nobody
                 end_orphans(record)
-            record.unlink(missing_ok=True)
+            with suppress(OSError):
+                record.unlink()
 
 
 _THREAD_VARIABLES = (
@@ -301,6 +306,14 @@ _THREAD_VARIABLES = (
     "NUMEXPR_NUM_THREADS",
     "TBB_NUM_THREADS",
 )
+
+
+def _is_shallow(value: Any, levels: int = 8) -> bool:
+    """Tell whether a value of JSON is nested so little that everything that writes it can."""
+    if isinstance(value, dict | list):
+        items = value.values() if isinstance(value, dict) else value
+        return levels > 0 and all(_is_shallow(item, levels - 1) for item in items)
+    return True
 
 
 def _is_regular(path: Path) -> bool:
