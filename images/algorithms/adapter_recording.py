@@ -340,19 +340,6 @@ def _decode_compressed(message: Any, sensor: Sensor) -> np.ndarray:
     return image if image.ndim == 2 else np.ascontiguousarray(image[:, :, 2::-1])
 
 
-def grey(image: np.ndarray) -> np.ndarray:
-    """Brightness of an image, uint8 `(height, width)`, by the weights of ITU-R BT.601.
-
-    Raises:
-        AdapterError: The image has 16 bits or floating-point numbers.
-    """
-    if image.dtype != np.uint8:
-        raise AdapterError(f"a camera's images must have 8 bits; these are {image.dtype}")
-    if image.ndim == 2:
-        return image
-    return np.asarray(np.rint(image @ np.array([0.299, 0.587, 0.114])), np.uint8)
-
-
 def register_scans(run: Run, register: Callable[[Cloud], np.ndarray], deskew: bool) -> None:
     """Run an odometry that takes scan after scan.
 

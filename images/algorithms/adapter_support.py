@@ -149,11 +149,6 @@ class Run:
         return int(self.config.get("cores") or 1)
 
     @property
-    def seed(self) -> int:
-        """The seed of this repetition."""
-        return int(self.config.get("seed") or 0)
-
-    @property
     def output(self) -> Path:
         """The folder for results, made if it isn't there."""
         path = self.folder / "output"

@@ -16,7 +16,6 @@ from adapter_recording import (
     decode_cloud,
     decode_image,
     decode_imu,
-    grey,
     inertial_order,
     pose_stamp,
     register_scans,
@@ -248,10 +247,3 @@ def test_decodes_compressed_images(maker: Maker, image: np.ndarray) -> None:
         "sensor_msgs/msg/CompressedImage", header=maker.header(START), format="png", data=data
     )
     assert np.array_equal(decode_image(message, LIDAR), image)
-
-
-def test_brightness_of_an_image() -> None:
-    colors = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [9, 9, 9]]], np.uint8)
-    assert grey(colors).tolist() == [[76, 150, 29, 9]]
-    with pytest.raises(AdapterError, match="must have 8 bits; these are uint16"):
-        grey(np.zeros((2, 2), np.uint16))

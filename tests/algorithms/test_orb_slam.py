@@ -171,6 +171,13 @@ def test_settings_have_numbers_as_orb_slam_wants_them(adapter: Any, maker: Maker
     settings.release()
 
 
-def test_refuses_images_of_another_size(adapter: Any) -> None:
-    with pytest.raises(AdapterError, match=r"left are 4 by 2 pixels; config.yaml says 480 by 360"):
-        adapter.check_size(Item("left", 0, np.zeros((2, 4))), camera(adapter, LEFT, np.eye(4)))
+@pytest.mark.parametrize(
+    ("image", "sentence"),
+    [
+        (np.zeros((2, 4), np.uint8), "left are 4 by 2 pixels; config.yaml says 480 by 360"),
+        (np.zeros((360, 480), np.uint16), "left must have 8 bits; these are uint16"),
+    ],
+)
+def test_refuses_images_that_it_would_get_wrong(adapter: Any, image: np.ndarray, sentence: str) -> None:
+    with pytest.raises(AdapterError, match=sentence):
+        adapter.check_image(Item("left", 0, image), camera(adapter, LEFT, np.eye(4)))

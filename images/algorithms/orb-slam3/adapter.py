@@ -117,7 +117,7 @@ def program(run: Run) -> None:
     stamps: dict[float, int] = {}
     for items in frames(recording, roles, run.sensor(roles[0]).rate):
         for item in items:
-            check_size(item, cameras[item.role])
+            check_image(item, cameras[item.role])
         # ORB-SLAM3 keeps times as float64 seconds, which are exact enough from the beginning on.
         origin = next(iter(stamps.values()), items[0].stamp)
         seconds = (items[0].stamp - origin) / NANOSECONDS
@@ -184,12 +184,14 @@ def frames(recording: Recording, roles: list[str], rate: float | None) -> Iterat
                     waiting[role].pop(0)
 
 
-def check_size(item: Item, camera: Pinhole) -> None:
-    """Refuse images of another size than the calibration's, of which OpenCV would make nonsense."""
+def check_image(item: Item, camera: Pinhole) -> None:
+    """Refuse images of which ORB-SLAM3 would make nonsense: of another size, or with more than 8 bits."""
     height, width = item.data.shape[:2]
     if (width, height) != camera.size:
         found = f"the images of {item.role} are {width} by {height} pixels"
         raise AdapterError("{}; config.yaml says {} by {}".format(found, *camera.size))
+    if item.role != "depth" and item.data.dtype != np.uint8:
+        raise AdapterError(f"the images of {item.role} must have 8 bits; these are {item.data.dtype}")
 
 
 def wait_until_quiet(limit_seconds: float, interval_seconds: float = 0.005) -> None:
