@@ -7,6 +7,8 @@ import os
 import platform
 import threading
 import time
+import traceback
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
@@ -132,9 +134,20 @@ class RunDriver:
         self._attempt.stop()
 
     def drive(self) -> RunRecord:
-        """Lead the run to its end and return what is to be recorded of it."""
-        os.sched_setaffinity(0, self._cpus)  # of this thread: what prepares and measures shares its cores
+        """Lead the run to its end and return what is to be recorded of it.
+
+        An error that nobody foresaw is this run's own end, never that of the others.
+        """
         created = datetime.now(UTC)
+        try:
+            return self._lead(created)
+        except Exception as error:  # noqa: BLE001
+            self._attempt.stop()
+            self._attempt.wait()
+            return self._broken(error, created)
+
+    def _lead(self, created: datetime) -> RunRecord:
+        os.sched_setaffinity(0, self._cpus)  # of this thread: what prepares and measures shares its cores
         state = RunState()
         self._look_up()
         while not state.phase.is_finished:
@@ -146,6 +159,29 @@ class RunDriver:
                 self._act(action)
             self._pause(decision)
         return self._record(state, created)
+
+    def _broken(self, error: Exception, created: datetime) -> RunRecord:
+        order = self._order
+        message = str(error)
+        if not isinstance(error, SlamHiveError):
+            message = f"{type(error).__name__}: {error}; see {self._attempt.folder / 'error.txt'}"
+            with suppress(OSError):
+                self._attempt.folder.mkdir(parents=True, exist_ok=True)
+                (self._attempt.folder / "error.txt").write_text("".join(traceback.format_exception(error)))
+        return RunRecord(
+            uid=order.uid,
+            name=order.point.name,
+            sweep=order.sweep,
+            index=order.point.index,
+            labels=order.labels,
+            spec=self._spec,
+            phase=Phase.FAILED,
+            reason=Reason.SYSTEM_FAULT,
+            message=message,
+            created=created,
+            finished=datetime.now(UTC),
+            provenance=self._progress.provenance,
+        )
 
     def _pause(self, decision: Decision) -> None:
         if not decision.actions and decision.look_again_at is not None:

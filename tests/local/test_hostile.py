@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Algorithms that write where they should not, or what nobody expects, end no other run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.engine import PointState
+from slamhive.model.results import Reason
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from slamhive.data.preparation import Variant
+    from slamhive.local.home import Home
+    from slamhive.local.workbench import Workbench
+    from slamhive.model.algorithm import Algorithm
+
+_HEAD = """
+import os, pathlib, shutil, sys
+run = pathlib.Path(os.environ["SLAMHIVE_RUN"])
+output = run / "output"
+shutil.copyfile(run / "assets" / "truth.txt", output / "trajectory.txt")
+if "act: crash" not in (run / "config.yaml").read_text():
+    sys.exit(0)
+"""
+HOSTILE = {
+    "a folder where the samples go": '(output / "usage.csv").mkdir()',
+    "deep numbers": '(output / "metrics.json").write_text(\'{"a":\' * 700 + "1" + "}" * 700)',
+    "deep list": '(output / "metrics.json").write_text("[" * 100000)',
+    "surrogates": '(output / "metrics.json").write_text(\'{"a\\\\ud800": "\\\\ud800\\\\u0000"}\')',
+    "output is a link": 'shutil.rmtree(output); output.symlink_to("/etc")',
+    "no folder at all": "os.chdir('/'); shutil.rmtree(run.parent)",
+    "a folder as summary": '(run.parent / "summary.json").mkdir()',
+    "a folder as process record": 'record = run.parent / "process.json"; record.unlink(); record.mkdir()',
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_what_an_algorithm_writes_ends_no_other_run(what: str, run_acts: Callable, home: Home) -> None:
+    (home.path / "algorithms/actor/adapter.py").write_text(_HEAD + HOSTILE[what] + "\n")
+    for rerun in (False, True):
+        job, _ = run_acts(["crash", "good"], template={"retries": 0}, rerun=rerun)
+        assert job.states[1] == PointState.SUCCEEDED
+        assert job.states[0] in {PointState.SUCCEEDED, PointState.FAILED}
+
+
+def test_an_error_nobody_foresaw_ends_its_run_alone(
+    run_acts: Callable, bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepare = bench.prepare
+
+    def fail(spec: dict[str, Any], algorithm: Algorithm) -> Variant:
+        if spec["parameters"]["act"] == "crash":
+            raise ZeroDivisionError("no such number")
+        return prepare(spec, algorithm)
+
+    monkeypatch.setattr(bench, "prepare", fail)
+    job, notes = run_acts(["crash", "good"])
+    assert list(job.states) == [PointState.FAILED, PointState.SUCCEEDED]
+    broken = next(record for record in notes.records if record.index == 0)
+    assert broken.reason is Reason.SYSTEM_FAULT
+    assert "ZeroDivisionError: no such number" in broken.message
