@@ -94,9 +94,7 @@ def align(
     if method == "none":
         return Alignment(method, np.eye(3), np.zeros(3))
     if method == "origin":
-        turn = rotation.to_matrix(
-            rotation.multiply(reference.quaternions[0], rotation.conjugate(estimate.quaternions[0]))
-        )
+        turn = reference.select(slice(1)).matrices[0] @ estimate.select(slice(1)).matrices[0].T
         return Alignment(method, turn, reference.positions[0] - turn @ estimate.positions[0])
     return _umeyama(reference, estimate, method)
 

@@ -249,4 +249,4 @@ def _from_kitti(path: str | Path, text: str, table: FloatArray, times: str | Pat
         fault = find_fault(stamps, matrices[:, :, 3], np.ones((len(stamps), 4)))
         if fault is not None:
             raise fault_in_row(times, times_text, fault.row, fault.message)
-    return Trajectory(stamps, matrices[:, :, 3], rotation.from_matrix(rotations))
+    return Trajectory(stamps, matrices[:, :, 3], rotation.from_matrix(rotations), rotations=rotations)

@@ -99,6 +99,10 @@ def ape_errors(reference: Trajectory, estimate: Trajectory, relation: Relation =
     distance = rotation.vector_norm(reference.positions - estimate.positions)
     if relation in ("trans_part", "point_distance"):
         return distance
+    if reference.rotations is not None or estimate.rotations is not None:
+        back = np.swapaxes(estimate.matrices, 1, 2)
+        moved = np.einsum("nij,nj->ni", back, reference.positions - estimate.positions)
+        return _of_matrices(back @ reference.matrices, rotation.vector_norm(moved), relation)
     turn = rotation.multiply(rotation.conjugate(estimate.quaternions), reference.quaternions)
     return _of_motion(distance, turn, relation)
 
@@ -133,6 +137,8 @@ def rpe_errors(
             return missed
         moved = travelled > 0
         return missed[moved] / travelled[moved] * 100.0
+    if reference.rotations is not None or estimate.rotations is not None:
+        return _rpe_of_matrices(reference, estimate, pairs, relation)
     reference_back = rotation.conjugate(reference.quaternions[i])
     estimate_back = rotation.conjugate(estimate.quaternions[i])
     distance = rotation.vector_norm(
@@ -145,6 +151,34 @@ def rpe_errors(
         rotation.multiply(estimate_back, estimate.quaternions[j]),
     )
     return _of_motion(distance, turn, relation)
+
+
+def _rpe_of_matrices(
+    reference: Trajectory, estimate: Trajectory, pairs: IndexArray, relation: Relation
+) -> FloatArray:
+    """The same from rotation matrices, which needn't be orthonormal to the last bit."""
+    i, j = pairs[:, 0], pairs[:, 1]
+    reference_back = np.swapaxes(reference.matrices, 1, 2)
+    estimate_back = np.swapaxes(estimate.matrices, 1, 2)
+    reference_turn = reference_back[i] @ reference.matrices[j]
+    reference_step = np.einsum(
+        "nij,nj->ni", reference_back[i], reference.positions[j] - reference.positions[i]
+    )
+    estimate_step = np.einsum("nij,nj->ni", estimate_back[i], estimate.positions[j] - estimate.positions[i])
+    missed = np.einsum("nji,nj->ni", reference_turn, estimate_step - reference_step)
+    distance = rotation.vector_norm(missed)
+    if relation == "trans_part":
+        return distance
+    turn = np.swapaxes(reference_turn, 1, 2) @ (estimate_back[i] @ estimate.matrices[j])
+    return _of_matrices(turn, distance, relation)
+
+
+def _of_matrices(turn: FloatArray, distance: FloatArray, relation: Relation) -> FloatArray:
+    if relation in ("angle_rad", "angle_deg"):
+        radians = rotation.angle(rotation.from_matrix(rotation.orthonormalize(turn)))
+        return radians if relation == "angle_rad" else np.rad2deg(radians)
+    part: FloatArray = np.sqrt(np.sum((turn - np.eye(3)) ** 2, axis=(1, 2)))
+    return part if relation == "rot_part" else np.hypot(part, distance)
 
 
 def _check_relation(relation: str) -> None:

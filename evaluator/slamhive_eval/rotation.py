@@ -186,3 +186,22 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
     sign = np.diag((1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))))
     rotation: FloatArray = u @ sign @ vt
     return rotation
+
+
+def orthonormalize(matrices: FloatArray) -> FloatArray:
+    """The rotations nearest to matrices that are rotations up to rounding.
+
+    Newton's iteration for the polar factor, X ← X·(3·I − Xᵀ·X)/2 (Higham 1986): errors of 1e-2 are below
+    rounding after four steps.
+
+    Args:
+        matrices: Shape (n, 3, 3), orthonormal to a few per cent.
+
+    Returns:
+        Rotation matrices, shape (n, 3, 3).
+    """
+    found = matrices
+    for _ in range(4):
+        gram = np.swapaxes(found, -1, -2) @ found
+        found = found @ (1.5 * np.eye(3) - 0.5 * gram)
+    return found

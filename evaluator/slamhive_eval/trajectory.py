@@ -47,6 +47,10 @@ class Trajectory:
         stamps: Time of each pose in s, shape (n,), n ≥ 1, never decreasing.
         positions: In m (or the unit of an unscaled estimate), shape (n, 3).
         quaternions: Unit quaternions xyzw, shape (n, 4); given ones of another norm are normalised.
+        rotations: The rotation matrices of a file that holds such, shape (n, 3, 3), as they are: rounding
+            leaves them orthonormal to 1e-6 only, and errors that evo takes from them have that in them.
+            None where the quaternions are what was given.
+        oriented: Whether there were orientations; False for bare positions, with quaternions 0 0 0 1.
 
     Raises:
         TrajectoryError: No poses, arrays of unequal length, a value that isn't finite, a decreasing
@@ -56,6 +60,8 @@ class Trajectory:
     stamps: FloatArray
     positions: FloatArray
     quaternions: FloatArray
+    rotations: FloatArray | None = None
+    oriented: bool = True
 
     def __post_init__(self) -> None:
         stamps = np.array(self.stamps, dtype=np.float64)
@@ -73,17 +79,36 @@ class Trajectory:
         if fault is not None:
             raise TrajectoryError(f"pose {fault.row} of {n}: {fault.message}")
         quaternions = rotation.normalize(quaternions / np.abs(quaternions).max(axis=1, keepdims=True))
-        self._set(stamps, positions, quaternions)
+        rotations = None if self.rotations is None else np.array(self.rotations, dtype=np.float64)
+        if rotations is not None and (rotations.shape != (n, 3, 3) or not np.isfinite(rotations).all()):
+            raise TrajectoryError(f"rotations must be finite, ({n}, 3, 3), not of shape {rotations.shape}")
+        self._set(stamps, positions, quaternions, rotations)
 
-    @classmethod
-    def _derived(cls, stamps: FloatArray, positions: FloatArray, quaternions: FloatArray) -> Trajectory:
-        """One made from checked trajectories, which alignment may carry beyond the limits of a file."""
-        made = object.__new__(cls)
-        made._set(stamps, positions, quaternions)
+    def _derived(
+        self,
+        positions: FloatArray,
+        quaternions: FloatArray,
+        rotations: FloatArray | None,
+        stamps: FloatArray | None = None,
+    ) -> Trajectory:
+        """One made from this, which alignment may carry beyond the limits of a file."""
+        made = object.__new__(type(self))
+        made._set(self.stamps if stamps is None else stamps, positions, quaternions, rotations)
+        object.__setattr__(made, "oriented", self.oriented)
         return made
 
-    def _set(self, stamps: FloatArray, positions: FloatArray, quaternions: FloatArray) -> None:
-        for name, array in (("stamps", stamps), ("positions", positions), ("quaternions", quaternions)):
+    def _set(
+        self,
+        stamps: FloatArray,
+        positions: FloatArray,
+        quaternions: FloatArray,
+        rotations: FloatArray | None,
+    ) -> None:
+        arrays = {"stamps": stamps, "positions": positions, "quaternions": quaternions}
+        if rotations is not None:
+            arrays["rotations"] = rotations
+        object.__setattr__(self, "rotations", None)
+        for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -96,13 +121,27 @@ class Trajectory:
         return np.concatenate(([0.0], np.cumsum(rotation.vector_norm(np.diff(self.positions, axis=0)))))
 
     @property
+    def matrices(self) -> FloatArray:
+        """Rotation matrices, shape (n, 3, 3): the given ones, else those of the quaternions."""
+        return rotation.to_matrix(self.quaternions) if self.rotations is None else self.rotations
+
+    @property
     def path_length(self) -> float:
         """Length of the whole path in m."""
         return float(self.distances[-1])
 
     def select(self, index: npt.NDArray[np.intp] | slice) -> Trajectory:
         """The poses at the given indices, which must not decrease; repetitions are allowed."""
-        return self._derived(self.stamps[index], self.positions[index], self.quaternions[index])
+        rotations = None if self.rotations is None else self.rotations[index]
+        return self._derived(
+            self.positions[index], self.quaternions[index], rotations, stamps=self.stamps[index]
+        )
+
+    def shifted(self, offset_seconds: float) -> Trajectory:
+        """The same poses with so many seconds added to their stamps."""
+        return self._derived(
+            self.positions, self.quaternions, self.rotations, stamps=self.stamps + offset_seconds
+        )
 
     def transformed(self, matrix: FloatArray, translation: FloatArray, scale: float = 1.0) -> Trajectory:
         """The same path in another world frame: p' = R·(s·p) + t and R' = R·R_pose.
@@ -117,7 +156,8 @@ class Trajectory:
         """
         positions = rotation.apply_matrix(matrix, scale * self.positions) + translation
         turned = rotation.multiply(rotation.from_matrix(matrix), self.quaternions)
-        return self._derived(self.stamps, positions, rotation.normalize(turned))
+        rotations = None if self.rotations is None else matrix @ self.rotations
+        return self._derived(positions, rotation.normalize(turned), rotations)
 
     def moved(self, extrinsic: FloatArray) -> Trajectory:
         """The path of another frame fixed to the body: T_world_sensor = T_world_body · T_body_sensor.
@@ -132,13 +172,12 @@ class Trajectory:
             OptionError: The matrix is no rigid motion.
         """
         matrix = check_rigid(extrinsic)
+        turned = rotation.normalize(rotation.multiply(self.quaternions, rotation.from_matrix(matrix[:3, :3])))
+        if self.rotations is not None:
+            positions = self.positions + self.rotations @ matrix[:3, 3]
+            return self._derived(positions, turned, self.rotations @ matrix[:3, :3])
         lever = np.broadcast_to(matrix[:3, 3], self.positions.shape)
-        turned = rotation.multiply(self.quaternions, rotation.from_matrix(matrix[:3, :3]))
-        return self._derived(
-            self.stamps,
-            self.positions + rotation.rotate(self.quaternions, lever),
-            rotation.normalize(turned),
-        )
+        return self._derived(self.positions + rotation.rotate(self.quaternions, lever), turned, None)
 
 
 def find_fault(stamps: FloatArray, positions: FloatArray, quaternions: FloatArray) -> Fault | None:
