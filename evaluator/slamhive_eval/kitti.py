@@ -150,7 +150,9 @@ def kitti_errors(
     if frame_seconds is None and np.array_equal(reference.stamps, np.arange(len(reference))):
         frame_seconds = FRAME_SECONDS
     begin, end, nominal, missing = _ends(reference.distances, pairs.reference, lengths, step)
-    truth, found = reference.select(pairs.reference), estimate.select(pairs.estimate)
+    # The devkit inverts matrices, it doesn't transpose them as rpe_errors does: only orthonormal ones agree.
+    truth = reference.select(pairs.reference).orthonormal()
+    found = estimate.select(pairs.estimate).orthonormal()
     if scale != 1.0:
         found = found.transformed(np.eye(3), np.zeros(3), scale)
     index = np.column_stack((begin, end))

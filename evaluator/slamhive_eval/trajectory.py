@@ -137,6 +137,10 @@ class Trajectory:
             self.positions[index], self.quaternions[index], rotations, stamps=self.stamps[index]
         )
 
+    def orthonormal(self) -> Trajectory:
+        """The same with the rotations of the quaternions, which are orthonormal to the last bit."""
+        return self._derived(self.positions, self.quaternions, None)
+
     def shifted(self, offset_seconds: float) -> Trajectory:
         """The same poses with so many seconds added to their stamps."""
         return self._derived(

@@ -84,6 +84,11 @@ def test_nearest_rotations() -> None:
     np.testing.assert_allclose(found, [rotation.nearest_rotation(one) for one in rounded], atol=1e-14)
 
 
+def test_orthonormal(wander: Callable[..., Trajectory]) -> None:
+    assert with_matrices(wander(3)).rotations is not None
+    assert with_matrices(wander(3)).orthonormal().rotations is None
+
+
 def test_rotations_of_another_shape(wander: Callable[..., Trajectory]) -> None:
     one = wander(3)
     with pytest.raises(
