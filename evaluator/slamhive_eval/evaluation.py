@@ -32,6 +32,8 @@ MIN_SCALE, MAX_SCALE = 0.5, 2.0
 MAX_ATE_SHARE = 0.1
 """An ATE above this share of the ground truth's path is a diverged run."""
 PARTIAL_COVERAGE = 0.5
+MIN_RANKED_PAIRS = 30
+"""A relative error of fewer pairs says too little to rank by."""
 MOTION_METRES = 0.1
 """Ground truth that extends further than this has moved; what stands still meanwhile has diverged."""
 
@@ -124,8 +126,13 @@ class RelativeError:
     statistics: Statistics | None
     rotation_deg: Statistics | None
 
+    @property
+    def ranked(self) -> bool:
+        """Whether there are pairs enough to rank by."""
+        return len(self.pairs) >= MIN_RANKED_PAIRS
+
     def as_dict(self) -> dict[str, Any]:
-        """Plain JSON data: delta, unit, pairs, relTolerance, count, the statistics, rotationDeg."""
+        """Plain JSON data: delta, unit, pairs, relTolerance, count, ranked, the statistics, rotationDeg."""
         asked = self.options
         return {
             "delta": float(asked.delta),
@@ -133,6 +140,7 @@ class RelativeError:
             "pairs": asked.pairs,
             "relTolerance": float(asked.rel_tolerance),
             "count": len(self.pairs),
+            "ranked": self.ranked,
             **(self.statistics.as_dict() if self.statistics else dict.fromkeys(Statistics.__match_args__)),
             "rotationDeg": self.rotation_deg.as_dict() if self.rotation_deg else None,
         }

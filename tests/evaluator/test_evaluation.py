@@ -163,7 +163,15 @@ def test_names_of_the_result(wander: Callable[..., Trajectory]) -> None:
     names = {"rmse", "mean", "median", "std", "min", "max", "sse"}
     assert found["ate"].keys() == found["ateRotationDeg"].keys() == names
     (relative,) = found["rpe"]
-    assert relative.keys() == names | {"delta", "unit", "pairs", "relTolerance", "count", "rotationDeg"}
+    assert relative.keys() == names | {
+        "delta",
+        "unit",
+        "pairs",
+        "relTolerance",
+        "count",
+        "ranked",
+        "rotationDeg",
+    }
     assert (relative["delta"], relative["unit"], relative["pairs"]) == (1.0, "s", "consecutive")
     assert relative["count"] == 19
 
