@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.measuring import SETTINGS_KEY, Subject, measure, settings_hash
+from slamhive.data.entries import file_sha256
 from slamhive.data.groundtruth import ground_truth
 from slamhive.model.algorithm import Poses
-from slamhive.model.errors import InputError, SlamHiveError
+from slamhive.model.errors import DataError, InputError
 from slamhive.model.sensors import Role, SensorMode
 from slamhive_eval import EvaluationError, read_tum
 
@@ -90,20 +91,45 @@ class Evaluator:
         except EvaluationError as error:
             raise InputError(str(error)) from None
 
+    def can_serve(self, twin: RunRecord, order: RunOrder) -> bool:
+        """Tell whether an equal run's results are under the order's settings, or can be measured so."""
+        if not order.point.spec["evaluate"] or self._fitting(twin, order):
+            return True
+        return self.trajectory_of(twin) is not None
+
     def results_of_twin(self, twin: RunRecord, order: RunOrder) -> list[Result]:
-        """Return an equal run's results under the order's settings, measured again if need be."""
-        wanted = settings_hash(order.settings)
-        fitting = [result for result in twin.results if result.values.get(SETTINGS_KEY) == wanted]
-        if fitting or not order.point.spec["evaluate"]:
+        """Return an equal run's results under the order's settings, measured again if need be.
+
+        Raises:
+            InputError: it can't be measured with these settings.
+        """
+        fitting = self._fitting(twin, order)
+        path = self.trajectory_of(twin)
+        if fitting or not order.point.spec["evaluate"] or path is None:
             return fitting
-        path = Path(twin.folder or "") / "run" / "output" / "trajectory.txt"
-        if twin.folder and path.is_file():
+        result = self.measure_file(path, order.point.spec, order.settings)
+        return [result] if result else []
+
+    def trajectory_of(self, record: RunRecord) -> Path | None:
+        """Return the trajectory that a run wrote; None when it is gone or another one lies in its place."""
+        if not record.folder:
+            return None
+        folder = Path(record.folder)
+        # The home may have moved since: a folder of a run is RUNS/SWEEP/RUN.
+        moved = self._bench.home.path.joinpath("runs", *folder.parts[-2:])
+        for place in (folder, moved):
+            path = place / "run" / "output" / "trajectory.txt"
             try:
-                result = self.measure_file(path, order.point.spec, order.settings)
-            except SlamHiveError:
-                return list(twin.results)
-            return [result] if result else []
-        return list(twin.results)
+                if record.trajectory and file_sha256(path) == record.trajectory.sha256:
+                    return path
+            except DataError:
+                continue
+        return None
+
+    @staticmethod
+    def _fitting(twin: RunRecord, order: RunOrder) -> list[Result]:
+        wanted = settings_hash(order.settings)
+        return [result for result in twin.results if result.values.get(SETTINGS_KEY) == wanted]
 
     def truth(self, name: str) -> GroundTruthPoses | None:
         """Return a dataset's ground truth, read once; None where it has none.

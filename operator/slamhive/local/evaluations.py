@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
@@ -66,10 +65,13 @@ def measure_record(
     """
     if record.phase is not Phase.SUCCEEDED:
         return f"{record.phase}, it has no trajectory"
-    path = Path(record.folder or "") / "run" / "output" / "trajectory.txt"
-    if not record.folder or not path.is_file():
-        return "its trajectory is not on this machine"
+    path = bench.evaluator.trajectory_of(record)
+    if path is None:
+        return "its trajectory is not on this machine any more"
+    dataset, known = record.spec["datasetRef"]["name"], record.provenance.dataset_sha256
     try:
+        if known is not None and known != bench.checksum(dataset):
+            return f"dataset {dataset!r} is not what it was when this run was made"
         result = bench.evaluator.measure_file(path, record.spec, settings, name=name)
     except SlamHiveError as error:
         return str(error)

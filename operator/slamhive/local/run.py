@@ -148,8 +148,9 @@ class RunDriver:
 
     def _lead(self, created: datetime) -> RunRecord:
         os.sched_setaffinity(0, self._cpus)  # of this thread: what prepares and measures shares its cores
-        state = RunState()
         self._look_up()
+        taken_up = self._progress.attempt_state is AttemptState.ENDED
+        state = RunState(attempts=1 if taken_up else 0)
         while not state.phase.is_finished:
             decision = decide_run(state, self._observe(), time.monotonic())
             if decision.state.phase is not state.phase:
@@ -211,10 +212,11 @@ class RunDriver:
             cpu_model=cpu_model(),
             slamhive_version=__version__,
         )
-        if order.reuse:
-            progress.twin = bench.archive.find_reusable(hashed)
         if order.take_up and self._attempt.finished(order.uid, hashed):
             progress.attempt_state = AttemptState.ENDED
+        elif order.reuse:
+            twin = bench.archive.find_reusable(hashed)
+            progress.twin = twin if twin and self._evaluator.can_serve(twin, order) else None
 
     def _observe(self) -> RunObserved:
         progress = self._progress
@@ -244,8 +246,10 @@ class RunDriver:
                 pass
 
     def _evaluate(self) -> None:
-        progress = self._progress
+        progress, bench = self._progress, self._bench
         try:
+            if progress.variant is None:
+                progress.variant = bench.prepare(self._spec, self._algorithm.algorithm)
             progress.results = self._evaluator.measure_attempt(self._attempt, self._order, progress.variant)
         except (SlamHiveError, OSError) as error:
             progress.remark = f"not evaluated: {error}"
@@ -274,17 +278,20 @@ class RunDriver:
             spec=self._spec,
             cpus=self._cpus,
         )
-        with progress.variant.in_use():
-            try:
+        try:
+            with progress.variant.in_use():
+                if not self._order.take_up:
+                    # What is done again isn't finished: its files go now, so does what was measured on them.
+                    self._bench.archive.remove_run(self._order.uid)
                 self._attempt.start(order)
-            except SlamHiveError as error:
-                progress.variant_state = VariantState.FAILED
-                progress.variant_problem = _problem(error)
-                return
-            if self._cancelled.is_set():
-                self._attempt.stop()
-            self._attempt.wait()
-        progress.attempt_state = AttemptState.ENDED
+                if self._cancelled.is_set():
+                    self._attempt.stop()
+                self._attempt.wait()
+        except (SlamHiveError, OSError) as error:
+            progress.variant_state = VariantState.FAILED
+            progress.variant_problem = _problem(error)
+        else:
+            progress.attempt_state = AttemptState.ENDED
 
     def _configuration(self, variant: Variant) -> RunConfiguration:
         options = self._spec["input"]
@@ -332,7 +339,11 @@ class RunDriver:
             provenance=progress.provenance,
         )
         if progress.twin is not None and state.phase is Phase.SUCCEEDED:
-            return _from_twin(base, progress.twin, self._evaluator.results_of_twin(progress.twin, order))
+            try:
+                results = self._evaluator.results_of_twin(progress.twin, order)
+            except (SlamHiveError, OSError) as error:
+                base, results = base.replace(message=f"not evaluated: {error}"), []
+            return _from_twin(base, progress.twin, results)
         if progress.attempt_state is not AttemptState.ENDED:
             return base
         attempt.collect()

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measuring again takes the trajectory that a run wrote, and no other one that lies in its place."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from slamhive.archive import Archive
+from slamhive.local.evaluations import bring_up_to_date, measure_record
+from slamhive.local.home import Home
+from slamhive.local.run import RunDriver
+from slamhive.local.workbench import Workbench
+from slamhive.model.evaluation import EvaluationSettings
+from slamhive.model.results import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from slamhive.local.catalog import Workshop
+
+ORIGIN = EvaluationSettings.model_validate({"alignment": "Origin"})
+
+
+def trajectory(folder: str | None) -> Path:
+    return Path(folder or "") / "run/output/trajectory.txt"
+
+
+def test_a_trajectory_that_was_replaced_is_not_measured(run_acts: Callable, bench: Workbench) -> None:
+    job, notes = run_acts(["good"])
+    path = trajectory(notes.records[0].folder)
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:50]))
+    assert "trajectory" in str(measure_record(bench, notes.records[0], ORIGIN))
+    assert [one.evaluation for one in bench.archive.get(job.run_uid(0)).results] == ["se3"]
+
+
+def test_a_run_done_again_keeps_no_result_of_its_earlier_trajectory(
+    run_acts: Callable, bench: Workbench
+) -> None:
+    job, notes = run_acts(["good"])
+    assert measure_record(bench, notes.records[0], ORIGIN, "mine") is None
+    run_acts(["good"], rerun=True)
+    assert [one.evaluation for one in bench.archive.get(job.run_uid(0)).results] == ["se3"]
+
+
+def test_a_run_being_done_again_is_not_finished(
+    run_acts: Callable, bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job, notes = run_acts(["good"])
+
+    def killed(self: RunDriver, *_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunDriver, "_record", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run_acts(["good"], rerun=True)
+    again = (Path(notes.records[0].folder) / "summary.json").stat().st_mtime_ns
+    assert bench.archive.get(job.run_uid(0)) is None
+    _, kept = run_acts(["good"])
+    assert (Path(kept.records[0].folder) / "summary.json").stat().st_mtime_ns == again
+
+
+def test_what_is_taken_up_counts_as_one_attempt_with_its_frames(run_acts: Callable, bench: Workbench) -> None:
+    job, notes = run_acts(["good"])
+    bench.archive.remove_run(job.run_uid(0))
+    _, again = run_acts(["good"])
+    assert (again.records[0].attempts, again.records[0].frames) == (1, notes.records[0].frames)
+
+
+def test_a_home_may_move(run_acts: Callable, home: Home, workshop: Workshop, bench: Workbench) -> None:
+    run_acts(["good"])
+    run_acts(["good"], name="others")
+    bench.archive.close()
+    moved = home.path.rename(home.path.with_name("elsewhere"))
+    with Archive.open(Home.at(moved).archive_url) as archive:
+        there = Workbench(Home.at(moved), workshop, archive)
+        for place in [*workshop.algorithm_entries.values(), *workshop.dataset_places.values()]:
+            object.__setattr__(place, "folder", moved / place.folder.relative_to(home.path))
+        for sweep in ("acts", "others"):
+            assert bring_up_to_date(there, sweep, ORIGIN) == []
+            assert [len(record.results) for record in archive.runs(sweep=sweep)] == [2]
+
+
+def test_an_equal_run_whose_files_are_gone_serves_its_own_settings_alone(run_acts: Callable) -> None:
+    _, notes = run_acts(["good"])
+    shutil.rmtree(notes.records[0].folder)
+    same, _ = run_acts(["good"], name="same")
+    assert same.reused == 1
+    other, records = run_acts(["good"], name="other", evaluation={"alignment": "Origin"})
+    assert other.reused == 0
+    assert [one.evaluation for one in records.records[0].results] == ["origin"]
+
+
+def test_settings_that_do_not_fit_an_equal_run_are_told(run_acts: Callable) -> None:
+    run_acts(["good"])
+    job, notes = run_acts(
+        ["good"], name="others", evaluation={"success": {"maxAte": 1e-12}, "alignment": "Yaw"}
+    )
+    assert job.reused == 1
+    record = notes.records[0]
+    assert (record.phase, record.results) == (Phase.SUCCEEDED, [])
+    assert "gravityAligned" in record.message
+
+
+def test_a_run_is_not_measured_on_another_dataset_of_its_name(
+    run_acts: Callable, bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, notes = run_acts(["good"])
+    monkeypatch.setattr(bench, "checksum", lambda _: "0" * 64)
+    assert "dataset 'tiny'" in str(measure_record(bench, notes.records[0], ORIGIN))
