@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from slamhive.model.base import seconds
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.errors import InputError
@@ -25,7 +27,6 @@ from slamhive_eval import (
 )
 
 if TYPE_CHECKING:
-    import numpy as np
     import numpy.typing as npt
 
     from slamhive.model.sensors import SensorMode
@@ -138,10 +139,15 @@ def measure(
 def _measure_relations(
     reference: Relations, estimate: Trajectory, settings: EvaluationSettings, subject: Subject, name: str
 ) -> Result:
+    tolerance, offset = seconds(settings.association.max_difference), settings.association.offset
+    if subject.window is not None:
+        reference = _within(reference, subject.window, tolerance)
+    if offset:
+        estimate = Trajectory(estimate.stamps + offset, estimate.positions, estimate.quaternions)
     found = evaluate_relations(
         reference,
         estimate,
-        max_difference_seconds=seconds(settings.association.max_difference),
+        max_difference_seconds=tolerance,
         extrinsic=subject.extrinsic if settings.frame == "Estimate" else None,
     )
     share = found.count / found.relations
@@ -151,6 +157,22 @@ def _measure_relations(
         outcome = Outcome.PARTIAL if share >= 0.5 else Outcome.LOST
     values = {"alignment": "none", "relations": found.as_dict()}
     return Result(evaluation=name, outcome=outcome, coverage=share, values=_tagged(values, settings))
+
+
+def _within(relations: Relations, window: tuple[float, float], tolerance: float) -> Relations:
+    """Return the relations between times of the run's input: it can't know of others."""
+    low, high = window[0] - tolerance, window[1] + tolerance
+    first = np.minimum(relations.begin, relations.end)
+    last = np.maximum(relations.begin, relations.end)
+    kept = (first >= low) & (last <= high)
+    if not kept.any():
+        raise InputError(
+            f"the ground truth has no relation between two times of the run's input, "
+            f"{window[0]:.3f} s to {window[1]:.3f} s"
+        )
+    return Relations(
+        relations.begin[kept], relations.end[kept], relations.positions[kept], relations.quaternions[kept]
+    )
 
 
 def _tagged(values: dict[str, Any], settings: EvaluationSettings) -> dict[str, Any]:

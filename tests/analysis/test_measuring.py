@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measuring against relations: the run's own window, and the offset of its clock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slamhive.analysis.measuring import Subject, measure
+from slamhive.model.errors import InputError
+from slamhive.model.evaluation import EvaluationSettings
+from slamhive.model.results import Outcome
+from slamhive.model.sensors import SensorMode
+from slamhive_eval import Relations, Trajectory
+
+TIMES = np.arange(0.0, 100.0)
+
+
+def line(times: np.ndarray, shift: float = 0.0) -> Trajectory:
+    positions = np.column_stack((times, np.zeros((len(times), 2))))
+    return Trajectory(times + shift, positions, np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1)))
+
+
+RELATIONS = Relations(
+    TIMES[:-1], TIMES[1:], np.tile([1.0, 0.0, 0.0], (99, 1)), np.tile([0.0, 0.0, 0.0, 1.0], (99, 1))
+)
+
+
+def test_relations_outside_of_the_runs_window_are_not_missed() -> None:
+    subject = Subject(SensorMode.LIDAR, window=(20.0, 40.0))
+    result = measure(RELATIONS, line(TIMES[20:41]), EvaluationSettings(), subject)
+    assert (result.coverage, result.outcome) == (1.0, Outcome.TRACKED)
+    assert result.values["relations"]["count"] == 20
+    with pytest.raises(InputError, match="200"):
+        measure(
+            RELATIONS, line(TIMES), EvaluationSettings(), Subject(SensorMode.LIDAR, window=(200.0, 300.0))
+        )
+
+
+def test_an_offset_moves_the_estimates_stamps() -> None:
+    settings = EvaluationSettings.model_validate({"association": {"offset": 0.5}})
+    result = measure(RELATIONS, line(TIMES, -0.5), settings, Subject(SensorMode.LIDAR))
+    assert result.coverage == 1.0
+    assert result.values["relations"]["translation"]["rmse"] == pytest.approx(0.0, abs=1e-12)
