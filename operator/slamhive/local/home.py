@@ -44,12 +44,18 @@ class Home:
             path = Path(given).expanduser().absolute()
         else:
             data = os.environ.get("XDG_DATA_HOME") or Path("~/.local/share").expanduser()
-            path = Path(data) / "slamhive"
+            path = (Path(data) / "slamhive").absolute()
         return cls.at(path)
 
     @classmethod
     def at(cls, path: Path) -> Home:
-        """Return the home at a path; ``$SLAMHIVE_ARCHIVE`` still names another archive."""
+        """Return the home at a path; ``$SLAMHIVE_ARCHIVE`` still names another archive.
+
+        Raises:
+            InputError: the path can't be one.
+        """
+        if "?" in str(path):  # what follows it in a database URL would be taken for options
+            raise InputError(f"SLAMHIVE_HOME: {path}: a path with a question mark is not allowed")
         url = os.environ.get("SLAMHIVE_ARCHIVE") or f"sqlite:///{path / 'archive.sqlite'}"
         return cls(path, url)
 
@@ -71,9 +77,14 @@ class Home:
         """Hold the home's one runner's place.
 
         Raises:
-            InputError: another runner holds it.
+            InputError: another runner holds it, or the home can't be written.
         """
-        with lock(self.folder(".") / "runner.lock", wait=False) as held:
+        place = self.folder(".") / "runner.lock"
+        try:
+            place.touch()
+        except OSError as error:
+            raise InputError(f"SLAMHIVE_HOME: {place}: {error.strerror}") from None
+        with lock(place, wait=False) as held:
             if not held:
                 raise InputError(
                     f"another slamhive run is at work in {self.path}; wait for it, or set SLAMHIVE_HOME"
