@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slamhive_eval.rotation import FloatArray, IndexArray
     from slamhive_eval.trajectory import Trajectory
 
-WRITERS: tuple[str, ...] = ()
+WRITERS: tuple[str, ...] = ("slamhive_eval.commands.saving",)
 """Modules with ``add(parser)`` and ``write(asked, measured)``, for other forms of what was measured."""
 
 
