@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 COMMANDS: dict[str, tuple[str, str]] = {
     "ape": ("slamhive_eval.commands.ape", "absolute pose error"),
     "rpe": ("slamhive_eval.commands.rpe", "relative pose error"),
+    "kitti": ("slamhive_eval.commands.kitti", "errors over KITTI's segments"),
+    "drift": ("slamhive_eval.commands.drift", "errors over sub-trajectories, scale drift, gaps"),
+    "repeated": ("slamhive_eval.commands.repeated", "several runs of one configuration together"),
     "relations": ("slamhive_eval.commands.relations", "errors over pairwise relations"),
 }
 """Module and one line of help by name, in the order of ``--help``; see `slamhive_eval.commands`."""

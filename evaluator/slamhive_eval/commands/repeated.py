@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive-eval repeated``: several runs of one configuration together."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from slamhive_eval import alignment, evaluation, files, repeated
+from slamhive_eval.commands import measuring, output
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "ATE of several runs of one configuration: mean, std, median, range, an interval that fits their "
+        "number, and success rates. Lost and diverged runs count as failures."
+    )
+    parser.epilog = (
+        "Example: slamhive-eval repeated groundtruth.txt run-*/trajectory.txt --thresholds 0.05 0.1"
+    )
+    parser.add_argument("reference", metavar="GT", help="ground truth")
+    parser.add_argument("estimates", metavar="EST", nargs="+", help="estimated trajectories, one a run")
+    parser.add_argument("--align", choices=alignment.METHODS, default="se3", help="default: se3")
+    parser.add_argument(
+        "--thresholds",
+        type=float,
+        nargs="+",
+        default=(),
+        metavar="M",
+        help="an ATE up to this is a success [m]",
+    )
+    parser.add_argument(
+        "--times", metavar="FILE", help="stamps of KITTI poses; without it line k pairs with line k"
+    )
+    parser.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
+    measuring.add_matching(parser)
+    output.add_json(parser)
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Measure and print."""
+    unsorted: files.Unsorted = "sort" if asked.sort else "error"
+    options = evaluation.Options(
+        alignment=asked.align,
+        max_difference_seconds=asked.max_diff,
+        offset_seconds=asked.offset,
+        rpe=(),
+        has_scale=asked.align not in ("sim3", "scale"),
+    )
+    reference = files.read_trajectory(asked.reference, times=asked.times)
+    runs: list[dict[str, Any]] = []
+    for name in asked.estimates:
+        estimate = files.read_trajectory(name, times=asked.times, unsorted=unsorted)
+        found = evaluation.evaluate(reference, estimate, options)
+        failed = found.outcome in (evaluation.Outcome.LOST, evaluation.Outcome.DIVERGED)
+        runs.append(
+            {
+                "estimate": name,
+                "outcome": found.outcome.value,
+                "message": found.message,
+                "coverage": found.coverage.share,
+                "rmse": None if failed or found.ate is None else found.ate.rmse,
+            }
+        )
+    summary = repeated.summarize([run["rmse"] for run in runs], asked.thresholds)
+    output.emit(asked, {**summary.as_dict(), "alignment": asked.align, "each": runs}, _show)
+    return 0
+
+
+def _show(result: dict[str, Any]) -> str:
+    lines = [
+        f"ATE [m] of {result['runs']} runs, {result['failures']} failed, alignment {result['alignment']}"
+    ]
+    width = max(len(run["estimate"]) for run in result["each"])
+    lines += [
+        f"{run['estimate']:<{width}}  {run['outcome']:<8}  coverage {run['coverage']:6.1%}  "
+        f"{_figure(run['rmse'])}"
+        for run in result["each"]
+    ]
+    lines += [f"{name:>8}  {_figure(result[name])}" for name in ("mean", "std", "median", "min", "max")]
+    interval = result["interval"]
+    if interval:
+        ends = f"{_figure(interval['low'])} to {_figure(interval['high'])}"
+        lines.append(f"95 % interval of the {interval['of']}: {ends} ({interval['method']})")
+    lines += [
+        f"within {rate['threshold']:g} m: {rate['count']} of {result['runs']} "
+        f"(95 %: {rate['low']:.0%} to {rate['high']:.0%})"
+        for rate in result["success"]
+    ]
+    return "\n".join(lines)
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.6f}"
