@@ -113,7 +113,8 @@ class Attempt:
             (self.folder / "attempt.json").write_text(json.dumps(ticket))
             with (self.folder / "supervisor.log").open("wb") as log:
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", "slamhive.monitor", "--spec", str(spec_path)],
+                    # -P: a json.py in the user's working folder is none of ours.
+                    [sys.executable, "-P", "-m", "slamhive.monitor", "--spec", str(spec_path)],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     stderr=log,

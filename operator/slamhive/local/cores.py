@@ -8,6 +8,8 @@ import threading
 from collections import defaultdict
 from pathlib import Path
 
+from slamhive.monitor.hierarchy import own_hierarchies
+
 
 def whole_cores() -> list[tuple[int, ...]]:
     """Return the cores this process may use, each as the logical processors that make it up."""
@@ -22,15 +24,56 @@ def whole_cores() -> list[tuple[int, ...]]:
     return [tuple(cpus) for cpus in groups.values()]
 
 
+def quota() -> float | None:
+    """Return how many processors' time cgroups allow us, as containers limit it; None for no limit."""
+    limits = []
+    for tree in own_hierarchies():
+        directory = tree.directory
+        while directory.startswith(tree.mount):
+            limit = _quota_v2(directory) if tree.version == 2 else _quota_v1(directory)
+            if limit is not None:
+                limits.append(limit)
+            directory = directory.rpartition("/")[0]
+    return min(limits, default=None)
+
+
+def _quota_v2(directory: str) -> float | None:
+    try:
+        most, period = Path(directory, "cpu.max").read_text().split()
+    except (OSError, ValueError):
+        return None
+    return None if most == "max" else int(most) / int(period)
+
+
+def _quota_v1(directory: str) -> float | None:
+    try:
+        most, period = (
+            int(Path(directory, f"cpu.cfs_{word}_us").read_text()) for word in ("quota", "period")
+        )
+    except (OSError, ValueError):
+        return None
+    return most / period if most > 0 else None
+
+
+def within(cores: list[tuple[int, ...]], limit: float | None) -> list[tuple[int, ...]]:
+    """Return as many cores as can be kept busy under a quota, one at least: more would be held back."""
+    chosen = cores[:1]
+    for core in cores[1:]:
+        if limit is not None and sum(map(len, [*chosen, core])) > limit:
+            break
+        chosen.append(core)
+    return chosen
+
+
 class CorePool:
     """Lends whole cores to runs.
 
     Args:
-        cores: logical processors by core; default: those this process may use.
+        cores: logical processors by core; default: those this process may use, as many as a quota allows.
     """
 
     def __init__(self, cores: list[tuple[int, ...]] | None = None) -> None:
-        self._free = list(cores if cores is not None else whole_cores())
+        self._free = list(cores if cores is not None else within(whole_cores(), quota()))
         self.size = len(self._free)
         self._changed = threading.Condition()
 

@@ -91,21 +91,22 @@ class Environments:
         ).hexdigest()[:16]
         path = self._folder / key
         if not (path / _MARKER).exists():
-            with lock(self._folder / f"{key}.lock"):
+            with lock(self._folder / f"{key}.lock") as held:
                 if not (path / _MARKER).exists():
-                    self._make(entry.name, path, python, requirements)
+                    self._make(entry.name, path, python, requirements, held)
         environment = Environment(path, self.digest(entry))
         if (entry.name, path) not in self._usable:
             _check_libraries(entry, program, environment)
             self._usable.add((entry.name, path))
         return environment
 
-    def _make(self, name: str, path: Path, python: Interpreter, requirements: Path) -> None:
+    def _make(self, name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
         self._notify(f"making the environment of {name} (once)")
         shutil.rmtree(path, ignore_errors=True)
-        _command([python.path, "-m", "venv", str(path)], f"environment of {name}")
+        _command([python.path, "-m", "venv", str(path)], f"environment of {name}", requirements.parent, held)
         pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
-        _command([*pip, "install", "--quiet", "-r", str(requirements)], f"packages of {name}")
+        install = [*pip, "install", "--quiet", "-r", str(requirements)]
+        _command(install, f"packages of {name}", requirements.parent, held)
         (path / _MARKER).touch()
 
 
@@ -154,7 +155,7 @@ def _probe(name: str) -> Interpreter | None:
     if path is None:
         return None
     code = "import sys, venv, ensurepip; print(*sys.version_info[:2])"
-    result = subprocess.run([path, "-c", code], capture_output=True, text=True, check=False, timeout=30)
+    result = subprocess.run([path, "-I", "-c", code], capture_output=True, text=True, check=False, timeout=30)
     if result.returncode != 0:
         return None
     major, minor = result.stdout.split()
@@ -197,7 +198,7 @@ def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, environment: 
         "    except OSError: print(name)\n"
     )
     result = subprocess.run(
-        [str(environment.python), "-c", code, *program.libraries],
+        [str(environment.python), "-I", "-c", code, *program.libraries],
         capture_output=True,
         text=True,
         check=False,
@@ -209,11 +210,26 @@ def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, environment: 
         raise Unavailable(f"{entry.name} needs {', '.join(missing)}: apt-get install {packages}")
 
 
-def _command(argv: list[str], what: str) -> None:
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+def _command(argv: list[str], what: str, folder: Path, held: int | None = None) -> None:
+    """Run a command in a folder.
+
+    Args:
+        argv: the command.
+        what: what it makes, for the message.
+        folder: where it runs.
+        held: descriptor of a lock that it shall hold as long as it runs: it may outlive a slamhive that is
+            killed, and another one must not begin to make the same meanwhile.
+    """
     try:
         result = subprocess.run(
-            argv, capture_output=True, text=True, check=False, env=environment, stdin=subprocess.DEVNULL
+            argv,
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=folder,
+            env=_surroundings(),
+            stdin=subprocess.DEVNULL,
+            pass_fds=() if held is None else (held,),
         )
     except OSError as error:
         raise SystemFault(f"{what}: {error}") from None
@@ -221,6 +237,12 @@ def _command(argv: list[str], what: str) -> None:
         lines = [line for line in (result.stderr + result.stdout).splitlines() if line.strip()]
         errors = [line for line in lines if line.startswith("ERROR")] or lines
         raise SystemFault(f"{what} could not be made: {errors[-1] if errors else 'no message'}")
+
+
+def _surroundings() -> dict[str, str]:
+    """Return our variables without those that make Python import what merely lies about."""
+    kept = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    return kept | {"PYTHONSAFEPATH": "1"}
 
 
 def _sha256(path: Path) -> str:

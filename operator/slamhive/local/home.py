@@ -85,7 +85,7 @@ class Home:
         except OSError as error:
             raise InputError(f"SLAMHIVE_HOME: {place}: {error.strerror}") from None
         with lock(place, wait=False) as held:
-            if not held:
+            if held is None:
                 raise InputError(
                     f"another slamhive run is at work in {self.path}; wait for it, or set SLAMHIVE_HOME"
                 )
@@ -93,11 +93,12 @@ class Home:
 
 
 @contextmanager
-def lock(path: Path, *, wait: bool = True) -> Iterator[bool]:
+def lock(path: Path, *, wait: bool = True) -> Iterator[int | None]:
     """Hold a lock file; the kernel lets go of it when the process ends, however it ends.
 
     Yields:
-        Whether it is held: always True when waiting.
+        The descriptor that holds it: a child given it holds it too. None, when not waiting, if another
+        process holds it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -105,8 +106,8 @@ def lock(path: Path, *, wait: bool = True) -> Iterator[bool]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
-            yield False
+            yield None
             return
-        yield True
+        yield descriptor
     finally:
         os.close(descriptor)
