@@ -17,6 +17,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
 
@@ -49,3 +50,11 @@ class AssociationError(EvaluationError):
 
 class OptionError(EvaluationError):
     """An option outside of what is allowed."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """``; did you mean …?`` with the name most like the one given, empty when none is."""
+    import difflib  # noqa: PLC0415 - needed for errors only
+
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""

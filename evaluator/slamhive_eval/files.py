@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectory files in and out: TUM, EuRoC ground truth and KITTI, plain or compressed by gzip or bzip2.
+"""Trajectories in files: TUM, EuRoC ground truth, KITTI and tables, plain or compressed, and recordings.
 
 numpy's C reader takes the whole file at once; only when it refuses, or a value turns out wrong, is the
 text gone through line by line to name the line.
@@ -10,14 +10,15 @@ from __future__ import annotations
 import bz2
 import gzip
 import io
+import itertools
 import warnings
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from slamhive_eval import rotation
+from slamhive_eval import bags, rotation, tables
 from slamhive_eval.errors import FileError, OptionError
 from slamhive_eval.trajectory import LARGEST_METRES, Trajectory, find_fault
 
@@ -26,16 +27,19 @@ if TYPE_CHECKING:
 
     from slamhive_eval.rotation import FloatArray
 
-Format = Literal["tum", "euroc", "kitti"]
+Format = Literal["tum", "euroc", "kitti", "csv", "bag"]
 Unsorted = Literal["error", "sort"]
 
-FORMATS: dict[Format, tuple[int, str]] = {
+FORMATS: tuple[Format, ...] = get_args(Format)
+_COLUMNS: dict[str, tuple[int, str]] = {
     "tum": (8, "timestamp tx ty tz qx qy qz qw"),
     "euroc": (8, "timestamp [ns], px, py, pz, qw, qx, qy, qz, …"),
     "kitti": (12, "the 3×4 pose matrix row by row"),
 }
-"""Columns a line of each format needs, and what they are."""
+"""Columns a line of each format without names needs, and what they are."""
 
+_TUM_ORDER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+_EUROC_ORDER = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 _FIRST_NANOSECOND_STAMP = 1e14
 _GZIP, _BZIP2 = b"\x1f\x8b", b"BZh"
 
@@ -45,14 +49,18 @@ def read_trajectory(
     file_format: Format | None = None,
     *,
     times: str | Path | None = None,
+    topic: str | None = None,
     unsorted: Unsorted = "error",
 ) -> Trajectory:
-    """Read a trajectory file, finding out its format unless told.
+    """Read a trajectory, finding out the format unless told.
 
     Args:
-        path: The file, plain or compressed.
-        file_format: ``tum``, ``euroc`` or ``kitti``; None to tell by the columns of the first line.
+        path: A file, plain or compressed by gzip or bzip2; or a recording (ROS 1 bag, folder of a ROS 2 bag,
+            MCAP), perhaps with the topic as in ``run.bag:/odom`` or ``run.bag:/tf:map.base_link``.
+        file_format: ``tum``, ``euroc``, ``kitti``, ``csv`` (named columns) or ``bag``; None to tell by the
+            first line or, for recordings, by the file's name.
         times: For KITTI: the file with one stamp in s a line. Without it pose k has the stamp k.
+        topic: For recordings: the topic, see `slamhive_eval.bags.read_bag`.
         unsorted: What to do with decreasing stamps: ``error`` names the line, ``sort`` sorts the poses
             by time, keeping the order of equal stamps.
 
@@ -60,15 +68,24 @@ def read_trajectory(
         The trajectory, stamps in s.
 
     Raises:
-        FileError: The file is missing, empty, no text, or wrong in the line named.
+        FileError: The file is missing, empty, no text, or wrong in the line named; for recordings as well
+            what read_bag says.
         OptionError: Unknown format.
     """
-    text = read_text(path)
-    if file_format is None:
-        file_format = "kitti" if times is not None else _detect(path, text)
-    if file_format not in FORMATS:
+    if file_format is not None and file_format not in FORMATS:
         raise OptionError(f"unknown trajectory format {file_format!r}; known are {', '.join(FORMATS)}")
-    table = parse_table(path, text, *FORMATS[file_format], extra=file_format == "euroc")
+    path, topic = _split_topic(path, topic)
+    if file_format == "bag" or (file_format is None and bags.is_bag(path)):
+        return bags.read_bag(path, topic, sort=unsorted == "sort")
+    if topic is not None:
+        raise FileError(path, f"is no recording; only those have topics such as {topic!r}")
+    text = read_text(path)
+    header = None
+    if file_format is None:
+        file_format, header = ("kitti", None) if times is not None else _detect(path, text)
+    if file_format == "csv":
+        return _from_table(path, text, header or tables.find_header(path, text), unsorted)
+    table = parse_table(path, text, *_COLUMNS[file_format], extra=file_format == "euroc")
     if file_format == "kitti":
         return _from_kitti(path, text, table, times)
     if file_format == "euroc":
@@ -77,6 +94,18 @@ def read_trajectory(
     else:
         stamps, quaternions = table[:, 0], table[:, 4:8]
     return _checked(path, text, (stamps, table[:, 1:4], quaternions), unsorted)
+
+
+def _split_topic(path: str | Path, topic: str | None) -> tuple[str | Path, str | None]:
+    """The parts of ``FILE:TOPIC``; a file of that name comes first."""
+    words = str(path)
+    if topic is not None or ":" not in words or Path(words).exists():
+        return path, topic
+    for k, letter in enumerate(words):
+        if letter == ":" and bags.is_bag(words[:k]):
+            return words[:k], words[k + 1 :]
+    first, _, rest = words.partition(":")
+    return (first, rest) if Path(first).exists() else (path, None)
 
 
 def read_tum(path: str | Path, *, unsorted: Unsorted = "error") -> Trajectory:
@@ -161,12 +190,10 @@ def parse_table(
     return table[:, :columns]
 
 
-def fault_in_row(path: str | Path, text: str, row: int, message: str) -> FileError:
-    """The error for data row ``row`` (from 0), naming the line of the text it stands on."""
-    for k, (line, _) in enumerate(_data_lines(text)):
-        if k == row:
-            return FileError(path, message, line)
-    return FileError(path, message)
+def fault_in_row(path: str | Path, text: str, row: int, message: str, skipped: int = 0) -> FileError:
+    """The error for data row ``row`` (from 0) below some lines, naming the line of the text it stands on."""
+    lines = (number for number, _ in _data_lines(text) if number > skipped)
+    return FileError(path, message, next(itertools.islice(lines, row, None), None))
 
 
 def _data_lines(text: str) -> Iterator[tuple[int, str]]:
@@ -196,19 +223,41 @@ def _is_number(word: str) -> bool:
     return "_" not in word
 
 
-def _detect(path: str | Path, text: str) -> Format:
+def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
     first = next(_data_lines(text), None)
     if first is None:
         raise FileError(path, "holds no poses: every line is empty or a comment")
     number, content = first
     words = content.replace(",", " ").split()
-    if len(words) == 12 and "," not in content:
-        return "kitti"
-    if len(words) == 8 or (len(words) > 8 and "," in content):
-        nanoseconds = _is_number(words[0]) and abs(float(words[0])) > _FIRST_NANOSECOND_STAMP
-        return "euroc" if nanoseconds and "," in content else "tum"
-    known = "; ".join(f"{name} has {count}" for name, (count, _) in FORMATS.items())
-    raise FileError(path, f"found {len(words)} values a line, which is no known format ({known})", number)
+    numeric = any(map(_is_number, words))
+    header = tables.find_header(path, text)
+    if header is not None and numeric and header.count != len(words):
+        header = None
+    # The usual columns in the usual order are read as ever, whatever stands above them.
+    if numeric and (header is None or header.order in (_TUM_ORDER, _EUROC_ORDER)):
+        if len(words) == 12 and "," not in content:
+            return "kitti", None
+        if len(words) == 8 or (len(words) > 8 and "," in content):
+            nanoseconds = _is_number(words[0]) and abs(float(words[0])) > _FIRST_NANOSECOND_STAMP
+            return "euroc" if nanoseconds and "," in content else "tum", None
+    if header is not None:
+        return "csv", header
+    known = "; ".join(f"{name} has {count}" for name, (count, _) in _COLUMNS.items())
+    raise FileError(
+        path,
+        f"found {len(words)} values a line, which is no known format ({known}; csv names its columns, "
+        "as in timestamp,x,y,z,qx,qy,qz,qw)",
+        number,
+    )
+
+
+def _from_table(path: str | Path, text: str, header: tables.Header | None, unsorted: Unsorted) -> Trajectory:
+    if header is None:
+        raise FileError(
+            path, "the first line names no time and position, as timestamp,x,y,z,qx,qy,qz,qw does", 1
+        )
+    stamps, positions, quaternions, oriented = tables.read_table(path, text, header)
+    return _checked(path, text, (stamps, positions, quaternions), unsorted, header.line, oriented=oriented)
 
 
 def _checked(
@@ -216,6 +265,9 @@ def _checked(
     text: str,
     poses: tuple[FloatArray, FloatArray, FloatArray],
     unsorted: Unsorted,
+    skipped: int = 0,
+    *,
+    oriented: bool = True,
 ) -> Trajectory:
     stamps, positions, quaternions = poses
     order = np.arange(len(stamps))
@@ -224,8 +276,8 @@ def _checked(
         stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
     fault = find_fault(stamps, positions, quaternions)
     if fault is not None:
-        raise fault_in_row(path, text, int(order[fault.row]), fault.message)
-    return Trajectory(stamps, positions, quaternions)
+        raise fault_in_row(path, text, int(order[fault.row]), fault.message, skipped)
+    return Trajectory(stamps, positions, quaternions, oriented=oriented)
 
 
 def _from_kitti(path: str | Path, text: str, table: FloatArray, times: str | Path | None) -> Trajectory:

@@ -37,6 +37,11 @@ def lidar2d() -> Path:
     return shared("lidar2d")
 
 
+@pytest.fixture(scope="session")
+def bags() -> Path:
+    return shared("bags")
+
+
 def wander(n: int = 200, seed: int = 0, rate: float = 10.0, start: float = 1.6e9) -> Trajectory:
     """A smooth random path in full 3-D."""
     rng = np.random.default_rng(seed)
