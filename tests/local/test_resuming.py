@@ -3,14 +3,24 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slamhive.local import workbench
 from slamhive.local.attempt import Attempt
+from slamhive.model.dataset import GroundTruth
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import pytest
+
+    from slamhive.model.dataset import Dataset
+
+DEADLINE_SECONDS = 20
 
 
 def test_running_again_repeats_nothing(run_acts: Callable) -> None:
@@ -69,3 +79,46 @@ def test_an_attempt_without_its_last_word_starts_afresh(run_acts: Callable, benc
     _, again = run_acts(["good"])
     assert again.records[0].phase is Phase.SUCCEEDED
     assert (Path(record.folder) / "summary.json").exists()
+
+
+def test_a_budget_of_cpu_time_counts_what_was_spent_before(run_acts: Callable) -> None:
+    for _ in range(2):
+        job, _ = run_acts(["good"], repetitions=3, budget={"cpuHours": 1e-9}, parallelism=1)
+        assert job.verdict == "BudgetExhausted"
+        assert bytes(job.states) == bytes([2, 0, 0])
+
+
+def test_a_run_without_its_ground_truth_still_says_what_made_it(run_acts: Callable, workshop) -> None:  # noqa: ANN001
+    place = workshop.dataset_places["tiny"]
+    spec = place.dataset.spec.replace(ground_truth=GroundTruth(file="missing.txt"))
+    workshop.dataset_places["tiny"] = type(place)(place.dataset.replace(spec=spec), place.folder)
+    _, notes = run_acts(["good"])
+    record = notes.records[0]
+    assert record.phase is Phase.SUCCEEDED
+    assert "missing.txt does not exist" in record.message
+    assert record.provenance.environment
+    assert record.provenance.cpu_model
+
+
+def test_making_one_dataset_holds_up_no_other(bench, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN001
+    began, done = threading.Event(), threading.Event()
+    materialise = workbench.materialise
+
+    def slow(dataset: Dataset, *rest: object) -> object:
+        if dataset.name == "other":
+            began.set()
+            assert done.wait(DEADLINE_SECONDS)
+        return materialise(dataset, *rest)
+
+    monkeypatch.setattr(workbench, "materialise", slow)
+    place = bench.workshop.dataset_places["tiny"]
+    other = place.dataset.replace(metadata=place.dataset.metadata.replace(name="other"))
+    bench.workshop.dataset_places["other"] = type(place)(other, place.folder)
+    with ThreadPoolExecutor() as pool:
+        making = pool.submit(bench.checksum, "other")
+        assert began.wait(DEADLINE_SECONDS)
+        try:
+            assert pool.submit(bench.checksum, "tiny").result(DEADLINE_SECONDS / 2)
+        finally:
+            done.set()
+        assert making.result()

@@ -232,6 +232,13 @@ class Archive:
         with reading(self._engine) as connection:
             return set(connection.execute(query).scalars())
 
+    def cpu_seconds(self, sweep: str) -> float:
+        """Return the CPU time of a sweep's finished runs in s, those left out that took over a result."""
+        runs = schema.runs.c
+        query = select(func.sum(runs.cpu_seconds)).where(runs.sweep == sweep, runs.reused_from.is_(None))
+        with reading(self._engine) as connection:
+            return float(connection.execute(query).scalar() or 0.0)
+
     def find_reusable(self, content_hash: str) -> RunRecord | None:
         """Return a run whose result another one of the same content may take over.
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +36,6 @@ class Evaluator:
     def __init__(self, bench: Workbench) -> None:
         self._bench = bench
         self._truths: dict[str, GroundTruthPoses | None] = {}
-        self._lock = threading.Lock()
 
     def measure_attempt(self, attempt: Attempt, order: RunOrder, variant: Variant | None) -> list[Result]:
         """Return the result of an attempt that ended well; none where there is no ground truth."""
@@ -138,7 +136,7 @@ class Evaluator:
             InputError: it can't be read.
         """
         entry = self._bench.dataset(name)
-        with self._lock:
+        with self._bench.lock(name):
             if name not in self._truths:
                 self._truths[name] = ground_truth(entry, self._bench.home.folder("truths"))
             return self._truths[name]

@@ -194,24 +194,24 @@ class RunDriver:
     def _look_up(self) -> None:
         """Find out what makes the result what it is, and whether it is there already."""
         progress, order, bench = self._progress, self._order, self._bench
+        known = Provenance(
+            spec_hash=order.point.spec_hash,
+            node=platform.node(),
+            cpu_model=cpu_model(),
+            slamhive_version=__version__,
+        )
+        progress.provenance = known
         try:
             entry = self._algorithm
             environment = bench.environments.digest(entry)
+            progress.provenance = known = known.replace(environment=environment)
             checksum = bench.checksum(self._spec["datasetRef"]["name"])
         except (SlamHiveError, OSError):
             return  # preparing meets it again and gives it its reason
         hashed = content_hash(
             order.point.spec_hash, entry.algorithm.spec, checksum, str(VERSION), environment
         )
-        progress.provenance = Provenance(
-            content_hash=hashed,
-            spec_hash=order.point.spec_hash,
-            environment=environment,
-            dataset_sha256=checksum,
-            node=platform.node(),
-            cpu_model=cpu_model(),
-            slamhive_version=__version__,
-        )
+        progress.provenance = known.replace(content_hash=hashed, dataset_sha256=checksum)
         if order.take_up and self._attempt.finished(order.uid, hashed):
             progress.attempt_state = AttemptState.ENDED
         elif order.reuse:

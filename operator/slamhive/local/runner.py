@@ -56,7 +56,7 @@ class Job:
         reused: points that took an equal run's result.
         kept: points that were finished before.
         afresh: points that failed before and are done again.
-        cpu_seconds: CPU time of the runs finished now.
+        cpu_seconds: CPU time of the runs finished now and before.
         verdict: where it stands.
         message: why.
     """
@@ -188,6 +188,7 @@ class Runner:
             else:
                 job.afresh.add(index)
         job.kept = job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
+        job.cpu_seconds = archive.cpu_seconds(sweep.name)
 
     def _again(self, reason: Reason | None) -> bool:
         return self._retry_failed or (reason is not None and reason.is_infrastructure)

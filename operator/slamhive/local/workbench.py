@@ -53,6 +53,7 @@ class Workbench:
         self._notify = notify
         self._datasets: dict[str, DatasetEntry] = {}
         self._checksums: dict[str, str] = {}
+        self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
 
     def dataset(self, name: str) -> DatasetEntry:
@@ -63,7 +64,7 @@ class Workbench:
             SystemFault: it can't be generated right now.
         """
         place = self.workshop.dataset(name)
-        with self._lock:
+        with self.lock(name):
             if name not in self._datasets:
                 self._datasets[name] = materialise(
                     place.dataset, place.folder, self.home.folder("datasets"), self._generating(name)
@@ -77,10 +78,15 @@ class Workbench:
             InputError: a file of it can't be read.
         """
         entry = self.dataset(name)
-        with self._lock:
+        with self.lock(name):
             if name not in self._checksums:
                 self._checksums[name] = dataset_sha256(entry, self.home.folder("variants") / ".hashes")
             return self._checksums[name]
+
+    def lock(self, name: str) -> threading.Lock:
+        """Return the lock on what is known of a dataset: finding it out may take minutes, for it alone."""
+        with self._lock:
+            return self._locks.setdefault(name, threading.Lock())
 
     def tidy(self) -> None:
         """Remove variants that nothing has used for longest while they take more room than is allowed."""
