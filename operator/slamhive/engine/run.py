@@ -8,6 +8,9 @@
        │  │         ├──► Failed ◄┤  │      a fault of the machine leads back to Pending
        └──┼─────────┴────────────┘  │      while there are retries left
           └──► Succeeded (reused)   └──► Cancelled (from every phase)
+
+What is remembered may be older than what is seen (a status that was lost), and what was seen may go (a
+Job deleted, a variant evicted): then phases are skipped, or Running leads back to Preparing.
 """
 
 from __future__ import annotations
@@ -21,8 +24,12 @@ TRANSITIONS: dict[Phase, frozenset[Phase]] = {
     Phase.PENDING: frozenset(
         {Phase.PREPARING, Phase.RUNNING, Phase.SUCCEEDED, Phase.FAILED, Phase.CANCELLED}
     ),
-    Phase.PREPARING: frozenset({Phase.PENDING, Phase.RUNNING, Phase.FAILED, Phase.CANCELLED}),
-    Phase.RUNNING: frozenset({Phase.PENDING, Phase.SUCCEEDED, Phase.FAILED, Phase.CANCELLED}),
+    Phase.PREPARING: frozenset(
+        {Phase.PENDING, Phase.RUNNING, Phase.SUCCEEDED, Phase.FAILED, Phase.CANCELLED}
+    ),
+    Phase.RUNNING: frozenset(
+        {Phase.PENDING, Phase.PREPARING, Phase.SUCCEEDED, Phase.FAILED, Phase.CANCELLED}
+    ),
     Phase.SUCCEEDED: frozenset(),
     Phase.FAILED: frozenset(),
     Phase.CANCELLED: frozenset(),
@@ -73,13 +80,24 @@ class AttemptEnd:
 
 @dataclass(frozen=True)
 class RunState:
-    """What is remembered of a run between two decisions."""
+    """What is remembered of a run between two decisions.
+
+    Attributes:
+        phase: where it stands.
+        reason: why, for phases that have a reason.
+        message: a sentence about it.
+        attempts: attempts started.
+        faults: faults of the machine met.
+        judged: number of the last attempt whose fault is among them.
+        not_before: when another try may begin, on the caller's clock.
+    """
 
     phase: Phase = Phase.PENDING
     reason: Reason | None = None
     message: str | None = None
     attempts: int = 0
     faults: int = 0
+    judged: int = 0
     not_before: float = 0.0
 
 
@@ -96,6 +114,7 @@ class RunObserved:
         variant_problem: why preparing failed; the reason tells whether it is worth another try.
         attempt: state of the current attempt.
         end: how it ended.
+        number: which attempt it is, counted from 1; None when it is never shown again after its end.
         wants_evaluation: whether a result is asked for and not there yet.
     """
 
@@ -107,6 +126,7 @@ class RunObserved:
     variant_problem: tuple[Reason, str] | None = None
     attempt: AttemptState = AttemptState.NONE
     end: AttemptEnd | None = None
+    number: int | None = None
     wants_evaluation: bool = True
 
 
@@ -180,7 +200,8 @@ def decide_run(state: RunState, seen: RunObserved, now: float) -> Decision:
         return _cancel(state, seen)
     if seen.problem is not None:
         return _fail(state, *seen.problem)
-    if seen.attempt is AttemptState.ENDED and seen.end is not None:
+    judged = seen.number is not None and seen.number <= state.judged
+    if seen.attempt is AttemptState.ENDED and seen.end is not None and not judged:
         return _ended(state, seen, seen.end, now)
     if seen.attempt is AttemptState.RUNNING:
         return Decision(_move(state, Phase.RUNNING))
@@ -203,6 +224,8 @@ def _start(state: RunState, seen: RunObserved, now: float) -> Decision:
             return Decision(_move(state, Phase.PREPARING))
         case VariantState.FAILED:
             reason, message = seen.variant_problem or (Reason.PREPARATION_FAILED, "preparation failed")
+            if reason is Reason.SYSTEM_FAULT and state.phase is Phase.PENDING and state.not_before > 0:
+                return Decision(_move(state, Phase.PREPARING), (Prepare(),))  # the wait is over: once more
             if reason is Reason.SYSTEM_FAULT:
                 return _fault(state, seen, reason, message, now)
             return _fail(state, reason, message)
@@ -221,7 +244,8 @@ def _ended(state: RunState, seen: RunObserved, end: AttemptEnd, now: float) -> D
     if reason is Reason.CANCELLED:
         return Decision(replace(_move(state, Phase.CANCELLED), reason=reason, message=message), (Finish(),))
     if reason.is_infrastructure:
-        return _fault(state, seen, reason, message or "the machine failed", now)
+        counted = replace(state, judged=seen.number or state.judged)
+        return _fault(counted, seen, reason, message or "the machine failed", now)
     return _fail(state, reason, message or "")
 
 
