@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -158,7 +159,13 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
         if not (link.is_symlink() or link.exists()):
             link.symlink_to(source)
     folder.mkdir(parents=True, exist_ok=True)
-    manifest.write_text(text, encoding="utf-8")
+    # Never half of it under its name: a broken manifest in the home stops every command that reads it.
+    aside = manifest.with_name(f".{MANIFEST}.{os.getpid()}")
+    try:
+        aside.write_text(text, encoding="utf-8")
+        aside.replace(manifest)
+    finally:
+        aside.unlink(missing_ok=True)
     return manifest
 
 
