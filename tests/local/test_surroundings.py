@@ -8,9 +8,11 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import yaml
 
 from slamhive.local import cores
 from slamhive.local.home import lock
@@ -19,7 +21,6 @@ from slamhive.monitor.hierarchy import Hierarchy
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 DEADLINE_SECONDS = 20
 
@@ -85,3 +86,10 @@ def test_the_tightest_quota_above_us_counts(tmp_path: Path, monkeypatch: pytest.
     assert cores.quota() == 1.5
     (old / "cpu.cfs_quota_us").write_text("-1\n")
     assert cores.quota() == 2.5
+
+
+@pytest.mark.skipif(len(cores.whole_cores()) < 2, reason="needs two cores")
+def test_a_run_gets_no_less_than_it_asks_for(run_acts: Callable) -> None:
+    _, notes = run_acts(["good"], template={"resources": {"cpu": "1200m"}})
+    configuration = yaml.safe_load((Path(notes.records[0].folder) / "run/config.yaml").read_text())
+    assert configuration["cores"] == sum(map(len, cores.whole_cores()[:2]))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -254,7 +255,7 @@ class Runner:
     def _drive(self, job: Job, index: int) -> None:
         try:
             point = job.points.point(index)
-            cores = self._cores.take(max(1, round(quantity(point.spec["resources"]["cpu"]))))
+            cores = self._cores.take(max(1, math.ceil(quantity(point.spec["resources"]["cpu"]))))
             try:
                 record = self._one(job, index, point, cores)
             finally:
