@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     import pytest
 
+    from slamhive.local.home import Home
+    from slamhive.local.workbench import Workbench
     from slamhive.model.dataset import Dataset
 
 DEADLINE_SECONDS = 20
@@ -122,3 +124,22 @@ def test_making_one_dataset_holds_up_no_other(bench, monkeypatch: pytest.MonkeyP
         finally:
             done.set()
         assert making.result()
+
+
+def test_runs_of_a_changed_adapter_are_done_again_and_the_earlier_ones_stay(
+    run_acts: Callable, home: Home, bench: Workbench
+) -> None:
+    first, _ = run_acts(["good"])
+    earlier = bench.archive.get(first.run_uid(0))
+    adapter = home.path / "algorithms/actor/adapter.py"
+    adapter.write_text(adapter.read_text() + "\n# changed\n")
+    job, notes = run_acts(["good"])
+    assert len(notes.records) == 1
+    assert job.kept == 0
+    (kept,) = [record for record in bench.archive.runs() if record.uid != job.run_uid(0)]
+    assert kept.results == earlier.results
+    assert kept.sweep == f"acts@{earlier.provenance.content_hash[:8]}"
+    assert (Path(kept.folder) / "run/output/trajectory.txt").is_file()
+    assert Path(kept.trajectory.path).is_file()
+    again, notes = run_acts(["good"])
+    assert (again.kept, notes.records) == (1, [])

@@ -211,16 +211,20 @@ class Archive:
         """Return what became of the finished runs of a sweep, by UID."""
         runs, results = schema.runs.c, schema.results.c
         query = (
-            select(runs.uid, runs.point, runs.phase, runs.reason, results.evaluation, results.outcome)
+            select(
+                *(runs.uid, runs.point, runs.phase, runs.reason, runs.content_hash),
+                *(results.evaluation, results.outcome),
+            )
             .select_from(schema.runs.outerjoin(schema.results))
             .where(runs.sweep == sweep, runs.phase.in_(_FINISHED))
             .order_by(runs.id)
         )
         found: dict[str, FinishedPoint] = {}
         with reading(self._engine) as connection:
-            for uid, point, phase, reason, evaluation, outcome in connection.execute(query):
+            for uid, point, phase, reason, content, evaluation, outcome in connection.execute(query):
                 if uid not in found:
-                    found[uid] = FinishedPoint(point, Phase(phase), Reason(reason) if reason else None, {})
+                    why = Reason(reason) if reason else None
+                    found[uid] = FinishedPoint(point, Phase(phase), why, content, {})
                 if evaluation is not None:
                     found[uid].outcomes[evaluation] = Outcome(outcome)
         return found

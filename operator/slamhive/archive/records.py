@@ -69,6 +69,7 @@ class FinishedPoint:
     index: int | None
     phase: Phase
     reason: Reason | None
+    content_hash: str | None
     outcomes: dict[str, Outcome]
 
 

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole cores for runs, so that parallel runs share none."""
+"""The processors of this machine: whole cores for runs, so that parallel runs share none."""
 
 from __future__ import annotations
 
 import os
+import platform
 import threading
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 from slamhive.monitor.hierarchy import own_hierarchies
@@ -90,3 +92,15 @@ class CorePool:
         with self._changed:
             self._free.extend(cores)
             self._changed.notify_all()
+
+
+@cache
+def cpu_model() -> str:
+    """Return the processor's name as the kernel gives it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

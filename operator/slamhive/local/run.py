@@ -4,19 +4,14 @@
 from __future__ import annotations
 
 import os
-import platform
 import threading
 import time
 import traceback
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slamhive import __version__
-from slamhive.data.preparation import VERSION
 from slamhive.engine import (
     AttemptState,
     Decision,
@@ -35,7 +30,6 @@ from slamhive.local.environments import Unavailable
 from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.results import Phase, Provenance, Reason, Result, RunRecord
-from slamhive.plan import content_hash
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -194,24 +188,14 @@ class RunDriver:
     def _look_up(self) -> None:
         """Find out what makes the result what it is, and whether it is there already."""
         progress, order, bench = self._progress, self._order, self._bench
-        known = Provenance(
-            spec_hash=order.point.spec_hash,
-            node=platform.node(),
-            cpu_model=cpu_model(),
-            slamhive_version=__version__,
-        )
-        progress.provenance = known
+        progress.provenance = known = bench.circumstances(order.point.spec_hash)
         try:
-            entry = self._algorithm
-            environment = bench.environments.digest(entry)
-            progress.provenance = known = known.replace(environment=environment)
-            checksum = bench.checksum(self._spec["datasetRef"]["name"])
+            program = bench.program(self._spec["algorithmRef"]["name"])
+            progress.provenance = known.replace(environment=program.environment)
+            progress.provenance = bench.provenance(self._spec, order.point.spec_hash, program)
         except (SlamHiveError, OSError):
             return  # preparing meets it again and gives it its reason
-        hashed = content_hash(
-            order.point.spec_hash, entry.algorithm.spec, checksum, str(VERSION), environment
-        )
-        progress.provenance = known.replace(content_hash=hashed, dataset_sha256=checksum)
+        hashed = progress.provenance.content_hash or ""
         if order.take_up and self._attempt.finished(order.uid, hashed):
             progress.attempt_state = AttemptState.ENDED
         elif order.reuse:
@@ -392,15 +376,3 @@ def _problem(error: Exception) -> tuple[Reason, str]:
     if isinstance(error, InputError):
         return Reason.PREPARATION_FAILED, str(error)
     return Reason.SYSTEM_FAULT, str(error)
-
-
-@cache
-def cpu_model() -> str:
-    """Return the processor's name as the kernel gives it."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 from slamhive.archive import CatalogEntry, SweepRecord
 from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, Verdict, decide_sweep
 from slamhive.local.attempt import end_left_behind
+from slamhive.local.changes import Changes
 from slamhive.local.cores import CorePool
 from slamhive.local.run import RunDriver, RunOrder
 from slamhive.model.base import quantity
@@ -178,9 +179,12 @@ class Runner:
         )
         if self._rerun:
             return
+        changed = Changes(self._bench)
         for uid, point in archive.finished(sweep.name).items():
             index = point.index
             if index is None or index >= len(job.points) or uid != job.run_uid(index):
+                continue
+            if changed.since(uid, job.points.point(index), point.content_hash):
                 continue
             if point.phase is Phase.SUCCEEDED:
                 job.states[index] = PointState.SUCCEEDED
@@ -188,6 +192,7 @@ class Runner:
                 job.states[index] = PointState.FAILED
             else:
                 job.afresh.add(index)
+        changed.set_aside(sweep.name)
         job.kept = job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
         job.cpu_seconds = archive.cpu_seconds(sweep.name)
 

@@ -4,17 +4,22 @@
 from __future__ import annotations
 
 import os
+import platform
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slamhive.data.preparation import evict_variants, prepare
+from slamhive import __version__
+from slamhive.data.preparation import VERSION, evict_variants, prepare
 from slamhive.data.store import DatasetEntry, dataset_sha256, materialise
+from slamhive.local.cores import cpu_model
 from slamhive.local.environments import Environments
 from slamhive.local.evaluating import Evaluator
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError
+from slamhive.model.results import Provenance
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
+from slamhive.plan import algorithm_hash, content_hash
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,6 +31,13 @@ if TYPE_CHECKING:
     from slamhive.model.algorithm import Algorithm
 
 _VARIANTS_LIMIT = "100Gi"
+
+
+class Program(NamedTuple):
+    """What an algorithm is: the hash of its Algorithm, and the digest of its environment and adapter."""
+
+    algorithm_hash: str
+    environment: str
 
 
 class Workbench:
@@ -87,6 +99,45 @@ class Workbench:
         """Return the lock on what is known of a dataset: finding it out may take minutes, for it alone."""
         with self._lock:
             return self._locks.setdefault(name, threading.Lock())
+
+    def tell(self, sentence: str) -> None:
+        """Say something to whoever watches."""
+        self._notify(sentence)
+
+    def program(self, name: str) -> Program:
+        """Return what an algorithm is on this machine right now.
+
+        Raises:
+            SlamHiveError: it isn't known, or can't be run here.
+        """
+        entry = self.workshop.algorithm(name)
+        return Program(algorithm_hash(entry.algorithm.spec), self.environments.digest(entry))
+
+    def provenance(self, spec: dict[str, Any], spec_hash: str, program: Program) -> Provenance:
+        """Return what makes a run's result what it is.
+
+        Args:
+            spec: the run's resolved spec.
+            spec_hash: its hash.
+            program: its algorithm.
+
+        Raises:
+            InputError: the dataset can't be used.
+        """
+        checksum = self.checksum(spec["datasetRef"]["name"])
+        hashed = content_hash(spec_hash, program.algorithm_hash, checksum, str(VERSION), program.environment)
+        return self.circumstances(spec_hash).replace(
+            content_hash=hashed, environment=program.environment, dataset_sha256=checksum
+        )
+
+    def circumstances(self, spec_hash: str) -> Provenance:
+        """Return what is known of any run on this machine."""
+        return Provenance(
+            spec_hash=spec_hash,
+            node=platform.node(),
+            cpu_model=cpu_model(),
+            slamhive_version=__version__,
+        )
 
     def tidy(self) -> None:
         """Remove variants that nothing has used for longest while they take more room than is allowed."""

@@ -3,7 +3,7 @@
 
 from slamhive.plan.catalog import Catalog, FixedCatalog
 from slamhive.plan.expansion import Plan, Point
-from slamhive.plan.hashes import content_hash, local_uid, run_name, spec_hash
+from slamhive.plan.hashes import algorithm_hash, content_hash, local_uid, run_name, spec_hash
 from slamhive.plan.resolution import resolve
 
 __all__ = [
@@ -11,6 +11,7 @@ __all__ = [
     "FixedCatalog",
     "Plan",
     "Point",
+    "algorithm_hash",
     "content_hash",
     "local_uid",
     "resolve",

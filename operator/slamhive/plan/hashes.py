@@ -37,31 +37,36 @@ def spec_hash(spec: dict[str, Any]) -> str:
     return digest(normalize({key: value for key, value in spec.items() if key not in UNHASHED}))
 
 
-def content_hash(
-    spec_hash: str, algorithm: AlgorithmSpec, dataset_sha256: str, preparation: str, environment: str
-) -> str:
-    """Return the hash of all that a result depends on, by which results are reused.
-
-    Args:
-        spec_hash: of the run.
-        algorithm: its Algorithm; prose in it doesn't count.
-        dataset_sha256: checksum of the recording.
-        preparation: version of the preparation.
-        environment: digest of the container image or of the virtual environment.
-    """
+def algorithm_hash(algorithm: AlgorithmSpec) -> str:
+    """Return the hash of what an Algorithm says of its program; prose in it doesn't count."""
     body = _without_defaults(algorithm)
     for word in _PROSE:
         body.pop(word, None)
     for parameter in body.get("parameters", {}).values():
         parameter.pop("description", None)
+    return digest(normalize(body))
+
+
+def content_hash(
+    spec_hash: str, algorithm_hash: str, dataset_sha256: str, preparation: str, environment: str
+) -> str:
+    """Return the hash of all that a result depends on, by which results are reused.
+
+    Args:
+        spec_hash: of the run.
+        algorithm_hash: of its Algorithm.
+        dataset_sha256: checksum of the recording.
+        preparation: version of the preparation.
+        environment: digest of the container image or of the virtual environment.
+    """
     parts = {
-        "algorithm": body,
+        "algorithm": algorithm_hash,
         "dataset": dataset_sha256,
         "environment": environment,
         "preparation": preparation,
         "spec": spec_hash,
     }
-    return digest(normalize(parts))
+    return digest(parts)
 
 
 def local_uid(sweep: Sweep) -> str:
