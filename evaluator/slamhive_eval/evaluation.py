@@ -155,7 +155,7 @@ class Poses:
         reference: Associated ground truth in the estimate's frame, m poses.
         estimate: Associated estimate, aligned, m poses.
         errors: Distances in m, shape (m,).
-        rotation_errors_deg: Rotation angles in degrees, shape (m,).
+        rotation_errors_deg: Rotation angles in degrees, shape (m,); (0,) where one has no orientations.
     """
 
     association: Association
@@ -181,7 +181,7 @@ class Evaluation:
         scale: Scale of the Sim(3) alignment whatever the method, None where it isn't determined.
         ate: Statistics of the aligned distances in m, or None.
         ate_rotation_deg: Statistics of the rotation angles in degrees, or None.
-        rpe: One entry for each asked, empty without alignment.
+        rpe: One entry for each asked, empty without alignment or without orientations.
         poses: The compared poses and their errors, or None.
         notes: Sentences on what degenerate input left undetermined.
     """
@@ -237,9 +237,12 @@ def evaluate(reference: Trajectory, estimate: Trajectory, options: Options | Non
         Errors, coverage and outcome. Too few common poses make a lost run, with a sentence that says why.
 
     Raises:
-        OptionError: An option that isn't allowed.
+        OptionError: An option that isn't allowed, or an extrinsic with a lever arm for ground truth
+            without orientations.
     """
     options = options or Options()
+    if options.extrinsic is not None and not reference.oriented and np.any(options.extrinsic[:3, 3]):
+        raise OptionError("the ground truth has no orientations: it can't be moved by an extrinsic")
     pairs = associate(reference, estimate, options.max_difference_seconds, options.offset_seconds)
     coverage = measure_coverage(
         reference, estimate, pairs, keyframes=options.keyframes, window=options.window
@@ -308,7 +311,12 @@ def _measured(
     alignment = align(reference, estimate, options.alignment)
     aligned = alignment.apply(estimate)
     errors = metrics.ape_errors(reference, aligned)
-    rotation_errors = metrics.ape_errors(reference, aligned, "angle_deg")
+    notes, rpe, rotation_errors = alignment.notes, options.rpe, np.empty(0)
+    if reference.oriented and aligned.oriented:
+        rotation_errors = metrics.ape_errors(reference, aligned, "angle_deg")
+    else:
+        rpe = ()
+        notes += ("there are no orientations: rotation errors and relative errors were left out",)
     ate = Statistics.of(errors)
     assert ate is not None  # noqa: S101 - MIN_POSES are there
     scale = umeyama_scale(reference, estimate)
@@ -325,9 +333,9 @@ def _measured(
         scale=scale,
         ate=ate,
         ate_rotation_deg=Statistics.of(rotation_errors),
-        rpe=tuple(_relative(reference, aligned, asked) for asked in options.rpe),
+        rpe=tuple(_relative(reference, aligned, asked) for asked in rpe),
         poses=Poses(pairs, reference, aligned, errors, rotation_errors),
-        notes=alignment.notes,
+        notes=notes,
     )
 
 

@@ -91,7 +91,8 @@ def ape_errors(reference: Trajectory, estimate: Trajectory, relation: Relation =
         Errors ≥ 0, shape (n,).
 
     Raises:
-        OptionError: Unknown relation, or the ratio, which only relative errors have.
+        OptionError: Unknown relation, the ratio, which only relative errors have, or a relation that
+            needs orientations where there are none.
     """
     _check_relation(relation)
     if relation == "point_distance_error_ratio":
@@ -99,6 +100,7 @@ def ape_errors(reference: Trajectory, estimate: Trajectory, relation: Relation =
     distance = rotation.vector_norm(reference.positions - estimate.positions)
     if relation in ("trans_part", "point_distance"):
         return distance
+    _check_orientations(reference, estimate, relation)
     if reference.rotations is not None or estimate.rotations is not None:
         back = np.swapaxes(estimate.matrices, 1, 2)
         moved = np.einsum("nij,nj->ni", back, reference.positions - estimate.positions)
@@ -124,7 +126,7 @@ def rpe_errors(
         Errors ≥ 0, shape (k,), fewer for the ratio.
 
     Raises:
-        OptionError: Unknown relation.
+        OptionError: Unknown relation, or one that needs orientations where there are none.
     """
     _check_relation(relation)
     i, j = pairs[:, 0], pairs[:, 1]
@@ -137,6 +139,7 @@ def rpe_errors(
             return missed
         moved = travelled > 0
         return missed[moved] / travelled[moved] * 100.0
+    _check_orientations(reference, estimate, relation)
     if reference.rotations is not None or estimate.rotations is not None:
         return _rpe_of_matrices(reference, estimate, pairs, relation)
     reference_back = rotation.conjugate(reference.quaternions[i])
@@ -184,6 +187,12 @@ def _of_matrices(turn: FloatArray, distance: FloatArray, relation: Relation) -> 
 def _check_relation(relation: str) -> None:
     if relation not in RELATIONS:
         raise OptionError(f"unknown relation {relation!r}; known are {', '.join(RELATIONS)}")
+
+
+def _check_orientations(reference: Trajectory, estimate: Trajectory, relation: str) -> None:
+    for trajectory, name in ((reference, "ground truth"), (estimate, "estimate")):
+        if not trajectory.oriented:
+            raise OptionError(f"the {name} has no orientations, which this error of {relation} needs")
 
 
 def _of_motion(distance: FloatArray, turn: FloatArray, relation: Relation) -> FloatArray:

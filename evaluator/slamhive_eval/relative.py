@@ -138,9 +138,12 @@ def sub_trajectory_errors(
         One entry a length; none where the reference doesn't move and no lengths are given.
 
     Raises:
-        OptionError: Unequal numbers of poses, or a length or tolerance that isn't allowed.
+        OptionError: Unequal numbers of poses, none with orientations, or a length or tolerance that
+            isn't allowed.
     """
     _check_equal(reference, estimate)
+    if not (reference.oriented and estimate.oriented):
+        raise OptionError("errors over sub-trajectories need orientations of both trajectories")
     if lengths is None:
         lengths = default_lengths(reference.path_length)
     return tuple(_over(reference, estimate, length, rel_tolerance) for length in lengths)

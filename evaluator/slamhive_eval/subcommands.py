@@ -21,6 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "kitti": ("slamhive_eval.commands.kitti", "errors over KITTI's segments"),
     "drift": ("slamhive_eval.commands.drift", "errors over sub-trajectories, scale drift, gaps"),
     "repeated": ("slamhive_eval.commands.repeated", "several runs of one configuration together"),
+    "report": ("slamhive_eval.commands.report", "a page or figure that shows estimates"),
     "relations": ("slamhive_eval.commands.relations", "errors over pairwise relations"),
 }
 """Module and one line of help by name, in the order of ``--help``; see `slamhive_eval.commands`."""

@@ -91,8 +91,8 @@ def _show(result: dict[str, Any]) -> str:
             f"{_figure(true['acceleration'])}), jerk {_figure(smooth['jerk'])} m/s³ ({_figure(true['jerk'])})"
         ),
         (
-            f"first pose after {result['secondsToFirstPose']:.3f} s, last {result['secondsAfterLastPose']:.3f} s "
-            f"before the end, {len(result['gaps'])} gaps"
+            f"first pose after {result['secondsToFirstPose']:.3f} s, "
+            f"last {result['secondsAfterLastPose']:.3f} s before the end, {len(result['gaps'])} gaps"
         ),
     ]
     lines += [f"gap: {gap['end'] - gap['begin']:.3f} s, {gap['metres']:.3f} m" for gap in result["gaps"]]

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive-eval report``: a page or a figure that shows estimates beside their ground truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slamhive_eval import alignment, evaluation, files
+from slamhive_eval.commands import measuring, output
+from slamhive_eval.errors import FileError, OptionError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "One HTML page, complete in itself, with the trajectories from four sides, errors over time and "
+        "path, histogram, boxes and statistics; or a figure as PNG, SVG or PDF (needs matplotlib)."
+    )
+    parser.epilog = "Example: slamhive-eval report groundtruth.txt a.txt b.txt --align se3 -o report.html"
+    parser.add_argument("reference", metavar="GT", help="ground truth")
+    parser.add_argument("estimates", metavar="EST", nargs="+", help="estimated trajectories")
+    parser.add_argument("-o", "--output", metavar="FILE", help="the page (default: report.html)")
+    parser.add_argument("--figure", metavar="FILE", help="a figure: .png, .svg or .pdf")
+    parser.add_argument("--title", default="Trajectory evaluation", metavar="TEXT", help="of page and figure")
+    parser.add_argument("--align", choices=alignment.METHODS, default="se3", help="default: se3")
+    parser.add_argument(
+        "--times", metavar="FILE", help="stamps of KITTI poses; without it line k pairs with line k"
+    )
+    parser.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
+    measuring.add_matching(parser)
+    output.add_json(parser)
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Measure, write and say where to."""
+    unsorted: files.Unsorted = "sort" if asked.sort else "error"
+    options = evaluation.Options(
+        alignment=asked.align,
+        max_difference_seconds=asked.max_diff,
+        offset_seconds=asked.offset,
+        has_scale=asked.align not in ("sim3", "scale"),
+    )
+    reference = files.read_trajectory(asked.reference, times=asked.times)
+    found = {
+        name: evaluation.evaluate(
+            reference, files.read_trajectory(file, times=asked.times, unsorted=unsorted), options
+        )
+        for name, file in zip(_names(asked.estimates), asked.estimates, strict=True)
+    }
+    written = []
+    if asked.output or not asked.figure:
+        from slamhive_eval import report  # noqa: PLC0415 - only where asked for
+
+        written.append(asked.output or "report.html")
+        page = report.report_html(
+            reference, found, title=asked.title, reference_name=Path(asked.reference).name
+        )
+        try:
+            Path(written[-1]).write_text(page, encoding="utf-8")
+        except OSError as error:
+            raise FileError(written[-1], f"can't be written: {error.strerror or error}") from error
+    if asked.figure:
+        from slamhive_eval import figures  # noqa: PLC0415
+
+        figures.save_figure(asked.figure, reference, found, title=asked.title)
+        written.append(asked.figure)
+    each = {name: one.as_dict() for name, one in found.items()}
+    output.emit(asked, {"written": written, "estimates": each}, lambda _: "\n".join(written))
+    return 0
+
+
+def _names(estimates: Sequence[str]) -> list[str]:
+    """What to call the estimates: stems where they tell them apart, otherwise the words given."""
+    stems = [Path(name).stem for name in estimates]
+    names = stems if len(set(stems)) == len(stems) else list(estimates)
+    if len(set(names)) != len(names):
+        raise OptionError("the same estimate is given twice")
+    return names
