@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from slamhive_eval.alignment import Alignment, align, umeyama_scale
-    from slamhive_eval.association import Association, associate, interpolate
+    from slamhive_eval.association import Association, associate, associate_uniquely, interpolate, match
     from slamhive_eval.coverage import Coverage, measure_coverage
     from slamhive_eval.errors import (
         AssociationError,
@@ -26,14 +26,17 @@ if TYPE_CHECKING:
     )
     from slamhive_eval.evaluation import Evaluation, Options, Outcome, RpeOptions, evaluate
     from slamhive_eval.files import read_euroc, read_kitti, read_trajectory, read_tum, write_tum
+    from slamhive_eval.handeye import HandEye, hand_eye
     from slamhive_eval.metrics import Statistics, ape_errors, rpe_errors
     from slamhive_eval.pairs import find_pairs
     from slamhive_eval.relations import RelationErrors, Relations, evaluate_relations, read_relations
+    from slamhive_eval.robust import align_robustly
+    from slamhive_eval.timing import TimeOffset, find_offset
     from slamhive_eval.trajectory import Trajectory
 
 _MODULES = {
     "alignment": ("Alignment", "align", "umeyama_scale"),
-    "association": ("Association", "associate", "interpolate"),
+    "association": ("Association", "associate", "associate_uniquely", "interpolate", "match"),
     "coverage": ("Coverage", "measure_coverage"),
     "errors": ("AssociationError", "EvaluationError", "FileError", "OptionError", "TrajectoryError"),
     "evaluation": ("Evaluation", "Options", "Outcome", "RpeOptions", "evaluate"),
@@ -41,6 +44,9 @@ _MODULES = {
     "metrics": ("Statistics", "ape_errors", "rpe_errors"),
     "pairs": ("find_pairs",),
     "relations": ("RelationErrors", "Relations", "evaluate_relations", "read_relations"),
+    "handeye": ("HandEye", "hand_eye"),
+    "robust": ("align_robustly",),
+    "timing": ("TimeOffset", "find_offset"),
     "trajectory": ("Trajectory",),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
@@ -59,9 +65,16 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "Outcome",
     "Association",
     "associate",
+    "associate_uniquely",
     "interpolate",
+    "match",
+    "TimeOffset",
+    "find_offset",
     "Alignment",
     "align",
+    "align_robustly",
+    "HandEye",
+    "hand_eye",
     "umeyama_scale",
     "find_pairs",
     "ape_errors",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from slamhive_eval import rotation
-from slamhive_eval.errors import OptionError
+from slamhive_eval.errors import OptionError, TrajectoryError
 
 if TYPE_CHECKING:
     from slamhive_eval.rotation import FloatArray
@@ -62,7 +62,11 @@ class Alignment:
 
 
 def align(
-    reference: Trajectory, estimate: Trajectory, method: Method, first_poses: int | None = None
+    reference: Trajectory,
+    estimate: Trajectory,
+    method: Method,
+    first_poses: int | None = None,
+    weights: FloatArray | None = None,
 ) -> Alignment:
     """Align associated trajectories, pose k to pose k.
 
@@ -74,12 +78,16 @@ def align(
             scale of ``sim3``, about the origin; ``yaw`` turns about z and shifts (Zhang and Scaramuzza
             2018, the 4-DoF alignment of visual-inertial estimates).
         first_poses: Use only so many poses from the start; None for all.
+        weights: Of the squared position errors, ≥ 0, shape (m,); None for equal ones. ``none`` and
+            ``origin`` have no use for them.
 
     Returns:
         The alignment.
 
     Raises:
-        OptionError: Unknown method, unequal lengths, or fewer than one pose to use.
+        OptionError: Unknown method, unequal lengths, fewer than one pose to use, an ``origin`` without
+            orientations, or weights that aren't ≥ 0 with one above.
+        TrajectoryError: Positions that don't determine the alignment, without orientations.
     """
     if method not in METHODS:
         raise OptionError(f"unknown alignment {method!r}; known are {', '.join(METHODS)}")
@@ -91,12 +99,19 @@ def align(
         raise OptionError(f"the number of poses to align must be at least 1, not {first_poses}")
     if first_poses is not None and first_poses < len(reference):
         reference, estimate = reference.select(slice(first_poses)), estimate.select(slice(first_poses))
+        weights = weights[:first_poses] if weights is not None else None
     if method == "none":
         return Alignment(method, np.eye(3), np.zeros(3))
     if method == "origin":
+        if not (reference.oriented and estimate.oriented):
+            raise OptionError("the alignment origin needs orientations, and there are positions only")
         turn = reference.select(slice(1)).matrices[0] @ estimate.select(slice(1)).matrices[0].T
         return Alignment(method, turn, reference.positions[0] - turn @ estimate.positions[0])
-    return _umeyama(reference, estimate, method)
+    if weights is not None:
+        weights = _checked_weights(weights, len(reference))
+        used = np.flatnonzero(weights)
+        reference, estimate, weights = reference.select(used), estimate.select(used), weights[used]
+    return _umeyama(reference, estimate, method, weights)
 
 
 def umeyama_scale(reference: Trajectory, estimate: Trajectory) -> float | None:
@@ -114,10 +129,23 @@ def stands_still(positions: FloatArray) -> bool:
     return bool(spread <= max(_STILL_METRES, _RANK_TOLERANCE * np.abs(positions).max()))
 
 
-def _umeyama(reference: Trajectory, estimate: Trajectory, method: Method) -> Alignment:
-    x, mean_x = _centred(estimate.positions)
-    y, mean_y = _centred(reference.positions)
-    covariance = y.T @ x / len(x)
+def _checked_weights(weights: FloatArray, n: int) -> FloatArray:
+    weights = np.asarray(weights, dtype=np.float64)
+    if weights.shape != (n,) or not (np.isfinite(weights) & (weights >= 0)).all() or not weights.any():
+        raise OptionError(f"weights of {n} poses must be finite numbers ≥ 0, shape ({n},), one of them above")
+    return weights
+
+
+def _umeyama(
+    reference: Trajectory, estimate: Trajectory, method: Method, weights: FloatArray | None
+) -> Alignment:
+    x, mean_x = _centred(estimate.positions, weights)
+    y, mean_y = _centred(reference.positions, weights)
+    if weights is None:
+        covariance, variance = y.T @ x / len(x), np.sum(x * x) / len(x)
+    else:
+        share = (weights / weights.sum())[:, np.newaxis]
+        covariance, variance = (share * y).T @ x, np.sum(share * x * x)
     u, d, vt = np.linalg.svd(covariance)
     sign = _handedness(u, vt)
     notes: list[str] = []
@@ -126,7 +154,7 @@ def _umeyama(reference: Trajectory, estimate: Trajectory, method: Method) -> Ali
         if stands_still(estimate.positions) or stands_still(reference.positions):
             notes.append("the positions don't determine a scale (no common motion); 1 was taken")
         else:
-            scale = float((d @ sign) / (np.sum(x * x) / len(x)))
+            scale = float((d @ sign) / variance)
     if method == "scale":
         return Alignment(method, np.eye(3), np.zeros(3), scale, tuple(notes))
     if method == "yaw":
@@ -138,8 +166,8 @@ def _umeyama(reference: Trajectory, estimate: Trajectory, method: Method) -> Ali
     return Alignment(method, turn, mean_y - scale * (turn @ mean_x), scale, tuple(notes))
 
 
-def _centred(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    mean = positions.mean(axis=0)
+def _centred(positions: FloatArray, weights: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    mean = positions.mean(axis=0) if weights is None else np.average(positions, axis=0, weights=weights)
     return positions - mean, mean
 
 
@@ -155,10 +183,19 @@ def _orientation_agreement(reference: Trajectory, estimate: Trajectory) -> Float
     return agreement
 
 
+def _require_orientations(reference: Trajectory, estimate: Trajectory, what: str) -> None:
+    if not (reference.oriented and estimate.oriented):
+        raise TrajectoryError(
+            f"the positions don't determine {what} (a straight line, or no common motion), and there are no "
+            "orientations; align with none"
+        )
+
+
 def _degenerate(
     u: FloatArray, vt: FloatArray, reference: Trajectory, estimate: Trajectory, notes: list[str]
 ) -> FloatArray:
     """Of all rotations with the least position errors, the one that the orientations like best."""
+    _require_orientations(reference, estimate, "a rotation")
     agreement = _orientation_agreement(reference, estimate)
     if stands_still(estimate.positions) or stands_still(reference.positions):
         notes.append("the positions don't determine a rotation (no common motion); the orientations did")
@@ -180,6 +217,7 @@ def _yaw(covariance: FloatArray, reference: Trajectory, estimate: Trajectory, no
     sine, cosine = covariance[1, 0] - covariance[0, 1], covariance[0, 0] + covariance[1, 1]
     size = np.std(reference.positions, axis=0).max() * np.std(estimate.positions, axis=0).max()
     if np.hypot(sine, cosine) <= _RANK_TOLERANCE * size or stands_still(estimate.positions):
+        _require_orientations(reference, estimate, "a yaw")
         notes.append(
             "the positions don't determine a yaw (no common horizontal motion); the orientations did"
         )

@@ -3,19 +3,26 @@
 
 from __future__ import annotations
 
+import heapq
+import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
 from slamhive_eval import rotation
 from slamhive_eval.errors import AssociationError, OptionError
+from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive_eval.rotation import FloatArray, IndexArray
-    from slamhive_eval.trajectory import Trajectory
+
+Matching = Literal["nearest", "unique", "interpolate"]
+MATCHINGS: tuple[Matching, ...] = get_args(Matching)
+DEFAULT_GAP_SECONDS = 1.0
+"""Ground truth is interpolated between poses at most this far apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +65,120 @@ def associate(
     Raises:
         OptionError: A tolerance that is negative or not finite, or an offset that isn't finite.
     """
-    if not (np.isfinite(max_difference_seconds) and max_difference_seconds >= 0):
-        raise OptionError(f"the largest time difference must be ≥ 0 s, not {max_difference_seconds}")
-    if not np.isfinite(offset_seconds):
-        raise OptionError(f"the time offset must be a finite number of seconds, not {offset_seconds}")
+    _check(max_difference_seconds, offset_seconds)
     if len(estimate) > len(reference):
         short, long = _match(reference.stamps, estimate.stamps + offset_seconds, max_difference_seconds)
         return Association(short, long)
     short, long = _match(estimate.stamps, reference.stamps - offset_seconds, max_difference_seconds)
     return Association(long, short)
+
+
+def associate_uniquely(
+    reference: Trajectory,
+    estimate: Trajectory,
+    max_difference_seconds: float = 0.02,
+    offset_seconds: float = 0.0,
+) -> Association:
+    """Pair poses one to one, the closest in time first, as the TUM tools and rpg_trajectory_evaluation do.
+
+    Of all pairs that are left the one with the smallest difference is taken, then the earlier reference
+    pose, then the earlier estimated one, until none is below the tolerance.
+
+    Args:
+        reference: Ground truth.
+        estimate: What is measured.
+        max_difference_seconds: Differences must be less than this, in s (0.02 in those tools).
+        offset_seconds: Added to the estimate's stamps for matching only.
+
+    Returns:
+        The pairs in the order of time, possibly none.
+
+    Raises:
+        OptionError: A tolerance that is negative or not finite, or an offset that isn't finite.
+    """
+    _check(max_difference_seconds, offset_seconds)
+    n = len(reference)
+    stamps = np.concatenate((reference.stamps, estimate.stamps + offset_seconds))
+    order = np.argsort(stamps, kind="stable").tolist()
+    time = stamps.tolist()
+    # The closest two are neighbours in the common order of time, and stay so as others are taken out.
+    before, after = _neighbours(order)
+    heap: list[tuple[float, float, float, int, int]] = []
+
+    def offer(left: int, right: int) -> None:
+        if left < 0 or right < 0 or (left < n) == (right < n):
+            return
+        a, b = (left, right) if left < n else (right, left)
+        difference = abs(time[a] - time[b])
+        if difference < max_difference_seconds:
+            heap.append((difference, time[a], time[b], a, b))
+
+    for left, right in itertools.pairwise(order):
+        offer(left, right)
+    heapq.heapify(heap)
+    taken = bytearray(len(order))
+    pairs = []
+    while heap:
+        _, _, _, a, b = heapq.heappop(heap)
+        if taken[a] or taken[b]:
+            continue
+        taken[a] = taken[b] = 1
+        pairs.append((a, b - n))
+        left, right = _unlink(before, after, a, b)
+        count = len(heap)
+        offer(left, right)
+        if len(heap) > count:
+            heapq.heappush(heap, heap.pop())
+    index = np.array(sorted(pairs), dtype=np.intp).reshape(-1, 2)
+    return Association(index[:, 0], index[:, 1])
+
+
+def match(
+    reference: Trajectory,
+    estimate: Trajectory,
+    matching: Matching = "nearest",
+    *,
+    max_difference_seconds: float = 0.01,
+    offset_seconds: float = 0.0,
+    max_gap_seconds: float = DEFAULT_GAP_SECONDS,
+) -> tuple[Trajectory, Trajectory]:
+    """The poses of both trajectories that belong together, pose k to pose k.
+
+    Args:
+        reference: Ground truth.
+        estimate: What is measured.
+        matching: ``nearest`` (evo), ``unique`` (TUM, rpg), or ``interpolate``: the ground truth at the
+            estimate's stamps, positions linear, rotations by slerp.
+        max_difference_seconds: Largest time difference in s of the first two.
+        offset_seconds: Added to the estimate's stamps for matching only.
+        max_gap_seconds: Nothing is interpolated between ground-truth poses further apart than this, in s.
+
+    Returns:
+        m poses of each.
+
+    Raises:
+        AssociationError: No two belong together.
+        OptionError: An unknown matching or a number out of bounds.
+    """
+    if matching not in MATCHINGS:
+        raise OptionError(f"unknown matching {matching!r}; known are {', '.join(MATCHINGS)}")
+    if matching == "interpolate":
+        _check(max_gap_seconds, offset_seconds, "gap of the ground truth")
+        found, positions, quaternions = interpolate(
+            reference, estimate.stamps + offset_seconds, max_gap_seconds
+        )
+        index = np.flatnonzero(found)
+        if not len(index):
+            raise no_overlap(reference, estimate, max_gap_seconds, offset_seconds)
+        kept = estimate.select(index)
+        stamps = kept.stamps + offset_seconds
+        oriented = reference.oriented
+        return Trajectory(stamps, positions[index], quaternions[index], oriented=oriented), kept
+    find = associate if matching == "nearest" else associate_uniquely
+    pairs = find(reference, estimate, max_difference_seconds, offset_seconds)
+    if not len(pairs):
+        raise no_overlap(reference, estimate, max_difference_seconds, offset_seconds)
+    return reference.select(pairs.reference), estimate.select(pairs.estimate)
 
 
 def nearest(stamps: FloatArray, wanted: FloatArray, max_difference_seconds: float) -> IndexArray:
@@ -132,6 +244,32 @@ def no_overlap(
         f"no pose of the estimate, {_time_range(estimate)}{shift}, lies within {max_difference_seconds:g} s "
         f"of a ground-truth pose, {_time_range(reference)}"
     )
+
+
+def _check(limit_seconds: float, offset_seconds: float, what: str = "time difference") -> None:
+    if not (np.isfinite(limit_seconds) and limit_seconds >= 0):
+        raise OptionError(f"the largest {what} must be ≥ 0 s, not {limit_seconds}")
+    if not np.isfinite(offset_seconds):
+        raise OptionError(f"the time offset must be a finite number of seconds, not {offset_seconds}")
+
+
+def _neighbours(order: list[int]) -> tuple[list[int], list[int]]:
+    before, after = [-1] * len(order), [-1] * len(order)
+    for left, right in itertools.pairwise(order):
+        after[left], before[right] = right, left
+    return before, after
+
+
+def _unlink(before: list[int], after: list[int], *taken: int) -> tuple[int, int]:
+    """Take two neighbours out; what stands left and right of them then."""
+    left = right = -1
+    for one in taken:
+        left, right = before[one], after[one]
+        if left >= 0:
+            after[left] = right
+        if right >= 0:
+            before[right] = left
+    return left, right
 
 
 def _time_range(trajectory: Trajectory) -> str:

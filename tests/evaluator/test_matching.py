@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One-to-one and interpolated matching."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slamhive_eval import (
+    AssociationError,
+    OptionError,
+    Trajectory,
+    associate_uniquely,
+    match,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+# Multiples of 1/8 add up exactly: ties are ties.
+eighths = st.lists(st.integers(0, 60).map(lambda k: k / 8), min_size=1, max_size=30, unique=True).map(sorted)
+
+
+def at(stamps: list[float]) -> Trajectory:
+    n = len(stamps)
+    return Trajectory(np.array(stamps), np.zeros((n, 3)), np.tile((0.0, 0, 0, 1), (n, 1)))
+
+
+def as_the_tum_tools(
+    a: list[float], b: list[float], tolerance: float, offset: float
+) -> list[tuple[int, int]]:
+    close = sorted((abs(x - (y + offset)), x, y) for x in a for y in b if abs(x - (y + offset)) < tolerance)
+    left, right, pairs = set(a), set(b), []
+    for _, x, y in close:
+        if x in left and y in right:
+            left.remove(x)
+            right.remove(y)
+            pairs.append((a.index(x), b.index(y)))
+    return sorted(pairs)
+
+
+@settings(max_examples=400, deadline=None)
+@given(eighths, eighths, st.sampled_from((0.125, 0.25, 0.5, 100.0)), st.sampled_from((0.0, 0.25, -1.0)))
+def test_one_to_one(a: list[float], b: list[float], tolerance: float, offset: float) -> None:
+    found = associate_uniquely(at(a), at(b), tolerance, offset)
+    pairs = list(zip(found.reference.tolist(), found.estimate.tolist(), strict=True))
+    assert pairs == as_the_tum_tools(a, b, tolerance, offset)
+
+
+def test_equal_stamps_pair_once() -> None:
+    found = associate_uniquely(at([1.0, 1.0, 2.0]), at([1.0, 1.0, 1.0]), 0.5)
+    assert found.reference.tolist() == [0, 1]
+    assert len(set(found.estimate.tolist())) == 2
+
+
+def test_interpolated_ground_truth(wander: Callable[..., Trajectory]) -> None:
+    truth = wander(100)
+    between = truth.shifted(0.05)
+    nearest = match(truth, between, max_difference_seconds=0.01, matching="interpolate", max_gap_seconds=0.2)
+    assert len(nearest[0]) == len(nearest[1]) == 99
+    middle = (truth.positions[:-1] + truth.positions[1:]) / 2
+    np.testing.assert_allclose(nearest[0].positions, middle, atol=1e-6)
+    holes = truth.select(np.r_[0:30, 40:100])
+    assert len(match(holes, between, "interpolate", max_gap_seconds=0.5)[0]) == 88
+    shifted = match(truth, between, "interpolate", offset_seconds=-0.05)
+    np.testing.assert_allclose(shifted[0].positions, truth.positions[1:], atol=1e-6)
+    np.testing.assert_allclose(shifted[1].positions, truth.positions[1:])
+
+
+@pytest.mark.parametrize("how", ["nearest", "unique"])
+def test_match(wander: Callable[..., Trajectory], how: str) -> None:
+    reference, estimate = match(wander(100), wander(100).select(np.arange(0, 100, 3)).shifted(0.004), how)
+    assert len(reference) == len(estimate) == 34
+    np.testing.assert_array_equal(reference.positions, estimate.positions)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "says"),
+    [
+        (
+            {"matching": "best"},
+            OptionError,
+            "unknown matching 'best'; known are nearest, unique, interpolate",
+        ),
+        ({"offset_seconds": 1e6}, AssociationError, "no pose of the estimate"),
+        ({"offset_seconds": 1e6, "matching": "unique"}, AssociationError, "no pose of the estimate"),
+        ({"offset_seconds": 1e6, "matching": "interpolate"}, AssociationError, "no pose of the estimate"),
+        ({"matching": "interpolate", "max_gap_seconds": -1}, OptionError, "largest gap of the ground truth"),
+        ({"matching": "unique", "max_difference_seconds": -1}, OptionError, "must be ≥ 0 s, not -1"),
+    ],
+)
+def test_wrong_options(
+    wander: Callable[..., Trajectory], arguments: dict[str, object], error: type[Exception], says: str
+) -> None:
+    with pytest.raises(error, match=says):
+        match(wander(), wander(), **arguments)
