@@ -66,9 +66,11 @@ def test_interpolated_ground_truth(wander: Callable[..., Trajectory]) -> None:
     np.testing.assert_allclose(nearest[0].positions, middle, atol=1e-6)
     holes = truth.select(np.r_[0:30, 40:100])
     assert len(match(holes, between, "interpolate", max_gap_seconds=0.5)[0]) == 88
-    shifted = match(truth, between, "interpolate", offset_seconds=-0.05)
-    np.testing.assert_allclose(shifted[0].positions, truth.positions[1:], atol=1e-6)
-    np.testing.assert_allclose(shifted[1].positions, truth.positions[1:])
+    shifted = match(truth, between, "interpolate", offset_seconds=0.025)
+    np.testing.assert_allclose(
+        shifted[0].positions, 0.25 * truth.positions[:-1] + 0.75 * truth.positions[1:], atol=1e-6
+    )
+    np.testing.assert_array_equal(shifted[1].positions, truth.positions[:-1])
 
 
 @pytest.mark.parametrize("how", ["nearest", "unique"])
