@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from slamhive_eval.handeye import HandEye, hand_eye
     from slamhive_eval.metrics import Statistics, ape_errors, rpe_errors
     from slamhive_eval.pairs import find_pairs
+    from slamhive_eval.preparing import Preparation, Prepared, prepare
     from slamhive_eval.relations import RelationErrors, Relations, evaluate_relations, read_relations
     from slamhive_eval.robust import align_robustly
     from slamhive_eval.timing import TimeOffset, find_offset
@@ -45,6 +46,7 @@ _MODULES = {
     "pairs": ("find_pairs",),
     "relations": ("RelationErrors", "Relations", "evaluate_relations", "read_relations"),
     "handeye": ("HandEye", "hand_eye"),
+    "preparing": ("Preparation", "Prepared", "prepare"),
     "robust": ("align_robustly",),
     "timing": ("TimeOffset", "find_offset"),
     "trajectory": ("Trajectory",),
@@ -73,6 +75,9 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "Alignment",
     "align",
     "align_robustly",
+    "Preparation",
+    "Prepared",
+    "prepare",
     "HandEye",
     "hand_eye",
     "umeyama_scale",

@@ -96,6 +96,41 @@ def read_trajectory(
     return _checked(path, text, (stamps, table[:, 1:4], quaternions), unsorted)
 
 
+def detect_format(path: str | Path) -> Format:
+    """What a file is by its first line or, for recordings, by its name.
+
+    Raises:
+        FileError: It can't be read, or its first line is of no known format.
+    """
+    path, _ = _split_topic(path, None)
+    return "bag" if bags.is_bag(path) else _detect(path, read_text(path))[0]
+
+
+def read_transform(path: str | Path) -> FloatArray:
+    """Read a rigid motion: 16 or 12 numbers of a matrix row by row, or ``x y z qx qy qz qw``.
+
+    Returns:
+        The matrix, shape (4, 4). It isn't checked to be rigid.
+
+    Raises:
+        FileError: The file can't be read or holds other than so many numbers.
+    """
+    words = read_text(path).translate(str.maketrans("[](),;", "      ")).split()
+    if len(words) not in (7, 12, 16) or not all(map(_is_number, words)):
+        raise FileError(
+            path, "a transform has 16 or 12 numbers of a matrix row by row, or 7: x y z qx qy qz qw"
+        )
+    numbers = np.array(words, dtype=np.float64)
+    matrix = np.eye(4)
+    if len(words) == 7:
+        if not np.isfinite(numbers).all() or not np.abs(numbers[3:]).max() > 0:
+            raise FileError(path, "the quaternion is zero, or a number isn't finite")
+        matrix[:3, :3], matrix[:3, 3] = rotation.to_matrix(rotation.normalize(numbers[3:])), numbers[:3]
+    else:
+        matrix[: len(words) // 4] = numbers.reshape(-1, 4)
+    return matrix
+
+
 def _split_topic(path: str | Path, topic: str | None) -> tuple[str | Path, str | None]:
     """The parts of ``FILE:TOPIC``; a file of that name comes first."""
     words = str(path)

@@ -31,8 +31,8 @@ _STARTS = 16
 _SAMPLE = 2000
 """Poses, evenly chosen, that decide between the starts."""
 _STEPS = 50
-_HUBER = 1.345
-"""Standard deviations from which errors weigh less: 95 % efficiency for normal errors."""
+_HUBER = 2.5
+"""Standard deviations from which errors weigh less: nine of ten normal errors in three axes don't."""
 _MEDIAN_OF_NORM = 1.5382
 """Median length of a vector of three standard normal numbers."""
 

@@ -3,40 +3,115 @@
 
 from __future__ import annotations
 
+import argparse
 from typing import TYPE_CHECKING, Any
 
 from slamhive_eval import alignment, association, files, metrics
 from slamhive_eval.commands import output
+from slamhive_eval.preparing import Preparation, prepare
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Callable
 
+    from slamhive_eval.preparing import Clock
     from slamhive_eval.trajectory import Trajectory
 
 
 def add_pair(parser: argparse.ArgumentParser) -> None:
     """Add the arguments for ground truth and estimates and how they are laid onto one another."""
     parser.add_argument(
-        "reference", metavar="GT", help="ground truth: TUM, EuRoC csv or KITTI, may be .gz or .bz2"
+        "reference",
+        metavar="GT",
+        help="ground truth: TUM, EuRoC csv, KITTI or a csv with named columns, may be .gz or .bz2; a topic "
+        "of a bag or MCAP as in run.bag:/odom or run.bag:/tf:map.base_link",
     )
-    parser.add_argument("estimates", metavar="EST", nargs="+", help="estimated trajectories")
+    parser.add_argument(
+        "estimates", metavar="EST", nargs="+", help="estimated trajectories, the same formats"
+    )
     parser.add_argument(
         "--relation", choices=metrics.RELATIONS, default="trans_part", help="default: trans_part"
     )
-    parser.add_argument("--align", choices=alignment.METHODS, default="none", help="default: none")
-    parser.add_argument("--n-to-align", type=int, metavar="N", help="align with the first N poses only")
-    parser.add_argument(
-        "--times", metavar="FILE", help="stamps of KITTI poses; without it line k pairs with line k"
-    )
-    parser.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
-    add_matching(parser)
+    add_reading(parser)
+    add_preparation(parser)
     output.add_json(parser)
     output.add_writers(parser)
 
 
+def add_reading(parser: argparse.ArgumentParser) -> None:
+    """Add what decides how files are read."""
+    group = parser.add_argument_group("reading")
+    group.add_argument("--format", choices=files.FORMATS, help="format of the estimates (default: found out)")
+    group.add_argument(
+        "--reference-format", choices=files.FORMATS, help="format of the ground truth (default: found out)"
+    )
+    group.add_argument("--topic", metavar="TOPIC", help="topic of the estimates, for recordings")
+    group.add_argument("--reference-topic", metavar="TOPIC", help="topic of the ground truth, for recordings")
+    group.add_argument(
+        "--times", metavar="FILE", help="stamps of KITTI poses; without it line k pairs with line k"
+    )
+    group.add_argument(
+        "--sort", action="store_true", help="sort the poses of EST by time instead of refusing"
+    )
+
+
+def add_preparation(parser: argparse.ArgumentParser) -> None:
+    """Add what decides how poses are matched, moved and aligned."""
+    matching = parser.add_argument_group("matching")
+    matching.add_argument(
+        "--match",
+        choices=association.MATCHINGS,
+        default="nearest",
+        help="by time: nearest as evo, unique as TUM and rpg, or interpolate the ground truth "
+        "(default: nearest)",
+    )
+    _add_max_diff(matching)
+    matching.add_argument(
+        "--max-gap",
+        type=float,
+        default=association.DEFAULT_GAP_SECONDS,
+        metavar="S",
+        help="interpolate between ground-truth poses at most this far apart [s] (default: 1)",
+    )
+    matching.add_argument(
+        "--offset",
+        type=_offset,
+        default=0.0,
+        metavar="S",
+        help="added to EST's stamps [s]; auto or drift: found from how fast the body turns",
+    )
+    frame = parser.add_argument_group("frame and alignment")
+    either = frame.add_mutually_exclusive_group()
+    either.add_argument(
+        "--extrinsic",
+        metavar="FILE",
+        help="pose of EST's sensor in the body whose ground truth this is; the ground truth is moved there",
+    )
+    either.add_argument("--hand-eye", action="store_true", help="find that pose from the motion")
+    frame.add_argument("--align", choices=(*alignment.METHODS, "auto"), default="none", help="default: none")
+    frame.add_argument("--unscaled", action="store_true", help="auto: EST has no scale (monocular), so sim3")
+    frame.add_argument(
+        "--gravity-aligned", action="store_true", help="auto: both worlds have z upwards, so yaw"
+    )
+    frame.add_argument("--n-to-align", type=int, metavar="N", help="align with the first N poses only")
+    frame.add_argument("--robust", choices=("huber", "trimmed"), help="align heeding outliers little or not")
+    frame.add_argument(
+        "--keep",
+        type=float,
+        default=0.75,
+        metavar="SHARE",
+        help="share of the poses that trimmed fits (default: 0.75)",
+    )
+
+
 def add_matching(parser: argparse.ArgumentParser) -> None:
-    """Add what decides how poses are found by time."""
+    """Add what decides which poses are nearest in time."""
+    _add_max_diff(parser)
+    parser.add_argument(
+        "--sort", action="store_true", help="sort the poses of EST by time instead of refusing"
+    )
+
+
+def _add_max_diff(parser: Any) -> None:
     parser.add_argument(
         "--max-diff",
         type=float,
@@ -44,9 +119,52 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="largest time difference [s] (default: 0.01)",
     )
-    parser.add_argument(
-        "--sort", action="store_true", help="sort the poses of EST by time instead of refusing"
+
+
+def _offset(word: str) -> float | str:
+    if word in ("auto", "drift"):
+        return word
+    try:
+        return float(word)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{word!r} is neither a number of seconds, auto nor drift") from None
+
+
+def preparation(asked: argparse.Namespace) -> Preparation:
+    """How to lay estimates onto the ground truth, as the options say."""
+    clock: Clock = {"auto": "offset", "drift": "drift"}.get(asked.offset, "given")  # type: ignore[assignment]
+    method = asked.align
+    if method == "auto":
+        method = "sim3" if asked.unscaled else "yaw" if asked.gravity_aligned else "se3"
+    return Preparation(
+        matching=asked.match,
+        max_difference_seconds=asked.max_diff,
+        max_gap_seconds=asked.max_gap,
+        clock=clock,
+        offset_seconds=asked.offset if clock == "given" else 0.0,
+        extrinsic=None if asked.extrinsic is None else files.read_transform(asked.extrinsic),
+        hand_eye=asked.hand_eye,
+        alignment=method,
+        first_poses=asked.n_to_align,
+        robust=asked.robust,
+        keep=asked.keep,
     )
+
+
+def read_reference(asked: argparse.Namespace) -> Trajectory:
+    """The ground truth."""
+    return files.read_trajectory(
+        asked.reference, asked.reference_format, times=asked.times, topic=asked.reference_topic
+    )
+
+
+def read_estimate(asked: argparse.Namespace, name: str) -> Trajectory:
+    """An estimate; KITTI's stamps belong to KITTI poses only."""
+    times = asked.times
+    if times is not None and (asked.format or files.detect_format(name)) != "kitti":
+        times = None
+    unsorted: files.Unsorted = "sort" if asked.sort else "error"
+    return files.read_trajectory(name, asked.format, times=times, topic=asked.topic, unsorted=unsorted)
 
 
 def measure(
@@ -62,12 +180,12 @@ def measure(
     Returns:
         The exit code.
     """
-    unsorted: files.Unsorted = "sort" if asked.sort else "error"
-    reference = files.read_trajectory(asked.reference, times=asked.times)
+    how = preparation(asked)
+    reference = read_reference(asked)
     measured = []
     for name in asked.estimates:
-        estimate = files.read_trajectory(name, times=asked.times, unsorted=unsorted)
-        measured.append(errors_of(asked, name, *_aligned(asked, reference, estimate)))
+        prepared = prepare(reference, read_estimate(asked, name), how)
+        measured.append(errors_of(asked, name, prepared.reference, prepared.estimate, prepared.as_dict()))
     output.write(asked, measured)
     results = [one.result for one in measured]
     if len(results) == 1:
@@ -75,22 +193,6 @@ def measure(
     else:
         output.emit(asked, {"results": results}, lambda _: show_several(results))
     return 0
-
-
-def _aligned(
-    asked: argparse.Namespace, reference: Trajectory, estimate: Trajectory
-) -> tuple[Trajectory, Trajectory, dict[str, Any]]:
-    matched = association.associate(reference, estimate, asked.max_diff, asked.offset)
-    if not len(matched):
-        raise association.no_overlap(reference, estimate, asked.max_diff, asked.offset)
-    reference, estimate = reference.select(matched.reference), estimate.select(matched.estimate)
-    found = alignment.align(reference, estimate, asked.align, asked.n_to_align)
-    about = {
-        "poses": len(matched),
-        "alignment": {"method": found.method, "transform": found.transform.tolist(), "scale": found.scale},
-        "notes": list(found.notes),
-    }
-    return reference, found.apply(estimate), about
 
 
 def show(result: dict[str, Any]) -> str:
@@ -102,6 +204,10 @@ def show(result: dict[str, Any]) -> str:
     ]
     lines += [f"{name:>8}  {result[name]}" for name in ("poses", "pairs") if name in result]
     lines.append(f"{'scale':>8}  {number(result['alignment']['scale'])}")
+    if "clock" in result:
+        clock = result["clock"]
+        drift = f", drift {clock['drift'] * 1e6:.1f} ppm" if clock["drift"] else ""
+        lines.append(f"{'offset':>8}  {clock['offsetSeconds']:.6f} s{drift}")
     return "\n".join(lines + [f"note: {note}" for note in result["notes"]])
 
 

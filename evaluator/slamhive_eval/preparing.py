@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From two trajectories as they were read to two that can be compared pose by pose.
+
+In this order: the estimate's clock, the poses that belong together, the frame of the body, the world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from slamhive_eval.alignment import METHODS, Alignment, Method, align
+from slamhive_eval.association import DEFAULT_GAP_SECONDS, MATCHINGS, Matching, match
+from slamhive_eval.errors import OptionError
+
+if TYPE_CHECKING:
+    from slamhive_eval.handeye import HandEye
+    from slamhive_eval.robust import Loss
+    from slamhive_eval.rotation import FloatArray
+    from slamhive_eval.timing import TimeOffset
+    from slamhive_eval.trajectory import Trajectory
+
+Clock = Literal["given", "offset", "drift"]
+CLOCKS: tuple[Clock, ...] = get_args(Clock)
+
+
+@dataclass(frozen=True, eq=False)
+class Preparation:
+    """How two trajectories are laid onto one another.
+
+    Attributes:
+        matching: ``nearest``, ``unique`` or ``interpolate``; see `slamhive_eval.match`.
+        max_difference_seconds: Largest time difference in s of the first two.
+        max_gap_seconds: Largest gap in s of the ground truth for the third.
+        clock: ``given``, or find the ``offset`` of the estimate's clock, with its ``drift``; see
+            `slamhive_eval.find_offset`.
+        offset_seconds: Added to the estimate's stamps for matching, where given.
+        extrinsic: T_body_sensor, shape (4, 4): the ground truth is moved to the estimate's sensor. None
+            leaves it.
+        hand_eye: Find that pose instead; see `slamhive_eval.hand_eye`.
+        alignment: Method of `slamhive_eval.align`.
+        first_poses: Align by so many poses from the start only; None for all.
+        robust: ``huber`` or ``trimmed``; see `slamhive_eval.align_robustly`. None for least squares.
+        keep: Share of the poses that ``trimmed`` fits.
+    """
+
+    matching: Matching = "nearest"
+    max_difference_seconds: float = 0.01
+    max_gap_seconds: float = DEFAULT_GAP_SECONDS
+    clock: Clock = "given"
+    offset_seconds: float = 0.0
+    extrinsic: FloatArray | None = None
+    hand_eye: bool = False
+    alignment: Method = "none"
+    first_poses: int | None = None
+    robust: Loss | None = None
+    keep: float = 0.75
+
+    def __post_init__(self) -> None:
+        for what, value, known in (
+            ("matching", self.matching, MATCHINGS),
+            ("clock", self.clock, CLOCKS),
+            ("alignment", self.alignment, METHODS),
+        ):
+            if value not in known:
+                raise OptionError(f"unknown {what} {value!r}; known are {', '.join(known)}")
+        if self.hand_eye and self.extrinsic is not None:
+            raise OptionError("the extrinsic is either given or found, not both")
+        if self.clock != "given" and self.offset_seconds:
+            raise OptionError("the time offset is either given or found, not both")
+        if self.robust is not None and self.first_poses is not None:
+            raise OptionError("a robust alignment is by all poses, not by the first ones")
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What prepare made.
+
+    Attributes:
+        reference: m poses of the ground truth, in the estimate's frame where that was asked.
+        estimate: m poses of the estimate, aligned.
+        alignment: What laid it there.
+        clock: The offset found, None where it was given.
+        hand_eye: The extrinsic found, None where it wasn't asked for.
+    """
+
+    reference: Trajectory
+    estimate: Trajectory
+    alignment: Alignment
+    clock: TimeOffset | None = None
+    hand_eye: HandEye | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain JSON data: poses, alignment, notes; clock and handEye where they were found."""
+        found: dict[str, Any] = {
+            "poses": len(self.reference),
+            "alignment": {
+                "method": self.alignment.method,
+                "transform": self.alignment.transform.tolist(),
+                "scale": self.alignment.scale,
+            },
+            "notes": list(self.alignment.notes),
+        }
+        if self.clock is not None:
+            found["clock"] = {
+                "offsetSeconds": self.clock.offset_seconds,
+                "drift": self.clock.drift,
+                "origin": self.clock.origin,
+                "correlation": self.clock.correlation,
+            }
+        if self.hand_eye is not None:
+            found["handEye"] = {
+                "extrinsic": self.hand_eye.extrinsic.tolist(),
+                "motions": self.hand_eye.motions,
+                "rotationRmsDeg": self.hand_eye.rotation_rms_deg,
+                "translationRms": self.hand_eye.translation_rms,
+            }
+        return found
+
+
+def prepare(reference: Trajectory, estimate: Trajectory, asked: Preparation) -> Prepared:
+    """Lay an estimate onto its ground truth.
+
+    Args:
+        reference: Ground truth.
+        estimate: What is measured.
+        asked: How.
+
+    Returns:
+        Both, pose k belonging to pose k.
+
+    Raises:
+        AssociationError: No poses belong together, or the clock's offset can't be found.
+        OptionError: A number out of bounds.
+        TrajectoryError: The poses don't determine what was to be found from them.
+    """
+    clock = None
+    if asked.clock != "given":
+        from slamhive_eval.timing import find_offset  # noqa: PLC0415 - few ask for it
+
+        clock = find_offset(reference, estimate, drift=asked.clock == "drift")
+        estimate = clock.apply(estimate)
+    reference, estimate = match(
+        reference,
+        estimate,
+        asked.matching,
+        max_difference_seconds=asked.max_difference_seconds,
+        offset_seconds=asked.offset_seconds,
+        max_gap_seconds=asked.max_gap_seconds,
+    )
+    found = None
+    if asked.hand_eye:
+        from slamhive_eval.handeye import hand_eye  # noqa: PLC0415 - few ask for it
+
+        found = hand_eye(reference, estimate, with_scale=asked.alignment in ("sim3", "scale"))
+        reference = reference.moved(found.extrinsic)
+    elif asked.extrinsic is not None:
+        reference = reference.moved(asked.extrinsic)
+    if asked.robust is None:
+        alignment = align(reference, estimate, asked.alignment, asked.first_poses)
+    else:
+        from slamhive_eval.robust import align_robustly  # noqa: PLC0415 - few ask for it
+
+        alignment = align_robustly(reference, estimate, asked.alignment, asked.robust, asked.keep)
+    return Prepared(reference, alignment.apply(estimate), alignment, clock, found)
