@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "drift": ("slamhive_eval.commands.drift", "errors over sub-trajectories, scale drift, gaps"),
     "repeated": ("slamhive_eval.commands.repeated", "several runs of one configuration together"),
     "report": ("slamhive_eval.commands.report", "a page or figure that shows estimates"),
+    "map": ("slamhive_eval.commands.map", "a map against a reference, or its sharpness"),
     "relations": ("slamhive_eval.commands.relations", "errors over pairwise relations"),
 }
 """Module and one line of help by name, in the order of ``--help``; see `slamhive_eval.commands`."""
