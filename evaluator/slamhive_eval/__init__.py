@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from slamhive_eval.alignment import Alignment, align, umeyama_scale
     from slamhive_eval.association import Association, associate, associate_uniquely, interpolate, match
+    from slamhive_eval.clouds import Cloud, read_cloud, sample_mesh
+    from slamhive_eval.consistency import Consistency, measure_consistency
     from slamhive_eval.coverage import Coverage, measure_coverage
     from slamhive_eval.errors import (
         AssociationError,
@@ -25,13 +27,32 @@ if TYPE_CHECKING:
         TrajectoryError,
     )
     from slamhive_eval.evaluation import Evaluation, Options, Outcome, RpeOptions, evaluate
+    from slamhive_eval.evo_zip import ErrorSeries, write_error_arrays, write_evo_zip
+    from slamhive_eval.figures import save_figure
     from slamhive_eval.files import read_euroc, read_kitti, read_trajectory, read_tum, write_tum
     from slamhive_eval.handeye import HandEye, hand_eye
+    from slamhive_eval.kitti import KittiErrors, kitti_errors
+    from slamhive_eval.maps import MapEntropy, MapErrors, compare_maps, mean_map_entropy, thin_out
     from slamhive_eval.metrics import Statistics, ape_errors, rpe_errors
+    from slamhive_eval.motion import Smoothness, smoothness, velocities, velocity_errors
     from slamhive_eval.pairs import find_pairs
     from slamhive_eval.preparing import Preparation, Prepared, prepare
     from slamhive_eval.relations import RelationErrors, Relations, evaluate_relations, read_relations
+    from slamhive_eval.relative import ScaleDrift, SubTrajectoryErrors, scale_drift, sub_trajectory_errors
+    from slamhive_eval.repeated import Repeated, summarize
+    from slamhive_eval.report import report_html
+    from slamhive_eval.result_tables import csv_table, latex_table
     from slamhive_eval.robust import align_robustly
+    from slamhive_eval.support import (
+        Gap,
+        SegmentedEvaluation,
+        Support,
+        common_support,
+        evaluate_segments,
+        find_support,
+        segment_numbers,
+        within,
+    )
     from slamhive_eval.timing import TimeOffset, find_offset
     from slamhive_eval.trajectory import Trajectory
 
@@ -49,6 +70,27 @@ _MODULES = {
     "preparing": ("Preparation", "Prepared", "prepare"),
     "robust": ("align_robustly",),
     "timing": ("TimeOffset", "find_offset"),
+    "clouds": ("Cloud", "read_cloud", "sample_mesh"),
+    "consistency": ("Consistency", "measure_consistency"),
+    "evo_zip": ("ErrorSeries", "write_error_arrays", "write_evo_zip"),
+    "figures": ("save_figure",),
+    "kitti": ("KittiErrors", "kitti_errors"),
+    "maps": ("MapEntropy", "MapErrors", "compare_maps", "mean_map_entropy", "thin_out"),
+    "motion": ("Smoothness", "smoothness", "velocities", "velocity_errors"),
+    "relative": ("ScaleDrift", "SubTrajectoryErrors", "scale_drift", "sub_trajectory_errors"),
+    "repeated": ("Repeated", "summarize"),
+    "report": ("report_html",),
+    "result_tables": ("csv_table", "latex_table"),
+    "support": (
+        "Gap",
+        "SegmentedEvaluation",
+        "Support",
+        "common_support",
+        "evaluate_segments",
+        "find_support",
+        "segment_numbers",
+        "within",
+    ),
     "trajectory": ("Trajectory",),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
@@ -91,6 +133,43 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "RelationErrors",
     "read_relations",
     "evaluate_relations",
+    "kitti_errors",
+    "KittiErrors",
+    "sub_trajectory_errors",
+    "SubTrajectoryErrors",
+    "scale_drift",
+    "ScaleDrift",
+    "velocity_errors",
+    "velocities",
+    "smoothness",
+    "Smoothness",
+    "measure_consistency",
+    "Consistency",
+    "find_support",
+    "Support",
+    "Gap",
+    "common_support",
+    "within",
+    "evaluate_segments",
+    "segment_numbers",
+    "SegmentedEvaluation",
+    "summarize",
+    "Repeated",
+    "read_cloud",
+    "Cloud",
+    "sample_mesh",
+    "compare_maps",
+    "MapErrors",
+    "mean_map_entropy",
+    "MapEntropy",
+    "thin_out",
+    "report_html",
+    "save_figure",
+    "ErrorSeries",
+    "write_evo_zip",
+    "write_error_arrays",
+    "csv_table",
+    "latex_table",
     "EvaluationError",
     "TrajectoryError",
     "FileError",

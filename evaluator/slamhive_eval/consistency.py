@@ -70,7 +70,7 @@ class Consistency:
         }
 
 
-def consistency(
+def measure_consistency(
     reference: Trajectory,
     estimate: Trajectory,
     covariances: FloatArray,

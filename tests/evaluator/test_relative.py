@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slamhive_eval import OptionError, Trajectory, associate, read_trajectory, rotation
-from slamhive_eval.consistency import CHI_SQUARE_95, consistency
+from slamhive_eval.consistency import CHI_SQUARE_95, measure_consistency
 from slamhive_eval.motion import smoothness, velocities, velocity_errors
 from slamhive_eval.relative import default_lengths, scale_drift, sub_trajectory_errors
 
@@ -181,7 +181,7 @@ def test_consistent_gaussian_errors_have_nees_d(d: int) -> None:
     covariances[:5] = 0.0
     covariances[5] = np.nan
     estimate = Trajectory(truth.stamps, error[:, :3], turned)
-    found = consistency(truth, estimate, covariances, turn, 0.5)
+    found = measure_consistency(truth, estimate, covariances, turn, 0.5)
     assert len(found.nees) == n - 6
     assert found.nees.mean() == pytest.approx(d, rel=0.03)
     expected = np.einsum("ni,ij,nj->n", error[6:], np.linalg.inv(root @ root.T), error[6:])
@@ -192,17 +192,17 @@ def test_consistent_gaussian_errors_have_nees_d(d: int) -> None:
     assert told["withoutCovariance"] == 6
     assert told["neesWithin95"] == pytest.approx(0.95, abs=0.01)
     # An estimator that promises a tenth of its errors is found out.
-    bold = consistency(truth, estimate, covariances / 100, turn, 0.5)
+    bold = measure_consistency(truth, estimate, covariances / 100, turn, 0.5)
     assert bold.nees.mean() == pytest.approx(100 * found.nees.mean())
 
 
 def test_no_covariance_at_all_and_wrong_ones() -> None:
     truth = along_x(4)
-    told = consistency(truth, truth, np.zeros((4, 6, 6))).as_dict()
+    told = measure_consistency(truth, truth, np.zeros((4, 6, 6))).as_dict()
     assert (told["count"], told["nees"], told["neesWithin95"], told["withinSigma"]) == (0, None, None, [])
     for wrong in (np.zeros((3, 3, 3)), np.zeros((4, 2, 2)), np.zeros((4, 6))):
         with pytest.raises(OptionError, match="consistency needs 4 estimated poses"):
-            consistency(truth, truth, wrong)
+            measure_consistency(truth, truth, wrong)
 
 
 @pytest.mark.parametrize("d", [3, 6])
