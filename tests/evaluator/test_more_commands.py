@@ -71,6 +71,8 @@ def test_drift(files: list[str], call: Call) -> None:
     text, found = call("drift", files[0], files[4])
     assert found["secondsAfterLastPose"] == pytest.approx(55.0)
     assert "last 55.000 s before the end" in text
+    _, found = call("drift", *files[:2], "--offset", "-2.0")
+    assert (found["poses"], found["secondsAfterLastPose"]) == (580, pytest.approx(2.0))
 
 
 def test_repeated(files: list[str], call: Call) -> None:

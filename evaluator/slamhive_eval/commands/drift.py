@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive_eval import alignment, association, files, motion, relative, support
+from slamhive_eval import motion, relative, support
 from slamhive_eval.commands import measuring, output
 from slamhive_eval.metrics import Statistics
+from slamhive_eval.preparing import prepare
+from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import argparse
@@ -29,39 +31,32 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="lengths of sub-trajectories [m] (default: 10, 20, 30, 40 and 50 %% of the path)",
     )
-    parser.add_argument("--align", choices=alignment.METHODS, default="se3", help="default: se3")
-    parser.add_argument(
-        "--times", metavar="FILE", help="stamps of KITTI poses; without it line k pairs with line k"
-    )
-    parser.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
-    measuring.add_matching(parser)
+    measuring.add_reading(parser)
+    measuring.add_preparation(parser)
+    parser.set_defaults(align="se3")
     output.add_json(parser)
 
 
 def run(asked: argparse.Namespace) -> int:
     """Measure and print."""
-    reference = files.read_trajectory(asked.reference, times=asked.times)
-    whole = files.read_trajectory(
-        asked.estimate, times=asked.times, unsorted="sort" if asked.sort else "error"
-    )
-    matched = association.associate(reference, whole, asked.max_diff, asked.offset)
-    if not len(matched):
-        raise association.no_overlap(reference, whole, asked.max_diff, asked.offset)
-    truth, estimate = reference.select(matched.reference), whole.select(matched.estimate)
-    found = alignment.align(truth, estimate, asked.align)
-    aligned = found.apply(estimate)
+    reference, whole = measuring.read_reference(asked), measuring.read_estimate(asked, asked.estimate)
+    how = measuring.preparation(asked)
+    prepared = prepare(reference, whole, how)
+    truth, aligned = prepared.reference, prepared.estimate
+    if prepared.clock is not None:
+        whole = prepared.clock.apply(whole)
+    elif how.offset_seconds:
+        whole = Trajectory(whole.stamps + how.offset_seconds, whole.positions, whole.quaternions)
     lengths = tuple(asked.lengths) if asked.lengths else None
     velocity = Statistics.of(motion.velocity_errors(truth, aligned))
     result = {
-        "poses": len(matched),
-        "alignment": {"method": found.method, "transform": found.transform.tolist(), "scale": found.scale},
+        **prepared.as_dict(),
         "subTrajectories": [one.as_dict() for one in relative.sub_trajectory_errors(truth, aligned, lengths)],
-        "scaleDrift": relative.scale_drift(truth, estimate).as_dict(),
+        "scaleDrift": relative.scale_drift(truth, aligned).as_dict(),
         "velocity": velocity.as_dict() if velocity else None,
         "smoothness": motion.smoothness(aligned).as_dict(),
         "referenceSmoothness": motion.smoothness(truth).as_dict(),
         **support.find_support(reference, whole).as_dict(),
-        "notes": list(found.notes),
     }
     output.emit(asked, result, _show)
     return 0

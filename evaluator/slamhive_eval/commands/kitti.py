@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive_eval import alignment, association, files, kitti
-from slamhive_eval.commands import measuring, output
+from slamhive_eval import alignment, association, kitti
+from slamhive_eval.commands import inputs, measuring, output
 
 if TYPE_CHECKING:
     import argparse
@@ -21,8 +21,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "defines them, by length and by speed."
     )
     parser.epilog = "Example: slamhive-eval kitti 00_gt.txt 00_estimate.txt --lengths 100 200 400 --json"
-    parser.add_argument("reference", metavar="GT", help="ground truth")
-    parser.add_argument("estimates", metavar="EST", nargs="+", help="estimated trajectories")
+    inputs.add_inputs(parser)
     parser.add_argument(
         "--lengths",
         type=float,
@@ -47,21 +46,14 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="duration of a frame, for speeds (default: by the stamps; 0.1 for poses without times)",
     )
-    parser.add_argument(
-        "--times", metavar="FILE", help="stamps of KITTI poses; without it line k pairs with line k"
-    )
-    parser.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
-    measuring.add_matching(parser)
-    output.add_json(parser)
 
 
 def run(asked: argparse.Namespace) -> int:
     """Measure and print."""
-    unsorted: files.Unsorted = "sort" if asked.sort else "error"
-    reference = files.read_trajectory(asked.reference, times=asked.times)
+    reference = measuring.read_reference(asked)
     results = []
     for name in asked.estimates:
-        estimate = files.read_trajectory(name, times=asked.times, unsorted=unsorted)
+        estimate = measuring.read_estimate(asked, name)
         scale = _scale(asked, reference, estimate)
         found = kitti.kitti_errors(
             reference,

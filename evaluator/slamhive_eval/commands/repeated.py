@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive_eval import alignment, evaluation, files, repeated
-from slamhive_eval.commands import measuring, output
+from slamhive_eval import evaluation, repeated
+from slamhive_eval.commands import inputs, measuring, output
 
 if TYPE_CHECKING:
     import argparse
@@ -21,9 +21,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Example: slamhive-eval repeated groundtruth.txt run-*/trajectory.txt --thresholds 0.05 0.1"
     )
-    parser.add_argument("reference", metavar="GT", help="ground truth")
-    parser.add_argument("estimates", metavar="EST", nargs="+", help="estimated trajectories, one a run")
-    parser.add_argument("--align", choices=alignment.METHODS, default="se3", help="default: se3")
+    inputs.add_inputs(parser, "estimated trajectories, one a run")
+    inputs.add_alignment(parser)
     parser.add_argument(
         "--thresholds",
         type=float,
@@ -32,17 +31,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="an ATE up to this is a success [m]",
     )
-    parser.add_argument(
-        "--times", metavar="FILE", help="stamps of KITTI poses; without it line k pairs with line k"
-    )
-    parser.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
-    measuring.add_matching(parser)
-    output.add_json(parser)
 
 
 def run(asked: argparse.Namespace) -> int:
     """Measure and print."""
-    unsorted: files.Unsorted = "sort" if asked.sort else "error"
     options = evaluation.Options(
         alignment=asked.align,
         max_difference_seconds=asked.max_diff,
@@ -50,10 +42,10 @@ def run(asked: argparse.Namespace) -> int:
         rpe=(),
         has_scale=asked.align not in ("sim3", "scale"),
     )
-    reference = files.read_trajectory(asked.reference, times=asked.times)
+    reference = measuring.read_reference(asked)
     runs: list[dict[str, Any]] = []
     for name in asked.estimates:
-        estimate = files.read_trajectory(name, times=asked.times, unsorted=unsorted)
+        estimate = measuring.read_estimate(asked, name)
         found = evaluation.evaluate(reference, estimate, options)
         failed = found.outcome in (evaluation.Outcome.LOST, evaluation.Outcome.DIVERGED)
         runs.append(

@@ -6,8 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive_eval import alignment, evaluation, files
-from slamhive_eval.commands import measuring, output
+from slamhive_eval import evaluation
+from slamhive_eval.commands import inputs, measuring, output
 from slamhive_eval.errors import FileError, OptionError
 
 if TYPE_CHECKING:
@@ -22,34 +22,24 @@ def add(parser: argparse.ArgumentParser) -> None:
         "path, histogram, boxes and statistics; or a figure as PNG, SVG or PDF (needs matplotlib)."
     )
     parser.epilog = "Example: slamhive-eval report groundtruth.txt a.txt b.txt --align se3 -o report.html"
-    parser.add_argument("reference", metavar="GT", help="ground truth")
-    parser.add_argument("estimates", metavar="EST", nargs="+", help="estimated trajectories")
+    inputs.add_inputs(parser)
+    inputs.add_alignment(parser)
     parser.add_argument("-o", "--output", metavar="FILE", help="the page (default: report.html)")
     parser.add_argument("--figure", metavar="FILE", help="a figure: .png, .svg or .pdf")
     parser.add_argument("--title", default="Trajectory evaluation", metavar="TEXT", help="of page and figure")
-    parser.add_argument("--align", choices=alignment.METHODS, default="se3", help="default: se3")
-    parser.add_argument(
-        "--times", metavar="FILE", help="stamps of KITTI poses; without it line k pairs with line k"
-    )
-    parser.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
-    measuring.add_matching(parser)
-    output.add_json(parser)
 
 
 def run(asked: argparse.Namespace) -> int:
     """Measure, write and say where to."""
-    unsorted: files.Unsorted = "sort" if asked.sort else "error"
     options = evaluation.Options(
         alignment=asked.align,
         max_difference_seconds=asked.max_diff,
         offset_seconds=asked.offset,
         has_scale=asked.align not in ("sim3", "scale"),
     )
-    reference = files.read_trajectory(asked.reference, times=asked.times)
+    reference = measuring.read_reference(asked)
     found = {
-        name: evaluation.evaluate(
-            reference, files.read_trajectory(file, times=asked.times, unsorted=unsorted), options
-        )
+        name: evaluation.evaluate(reference, measuring.read_estimate(asked, file), options)
         for name, file in zip(_names(asked.estimates), asked.estimates, strict=True)
     }
     written = []

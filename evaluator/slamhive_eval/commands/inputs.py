@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands share that compare whole estimates with their ground truth by the nearest stamps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from slamhive_eval import alignment
+from slamhive_eval.commands import measuring, output
+
+if TYPE_CHECKING:
+    import argparse
+
+
+def add_inputs(parser: argparse.ArgumentParser, estimates: str = "estimated trajectories") -> None:
+    """Add ground truth, estimates, how they are read and matched, and ``--json``."""
+    parser.add_argument("reference", metavar="GT", help="ground truth; formats as for ape")
+    parser.add_argument("estimates", metavar="EST", nargs="+", help=estimates)
+    measuring.add_reading(parser)
+    group = parser.add_argument_group("matching")
+    group.add_argument(
+        "--max-diff",
+        type=float,
+        default=0.01,
+        metavar="S",
+        help="largest time difference [s] (default: 0.01)",
+    )
+    group.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
+    output.add_json(parser)
+
+
+def add_alignment(parser: argparse.ArgumentParser) -> None:
+    """Add ``--align``, SE(3) by default."""
+    parser.add_argument("--align", choices=alignment.METHODS, default="se3", help="default: se3")
