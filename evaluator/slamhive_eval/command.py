@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The entry point of ``slamhive-eval``: what must happen before numpy is imported, and how errors leave.
 
-Exit codes: 0 done, 1 some of many pairs failed (``batch``), 2 wrong input with one sentence on stderr.
+Exit codes: 0 done, 1 some of many pairs failed (``batch``), 2 wrong input with one sentence on stderr,
+130 interrupted.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except EvaluationError as error:
         sys.stderr.write(f"slamhive-eval: {error}\n")
         return 2
+    except KeyboardInterrupt:
+        return 130
     except BrokenPipeError:  # whoever read our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
