@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     )
     from slamhive_eval.timing import TimeOffset, find_offset
     from slamhive_eval.trajectory import Trajectory
+    from slamhive_eval.writing import write_trajectory
 
 _MODULES = {
     "alignment": ("Alignment", "align", "umeyama_scale"),
@@ -92,6 +93,7 @@ _MODULES = {
         "within",
     ),
     "trajectory": ("Trajectory",),
+    "writing": ("write_trajectory",),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
@@ -101,6 +103,7 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "read_tum",
     "read_euroc",
     "read_kitti",
+    "write_trajectory",
     "write_tum",
     "Options",
     "RpeOptions",

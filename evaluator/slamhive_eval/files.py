@@ -160,10 +160,9 @@ def read_kitti(path: str | Path, times: str | Path | None = None) -> Trajectory:
 
 def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     """Write ``timestamp tx ty tz qx qy qz qw`` with every digit that float64 needs to be read back."""
-    table = np.column_stack((trajectory.stamps, trajectory.positions, trajectory.quaternions))
-    lines = ["# timestamp tx ty tz qx qy qz qw"]
-    lines += [" ".join(map(repr, row)) for row in table.tolist()]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    from slamhive_eval.writing import write_trajectory  # noqa: PLC0415 - readers needn't it
+
+    write_trajectory(path, trajectory, "tum")
 
 
 def read_text(path: str | Path) -> str:

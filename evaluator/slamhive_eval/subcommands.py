@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("slamhive_eval.commands.report", "a page or figure that shows estimates"),
     "map": ("slamhive_eval.commands.map", "a map against a reference, or its sharpness"),
     "batch": ("slamhive_eval.commands.batch", "many estimates, one JSON object a line"),
+    "traj": ("slamhive_eval.commands.traj", "what trajectories are like; convert, move, match, cut them"),
     "relations": ("slamhive_eval.commands.relations", "errors over pairwise relations"),
 }
 """Module and one line of help by name, in the order of ``--help``; see `slamhive_eval.commands`."""
