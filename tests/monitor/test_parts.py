@@ -250,9 +250,9 @@ def owner() -> ProcessIdentity:
     return me
 
 
-def test_stale_cgroups_are_swept_with_what_runs_in_them(
-    owner: ProcessIdentity, wait_for: Callable[..., Any]
-) -> None:
+@pytest.mark.parametrize("frozen", [False, True], ids=["running", "frozen"])
+def test_stale_cgroups_are_swept_with_what_runs_in_them(owner: ProcessIdentity, frozen: bool) -> None:
+    """A supervisor may be killed between freezing its run and thawing it."""
     stale = make_run_cgroup(replace_start(owner))
     living = make_run_cgroup(owner)
     assert stale is not None
@@ -261,6 +261,10 @@ def test_stale_cgroups_are_swept_with_what_runs_in_them(
     for directory in stale.directories:
         with open(f"{directory}/cgroup.procs", "w") as file:  # noqa: PTH123
             file.write(str(process.pid))
+    for directory in stale.directories if frozen else ():
+        if os.path.exists(f"{directory}/freezer.state"):  # noqa: PTH110
+            with open(f"{directory}/freezer.state", "w") as file:  # noqa: PTH123
+                file.write("FROZEN")
     try:
         assert set(sweep_stale_cgroups()) >= set(stale.directories)
         assert process.wait(20) == -9

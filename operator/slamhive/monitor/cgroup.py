@@ -14,6 +14,7 @@ from __future__ import annotations
 import os
 import time
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from slamhive.monitor.hierarchy import (
@@ -225,15 +226,26 @@ def sweep_stale_cgroups(hierarchies: Sequence[Hierarchy] | None = None) -> list[
         The directories removed.
     """
     trees = own_hierarchies() if hierarchies is None else hierarchies
-    removed = []
+    removed, stale = [], []
     for directory in sorted(path for tree in trees for path in _groups(tree.mount)):
         owner = _owner(directory.rpartition("/")[2])
-        if owner is None or is_alive(owner):
-            continue
+        if owner is not None and not is_alive(owner):
+            stale.append(directory)
+    kill_frozen(stale)
+    for directory in stale:
         end_directory(directory)
         if _remove([directory]):
             removed.append(directory)
     return removed
+
+
+def kill_frozen(directories: Iterable[str]) -> None:
+    """Kill what a supervisor left frozen, and thaw it: only then can it die."""
+    for directory in directories:
+        state = f"{directory}/freezer.state"
+        if os.path.exists(state):  # noqa: PTH110
+            _kill_all(partial(directory_processes, directory))
+            write_file(state, "THAWED")
 
 
 def end_directory(directory: str) -> None:

@@ -13,7 +13,7 @@ import os
 import time
 from dataclasses import asdict, dataclass
 
-from slamhive.monitor.cgroup import remove_directories
+from slamhive.monitor.cgroup import kill_frozen, remove_directories
 from slamhive.monitor.hierarchy import directory_processes
 from slamhive.monitor.processes import (
     ProcessIdentity,
@@ -123,6 +123,7 @@ def end_orphans(process_json: str | os.PathLike[str], seconds: float = 10.0) -> 
         deadline = time.monotonic() + seconds
         while is_alive(record.supervisor) and time.monotonic() < deadline:
             time.sleep(0.005)
+    kill_frozen(record.cgroups)
     left = end_processes(lambda: _living(record), seconds)
     remove_directories(record.cgroups)
     return left
