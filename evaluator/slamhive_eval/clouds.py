@@ -26,6 +26,7 @@ _PLY_TYPES = {
 }  # fmt: skip
 _PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _LARGEST_HEADER = 100_000
+_NO_CORNER = 1 << 52
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ def read_cloud(path: str | Path) -> Cloud:
         raise FileError(path, "the corners of a mesh must be finite numbers")
     if not finite.any():
         raise FileError(path, "holds no points")
-    if len(triangles) and (triangles.min() < 0 or triangles.max() >= len(points)):
+    if len(triangles) and triangles.max() >= len(points):
         raise FileError(path, f"a face names a corner beyond the {len(points)} there are")
     return Cloud(points[finite], triangles, int(np.count_nonzero(~finite)))
 
@@ -108,8 +109,10 @@ def sample_mesh(mesh: Cloud, points: int, seed: int = 0) -> FloatArray:
 
 def _read_npy(path: str | Path, data: bytes) -> tuple[FloatArray, IndexArray]:
     try:
-        array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            array = np.load(io.BytesIO(data), allow_pickle=False)
+    except Exception as error:  # the header is parsed as Python, which fails in many ways
         raise FileError(path, "is no array of numpy, or cut off") from error
     if (
         not isinstance(array, np.ndarray)
@@ -118,7 +121,7 @@ def _read_npy(path: str | Path, data: bytes) -> tuple[FloatArray, IndexArray]:
         or array.dtype.kind not in "fiu"
     ):
         raise FileError(path, "must hold an array of numbers of shape (n, 3) or wider")
-    return array[:, :3].astype(np.float64), np.empty((0, 3), dtype=np.intp)
+    return _table([array[:, axis] for axis in range(3)]), np.empty((0, 3), dtype=np.intp)
 
 
 def _header(path: str | Path, data: bytes, last: bytes, kind: str) -> tuple[list[str], int]:
@@ -160,10 +163,9 @@ def _read_ply(path: str | Path, data: bytes) -> tuple[FloatArray, IndexArray]:
         else:
             found, at = _from_bytes(path, element, data, at, order)
         if element.name == "vertex":
-            names = [name for name, _, _ in element.properties]
-            if not {"x", "y", "z"} <= set(names):
+            if not {"x", "y", "z"} <= found.keys():
                 raise FileError(path, "the vertices have no x, y and z")
-            points = np.column_stack([found[name] for name in "xyz"]).astype(np.float64)
+            points = _table([found[name] for name in "xyz"])
         elif element.name == "face":
             triangles = np.asarray(found.get("triangles", triangles), dtype=np.intp)
     if points is None:
@@ -186,13 +188,21 @@ def _ply_elements(path: str | Path, words: list[list[str]]) -> list[_Element]:
                 elements[-1] = _Element(last.name, last.count, (*last.properties, one))
     except (IndexError, KeyError, ValueError) as error:
         raise FileError(path, "the header names an element or a property that PLY doesn't have") from error
-    if any(element.count < 0 or (element.count and not element.properties) for element in elements):
-        raise FileError(path, "the header names an element with a negative count or without properties")
+    for element in elements:
+        if element.count < 0 or (element.count and not element.properties):
+            raise FileError(path, "the header names an element with a negative count or without properties")
+        if len({name for name, _, _ in element.properties}) < len(element.properties):
+            raise FileError(path, f"the header names a property of {element.name} twice")
     return elements
 
 
-def _fan(polygons: list[list[int]]) -> list[list[int]]:
-    return [[one[0], one[k], one[k + 1]] for one in polygons for k in range(1, len(one) - 1)]
+def _fan(polygons: list[list[int]]) -> FloatArray:
+    """Triangles of polygons, shape (k, 3); a number that no corner can have becomes the largest one."""
+    fans = ((one[0], one[k], one[k + 1]) for one in polygons for k in range(1, len(one) - 1))
+    return np.array(
+        [[corner if 0 <= corner < _NO_CORNER else _NO_CORNER for corner in fan] for fan in fans],
+        dtype=np.float64,
+    ).reshape(-1, 3)
 
 
 def _from_words(path: str | Path, element: _Element, table: list[list[str]]) -> dict[str, FloatArray]:
@@ -205,7 +215,7 @@ def _from_words(path: str | Path, element: _Element, table: list[list[str]]) -> 
         polygons = [[int(row[1 + k]) for k in range(int(row[0]))] for row in table]
     except (ValueError, IndexError) as error:
         raise FileError(path, f"a {element.name} line doesn't hold the numbers it should") from error
-    return {"triangles": np.array(_fan(polygons), dtype=np.float64).reshape(-1, 3)}
+    return {"triangles": _fan(polygons)}
 
 
 def _from_bytes(
@@ -218,13 +228,16 @@ def _from_bytes(
             raise FileError(path, f"is cut off within its {element.count} {element.name} entries")
         table = np.frombuffer(data, kind, element.count, at)
         return {name: table[name] for name in kind.names or ()}, at + size
+    found = _all_triangles(element, data, at, order)
+    if found is not None:
+        return found
     polygons: list[list[int]] = []
     try:
         for _ in range(element.count):
             for k, (_, what, counts) in enumerate(element.properties):
                 count = 1
                 if counts:
-                    count = int(np.frombuffer(data, order + counts, 1, at)[0])
+                    count = max(int(np.frombuffer(data, order + counts, 1, at)[0]), 0)
                     at += np.dtype(counts).itemsize
                 values = np.frombuffer(data, order + what, count, at)
                 at += values.nbytes
@@ -232,7 +245,26 @@ def _from_bytes(
                     polygons.append(values.tolist())
     except ValueError as error:
         raise FileError(path, f"is cut off within its {element.count} {element.name} entries") from error
-    return {"triangles": np.array(_fan(polygons), dtype=np.float64).reshape(-1, 3)}, at
+    return {"triangles": _fan(polygons)}, at
+
+
+def _all_triangles(
+    element: _Element, data: bytes, at: int, order: str
+) -> tuple[dict[str, FloatArray], int] | None:
+    """The faces of a mesh of triangles alone, all at once; None for any other."""
+    (_, what, counts), *others = element.properties
+    if not counts or any(one[2] for one in others) or what[0] == "f" or counts[0] == "f":
+        return None
+    fields = [("count", order + counts), ("corners", order + what, (3,))]
+    kind = np.dtype([*fields, *((f"{k}", order + one[1]) for k, one in enumerate(others))])
+    if at + kind.itemsize * element.count > len(data):
+        return None
+    table = np.frombuffer(data, kind, element.count, at)
+    if (table["count"] != 3).any():
+        return None
+    corners = table["corners"].astype(np.float64)
+    corners[corners < 0] = _NO_CORNER
+    return {"triangles": corners}, at + kind.itemsize * element.count
 
 
 def _read_pcd(path: str | Path, data: bytes) -> tuple[FloatArray, IndexArray]:
@@ -244,7 +276,7 @@ def _read_pcd(path: str | Path, data: bytes) -> tuple[FloatArray, IndexArray]:
         counts = [int(word) for word in words.get("COUNT", ["1"] * len(names))]
         letters = {"F": "f", "I": "i", "U": "u"}
         fields: list[tuple[str, npt.DTypeLike, tuple[int, ...]]] = [
-            (f"{k} {name}", np.dtype(f"<{letters[letter]}{size}"), (each,))
+            (f"{k} {name}", np.dtype(f"<{letters[letter]}{int(size)}"), (each,))
             for k, (name, letter, size, each) in enumerate(
                 zip(names, words["TYPE"], words["SIZE"], counts, strict=True)
             )
@@ -275,4 +307,9 @@ def _read_pcd(path: str | Path, data: bytes) -> tuple[FloatArray, IndexArray]:
         raise FileError(path, f"is cut off within its {count} points")
     rows = np.frombuffer(data, kind, count, at)
     found = [rows[(kind.names or ())[k]][:, 0] for k in columns]
-    return np.column_stack(found).astype(np.float64), none
+    return _table(found), none
+
+
+def _table(columns: list[FloatArray]) -> FloatArray:
+    with np.errstate(invalid="ignore"):  # casting a signalling NaN, which is dropped afterwards, warns
+        return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])

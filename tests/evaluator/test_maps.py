@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 import sys
@@ -81,6 +82,23 @@ def test_ply(tmp_path: Path, form: str, faces: bool) -> None:
             read_cloud(file)
 
 
+@pytest.mark.parametrize("sign", "<>")
+@pytest.mark.parametrize("last", [(3, 0, 2, 3), (3, 0, 2, -1), (4, 0, 1, 2, 3)])
+def test_triangles_at_once(tmp_path: Path, sign: str, last: tuple[int, ...]) -> None:
+    file = tmp_path / "map.ply"
+    file.write_bytes(
+        PLY.format(form=f"binary_{'little' if sign == '<' else 'big'}_endian", faces=FACES).encode()
+        + b"".join(struct.pack(f"{sign}Bffd", 7, *point) for point in POINTS)
+        + b"".join(struct.pack(f"{sign}B{len(one) - 1}iB", *one, 1) for one in ((3, 0, 1, 2), last))
+    )
+    if -1 in last:
+        with pytest.raises(FileError, match="beyond the 4"):
+            read_cloud(file)
+        return
+    fan = [[0, 1, 2]] * (len(last) - 4) + [[0, 2, 3]]
+    assert read_cloud(file).triangles.tolist() == [[0, 1, 2], *fan]
+
+
 @pytest.mark.parametrize("form", ["ascii", "binary"])
 def test_pcd(tmp_path: Path, form: str) -> None:
     file = tmp_path / "map.pcd"
@@ -113,8 +131,14 @@ def test_npy_drops_what_is_not_finite(tmp_path: Path) -> None:
         ("m.pcd", pcd("ascii").replace(b"POINTS 4", b"POINTS 4" + b"0" * 30), "is cut off"),
         ("m.ply", ply("ascii", faces=False).replace(b"float x", b"float u"), "no x, y and z"),
         ("m.ply", ply("ascii", faces=False).replace(b"float x", b"real x"), "PLY doesn't have"),
+        ("m.ply", ply("ascii", faces=False).replace(b"float y", b"float x"), "a property of vertex twice"),
+        ("m.ply", ply("ascii", faces=False).replace(b"float x", b"list char int x"), "no x, y and z|numbers"),
+        ("m.npy", b"\x93NUMPY\x01\x00\x06\x00{'a':(", "is no array of numpy"),
+        ("m.pcd", pcd("binary").replace(b"SIZE 4 4", b"SIZE 4 4,f8"), "lacks FIELDS"),
         ("m.ply", ply("ascii", faces=False).replace(b"7 3.0", b"7 a"), "doesn't hold the numbers"),
         ("m.ply", ply("ascii", faces=True).replace(b"3 0 1 2 1", b"3 0 1 9 1"), "beyond the 4 there are"),
+        ("m.ply", ply("ascii", faces=True).replace(b"3 0 1 2 1", b"3 0 -1 2 1"), "beyond the 4 there are"),
+        ("m.ply", ply("ascii", faces=True).replace(b"3 0 1 2", b"3 0 1 " + b"9" * 400), "beyond the 4"),
         ("m.ply", ply("ascii", faces=True).replace(b"7 0.5", b"7 nan"), "must be finite"),
         ("m.pcd", pcd("binary").replace(b"DATA binary", b"DATA binary_compressed"), "convert it to binary"),
         ("m.pcd", pcd("ascii").replace(b"FIELDS rgb x", b"FIELDS rgb u"), "lacks FIELDS with x, y and z"),
@@ -129,6 +153,28 @@ def test_what_is_wrong_is_named(tmp_path: Path, name: str, content: bytes, says:
         read_cloud(file)
     with pytest.raises(FileError, match="can't be read"):
         read_cloud(tmp_path / "none.ply")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "npy"])
+def test_broken_files_are_read_or_refused(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "whole.npy", POINTS)
+    plys = [ply(form, faces=True) for form in ("ascii", "binary_little_endian")]
+    wholes = {
+        "ply": plys,
+        "pcd": [pcd("ascii"), pcd("binary")],
+        "npy": [(tmp_path / "whole.npy").read_bytes()],
+    }
+    file = tmp_path / f"map.{suffix}"
+    for k in range(600):
+        data = bytearray(wholes[suffix][k % len(wholes[suffix])])
+        for at in rng.integers(0, len(data), rng.integers(1, 4)):
+            data[at : at + rng.integers(0, 3)] = (b"", b"-1", b"9" * 20, b"\n", b"\xff", b"nan")[
+                rng.integers(6)
+            ]
+        file.write_bytes(data)
+        with contextlib.suppress(FileError):
+            assert np.isfinite(read_cloud(file).points).all()
 
 
 def test_samples_are_even_over_the_area() -> None:

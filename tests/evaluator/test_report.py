@@ -186,6 +186,19 @@ def test_command(tmp_path: Path, files: list[str], capsys: pytest.CaptureFixture
     assert capsys.readouterr().out == f"{page}\n"
 
 
+def test_common_support(
+    tmp_path: Path, wander: Callable[..., Trajectory], capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = {"gt": slice(0, 200), "a": slice(0, 120), "b": slice(60, 200)}
+    for name, part in parts.items():
+        write_tum(tmp_path / name, wander().select(part))
+    words = ["report", *(str(tmp_path / name) for name in parts), "-o", str(tmp_path / "r.html"), "--json"]
+    for support, poses in (("own", [120, 140]), ("common", [60, 60])):
+        assert main([*words, "--support", support]) == 0
+        told = json.loads(capsys.readouterr().out)["estimates"]
+        assert [told[name]["poses"] for name in "ab"] == poses
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
