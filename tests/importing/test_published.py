@@ -221,6 +221,6 @@ def test_selecting_and_sorting(published: Results) -> None:
 def test_showing_one_run(published: Results) -> None:
     text = published("show", "124")
     assert "the scale is 500" in text
-    assert re.search(r"parameters\.nFeatures +│ 1000", text)
+    assert re.search(r"parameters\.nFeatures +1000", text)
     (row, _) = json.loads(published("show", "124", "--json"))
     assert row["dataset.attributes.DepthMapFactor"] == 5208

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
     Row = Mapping[str, Any]
 
-FACETS = ("algorithm", "sensors", "dataset", "evaluation", "alignment", "input.pace", "provenance.cpuModel")
+FACETS = (
+    *("algorithm", "sensors", "dataset", "evaluation", "alignment", "input.pace", "provenance.cpuModel"),
+    "usage.includesReader",
+)
 """Columns that are never pooled: they become keys where they vary."""
 
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")

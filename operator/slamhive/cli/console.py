@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,11 @@ def complain(message: str) -> None:
 def remark(message: str) -> None:
     """Print a sentence about what is going on."""
     err.print(f"[dim]{escape(message)}[/]")
+
+
+def command_name() -> str:
+    """Return how the user may call this command again: by its name when that is on the PATH."""
+    return "slamhive" if shutil.which("slamhive") else sys.argv[0]
 
 
 def open_workbench(home: Home, workshop: Workshop | None = None) -> Workbench:

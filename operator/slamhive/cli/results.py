@@ -18,6 +18,7 @@ from slamhive.cli.tables import (
     Format,
     cell,
     constants,
+    implied,
     key_text,
     pivot_lines,
     pivot_rows,
@@ -150,7 +151,7 @@ def show_table(
     with _archive() as archive:
         selected, known = _select(archive, sweep, evaluation, where)
         location = archive.location
-    metrics = [Metric.parse(text) for text in metric or [name for name in TABLE_METRICS if name in known]]
+    metrics = [Metric.parse(text) for text in metric or _usual_metrics(selected, known)]
     by, across = _names(rows), _names(columns)
     _check_columns([*(one.column for one in metrics), *(by or ()), *(across or ())], known)
     found = table(selected, [one.column for one in metrics], by, across or (), outcomes)
@@ -169,7 +170,8 @@ def show_table(
                 out.print(
                     ", ".join(f"{name} {key_text(value)}" for name, value in shared.items()), markup=False
                 )
-            kept = tuple(name for name in found.rows if name not in shared)
+            dropped = {*shared, *implied(found, by or ())}
+            kept = tuple(name for name in found.rows if name not in dropped)
             _print(form, *pivot_lines(replace(found, rows=kept), metrics))
             for note in found.notes:
                 remark(note)
@@ -309,6 +311,13 @@ def _show_relations(result: Result) -> None:
         lines.append([f"{group['fromSeconds']:g} … {until} s", str(group["count"]), *numbers])
     units = [f"{name} [{unit}]" for unit in ("m", "°") for name in ("mean", "rmse", "max")]
     show(out, ["relations by time", "n", *units], lines)
+
+
+def _usual_metrics(rows: Sequence[Row], known: Sequence[str]) -> list[str]:
+    """Return what a table shows unless told: mean cores only where the clock set the pace."""
+    realtime = any(row.get("input.pace") == "Realtime" for row in rows)
+    left_out = set() if realtime else {"usage.cpu.meanCores"}
+    return [name for name in TABLE_METRICS if name in known and name not in left_out]
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
-from rich.table import Table
 
+from slamhive.cli import tables
 from slamhive.cli.console import (
     FAILED,
     INTERRUPTED,
     WRONG_INPUT,
+    command_name,
     complain,
     err,
     open_workbench,
@@ -26,6 +27,7 @@ from slamhive.cli.console import (
 )
 from slamhive.cli.progress import Display
 from slamhive.cli.results import show_table
+from slamhive.cli.tables import short_name
 from slamhive.engine import PointState, Verdict
 from slamhive.local.catalog import bundled, load_workshop, read_files
 from slamhive.local.environments import availability
@@ -154,11 +156,17 @@ def demo(
     with home.exclusive():
         code = _run_files([sweep], home, parallelism, rerun=False, retry_failed=False)
     if code != INTERRUPTED:
+        name = command_name()
+        lines = (
+            f"The sweep:  {sweep}",
+            f"Next:       {name} results export --sweep demo --format csv",
+            f"            {name} results table --sweep demo -m usage.cpu.seconds -m ate.max:cm:.1f",
+            f"            {name} algorithm list",
+            f"            {name} run your-sweep.yaml      (copy the sweep above and change it)",
+        )
         out.print()
-        out.print(f"The sweep:  {sweep}", soft_wrap=True)
-        out.print("Next:       slamhive results table --sweep demo --where 'outcome == \"Tracked\"'")
-        out.print("            slamhive algorithm list")
-        out.print("            slamhive run your-sweep.yaml      (copy the sweep above and change it)")
+        for line in lines:
+            out.print(line, soft_wrap=True, markup=False)
     raise typer.Exit(code)
 
 
@@ -216,6 +224,9 @@ def _drive(
 
 def _sweeps(objects: Sequence[Kind]) -> list[Sweep]:
     """Return the sweeps among objects; a single run is a sweep of one."""
+    for item in objects:
+        if isinstance(item, MappingRun) and item.spec.cancel:
+            raise InputError(f"MappingRun {item.name}: spec.cancel: true; a cancelled run is not started")
     return [
         item if isinstance(item, Sweep) else _as_sweep(item)
         for item in objects
@@ -263,7 +274,8 @@ def _report(job: Job, bench: Workbench) -> None:
         f"{escape(job.sweep.name)}: {plural(len(job.points), 'run')}: {', '.join(parts)}{escape(reason)}"
     )
     out.print(f"Files:      {bench.home.path / 'runs' / job.sweep.name}", soft_wrap=True)
-    out.print(f"More:       slamhive results table --sweep {job.sweep.name}   (list, show, export)")
+    more = f"{command_name()} results table --sweep {job.sweep.name}   (list, show, export)"
+    out.print(f"More:       {more}", soft_wrap=True)
 
 
 def _wait_for_change(files: Sequence[Path], seen: list[int]) -> list[int]:
@@ -287,12 +299,16 @@ def _print_json(points: Plan, count: int) -> None:
 def _print_points(sweep: Sweep, points: Plan, count: int) -> None:
     first = [points.point(index) for index in range(count)]
     labels = list(dict.fromkeys(label for point in first for label in point.coordinates))
-    table = Table(title=f"{sweep.name}: {plural(len(points), 'run')}", title_justify="left")
-    for column in ("index", "name", *labels, "repetition", "seed"):
-        table.add_column(column, overflow="fold")
-    for point in first:
-        cells = [str(point.coordinates.get(label, "")) for label in labels]
-        table.add_row(str(point.index), point.name, *cells, str(point.repetition), str(point.seed))
-    out.print(table)
+    out.print(f"{sweep.name}: {plural(len(points), 'run')}", markup=False)
+    headings = ["index", "name", *(short_name(label, labels) for label in labels), "repetition", "seed"]
+    lines = [
+        [
+            *(str(point.index), point.name),
+            *(str(point.coordinates.get(label, "")) for label in labels),
+            *(str(point.repetition), str(point.seed)),
+        ]
+        for point in first
+    ]
+    tables.show(out, headings, lines)
     if count < len(points):
-        out.print(f"… and {plural(len(points) - count, 'run')} more (--head N, --json)")
+        out.print(f"… and {plural(len(points) - count, 'more run')} (--head N, --json)")

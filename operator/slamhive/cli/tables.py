@@ -11,6 +11,7 @@ import json
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, TextIO
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     Row = Mapping[str, Any]
 
 _WIDEST = 10_000
+_ROUNDING = 1e-12
+"""A spread below this share of the mean is rounding, not a spread."""
 
 
 class Format(StrEnum):
@@ -37,13 +40,15 @@ class Format(StrEnum):
 
 
 def show(console: Console, headings: Sequence[str], lines: Iterable[Sequence[str]]) -> None:
-    """Print lines of text as a table; where there is no terminal, as wide as it needs to be."""
-    table = Table(header_style="bold")
+    """Print lines of text as a table, as wide as it needs to be: a number is never broken in two."""
+    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
     for heading in headings:
-        table.add_column(Text(heading), overflow="fold")
+        table.add_column(Text(heading.replace(" [", "\n[")), no_wrap=True)
     for line in lines:
         table.add_row(*(Text(cell) for cell in line))
-    wide = console if console.is_terminal else Console(file=console.file, width=_WIDEST, highlight=False)
+    wide = Console(
+        file=console.file, width=_WIDEST, highlight=False, force_terminal=console.is_terminal or None
+    )
     wide.print(table)
 
 
@@ -88,7 +93,8 @@ def mean_and_spread(metric: Metric, summary: Summary | None) -> str:
     mean = metric.show(summary.mean)
     if summary.std is None:
         return mean
-    spread = metric.show(summary.std) if metric.format else format(summary.std * metric.factor, ".2g")
+    std = summary.std if summary.std > _ROUNDING * abs(summary.mean) else 0.0
+    spread = metric.show(std) if metric.format else format(std * metric.factor, ".2g")
     return f"{mean} ± {spread}"
 
 
@@ -100,6 +106,16 @@ def constants(found: PivotTable, asked: Sequence[str]) -> dict[str, Any]:
         if name not in asked and len(values) == 1 and len(found.groups) > 1:
             shared[name] = found.groups[0].keys[name]
     return shared
+
+
+def implied(found: PivotTable, asked: Sequence[str]) -> set[str]:
+    """Return the row keys that follow from the algorithm's name and that nobody asked for."""
+    modes: dict[Any, Any] = {}
+    follows = all(
+        modes.setdefault(group.keys.get("algorithm"), group.keys.get("sensors")) == group.keys.get("sensors")
+        for group in found.groups
+    )
+    return {"sensors"} if follows and "algorithm" in found.rows and "sensors" not in asked else set()
 
 
 def pivot_lines(found: PivotTable, metrics: Sequence[Metric]) -> tuple[list[str], list[list[str]]]:
@@ -161,7 +177,8 @@ def _group_cells(group: Group | None, metrics: Sequence[Metric]) -> list[str]:
     coverage = Metric("coverage", "", 1.0, ".3f")
     failures = ", ".join(f"{count} {word}" for word, count in group.failures.items())
     cells = [mean_and_spread(metric, group.metrics[metric.column]) for metric in metrics]
-    return [*cells, mean_and_spread(coverage, group.coverage), str(group.n), failures or "0"]
+    covered = mean_and_spread(coverage, group.coverage).removesuffix(" ± 0.000")
+    return [*cells, covered, str(group.n), failures or "0"]
 
 
 def _distinct(values: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:

@@ -27,6 +27,7 @@ import yaml
 
 from slamhive.engine import AttemptEnd
 from slamhive.local.assets import place_assets
+from slamhive.local.catalog import bundled
 from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
@@ -278,7 +279,8 @@ class Attempt:
             "HOME": str(self.folder / "home"),
             "TMPDIR": str(self.folder / "tmp"),
             "LANG": "C.UTF-8",
-            "PYTHONPATH": str(order.entry.folder.parent),
+            "PYTHONPATH": f"{order.entry.folder.parent}:{bundled('algorithms')}",
+            "OMP_WAIT_POLICY": "PASSIVE",
             "PYTHONNOUSERSITE": "1",
             "PYTHONDONTWRITEBYTECODE": "1",
             "SLAMHIVE_RUN": str(self.run),

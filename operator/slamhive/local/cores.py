@@ -96,11 +96,16 @@ class CorePool:
 
 @cache
 def cpu_model() -> str:
-    """Return the processor's name as the kernel gives it."""
+    """Return the processor's name as the kernel gives it; on ARM the numbers of its maker and part."""
     try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
+        text = Path("/proc/cpuinfo").read_text()
     except OSError:
-        pass
+        text = ""
+    facts = dict(line.split(":", 1) for line in reversed(text.splitlines()) if ":" in line)
+    facts = {key.strip(): value.strip() for key, value in facts.items()}
+    if "model name" in facts:
+        return facts["model name"]
+    parts = [facts[key] for key in ("CPU implementer", "CPU variant", "CPU part") if key in facts]
+    if parts:
+        return f"{platform.machine()} {' '.join(parts)}"
     return platform.processor() or platform.machine()

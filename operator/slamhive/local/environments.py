@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
+from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
 from slamhive.model.errors import SlamHiveError, SystemFault
 
@@ -69,8 +70,9 @@ class Environments:
         parts.extend(_sha256(entry.folder / name) for name in (program.requirements, program.adapter))
         # What the adapter may import: its own folder, and the helpers that adapters share.
         parts.extend(_sha256(path) for path in sorted(entry.folder.glob("*.py")))
-        for pattern in ("adapter_*.py", "*_support.py"):
-            parts.extend(_sha256(path) for path in sorted(entry.folder.parent.glob(pattern)))
+        for folder in dict.fromkeys((entry.folder.parent, bundled("algorithms"))):
+            for pattern in ("adapter_*.py", "*_support.py"):
+                parts.extend(_sha256(path) for path in sorted(folder.glob(pattern)))
         parts.extend(
             _sha256(entry.folder / asset.path) for asset in entry.algorithm.spec.assets if asset.path
         )
