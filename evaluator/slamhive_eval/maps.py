@@ -13,11 +13,12 @@ from slamhive_eval.errors import EvaluationError, OptionError
 from slamhive_eval.metrics import Statistics
 
 if TYPE_CHECKING:
-    from slamhive_eval.rotation import FloatArray
+    from slamhive_eval.rotation import FloatArray, IndexArray
 
 MIN_NEIGHBOURS = 5
 """A covariance of fewer points than this says nothing about a surface."""
-_CHUNK = 20_000
+_PAIRS = 1_000_000
+"""Neighbours held at once (some 100 MB)."""
 _FLOOR_SQUARE_METRES = 1e-12
 """Added to covariances (1 µm): points exactly in a plane have no logarithm of their volume otherwise."""
 
@@ -143,28 +144,25 @@ def mean_map_entropy(points: FloatArray, radius: float = 0.3) -> MapEntropy:
         raise OptionError(f"the radius must be a positive number of metres, not {radius}")
     centred = points - points.mean(axis=0)
     tree = _kd_tree()(centred)
-    total, used = 0.0, 0
-    for begin in range(0, len(points), _CHUNK):
-        middle = centred[begin : begin + _CHUNK]
-        lists = tree.query_ball_point(middle, radius)
-        counts = np.array([len(one) for one in lists])
-        enough = counts >= MIN_NEIGHBOURS
-        if not enough.any():
-            continue
-        chosen = np.flatnonzero(enough)
-        sizes = counts[chosen]
-        starts = np.concatenate(([0], np.cumsum(sizes)[:-1]))
-        index = np.concatenate([lists[k] for k in chosen]).astype(np.intp)
-        away = centred[index] - np.repeat(middle[chosen], sizes, axis=0)
-        mean = np.add.reduceat(away, starts) / sizes[:, np.newaxis]
-        square = np.add.reduceat(away[:, :, np.newaxis] * away[:, np.newaxis, :], starts)
-        covariance = (
-            square / sizes[:, np.newaxis, np.newaxis] - mean[:, :, np.newaxis] * mean[:, np.newaxis, :]
-        )
-        spread = np.maximum(np.linalg.eigvalsh(covariance), 0.0) + _FLOOR_SQUARE_METRES
-        total += float(np.sum(0.5 * np.sum(np.log(2.0 * np.pi * np.e * spread), axis=1)))
-        used += len(chosen)
+    counts = np.asarray(tree.query_ball_point(centred, radius, return_length=True))
+    chosen = np.flatnonzero(counts >= MIN_NEIGHBOURS)
+    parts = np.split(chosen, np.flatnonzero(np.diff(np.cumsum(counts[chosen]) // _PAIRS)) + 1)
+    total = sum(_entropies(centred, tree, part, radius) for part in parts if len(part))
+    used = len(chosen)
     return MapEntropy(total / used if used else None, used, len(points), float(radius))
+
+
+def _entropies(points: FloatArray, tree: Any, chosen: IndexArray, radius: float) -> float:
+    """Sum of the entropies of the chosen points' neighbourhoods."""
+    lists = tree.query_ball_point(points[chosen], radius)
+    sizes = np.array([len(one) for one in lists])
+    starts = np.concatenate(([0], np.cumsum(sizes)[:-1]))
+    away = points[np.concatenate(lists).astype(np.intp)] - np.repeat(points[chosen], sizes, axis=0)
+    mean = np.add.reduceat(away, starts) / sizes[:, np.newaxis]
+    square = np.add.reduceat(away[:, :, np.newaxis] * away[:, np.newaxis, :], starts)
+    covariance = square / sizes[:, np.newaxis, np.newaxis] - mean[:, :, np.newaxis] * mean[:, np.newaxis, :]
+    spread = np.maximum(np.linalg.eigvalsh(covariance), 0.0) + _FLOOR_SQUARE_METRES
+    return float(np.sum(0.5 * np.log(2.0 * np.pi * np.e * spread)))
 
 
 def thin_out(points: FloatArray, voxel: float) -> FloatArray:
