@@ -195,7 +195,6 @@ def _read_in_common(pairs: Sequence[Pair]) -> None:
         try:
             _shared[path] = found = read_trajectory(path)
             poses += len(found)
-            _ = found.distances  # what is derived from it is shared too
         except EvaluationError as error:
             _shared[path] = str(error)
 

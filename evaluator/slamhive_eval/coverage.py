@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from slamhive_eval.errors import OptionError
 
 if TYPE_CHECKING:
     from slamhive_eval.association import Association
+    from slamhive_eval.rotation import FloatArray
     from slamhive_eval.trajectory import Trajectory
 
 REFERENCE_GAP_SECONDS = 1.0
@@ -27,6 +29,9 @@ FRAME_STEP_SECONDS = 1.0
 KEYFRAME_STEP_SECONDS = 5.0
 STEP_METRES = 0.5
 """Consecutive associated poses at most this far apart in time or on the path cover what is between."""
+
+
+_courses: WeakKeyDictionary[Trajectory, tuple[FloatArray, FloatArray]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -81,13 +86,7 @@ def measure_coverage(
         raise OptionError(f"the window must begin before it ends, not ({window[0]}, {window[1]})")
     if keyframes is None:
         keyframes = is_keyframes(estimate)
-    duration = np.diff(reference.stamps)
-    counted = duration <= REFERENCE_GAP_SECONDS
-    if window is not None:
-        counted &= (reference.stamps[:-1] >= window[0]) & (reference.stamps[1:] <= window[1])
-    steps = np.where(counted, rotation.vector_norm(np.diff(reference.positions, axis=0)), 0.0)
-    path = np.concatenate(([0.0], np.cumsum(steps)))
-    clock = np.concatenate(([0.0], np.cumsum(np.where(counted, duration, 0.0))))
+    path, clock = _course(reference, window)
     begin, end = association.reference[:-1], association.reference[1:]
     limit = KEYFRAME_STEP_SECONDS if keyframes else FRAME_STEP_SECONDS
     apart = np.diff(estimate.stamps[association.estimate])
@@ -101,3 +100,22 @@ def measure_coverage(
     else:
         share = 0.0
     return Coverage(min(share, 1.0), total, min(covered, total), keyframes)
+
+
+def _course(reference: Trajectory, window: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
+    """Path in m and time in s from the first pose to each, standing still over gaps and outside the window.
+
+    That of the whole is kept for the next estimate with this reference.
+    """
+    if window is None and reference in _courses:
+        return _courses[reference]
+    duration = np.diff(reference.stamps)
+    counted = duration <= REFERENCE_GAP_SECONDS
+    if window is not None:
+        counted &= (reference.stamps[:-1] >= window[0]) & (reference.stamps[1:] <= window[1])
+    steps = np.where(counted, rotation.vector_norm(np.diff(reference.positions, axis=0)), 0.0)
+    path = np.concatenate(([0.0], np.cumsum(steps)))
+    clock = np.concatenate(([0.0], np.cumsum(np.where(counted, duration, 0.0))))
+    if window is None:
+        _courses[reference] = path, clock
+    return path, clock

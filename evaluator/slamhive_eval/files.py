@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from slamhive_eval import bags, rotation, tables
-from slamhive_eval.errors import FileError, OptionError
+from slamhive_eval.errors import FileError, OptionError, TrajectoryError
 from slamhive_eval.trajectory import LARGEST_METRES, Trajectory, find_fault
 
 if TYPE_CHECKING:
@@ -41,6 +41,8 @@ _COLUMNS: dict[str, tuple[int, str]] = {
 _TUM_ORDER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _EUROC_ORDER = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 _FIRST_NANOSECOND_STAMP = 1e14
+_BLOCK = 1 << 24
+"""Characters that are turned into numbers at once."""
 _GZIP, _BZIP2 = b"\x1f\x8b", b"BZh"
 
 
@@ -210,18 +212,42 @@ def parse_table(
     if first is None:
         raise FileError(path, "holds no poses: every line is empty or a comment")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            # A buffer of bytes: StringIO would hold four for each character.
-            data = (text.replace(",", " ") if "," in first[1] else text).encode()
-            lines = io.TextIOWrapper(io.BytesIO(data), encoding="utf-8")
-            table: FloatArray = np.loadtxt(lines, dtype=np.float64, ndmin=2)
+        table = _numbers(text, commas="," in first[1])
     except ValueError:
         table = np.empty((0, 0))
     if not len(table) or table.shape[1] < columns or (table.shape[1] > columns and not extra):
         _raise_bad_line(path, text, columns, meaning, extra=extra)
         raise FileError(path, f"can't be read as lines of {columns} numbers: {meaning}")
     return table[:, :columns]
+
+
+def _numbers(text: str, *, commas: bool) -> FloatArray:
+    """All numbers of a text, block by block, for a buffer of all of it is as large as the text again.
+
+    Raises:
+        ValueError: Something is no number, or lines differ in length.
+    """
+    rows = np.empty((0, 0))
+    count = start = 0
+    while start < len(text):
+        end = text.find("\n", start + _BLOCK) + 1 or len(text)
+        block = text[start:end]
+        start = end
+        data = io.BytesIO((block.replace(",", " ") if commas else block).encode())
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a block without numbers
+            found = np.loadtxt(io.TextIOWrapper(data, encoding="utf-8"), dtype=np.float64, ndmin=2)
+        if not len(found):
+            continue
+        if start >= len(text) and not count:
+            return found
+        if not count:
+            rows = np.empty((text.count("\n") + 1, found.shape[1]))
+        if found.shape[1] != rows.shape[1]:
+            raise ValueError("lines of different lengths")
+        rows[count : count + len(found)] = found
+        count += len(found)
+    return rows[:count]
 
 
 def fault_in_row(path: str | Path, text: str, row: int, message: str, skipped: int = 0) -> FileError:
@@ -232,7 +258,7 @@ def fault_in_row(path: str | Path, text: str, row: int, message: str, skipped: i
 
 def _data_lines(text: str) -> Iterator[tuple[int, str]]:
     """Lines that hold something, without comments, numbered from 1."""
-    for number, line in enumerate(io.StringIO(text), start=1):
+    for number, line in enumerate(tables.lines_of(text), start=1):
         content = line.split("#", 1)[0].strip()
         if content:
             yield number, content
@@ -305,13 +331,16 @@ def _checked(
 ) -> Trajectory:
     stamps, positions, quaternions = poses
     order = np.arange(len(stamps))
-    if unsorted == "sort":
+    if unsorted == "sort" and (np.diff(stamps) < 0).any():
         order = np.argsort(stamps, kind="stable")
         stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
-    fault = find_fault(stamps, positions, quaternions)
-    if fault is not None:
-        raise fault_in_row(path, text, int(order[fault.row]), fault.message, skipped)
-    return Trajectory(stamps, positions, quaternions, oriented=oriented)
+    try:
+        return Trajectory(stamps, positions, quaternions, oriented=oriented)
+    except TrajectoryError as error:
+        fault = find_fault(stamps, positions, quaternions)
+        if fault is None:
+            raise FileError(path, str(error)) from None
+        raise fault_in_row(path, text, int(order[fault.row]), fault.message, skipped) from None
 
 
 def _from_kitti(path: str | Path, text: str, table: FloatArray, times: str | Path | None) -> Trajectory:

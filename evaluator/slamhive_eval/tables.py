@@ -9,7 +9,7 @@ without orientation is of bare positions.
 from __future__ import annotations
 
 import csv
-import io
+import itertools
 import re
 import warnings
 from dataclasses import dataclass
@@ -21,6 +21,7 @@ from slamhive_eval import rotation
 from slamhive_eval.errors import FileError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from slamhive_eval.rotation import FloatArray
@@ -88,6 +89,16 @@ class Header:
         return found if all(found) else ()
 
 
+def lines_of(text: str) -> Iterator[str]:
+    """Lines of a text one by one; StringIO would copy all of it first, in four bytes a character."""
+    start = 0
+    while start < len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        yield text[start:end]
+        start = end + 1
+
+
 def find_header(path: str | Path, text: str) -> Header | None:
     """The names of a table's columns in the first line that isn't empty; it may begin with # or %.
 
@@ -97,7 +108,7 @@ def find_header(path: str | Path, text: str) -> Header | None:
     Raises:
         FileError: Two columns could be the same.
     """
-    lines = ((number, line.strip()) for number, line in enumerate(io.StringIO(text), start=1))
+    lines = ((number, line.strip()) for number, line in enumerate(lines_of(text), start=1))
     number, line = next(((number, line) for number, line in lines if line.strip("#% \t")), (0, ""))
     content = line.lstrip("#% \t")
     delimiter = next((one for one in ",;\t" if one in content), None)
@@ -126,7 +137,7 @@ def read_table(
     """
     fields = list(header.columns)
     index = [header.columns[name] for name in fields]
-    lines = text.splitlines()[header.line :]
+    lines = list(itertools.islice(lines_of(text), header.line, None))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -78,7 +78,7 @@ class Trajectory:
         fault = find_fault(stamps, positions, quaternions)
         if fault is not None:
             raise TrajectoryError(f"pose {fault.row} of {n}: {fault.message}")
-        quaternions = rotation.normalize(quaternions / np.abs(quaternions).max(axis=1, keepdims=True))
+        quaternions = rotation.normalize(quaternions / _largest(quaternions)[:, np.newaxis])
         rotations = None if self.rotations is None else np.array(self.rotations, dtype=np.float64)
         if rotations is not None and (rotations.shape != (n, 3, 3) or not np.isfinite(rotations).all()):
             raise TrajectoryError(f"rotations must be finite, ({n}, 3, 3), not of shape {rotations.shape}")
@@ -184,9 +184,20 @@ class Trajectory:
         return self._derived(self.positions + rotation.rotate(self.quaternions, lever), turned, None)
 
 
+def _largest(rows: FloatArray) -> FloatArray:
+    """Largest absolute component of each row, column by column: rows are too short for a reduction."""
+    largest = np.abs(rows[:, 0])
+    for k in range(1, rows.shape[1]):
+        np.maximum(largest, np.abs(rows[:, k]), out=largest)
+    return largest
+
+
 def find_fault(stamps: FloatArray, positions: FloatArray, quaternions: FloatArray) -> Fault | None:
     """The first thing wrong with stamped poses, or None; shapes (n,), (n, 3) and (n, 4)."""
-    values = np.column_stack((stamps, positions, quaternions))
+    with np.errstate(all="ignore"):
+        # A sum is finite only of finite numbers, and takes a tenth of the time of looking at each.
+        finite = all(np.isfinite(array.sum()) for array in (stamps, positions, quaternions))
+    values = np.column_stack((stamps, positions, quaternions)) if not finite else np.empty((0, 8))
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if bad.size:
         row = int(bad[0])
@@ -200,7 +211,7 @@ def find_fault(stamps: FloatArray, positions: FloatArray, quaternions: FloatArra
     if bad.size:
         row = int(bad[0])
         return Fault(row, f"time stamp {stamps[row]:.10g} is no number of seconds (nanoseconds perhaps?)")
-    bad = np.flatnonzero(np.abs(positions).max(axis=1) > LARGEST_METRES)
+    bad = np.flatnonzero(_largest(positions) > LARGEST_METRES)
     if bad.size:
         row = int(bad[0])
         return Fault(row, f"the position {np.abs(positions[row]).max():.3g} m is beyond {LARGEST_METRES:g} m")
@@ -212,7 +223,7 @@ def find_fault(stamps: FloatArray, positions: FloatArray, quaternions: FloatArra
             f"time stamp {stamps[row]:.9f} s comes before the one above it, {stamps[row - 1]:.9f} s; "
             "stamps must not decrease",
         )
-    bad = np.flatnonzero(np.abs(quaternions).max(axis=1) < SMALLEST_QUATERNION_COMPONENT)
+    bad = np.flatnonzero(_largest(quaternions) < SMALLEST_QUATERNION_COMPONENT)
     if bad.size:
         return Fault(int(bad[0]), "the quaternion is zero; it must have norm 1 (order qx qy qz qw)")
     return None

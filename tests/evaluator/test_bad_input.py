@@ -20,6 +20,7 @@ from slamhive_eval import (
     TrajectoryError,
     associate,
     evaluate,
+    files,
     find_pairs,
     read_euroc,
     read_kitti,
@@ -297,3 +298,18 @@ def test_relations_file(tmp_path: Path) -> None:
     file.write_text("1 2 0 0 0 0 0 0\n# c\n1 2 0 0 nan 0 0 0\n")
     with pytest.raises(FileError, match="line 3: every value must be a finite number"):
         read_relations(file)
+
+
+def test_files_of_many_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Text is turned into numbers block by block; nothing of that shows."""
+    monkeypatch.setattr(files, "_BLOCK", 40)
+    lines = [f"{k}.5 {k} 2 3 0 0 0 1{' # odd' * (k % 2)}" for k in range(50)]
+    file = tmp_path / "t.txt"
+    file.write_text("# c\n" * 30 + "\n".join(lines[:30]) + "\n" * 60 + "\n".join(lines[30:]))
+    np.testing.assert_array_equal(read_tum(file).positions[:, 0], np.arange(50))
+    file.write_text("\n".join(line.replace(" ", ",") for line in lines) + "\n# end\n")
+    np.testing.assert_array_equal(read_tum(file).stamps, np.arange(50) + 0.5)
+    for bad in ("7", "7 1 2", "50 1 2 3 0 0 0 x"):
+        file.write_text("\n".join([*lines[:40], *[bad] * 20]))
+        with pytest.raises(FileError, match="line 41"):
+            read_tum(file)
