@@ -4,15 +4,16 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
-from slamhive.cli.console import FAILED, listing, open_workbench, out, remark
+from slamhive.cli.console import FAILED, command_name, listing, open_workbench, out, remark
 from slamhive.cli.listing import show_catalog
-from slamhive.local.catalog import load_workshop
+from slamhive.local.catalog import link_algorithm, load_workshop
 from slamhive.local.checking import check_algorithm
 from slamhive.local.environments import availability
 from slamhive.local.home import Home
@@ -55,6 +56,22 @@ def list_algorithms(*, as_json: AsJson = False) -> None:
             out.print(f"[yellow]{escape(algorithm.name)}: unavailable here: {escape(problem)}[/]")
     if not complete:
         remark("more of each: slamhive algorithm show NAME")
+
+
+@app.command("add")
+def add_algorithm(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder with algorithm.yaml, adapter and requirements.")
+    ],
+) -> None:
+    """Make an algorithm known by name: its folder is linked into the home, and stays yours to edit.
+
+    Example: slamhive algorithm add my-slam
+    """
+    home = Home.from_environment()
+    name = link_algorithm(folder, home)
+    out.print(f"known now as {escape(name)}: {folder.absolute()}", soft_wrap=True)
+    remark(f"try it: {command_name()} algorithm check {name}")
 
 
 @app.command("show")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
-from slamhive.model.errors import ManifestError, UnknownNameError
+from slamhive.model.errors import InputError, ManifestError, UnknownNameError
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
@@ -119,6 +119,33 @@ def load_workshop(home: Home | None = None) -> Workshop:
         for path in sorted(found):
             workshop.add(load_file(path), path.parent)
     return workshop
+
+
+def link_algorithm(folder: Path, home: Home) -> str:
+    """Link an algorithm's folder into the home, and return the algorithm's name.
+
+    Raises:
+        InputError: it is no such folder, lacks a file, or another folder has that name.
+    """
+    manifest = folder / "algorithm.yaml"
+    if not manifest.is_file():
+        raise InputError(f"{folder}: no algorithm.yaml in it")
+    algorithms = [item for item in load_file(manifest) if isinstance(item, Algorithm)]
+    if len(algorithms) != 1:
+        raise InputError(f"{manifest}: {len(algorithms)} Algorithms in it, expected one")
+    spec = algorithms[0].spec
+    wanted = [spec.local.adapter, spec.local.requirements] if spec.local else []
+    wanted += [asset.path for asset in spec.assets if asset.path]
+    for name in wanted:
+        if not (folder / name).is_file():
+            raise InputError(f"{manifest}: {folder / name} is not there")
+    link = home.folder("algorithms") / algorithms[0].name
+    if link.is_symlink() and link.resolve() == folder.resolve():
+        return algorithms[0].name
+    if link.exists() or link.is_symlink():
+        raise InputError(f"algorithm {algorithms[0].name!r} is known already: {link}; remove it first")
+    link.symlink_to(folder.resolve(), target_is_directory=True)
+    return algorithms[0].name
 
 
 def read_files(paths: Iterable[Path], workshop: Workshop) -> list[Kind]:
