@@ -66,7 +66,7 @@ class Statistics:
         return cls(
             rmse=float(np.sqrt(sse / errors.size)),
             mean=float(np.mean(errors)),
-            median=float(np.median(errors)),
+            median=_median(errors),
             std=float(np.std(errors)),
             min=float(np.min(errors)),
             max=float(np.max(errors)),
@@ -182,6 +182,14 @@ def _of_matrices(turn: FloatArray, distance: FloatArray, relation: Relation) -> 
         return radians if relation == "angle_rad" else np.rad2deg(radians)
     part: FloatArray = np.sqrt(np.sum((turn - np.eye(3)) ** 2, axis=(1, 2)))
     return part if relation == "rot_part" else np.hypot(part, distance)
+
+
+def _median(errors: FloatArray) -> float:
+    """As np.median, which imports numpy.ma first: a tenth of what a small evaluation takes."""
+    upper = errors.size // 2
+    lower = upper - 1 + errors.size % 2
+    middle = np.partition(errors, (lower, upper))
+    return float(np.mean(middle[lower : upper + 1]))
 
 
 def _check_relation(relation: str) -> None:

@@ -204,3 +204,9 @@ def test_numpy_alone_is_imported() -> None:
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert {name for name in out.split() if not name.startswith("_")} == {"numpy", "slamhive_eval"}
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 10, 101])
+def test_median(n: int) -> None:
+    errors = np.random.default_rng(n).random(n)
+    assert Statistics.of(errors).median == np.median(errors)
