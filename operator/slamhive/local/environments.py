@@ -186,7 +186,7 @@ def _accepts(clauses: str, version: tuple[int, int]) -> bool:
 def _program(entry: AlgorithmEntry) -> LocalProgram:
     program = entry.algorithm.spec.local
     if program is None:
-        raise Unavailable("runs in a container alone, and there is no docker or podman to run it")
+        raise Unavailable("has an image alone; a workstation runs algorithms that say how under spec.local")
     return program
 
 
