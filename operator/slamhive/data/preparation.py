@@ -31,7 +31,7 @@ from slamhive.model.base import seconds
 from slamhive.model.canonical import digest
 from slamhive.model.configuration import SensorView
 from slamhive.model.errors import InputError
-from slamhive.model.sensors import Role, SensorType
+from slamhive.model.sensors import ROLE_TYPES, Role, SensorType
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -187,23 +187,12 @@ def evict_variants(cache: Path, limit_bytes: int) -> list[str]:
 def _sensor_for(entry: DatasetEntry, role: Role, options: InputOptions) -> SensorView:
     name = entry.dataset.spec.sensor_for(role, options.remap)
     sensor = entry.dataset.spec.sensors[name]
-    expected = _TYPES[role]
+    expected = ROLE_TYPES[role]
     if sensor.type is not expected:
         raise InputError(
             f"input.remap.{role}: sensor {name!r} is of type {sensor.type}, only {expected} is allowed"
         )
     return SensorView.model_validate(sensor.as_json() | {"name": name})
-
-
-_TYPES = {
-    Role.CAMERA: SensorType.CAMERA,
-    Role.LEFT: SensorType.CAMERA,
-    Role.RIGHT: SensorType.CAMERA,
-    Role.COLOR: SensorType.CAMERA,
-    Role.DEPTH: SensorType.DEPTH_CAMERA,
-    Role.LIDAR: SensorType.LIDAR,
-    Role.IMU: SensorType.IMU,
-}
 
 
 def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> Wish:

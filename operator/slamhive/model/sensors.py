@@ -68,6 +68,18 @@ class SensorType(Choice):
     IMU = "Imu"
 
 
+ROLE_TYPES: dict[Role, SensorType] = {
+    Role.CAMERA: SensorType.CAMERA,
+    Role.LEFT: SensorType.CAMERA,
+    Role.RIGHT: SensorType.CAMERA,
+    Role.COLOR: SensorType.CAMERA,
+    Role.DEPTH: SensorType.DEPTH_CAMERA,
+    Role.LIDAR: SensorType.LIDAR,
+    Role.IMU: SensorType.IMU,
+}
+"""The kind of device that each role takes."""
+
+
 class Stamp(Choice):
     """The instant that a message's header stamp means."""
 

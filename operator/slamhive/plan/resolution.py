@@ -11,7 +11,7 @@ from slamhive.model.base import explain
 from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.run import MappingRunSpec
-from slamhive.model.sensors import STAND_INS, Role, SensorType
+from slamhive.model.sensors import ROLE_TYPES, STAND_INS, SensorType
 from slamhive.model.synthetic import SyntheticSensor
 
 if TYPE_CHECKING:
@@ -20,15 +20,6 @@ if TYPE_CHECKING:
     from slamhive.model.algorithm import Algorithm, Mode
     from slamhive.model.dataset import Dataset
 
-_ROLE_TYPES = {
-    Role.CAMERA: SensorType.CAMERA,
-    Role.LEFT: SensorType.CAMERA,
-    Role.RIGHT: SensorType.CAMERA,
-    Role.COLOR: SensorType.CAMERA,
-    Role.DEPTH: SensorType.DEPTH_CAMERA,
-    Role.LIDAR: SensorType.LIDAR,
-    Role.IMU: SensorType.IMU,
-}
 _SYNTHETIC_SENSORS: dict[SyntheticSensor, dict[str, SensorType]] = {
     SyntheticSensor.LIDAR: {"lidar": SensorType.LIDAR},
     SyntheticSensor.IMU: {"imu": SensorType.IMU},
@@ -161,10 +152,10 @@ def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Ite
                 f"sensors: {mode.name} needs a sensor for the role {str(role)!r}, and {dataset.name} has "
                 f"none; it has: {', '.join(sorted(sensors))} (input.remap.{role} may name another)"
             )
-        elif sensors[name] is not _ROLE_TYPES[role]:
+        elif sensors[name] is not ROLE_TYPES[role]:
             field = f"input.remap.{role}" if asked else "sensors"
             yield (
-                f"{field}: the role {str(role)!r} takes a {_ROLE_TYPES[role]}, and {name!r} of "
+                f"{field}: the role {str(role)!r} takes a {ROLE_TYPES[role]}, and {name!r} of "
                 f"{dataset.name} is a {sensors[name]}"
             )
 
