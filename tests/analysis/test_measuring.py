@@ -42,3 +42,14 @@ def test_an_offset_moves_the_estimates_stamps() -> None:
     result = measure(RELATIONS, line(TIMES, -0.5), settings, Subject(SensorMode.LIDAR))
     assert result.coverage == 1.0
     assert result.values["relations"]["translation"]["rmse"] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("speed", "outcome"), [(1.0, "Tracked"), (1.5, "Tracked"), (-1.0, "Diverged"), (5.0, "Diverged")]
+)
+def test_an_estimate_that_is_worse_than_standing_still_has_diverged(speed: float, outcome: str) -> None:
+    positions = np.column_stack((speed * TIMES, np.zeros((len(TIMES), 2))))
+    estimate = Trajectory(TIMES, positions, line(TIMES).quaternions)
+    result = measure(RELATIONS, estimate, EvaluationSettings(), Subject(SensorMode.LIDAR))
+    assert result.outcome == outcome
+    assert bool(result.values["message"]) == (outcome == "Diverged")

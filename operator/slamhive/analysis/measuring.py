@@ -30,9 +30,12 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.model.sensors import SensorMode
+    from slamhive_eval import RelationErrors
 
 SETTINGS_KEY = "settings"
 """Key of a result's values under which the hash of its settings stands."""
+
+_SHORT_SECONDS = 10.0
 
 Method = Literal["none", "origin", "se3", "sim3", "yaw"]
 _METHODS: dict[Alignment, Method] = {
@@ -151,12 +154,37 @@ def _measure_relations(
         extrinsic=subject.extrinsic if settings.frame == "Estimate" else None,
     )
     share = found.count / found.relations
-    if share >= settings.success.min_coverage:
+    divergence = _relations_diverged(reference, found)
+    if divergence:
+        outcome = Outcome.DIVERGED
+    elif share >= settings.success.min_coverage:
         outcome = Outcome.TRACKED
     else:
         outcome = Outcome.PARTIAL if share >= 0.5 else Outcome.LOST
-    values = {"alignment": "none", "relations": found.as_dict()}
+    values = {"alignment": "none", "message": divergence, "relations": found.as_dict()}
     return Result(evaluation=name, outcome=outcome, coverage=share, values=_tagged(values, settings))
+
+
+def _relations_diverged(reference: Relations, found: RelationErrors) -> str:
+    """Say why an estimate has diverged: over short times it is worse than standing still; empty if it isn't.
+
+    Drift alone can't do that: over seconds it is far smaller than the motion.
+    """
+    short = (np.abs(reference.end - reference.begin) <= _SHORT_SECONDS)[found.used]
+    if not short.any():
+        return ""
+    moved = _rms(np.linalg.norm(reference.positions[found.used][short], axis=1))
+    error = _rms(found.translation_errors[short])
+    if error <= moved:
+        return ""
+    return (
+        f"over relations up to {_SHORT_SECONDS:g} s apart the error is {error:.3g} m "
+        f"where the robot moved {moved:.3g} m"
+    )
+
+
+def _rms(values: npt.NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _within(relations: Relations, window: tuple[float, float], tolerance: float) -> Relations:
