@@ -114,7 +114,6 @@ def test_what_a_killed_slamhive_left_behind_is_ended_when_any_sweep_starts(
     wait_for_events(system, process, 3)
     how(system, process)
     process.wait()
-    left = set(system.alive())
     seen = len(system.journal())
     code, _, err = system("run", system.sweep("other", repetitions=1))
     assert code == 0, err
