@@ -9,6 +9,7 @@ from pydantic import Field, StringConstraints, model_validator
 
 from slamhive.model.base import Choice, Model, Name, Resource, Scalar, Sha256
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
+from slamhive.model.ros1 import Ros1
 from slamhive.model.sensors import ROLES, Role, SensorMode
 
 _SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
@@ -221,6 +222,9 @@ class AlgorithmSpec(Model):
     output: Output = Field(description="What its poses mean.")
     paces: list[Pace] = Field(default_factory=lambda: [Pace.LOCKSTEP], min_length=1, description="Paces.")
     realtime: RealtimePolicy | None = Field(default=None, description="Queue and drop policy in real time.")
+    ros1: Ros1 | None = Field(
+        default=None, description="In real time it is a ROS 1 node: how it is played to, where its poses are."
+    )
     deterministic: Literal["Yes", "No", "Unknown"] = Field(
         default="Unknown", description="Whether equal input and seed give equal output."
     )
@@ -238,7 +242,15 @@ class AlgorithmSpec(Model):
             raise ValueError("modes: each mode may be named once")
         if Pace.REALTIME in self.paces and self.realtime is None:
             raise ValueError("realtime: needed for the pace Realtime (queue and drop policy)")
+        if self.ros1 is not None and Pace.REALTIME not in self.paces:
+            raise ValueError("ros1: needs the pace Realtime among paces")
+        if self.ros1 is not None and self.recording != [RecordingFormat.ROSBAG1]:
+            raise ValueError("ros1: needs recording: [Rosbag1], which is what is played")
         return self
+
+    def plays(self, pace: str) -> Ros1 | None:
+        """Return how a run of a pace is played to as a ROS 1 node, None when it reads by itself."""
+        return self.ros1 if pace == Pace.REALTIME else None
 
     def mode(self, name: SensorMode | None) -> Mode:
         """Return a mode by name, or the only one.

@@ -26,6 +26,26 @@ RULES: dict[str, tuple[Rule, ...]] = {
             "!self.paces.exists(pace, pace == 'Realtime') || has(self.realtime)",
             "realtime: needed for the pace Realtime (queue and drop policy)",
         ),
+        (
+            "!has(self.ros1) || self.paces.exists(pace, pace == 'Realtime')",
+            "ros1: needs the pace Realtime among paces",
+        ),
+        (
+            "!has(self.ros1) || self.recording == ['Rosbag1']",
+            "ros1: needs recording: [Rosbag1], which is what is played",
+        ),
+    ),
+    "Ros1Poses": (
+        (
+            "self.type == 'TF' ? has(self.parent) && has(self.frame) : !has(self.parent) && !has(self.frame)",
+            "parent: parent and frame are needed for TF, and for TF alone",
+        ),
+    ),
+    "Ros1": (
+        (
+            f"self.topics.all(role, role in [{_ROLES}])",
+            f"topics: its keys are roles: {_ROLES.replace(chr(39), '')}",
+        ),
     ),
     "Asset": (
         ("has(self.path) != has(self.url)", "path: give either path or url"),
@@ -143,6 +163,7 @@ LENGTHS: dict[str, int] = {
     "Mode.roles": 7,
     "Parameter.values": 1000,
     "Recording.files": 10_000,
+    "Ros1.topics": 7,
     "RunSelector.names": 10_000,
     "SyntheticRecording.sensors": 4,
     "GroundTruth.holes": 1000,

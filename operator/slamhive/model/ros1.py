@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How an algorithm that is a ROS 1 node is played to, and where its poses come from."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, StringConstraints, model_validator
+
+from slamhive.model.base import Choice, Duration, Model
+from slamhive.model.sensors import Role
+
+_WORD = r"[A-Za-z][A-Za-z0-9_]*"
+RosTopic = Annotated[str, StringConstraints(pattern=rf"^(/{_WORD})+$", max_length=255)]
+RosFrame = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_/.-]*$", max_length=255)]
+
+
+class PoseMessage(Choice):
+    """A message that carries poses."""
+
+    POSE_STAMPED = "PoseStamped"
+    POSE_WITH_COVARIANCE_STAMPED = "PoseWithCovarianceStamped"
+    ODOMETRY = "Odometry"
+    PATH = "Path"
+    TF = "TF"
+
+
+class Ros1Poses(Model):
+    """The topic on which a node publishes its poses."""
+
+    topic: RosTopic = Field(description="The topic; /tf for transforms.")
+    type: PoseMessage = Field(
+        description="What it carries. Of a Path the last message is the final estimate; TF needs two frames."
+    )
+    parent: RosFrame | None = Field(default=None, description="TF: the frame of the algorithm's world.")
+    frame: RosFrame | None = Field(default=None, description="TF: the frame whose pose is taken.")
+
+    @model_validator(mode="after")
+    def _frames_for_transforms(self) -> Self:
+        given = [self.parent is not None, self.frame is not None]
+        if self.type is PoseMessage.TF and not all(given):
+            raise ValueError("parent: TF needs parent and frame, the two frames between which the pose is")
+        if self.type is not PoseMessage.TF and any(given):
+            raise ValueError("parent: parent and frame are for TF alone")
+        return self
+
+
+class Ros1(Model):
+    """A ROS 1 node: a player beside it plays the recording and records its poses."""
+
+    poses: Ros1Poses = Field(description="Where its poses come from.")
+    topics: dict[str, RosTopic] = Field(
+        default_factory=dict,
+        description="Topic on which it takes a role's messages, such as lidar: /velodyne_points; default: the "
+        "recording's own, as config.yaml names it.",
+    )
+    ready: Duration = Field(
+        default="2m", description="Time that it may take to subscribe to its sensors' topics."
+    )
+    settle: Duration = Field(
+        default="2s", description="Time without a new pose, after the last message, that it counts as done."
+    )
+    end: Duration = Field(default="30s", description="Time that it may take to end after SIGINT.")
+
+    @model_validator(mode="after")
+    def _known_roles(self) -> Self:
+        known = [str(role) for role in Role]
+        for role in self.topics:
+            if role not in known:
+                raise ValueError(f"topics: its keys are roles: {', '.join(known)}; not {role!r}")
+        return self
