@@ -6,14 +6,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from slamhive.analysis.measuring import SETTINGS_KEY, Subject, measure, settings_hash
+from slamhive.analysis.measuring import SETTINGS_KEY, measure, settings_hash
+from slamhive.analysis.subjects import Surroundings, subject_of
 from slamhive.data.entries import file_sha256
 from slamhive.data.groundtruth import ground_truth
-from slamhive.model.algorithm import Poses
 from slamhive.model.errors import DataError, InputError
-from slamhive.model.sensors import Role, SensorMode
+from slamhive.model.sensors import SensorMode
 from slamhive_eval import EvaluationError, read_tum
 
 if TYPE_CHECKING:
@@ -71,19 +69,16 @@ class Evaluator:
             return None
         algorithm = self._bench.workshop.algorithm(spec["algorithmRef"]["name"]).algorithm
         variant = variant or self._bench.prepare(spec, algorithm)
-        mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
-        output = algorithm.spec.output_of(mode)
-        estimate_frame = np.eye(4)
-        if output.frame != "body":
-            estimate_frame = self._pose_of(Role(output.frame), spec, variant)
-        dataset = self._bench.dataset(spec["datasetRef"]["name"]).dataset
-        subject = Subject(
-            mode=SensorMode(spec["sensors"]),
-            extrinsic=np.linalg.inv(truth.T_body_frame) @ estimate_frame,
-            gravity_aligned=output.gravity_aligned and dataset.spec.gravity_aligned,
-            keyframes=output.poses is Poses.KEYFRAMES,
+        dataset = self._bench.dataset(spec["datasetRef"]["name"]).dataset.spec
+        given = Surroundings(
+            truth_frame=truth.T_body_frame,
+            by_role={role: sensor.T_body_sensor for role, sensor in variant.sensors.items()},
+            by_name={sensor: found.T_body_sensor for sensor, found in dataset.sensors.items()},
+            remap=spec["input"].get("remap"),
+            gravity_aligned=dataset.gravity_aligned,
             window=(variant.start_time, variant.start_time + variant.duration_seconds),
         )
+        subject = subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)
         try:
             return measure(truth.poses, read_tum(path), settings, subject, name)
         except EvaluationError as error:
@@ -140,10 +135,3 @@ class Evaluator:
             if name not in self._truths:
                 self._truths[name] = ground_truth(entry, self._bench.home.folder("truths"))
             return self._truths[name]
-
-    def _pose_of(self, role: Role, spec: dict[str, Any], variant: Variant) -> np.ndarray[Any, Any]:
-        if role in variant.sensors:
-            return np.array(variant.sensors[role].T_body_sensor)
-        dataset = self._bench.dataset(spec["datasetRef"]["name"]).dataset
-        sensor = dataset.spec.sensor_for(role, spec["input"].get("remap"))
-        return np.array(dataset.spec.sensors[sensor].T_body_sensor)

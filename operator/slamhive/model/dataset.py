@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -12,6 +12,9 @@ from slamhive.model.base import Choice, Model, Resource, Scalar, Sha256
 from slamhive.model.errors import InputError, suggestion
 from slamhive.model.sensors import STAND_INS, Extrinsics, Role, Sensor
 from slamhive.model.synthetic import SyntheticRecording
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
 
 
 class DataFile(Model):
@@ -117,19 +120,30 @@ class DatasetSpec(Model):
         Raises:
             InputError: no sensor does, or the one asked for does not exist.
         """
-        asked = (remap or {}).get(role)
-        if asked is not None:
-            if asked not in self.sensors:
-                raise InputError(
-                    f"input.remap.{role}: unknown sensor {asked!r}{suggestion(asked, self.sensors)}"
-                )
-            return asked
-        for candidate in STAND_INS.get(role, (role,)):
-            if candidate in self.sensors:
-                return candidate
-        raise InputError(
-            f"no sensor for the role {role.value!r}; the dataset has: {', '.join(sorted(self.sensors))}"
-        )
+        return sensor_for(role, self.sensors, remap)
+
+
+def sensor_for(role: Role, sensors: Iterable[str], remap: Mapping[str, str] | None = None) -> str:
+    """Return which of a dataset's sensors fills a role.
+
+    Args:
+        role: the role.
+        sensors: names of the dataset's sensors.
+        remap: the run's choice of sensors for roles.
+
+    Raises:
+        InputError: no sensor does, or the one asked for does not exist.
+    """
+    names = set(sensors)
+    asked = (remap or {}).get(role)
+    if asked is not None:
+        if asked not in names:
+            raise InputError(f"input.remap.{role}: unknown sensor {asked!r}{suggestion(asked, names)}")
+        return asked
+    for candidate in STAND_INS.get(role, (role,)):
+        if candidate in names:
+            return candidate
+    raise InputError(f"no sensor for the role {role.value!r}; the dataset has: {', '.join(sorted(names))}")
 
 
 class Dataset(Resource):
