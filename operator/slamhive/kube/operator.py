@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The operator's engine room: what is seen enters the store, keys wait in the queue, workers reconcile.
+
+Nothing is reconciled before the first full LIST; another every ``relistSeconds`` finds what the watches
+missed. A reconciler that fails is tried again; it never ends the operator.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any
+
+from slamhive.kube.errors import ApiError, Conflict, Forbidden, NotFound, StartError
+from slamhive.kube.kinds import MANAGER, OUR_KINDS, Key, Kind, Label, key_of
+from slamhive.kube.metrics import Metrics
+from slamhive.kube.metricsapi import MetricsReader
+from slamhive.kube.queue import Queue
+from slamhive.kube.routing import routes
+from slamhive.kube.store import Store, narrow
+from slamhive.model.base import GROUP, VERSION
+from slamhive.model.errors import InputError, SlamHiveError
+
+if TYPE_CHECKING:
+    from slamhive.archive import Archive
+    from slamhive.kube.client import Api
+    from slamhive.kube.settings import Settings
+
+Object = dict[str, Any]
+Reconcile = Callable[["Operator", Key], Awaitable[float | None]]
+
+MANAGED = f"{Label.MANAGED_BY}={MANAGER}"
+"""Label selector of the Jobs and pods that are ours."""
+
+SLOW_RETRY_SECONDS = 300.0
+STUCK_SECONDS = 300.0
+_SECOND_LIST_SECONDS = 10.0
+
+_log = logging.getLogger("slamhive.operator")
+_current: ContextVar[Key | None] = ContextVar("slamhive_current_key", default=None)
+
+
+class Operator:
+    """Everything that reconcilers work with.
+
+    Args:
+        api: the Kubernetes API.
+        settings: the operator's settings.
+        reconcilers: by kind, what brings an object to where it should be; returns after how many seconds to
+            look again, None for not before something changes.
+        archive: where finished runs are kept, if anywhere.
+        clock: returns the time in s since 1970.
+        queue: the work queue; default: one on the event loop's clock.
+
+    Attributes:
+        api: as given.
+        settings: as given.
+        archive: as given.
+        clock: as given.
+        store: the picture of the cluster.
+        queue: the keys that wait.
+        metrics: what Prometheus gets.
+        usage: figures of the metrics API.
+        ready: whether the first LIST is done.
+    """
+
+    def __init__(
+        self,
+        api: Api,
+        settings: Settings,
+        reconcilers: Mapping[Kind, Reconcile],
+        archive: Archive | None = None,
+        *,
+        clock: Callable[[], float] = time.time,
+        queue: Queue | None = None,
+    ) -> None:
+        self.api = api
+        self.settings = settings
+        self.archive = archive
+        self.clock = clock
+        self.store = Store()
+        self.queue = queue or Queue()
+        self.metrics = Metrics(run_name_label=settings.metrics.run_name_label)
+        self.usage = MetricsReader(api, self.store, self.metrics, settings.namespaces)
+        self.ready = False
+        self._reconcilers = dict(reconcilers)
+        self._tasks: list[asyncio.Task[None]] = []
+        self._told: dict[Key, str] = {}
+        self._busy_since: dict[Key, float] = {}
+        api.count = self.metrics.count_call
+        self.metrics.watch_queue(self.queue)
+        self.metrics.watch_phases(self._phases)
+
+    # What is seen.
+
+    def observe(self, kind: Kind, event_type: str | None, obj: Object) -> None:
+        """Take in what a watch reports: ADDED, MODIFIED, DELETED, or None from a listing."""
+        if event_type == "DELETED":
+            self._gone(kind, obj)
+        else:
+            self._take(kind, obj)
+
+    def apply(self, kind: Kind, obj: Object) -> Object:
+        """Take in the answer to a write of our own, which need not wait for the watch; returns it.
+
+        The key being reconciled is not queued again by this: its reconciler knows what it wrote.
+        """
+        self._take(kind, obj)
+        return obj
+
+    def forget(self, kind: Kind, obj: Object) -> None:
+        """Take out an object whose deletion the API has confirmed."""
+        self._gone(kind, obj)
+
+    def _take(self, kind: Kind, obj: Object) -> None:
+        new = self.store.get(key_of(kind, obj)) is None
+        if self.store.put(kind, obj):
+            self._enqueue(routes(kind, obj, self.store, new=new))
+
+    def _gone(self, kind: Kind, obj: Object) -> None:
+        key = key_of(kind, obj)
+        uid = obj["metadata"].get("uid")
+        self.store.remove(kind, key.namespace, key.name, uid)
+        if kind is Kind.POD and uid:
+            self.usage.forget(uid)
+        self._told.pop(key, None)
+        self._enqueue(routes(kind, obj, self.store, new=True))
+
+    def _enqueue(self, keys: Iterable[Key]) -> None:
+        current = _current.get()
+        for key in keys:
+            if key.kind in self._reconcilers and key != current:
+                self.queue.add(key)
+
+    # Writes whose answers enter the store.
+
+    async def create(self, kind: Kind, body: Object, namespace: str | None = None) -> Object:
+        """Create an object; errors as ``Api.create``."""
+        return self.apply(kind, await self.api.create(kind, body, namespace))
+
+    async def patch(self, key: Key, body: Object, *, subresource: str | None = None) -> Object:
+        """Patch an object; errors as ``Api.patch``. An object found gone leaves the store."""
+        try:
+            answer = await self.api.patch(key, body, subresource=subresource)
+        except NotFound:
+            present = self.store.get(key)
+            if present is not None:
+                self._gone(key.kind, present)
+            raise
+        return self.apply(key.kind, answer)
+
+    async def refresh(self, key: Key) -> Object | None:
+        """Read an object anew, as after a Conflict; None when it is gone."""
+        try:
+            return self.apply(key.kind, await self.api.get(key))
+        except NotFound:
+            present = self.store.get(key)
+            if present is not None:
+                self._gone(key.kind, present)
+            return None
+
+    async def delete(self, key: Key, *, uid: str | None = None, **options: Any) -> Object | None:
+        """Delete an object, by default exactly the one in the store; returns it while it has still to end.
+
+        Errors as ``Api.delete``, but another object of that name counts as gone.
+        """
+        present = self.store.get(key)
+        uid = uid or (present["metadata"].get("uid") if present else None)
+        try:
+            answer = await self.api.delete(key, uid=uid, **options)
+        except Conflict:
+            if options.get("resource_version") is not None:
+                raise
+            answer = None
+        if answer is not None:
+            return self.apply(key.kind, answer)
+        if present is not None and present["metadata"].get("uid") == uid:
+            self._gone(key.kind, present)
+        return None
+
+    # Life.
+
+    async def start(self) -> None:
+        """Check that the operator can work here, list everything, and begin to work.
+
+        Raises:
+            StartError: CRDs or rights are missing; the sentence says how to have them.
+        """
+        await self._check_crds()
+        try:
+            await self.relist()
+        except Forbidden as error:
+            verb, resource = error.verb, error.resource
+            raise StartError(
+                f"{error}; the operator needs the right to {verb} {resource} in each of its namespaces "
+                f"({', '.join(self.settings.namespaces)}): the chart's Role and RoleBinding grant it"
+            ) from None
+        self.ready = True
+        self.queue_all()
+        self._tasks = [
+            asyncio.create_task(self._work(), name=f"worker-{number}")
+            for number in range(self.settings.workers)
+        ]
+        self._tasks.append(asyncio.create_task(self._relist_forever(), name="relist"))
+        self._tasks.append(asyncio.create_task(self._read_metrics_forever(), name="metrics-api"))
+
+    async def stop(self) -> None:
+        """End all work; what is being reconciled is broken off, which is safe at any point."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._tasks = []
+
+    def queue_all(self) -> None:
+        """Have every object looked at."""
+        for kind in self._reconcilers:
+            for namespace in self.settings.namespaces:
+                for obj in self.store.of(kind, namespace):
+                    self.queue.add(key_of(kind, obj))
+
+    async def relist(self) -> None:
+        """List everything and act on what the watches missed."""
+        for kind in Kind:
+            for namespace in self.settings.namespaces:
+                await self._relist_one(kind, namespace)
+
+    async def _relist_one(self, kind: Kind, namespace: str) -> None:
+        labels = None if kind.is_ours else MANAGED
+        items, version = await self.api.list(
+            kind, namespace, labels=labels, narrow=lambda obj: narrow(kind, obj)
+        )
+        for key, obj, there in self.store.sync(kind, namespace, items, version):
+            if kind is Kind.POD and not there:
+                self.usage.forget(obj["metadata"]["uid"])
+            self._enqueue(routes(key.kind, obj, self.store, new=True))
+
+    async def _check_crds(self) -> None:
+        served = await self.api.served(GROUP, VERSION)
+        missing = [kind.resource for kind in OUR_KINDS if kind.plural not in served]
+        if missing:
+            raise StartError(
+                f"the cluster does not know {', '.join(missing)} ({GROUP}/{VERSION}): install the CRDs "
+                "first, with `helm install slamhive-crds helm/slamhive-crds` or `kubectl apply -f crds/`"
+            )
+
+    async def _relist_forever(self) -> None:
+        # The second list comes soon: what was deleted between the first one and the watches' beginning is
+        # told by nobody.
+        wait = min(_SECOND_LIST_SECONDS, self.settings.relist_seconds)
+        while True:
+            await asyncio.sleep(wait)
+            wait = self.settings.relist_seconds
+            try:
+                await self.relist()
+            except ApiError as error:
+                _log.warning("listing failed, the watches go on: %s", error)
+            except Exception:  # noqa: BLE001
+                self.metrics.count_error("relist", "unforeseen")
+                _log.exception("listing failed in an unforeseen way")
+
+    async def _read_metrics_forever(self) -> None:
+        while True:
+            try:
+                await self.usage.read()
+            except Exception:  # noqa: BLE001
+                self.metrics.count_error("metrics-api", "unforeseen")
+                _log.exception("reading the metrics API failed in an unforeseen way")
+            await asyncio.sleep(self.settings.metrics.interval_seconds)
+
+    # Work.
+
+    async def _work(self) -> None:
+        while True:
+            key = await self.queue.get()
+            try:
+                await self.handle(key)
+            finally:
+                self.queue.done(key)
+
+    async def handle(self, key: Key) -> None:
+        """Reconcile one object and queue what follows from how that went."""
+        token = _current.set(key)
+        started = time.monotonic()
+        self._busy_since[key] = started
+        outcome = "ok"
+        try:
+            again = await self._reconcilers[key.kind](self, key)
+        except SlamHiveError as error:
+            outcome = error.reason
+            self._failed(key, error)
+        except Exception:
+            outcome = "unforeseen"
+            self.metrics.count_error(str(key.kind), outcome)
+            delay = self.queue.retry(key)
+            _log.exception("%s: reconciling failed in an unforeseen way; again in %.1f s", key, delay)
+        else:
+            self.queue.forget(key)
+            self._told.pop(key, None)
+            if again is not None:
+                self.queue.add(key, again)
+        finally:
+            _current.reset(token)
+            self._busy_since.pop(key, None)
+            self.metrics.observe_reconcile(str(key.kind), outcome, time.monotonic() - started)
+
+    def _failed(self, key: Key, error: SlamHiveError) -> None:
+        self.metrics.count_error(str(key.kind), error.reason)
+        if isinstance(error, Conflict):
+            # Ordinary: someone else wrote first, and the watch is about to tell.
+            delay = self.queue.retry(key)
+            _log.debug("%s: %s; again in %.1f s", key, error, delay)
+            return
+        if error.retryable:
+            delay = self.queue.retry(key)
+        else:
+            delay = SLOW_RETRY_SECONDS
+            self.queue.add(key, delay)
+        message = str(error)
+        if self._told.get(key) != message:
+            self._told[key] = message
+            level = logging.ERROR if isinstance(error, InputError) else logging.WARNING
+            _log.log(level, "%s: %s; again in %.1f s", key, message, delay)
+
+    @property
+    def stuck(self) -> list[Key]:
+        """Return what has been reconciled for suspiciously long."""
+        now = time.monotonic()
+        return [key for key, since in self._busy_since.items() if now - since > STUCK_SECONDS]
+
+    @property
+    def failed_tasks(self) -> list[str]:
+        """Return the names of tasks that ended though they never should."""
+        return [task.get_name() for task in self._tasks if task.done()]
+
+    def _phases(self) -> dict[tuple[str, str], int]:
+        counts: dict[tuple[str, str], int] = {}
+        for namespace in self.settings.namespaces:
+            for run in self.store.of(Kind.MAPPING_RUN, namespace):
+                phase = run["status"].get("phase") or "Pending"
+                counts[namespace, phase] = counts.get((namespace, phase), 0) + 1
+        return counts

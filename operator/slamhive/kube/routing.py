@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which objects have to be looked at when one has changed: pure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from slamhive.kube.kinds import Key, Kind, Label, Role
+from slamhive.kube.store import labels_of
+from slamhive.model.results import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from slamhive.kube.store import Store
+
+Object = dict[str, Any]
+
+_FINISHED = frozenset(str(phase) for phase in Phase if phase.is_finished)
+
+
+def routes(kind: Kind, obj: Object, store: Store | None = None, *, new: bool = False) -> list[Key]:
+    """Return the keys to reconcile because an object appeared, changed or went.
+
+    Args:
+        kind: the object's kind.
+        obj: the object, or what it was before it went.
+        store: where runs that wait for an Algorithm or Dataset, and Evaluations that may select a finished
+            run, are looked up; without it these are left out.
+        new: whether the object appeared or went, which Sweeps that name it may have been waiting for.
+    """
+    namespace = obj["metadata"].get("namespace", "")
+    if kind in {Kind.JOB, Kind.POD}:
+        keys = [*_of_job(obj, namespace)]
+    elif kind is Kind.MAPPING_RUN:
+        keys = [*_of_run(obj, namespace, store)]
+    else:
+        keys = [Key(kind, namespace, obj["metadata"]["name"])]
+        if kind in {Kind.ALGORITHM, Kind.DATASET} and store is not None:
+            keys += _waiting(kind, obj, namespace, store, new=new)
+    return [*dict.fromkeys(keys)]
+
+
+def is_finished(run: Object) -> bool:
+    """Tell whether nothing more will happen to a MappingRun."""
+    return (run.get("status") or {}).get("phase") in _FINISHED
+
+
+def _of_job(obj: Object, namespace: str) -> Iterator[Key]:
+    labels = labels_of(obj)
+    named = {
+        Role.RUN: [(Kind.MAPPING_RUN, Label.RUN)],
+        Role.READ: [(Kind.MAPPING_RUN, Label.RUN)],
+        Role.PREPARE: [(Kind.DATASET, Label.DATASET)],
+        Role.EVALUATE: [(Kind.EVALUATION, Label.EVALUATION), (Kind.SWEEP, Label.SWEEP)],
+    }
+    for role, targets in named.items():
+        if labels.get(Label.ROLE) == role:
+            for kind, label in targets:
+                if name := labels.get(label):
+                    yield Key(kind, namespace, name)
+
+
+def _of_run(run: Object, namespace: str, store: Store | None) -> Iterator[Key]:
+    yield Key(Kind.MAPPING_RUN, namespace, run["metadata"]["name"])
+    sweep = labels_of(run).get(Label.SWEEP)
+    if sweep:
+        yield Key(Kind.SWEEP, namespace, sweep)
+    if store is not None and is_finished(run):
+        for evaluation in store.of(Kind.EVALUATION, namespace):
+            if _may_select(evaluation, run):
+                yield Key(Kind.EVALUATION, namespace, evaluation["metadata"]["name"])
+
+
+def _may_select(evaluation: Object, run: Object) -> bool:
+    chosen: Object = evaluation["spec"].get("runs") or {}
+    labels = labels_of(run)
+    if run["metadata"]["name"] in (chosen.get("names") or ()):
+        return True
+    sweep = (chosen.get("sweepRef") or {}).get("name")
+    if sweep is not None and labels.get(Label.SWEEP) == sweep:
+        return True
+    wanted: dict[str, str] = chosen.get("matchLabels") or {}
+    return bool(wanted) and all(labels.get(name) == value for name, value in wanted.items())
+
+
+def _waiting(kind: Kind, obj: Object, namespace: str, store: Store, *, new: bool) -> Iterator[Key]:
+    for run in store.referring(namespace, kind, obj["metadata"]["name"]):
+        if not is_finished(run):
+            yield Key(Kind.MAPPING_RUN, namespace, run["metadata"]["name"])
+    if new:
+        for sweep in store.of(Kind.SWEEP, namespace):
+            yield Key(Kind.SWEEP, namespace, sweep["metadata"]["name"])

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The operator's settings: one YAML file, written by the chart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import Field, StringConstraints, ValidationError
+
+from slamhive.model.base import Choice, Duration, Model, Quantity, explain
+from slamhive.model.errors import InputError
+
+NamespaceName = Annotated[
+    str, StringConstraints(pattern=r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$", min_length=1, max_length=63)
+]
+
+
+class PullPolicy(Choice):
+    """When the kubelet pulls an image."""
+
+    ALWAYS = "Always"
+    IF_NOT_PRESENT = "IfNotPresent"
+    NEVER = "Never"
+
+
+class LogFormat(Choice):
+    """How the operator writes its log."""
+
+    PLAIN = "plain"
+    JSON = "json"
+
+
+class Claim(Model):
+    """A volume by its PersistentVolumeClaim."""
+
+    claim: str = Field(min_length=1, max_length=253)
+
+
+class Volumes(Model):
+    """Where results and datasets are."""
+
+    results: Claim
+    data: Claim
+
+
+class PodSettings(Model):
+    """What is passed through to every pod of ours."""
+
+    node_selector: dict[str, str] = Field(default_factory=dict)
+    tolerations: list[dict[str, Any]] = Field(default_factory=list)
+    affinity: dict[str, Any] = Field(default_factory=dict)
+    runtime_class_name: str | None = None
+    image_pull_secrets: list[str | dict[str, str]] = Field(default_factory=list)
+    priority_class_name: str | None = None
+    service_account_name: str | None = None
+    gpu_resource: str = "nvidia.com/gpu"
+
+
+class EvaluationJobs(Model):
+    """How trajectories are evaluated."""
+
+    batch_size: int = Field(default=200, ge=1, le=200)
+    delay_seconds: float = Field(default=2.0, ge=0)
+    parallel_jobs: int = Field(default=2, ge=1)
+    cpu: Quantity = "1"
+    memory: Quantity = "1Gi"
+
+
+class PreparationJobs(Model):
+    """How variants of datasets are prepared."""
+
+    parallel_jobs: int = Field(default=2, ge=1)
+    cpu: Quantity = "1"
+    memory: Quantity = "2Gi"
+    timeout: Duration = "6h"
+
+
+class MetricsSettings(Model):
+    """What Prometheus gets."""
+
+    port: int = Field(default=9090, ge=0, le=65535)
+    interval_seconds: float = Field(default=15.0, gt=0)
+    run_name_label: bool = False
+
+
+class HealthSettings(Model):
+    """Where the kubelet asks how the operator is."""
+
+    port: int = Field(default=8080, ge=0, le=65535)
+
+
+class Settings(Model):
+    """All settings; the chart's values.yaml documents each."""
+
+    namespaces: list[NamespaceName] = Field(min_length=1)
+    image: str = Field(min_length=1)
+    evaluator_image: str | None = None
+    image_pull_policy: PullPolicy = PullPolicy.IF_NOT_PRESENT
+    volumes: Volumes
+    archive_url_file: Path | None = None
+    cluster_name: str = ""
+    pods: PodSettings = PodSettings()
+    uid: int = Field(default=65532, ge=1, le=2**31 - 1)
+    default_parallelism: int = Field(default=8, ge=1)
+    image_pull_grace_seconds: float = Field(default=120.0, ge=0)
+    evaluation: EvaluationJobs = EvaluationJobs()
+    preparation: PreparationJobs = PreparationJobs()
+    variants_limit: Quantity = "100Gi"
+    metrics: MetricsSettings = MetricsSettings()
+    health: HealthSettings = HealthSettings()
+    sweep_write_seconds: float = Field(default=2.0, ge=0)
+    relist_seconds: float = Field(default=600.0, gt=0)
+    workers: int = Field(default=8, ge=1, le=256)
+    max_runs_without_archive: int = Field(default=5000, ge=1)
+    log_format: LogFormat = LogFormat.PLAIN
+    log_level: str = Field(default="INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$")
+
+
+def load(path: Path) -> Settings:
+    """Read the settings.
+
+    Raises:
+        InputError: a sentence that names the file, the field and what is allowed.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: the operator's settings cannot be read: {error}") from None
+    try:
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        line = getattr(getattr(error, "problem_mark", None), "line", None)
+        where = "" if line is None else f", line {line + 1}"
+        raise InputError(f"{path}{where}: not valid YAML: {getattr(error, 'problem', error)}") from None
+    try:
+        return Settings.model_validate(content if content is not None else {})
+    except ValidationError as error:
+        raise InputError("\n".join(f"{path}: {_told(mistake)}" for mistake in error.errors())) from None
+
+
+def _told(mistake: Any) -> str:
+    field = ".".join(str(part) for part in mistake["loc"])
+    if mistake["type"] == "extra_forbidden":
+        return f"{field}: unknown setting"
+    return f"{field or 'the file'}: {explain(mistake)}"

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The operator's picture of the cluster: narrowed objects, found by name, label and owner.
+
+Watches, the operator's own writes and full lists all write here, in any order: an object never goes back to
+an older version, and one that was deleted does not return by a late message. What the store hands out is
+shared: never change it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import OrderedDict, defaultdict
+from typing import TYPE_CHECKING, Any
+
+from slamhive.kube.kinds import Key, Kind, Label, key_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+Object = dict[str, Any]
+
+INDEXED_LABELS = (Label.RUN, Label.SWEEP, Label.VARIANT, Label.EVALUATION)
+_LATEST_DELETIONS = 20_000
+_METADATA = (
+    "name",
+    "namespace",
+    "uid",
+    "resourceVersion",
+    "generation",
+    "creationTimestamp",
+    "deletionTimestamp",
+    "labels",
+    "annotations",
+    "ownerReferences",
+    "finalizers",
+)
+_APPLIED = "kubectl.kubernetes.io/last-applied-configuration"
+_POD_STATUS = ("phase", "reason", "message", "conditions", "startTime")
+_CONTAINERS = ("initContainerStatuses", "containerStatuses")
+_CONTAINER_STATUS = ("name", "state", "lastState", "ready", "started", "restartCount", "image", "imageID")
+
+_Index = tuple[Kind, str, str, str]
+
+
+class Store:
+    """Objects by kind, namespace and name."""
+
+    def __init__(self) -> None:
+        self._objects: dict[tuple[Kind, str], dict[str, Object]] = defaultdict(dict)
+        self._labelled: dict[_Index, dict[str, None]] = {}
+        self._owned: dict[str, dict[Key, None]] = {}
+        self._deleted: OrderedDict[str, None] = OrderedDict()
+
+    def __len__(self) -> int:
+        """Return the number of objects."""
+        return sum(len(objects) for objects in self._objects.values())
+
+    def put(self, kind: Kind, obj: Object) -> bool:
+        """Take an object in; returns whether it was news.
+
+        An older version than the one here, the same version, and objects known to be deleted are not.
+        """
+        key = key_of(kind, obj)
+        if obj["metadata"].get("uid") in self._deleted:
+            return False
+        present = self.get(key)
+        if present is not None and version_of(obj) <= version_of(present):
+            return False
+        narrowed = narrow(kind, obj)
+        if present is not None:
+            self._unlink(key, present)
+        self._objects[kind, key.namespace][key.name] = narrowed
+        self._link(key, narrowed)
+        return True
+
+    def remove(self, kind: Kind, namespace: str, name: str, uid: str | None = None) -> bool:
+        """Take out an object that was deleted; returns whether it was here.
+
+        Args:
+            kind: its kind.
+            namespace: its namespace.
+            name: its name.
+            uid: its uid: a later object of the same name stays.
+        """
+        if uid is not None:
+            self._remember_deletion(uid)
+        key = Key(kind, namespace, name)
+        present = self.get(key)
+        if present is None or (uid is not None and present["metadata"].get("uid") != uid):
+            return False
+        self._remember_deletion(present["metadata"].get("uid", ""))
+        self._unlink(key, present)
+        del self._objects[kind, namespace][name]
+        return True
+
+    def get(self, key: Key) -> Object | None:
+        """Return an object, None when it is not there."""
+        return self._objects[key.kind, key.namespace].get(key.name)
+
+    def of(self, kind: Kind, namespace: str) -> list[Object]:
+        """Return all objects of a kind in a namespace, in the order they came."""
+        return list(self._objects[kind, namespace].values())
+
+    def count(self, kind: Kind, namespace: str) -> int:
+        """Return how many objects of a kind there are in a namespace."""
+        return len(self._objects[kind, namespace])
+
+    def select(self, kind: Kind, namespace: str, label: str, value: str) -> list[Object]:
+        """Return the objects with a label, at once for those of ``INDEXED_LABELS``."""
+        objects = self._objects[kind, namespace]
+        if label in INDEXED_LABELS:
+            return [objects[name] for name in self._labelled.get((kind, namespace, str(label), value), ())]
+        return [obj for obj in objects.values() if labels_of(obj).get(label) == value]
+
+    def referring(self, namespace: str, to: Kind, name: str) -> list[Object]:
+        """Return the MappingRuns that name an Algorithm or a Dataset in their spec."""
+        objects = self._objects[Kind.MAPPING_RUN, namespace]
+        names = self._labelled.get((Kind.MAPPING_RUN, namespace, _reference_field(to), name), ())
+        return [objects[run] for run in names]
+
+    def owned(self, uid: str) -> list[tuple[Kind, Object]]:
+        """Return the objects that name an owner, with their kinds."""
+        pairs = ((key.kind, self.get(key)) for key in self._owned.get(uid, ()))
+        return [(kind, obj) for kind, obj in pairs if obj is not None]
+
+    def sync(
+        self, kind: Kind, namespace: str, items: Iterable[Object], resource_version: str = ""
+    ) -> list[tuple[Key, Object, bool]]:
+        """Bring the store in line with a full list; returns what changed as (key, object, still there).
+
+        Args:
+            kind: the kind that was listed.
+            namespace: where.
+            items: the whole list.
+            resource_version: version of the list: objects newer than it are not missed in it.
+        """
+        listed = _number(resource_version)
+        changed: list[tuple[Key, Object, bool]] = []
+        seen: set[str] = set()
+        for obj in items:
+            key = key_of(kind, obj)
+            seen.add(key.name)
+            if self.put(kind, obj):
+                changed.append((key, obj, True))
+        for name, obj in list(self._objects[kind, namespace].items()):
+            if name not in seen and (not listed or version_of(obj) <= listed):
+                self.remove(kind, namespace, name, obj["metadata"].get("uid"))
+                changed.append((Key(kind, namespace, name), obj, False))
+        return changed
+
+    def _remember_deletion(self, uid: str) -> None:
+        if uid:
+            self._deleted[uid] = None
+            self._deleted.move_to_end(uid)
+            while len(self._deleted) > _LATEST_DELETIONS:
+                self._deleted.popitem(last=False)
+
+    def _link(self, key: Key, obj: Object) -> None:
+        for index in _indexes(key, obj):
+            self._labelled.setdefault(index, {})[key.name] = None
+        for uid in _owners(obj):
+            self._owned.setdefault(uid, {})[key] = None
+
+    def _unlink(self, key: Key, obj: Object) -> None:
+        for index in _indexes(key, obj):
+            _drop(self._labelled, index, key.name)
+        for uid in _owners(obj):
+            _drop(self._owned, uid, key)
+
+
+def narrow(kind: Kind, obj: Object) -> Object:
+    """Return the part of an object that the operator looks at.
+
+    Metadata without managed fields and kubectl's annotation; Jobs without their pod template; pods as
+    metadata without annotations, the node's name and the essentials of their status; ours whole.
+    """
+    metadata = {field: obj["metadata"][field] for field in _METADATA if field in obj["metadata"]}
+    if "annotations" in metadata:
+        kept = {name: value for name, value in metadata["annotations"].items() if name != _APPLIED}
+        metadata["annotations"] = kept
+    result: Object = {"metadata": metadata}
+    if kind is Kind.POD:
+        metadata.pop("annotations", None)
+        result["spec"] = {"nodeName": name} if (name := obj.get("spec", {}).get("nodeName")) else {}
+        result["status"] = _pod_status(obj.get("status", {}))
+    elif kind is Kind.JOB:
+        result["spec"] = {name: value for name, value in obj.get("spec", {}).items() if name != "template"}
+        result["status"] = obj.get("status", {})
+    else:
+        result["spec"] = obj.get("spec", {})
+        result["status"] = obj.get("status") or {}
+    shared: Object = _interned(result)
+    return shared
+
+
+def version_of(obj: Object) -> int:
+    """Return an object's version as a number; versions of one kind can be compared."""
+    return _number(obj["metadata"].get("resourceVersion", ""))
+
+
+def labels_of(obj: Object) -> dict[str, str]:
+    """Return an object's labels."""
+    return obj["metadata"].get("labels") or {}
+
+
+def _number(version: str) -> int:
+    return int(version) if version.isdecimal() else 0
+
+
+def _pod_status(status: Object) -> Object:
+    result = {name: status[name] for name in _POD_STATUS if name in status}
+    for name in _CONTAINERS:
+        if name in status:
+            result[name] = [
+                {field: container[field] for field in _CONTAINER_STATUS if field in container}
+                for container in status[name]
+            ]
+    return result
+
+
+def _interned(value: Any) -> Any:
+    # Thousands of objects repeat the same field names, labels and states.
+    if isinstance(value, dict):
+        return {sys.intern(name): _interned(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_interned(item) for item in value]
+    return sys.intern(value) if isinstance(value, str) and len(value) <= _SHORT_TEXT else value
+
+
+_SHORT_TEXT = 32
+
+
+def _reference_field(kind: Kind) -> str:
+    return f"{kind.lower()}Ref"
+
+
+def _indexes(key: Key, obj: Object) -> Iterator[_Index]:
+    labels = labels_of(obj)
+    for label in INDEXED_LABELS:
+        value = labels.get(label)
+        if value is not None:
+            yield key.kind, key.namespace, str(label), value
+    if key.kind is Kind.MAPPING_RUN:
+        for kind in (Kind.ALGORITHM, Kind.DATASET):
+            field = _reference_field(kind)
+            name = (obj["spec"].get(field) or {}).get("name")
+            if name is not None:
+                yield key.kind, key.namespace, field, name
+
+
+def _owners(obj: Object) -> list[str]:
+    return [owner["uid"] for owner in obj["metadata"].get("ownerReferences") or ()]
+
+
+def _drop(index: dict[Any, dict[Any, None]], entry: Any, member: Any) -> None:
+    members = index.get(entry)
+    if members is not None:
+        members.pop(member, None)
+        if not members:
+            del index[entry]
