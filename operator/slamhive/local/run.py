@@ -27,9 +27,10 @@ from slamhive.engine import (
 )
 from slamhive.local.attempt import Attempt, AttemptOrder
 from slamhive.local.environments import Unavailable
-from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
+from slamhive.model.configuration import PreparedRecording
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.results import Phase, Provenance, Reason, Result, RunRecord
+from slamhive.plan import run_configuration
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from slamhive.local.environments import Environment
     from slamhive.local.evaluating import Evaluator
     from slamhive.local.workbench import Workbench
+    from slamhive.model.configuration import RunConfiguration
     from slamhive.model.evaluation import EvaluationSettings
 
 
@@ -278,31 +280,17 @@ class RunDriver:
             progress.attempt_state = AttemptState.ENDED
 
     def _configuration(self, variant: Variant) -> RunConfiguration:
-        options = self._spec["input"]
         dataset = self._bench.dataset(self._spec["datasetRef"]["name"]).dataset
-        return RunConfiguration(
-            run=self._order.point.name,
-            algorithm=self._spec["algorithmRef"]["name"],
-            mode=self._spec["sensors"],
-            dataset=DatasetView(
-                name=dataset.name,
-                recording=RecordingPlace(format=variant.format, path=f"dataset/{variant.path.name}"),
-                start_time=variant.start_time,
-                duration_seconds=variant.duration_seconds,
-                gravity_aligned=dataset.spec.gravity_aligned,
-            ),
-            sensors={role.value: view for role, view in variant.sensors.items()},
-            parameters=self._spec["parameters"],
-            input=InputView(
-                pace=options["pace"],
-                frame_rate=variant.frame_rate,
-                resolution=variant.resolution,
-                rate=options.get("rate") or 1.0,
-                duration=variant.duration_seconds,
-            ),
-            seed=self._spec["seed"],
-            cores=len(self._cpus),
+        recording = PreparedRecording(
+            format=variant.format,
+            recording=variant.path.name,
+            sensors=variant.sensors,
+            start_time=variant.start_time,
+            duration_seconds=variant.duration_seconds,
+            frame_rate=variant.frame_rate,
+            resolution=variant.resolution,
         )
+        return run_configuration(self._order.point.name, self._spec, dataset, recording, len(self._cpus))
 
     def _record(self, state: RunState, created: datetime) -> RunRecord:
         progress, order, attempt = self._progress, self._order, self._attempt

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import queue
 import threading
 import time
@@ -17,10 +16,10 @@ from slamhive.local.attempt import end_left_behind
 from slamhive.local.changes import Changes
 from slamhive.local.cores import CorePool
 from slamhive.local.run import RunDriver, RunOrder
-from slamhive.model.base import quantity
 from slamhive.model.results import Phase, Reason, RunRecord
 from slamhive.model.sweep import CachePolicy
 from slamhive.monitor import sweep_stale_cgroups
+from slamhive.plan import whole_cores
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -260,7 +259,7 @@ class Runner:
     def _drive(self, job: Job, index: int) -> None:
         try:
             point = job.points.point(index)
-            cores = self._cores.take(max(1, math.ceil(quantity(point.spec["resources"]["cpu"]))))
+            cores = self._cores.take(whole_cores(point.spec["resources"]["cpu"]))
             try:
                 record = self._one(job, index, point, cores)
             finally:

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from slamhive.model.algorithm import Pace, RecordingFormat
 from slamhive.model.base import API_VERSION, Model, Scalar
-from slamhive.model.sensors import Sensor, SensorMode
+from slamhive.model.sensors import Role, Sensor, SensorMode
 
 
 class RecordingPlace(Model):
@@ -33,6 +33,20 @@ class SensorView(Sensor):
     """A sensor as it is after preparation, with its name in the dataset."""
 
     name: str
+
+
+class PreparedRecording(Model):
+    """What preparation tells of a variant, as far as an algorithm is to know it."""
+
+    format: RecordingFormat
+    recording: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=128, description="Name of its file or folder."
+    )
+    sensors: dict[Role, SensorView]
+    start_time: float
+    duration_seconds: float = Field(ge=0)
+    frame_rate: float | None = None
+    resolution: float = 1.0
 
 
 class InputView(Model):

@@ -2,6 +2,7 @@
 """Plan: from a Sweep to its runs, lazily, with names and hashes that are the same everywhere. Pure."""
 
 from slamhive.plan.catalog import Catalog, FixedCatalog
+from slamhive.plan.configuration import run_configuration, whole_cores
 from slamhive.plan.expansion import Plan, Point
 from slamhive.plan.hashes import algorithm_hash, content_hash, local_uid, run_name, spec_hash
 from slamhive.plan.resolution import resolve
@@ -15,6 +16,8 @@ __all__ = [
     "content_hash",
     "local_uid",
     "resolve",
+    "run_configuration",
     "run_name",
     "spec_hash",
+    "whole_cores",
 ]

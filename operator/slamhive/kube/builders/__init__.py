@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Builders: from our objects to the manifests of Jobs. Pure: no API, no clock, no volume."""
+
+from slamhive.kube.builders.common import ANNOTATION_LIMIT, label, label_value, owner_reference
+from slamhive.kube.builders.evaluation import (
+    batches,
+    evaluator_job,
+    evaluator_job_name,
+    log_container,
+    read_job,
+    read_job_name,
+)
+from slamhive.kube.builders.run import AttemptPlan, Companion, configuration, job_name, run_job
+from slamhive.kube.builders.variant import variant_job, variant_job_name, variant_name, variant_request
+
+__all__ = [
+    "ANNOTATION_LIMIT",
+    "AttemptPlan",
+    "Companion",
+    "batches",
+    "configuration",
+    "evaluator_job",
+    "evaluator_job_name",
+    "job_name",
+    "label",
+    "label_value",
+    "log_container",
+    "owner_reference",
+    "read_job",
+    "read_job_name",
+    "run_job",
+    "variant_job",
+    "variant_job_name",
+    "variant_name",
+    "variant_request",
+]

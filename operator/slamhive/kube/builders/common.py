@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pods of all our Jobs share: names, labels, volumes, and what Pod Security asks for.
+
+Text that users wrote enters manifests only as whole list items, as values of labels after `label_value`, and
+as values of variables after `literal`: no shell and no ``$(VARIABLE)`` ever reads it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from typing import TYPE_CHECKING, Any
+
+from slamhive.model.base import GROUP
+from slamhive.model.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from slamhive.kube.settings import Settings
+
+Manifest = dict[str, Any]
+
+ANNOTATION_LIMIT = 200 * 1024
+"""Bytes of a request or configuration in an annotation; the API server takes 256 KiB for all of them."""
+
+MANAGED_BY = "app.kubernetes.io/managed-by"
+MANAGER = "slamhive"
+
+_NAME_LENGTH = 63
+_HASH_LENGTH = 10
+_UID = re.compile(r"^[0-9A-Za-z][0-9A-Za-z-]{0,63}$")
+_LABEL_VALUE = re.compile(r"^([A-Za-z0-9]([-A-Za-z0-9_.]{0,61}[A-Za-z0-9])?)?$")
+_NOT_PASSED_ON = (
+    f"{GROUP}/",
+    "app.kubernetes.io/",
+    "argocd.argoproj.io/",
+    "batch.kubernetes.io/",
+    "container.apparmor.security.beta.kubernetes.io/",
+    "container.seccomp.security.alpha.kubernetes.io/",
+    "controller-uid",
+    "helm.sh/",
+    "job-name",
+    "kopf.",
+    "kubectl.kubernetes.io/",
+    "meta.helm.sh/",
+    "seccomp.security.alpha.kubernetes.io/",
+)
+"""Labels and annotations that say who made an object, or what its pods may do: a child's are its own."""
+
+
+def label(word: str) -> str:
+    """Return the full name of a label or annotation of ours."""
+    return f"{GROUP}/{word}"
+
+
+def label_value(text: str) -> str:
+    """Return a text as the value of a label: itself where it fits, else shortened with its hash."""
+    return text if _LABEL_VALUE.match(text) else short_name(re.sub(r"[^-A-Za-z0-9_.]", "-", text), text)
+
+
+def short_name(text: str, identity: str | None = None) -> str:
+    """Return a name of at most 63 characters that begins like the text and ends in the identity's hash."""
+    hashed = hashlib.sha256((identity or text).encode()).hexdigest()[:_HASH_LENGTH]
+    head = text[: _NAME_LENGTH - _HASH_LENGTH - 1].strip("-._")
+    return f"{head}-{hashed}" if head else hashed
+
+
+def joined_name(stem: str, end: str) -> str:
+    """Return a stem and its ending joined, as a DNS label of at most 63 characters."""
+    name = f"{stem.replace('.', '-')}-{end}"
+    if len(name) <= _NAME_LENGTH and "." not in stem:
+        return name
+    hashed = hashlib.sha256(f"{stem}/{end}".encode()).hexdigest()[:_HASH_LENGTH]
+    head = stem.replace(".", "-")[: _NAME_LENGTH - _HASH_LENGTH - len(end) - 2].strip("-")
+    return f"{head}-{hashed}-{end}"
+
+
+def literal(text: str) -> str:
+    """Return a text so that Kubernetes, which expands ``$(NAME)`` in it, ends up with the text itself."""
+    return text.replace("$", "$$")
+
+
+def segment(text: str, what: str) -> str:
+    """Return an identity after checking that it is a single segment of a path.
+
+    Raises:
+        InputError: it isn't.
+    """
+    if not _UID.match(text):
+        raise InputError(f"{what} {text!r} cannot be part of a path: letters, digits and - are allowed")
+    return text
+
+
+def owner_reference(owner: Mapping[str, Any], *, controller: bool = False) -> Manifest:
+    """Return the reference by which an object goes when its owner goes.
+
+    Args:
+        owner: the owner as the API server returned it.
+        controller: whether it manages the object; at most one owner may.
+    """
+    metadata = owner["metadata"]
+    reference = {
+        "apiVersion": owner["apiVersion"],
+        "kind": owner["kind"],
+        "name": metadata["name"],
+        "uid": metadata["uid"],
+        "blockOwnerDeletion": False,
+    }
+    return reference | ({"controller": True} if controller else {})
+
+
+def passed_on(values: Mapping[str, str] | None) -> dict[str, str]:
+    """Return the labels or annotations that an object hands to its Job and pods, such as a queue's."""
+    return {key: value for key, value in (values or {}).items() if not key.startswith(_NOT_PASSED_ON)}
+
+
+def annotation(text: str, what: str) -> str:
+    """Return a text after checking that it fits into an annotation.
+
+    Raises:
+        InputError: it is too large.
+    """
+    size = len(text.encode())
+    if size > ANNOTATION_LIMIT:
+        raise InputError(f"{what} has {size} bytes, at most {ANNOTATION_LIMIT} fit into an object")
+    return text
+
+
+def request_text(request: Mapping[str, Any]) -> str:
+    """Return a request as compact JSON.
+
+    Raises:
+        InputError: it doesn't fit into an annotation.
+    """
+    text = json.dumps(request, separators=(",", ":"), sort_keys=True, ensure_ascii=False, allow_nan=False)
+    return annotation(text, "the request")
+
+
+def variables(values: Mapping[str, str]) -> list[Manifest]:
+    """Return environment variables with exactly these values."""
+    return [{"name": name, "value": literal(value)} for name, value in values.items()]
+
+
+def from_field(name: str, path: str) -> Manifest:
+    """Return an environment variable that holds a field of the pod."""
+    return {"name": name, "valueFrom": {"fieldRef": {"fieldPath": path}}}
+
+
+def downward(name: str, annotation_name: str, file: str) -> Manifest:
+    """Return a volume with an annotation of the pod as a file."""
+    path = f"metadata.annotations['{annotation_name}']"
+    item = {"path": file, "fieldRef": {"fieldPath": path}}
+    return {"name": name, "downwardAPI": {"defaultMode": 0o444, "items": [item]}}
+
+
+def claim(name: str, claim_name: str) -> Manifest:
+    """Return a volume by its claim."""
+    return {"name": name, "persistentVolumeClaim": {"claimName": claim_name}}
+
+
+def scratch(name: str, size: str, *, memory: bool = False) -> Manifest:
+    """Return an empty folder that goes with the pod."""
+    return {"name": name, "emptyDir": {"sizeLimit": size} | ({"medium": "Memory"} if memory else {})}
+
+
+def mount(name: str, path: str, *, read_only: bool = False, **more: str) -> Manifest:
+    """Return where a container sees a volume; ``more`` is subPath or subPathExpr."""
+    return {"name": name, "mountPath": path} | more | ({"readOnly": True} if read_only else {})
+
+
+def equal_resources(cpu: str, memory: str, *, logs: str, extra: Mapping[str, str] | None = None) -> Manifest:
+    """Return resources whose requests are their limits, so that nothing is lent or taken away.
+
+    Disk for logs and scratch is limited alone: few clusters count what nodes have of it.
+
+    Args:
+        cpu: processors.
+        memory: memory.
+        logs: disk for logs and folders that go with the pod.
+        extra: devices.
+    """
+    shared = {"cpu": cpu, "memory": memory, **(extra or {})}
+    return {
+        "requests": shared | {"ephemeral-storage": "0"},
+        "limits": shared | {"ephemeral-storage": logs},
+    }
+
+
+def container(
+    name: str,
+    image: str,
+    settings: Settings,
+    *,
+    command: Sequence[str],
+    env: Iterable[Manifest],
+    mounts: Iterable[Manifest],
+    resources: Manifest,
+) -> Manifest:
+    """Return a container that restricted Pod Security accepts, without a writable root.
+
+    An empty command leaves the image's own.
+    """
+    body: Manifest = {
+        "name": name,
+        "image": image,
+        "imagePullPolicy": str(settings.image_pull_policy),
+        "env": list(env),
+        "volumeMounts": list(mounts),
+        "resources": resources,
+        "terminationMessagePolicy": "FallbackToLogsOnError",
+        "securityContext": {
+            "allowPrivilegeEscalation": False,
+            "readOnlyRootFilesystem": True,
+            "capabilities": {"drop": ["ALL"]},
+        },
+    }
+    return body | ({"command": [literal(word) for word in command]} if command else {})
+
+
+def pod_spec(settings: Settings) -> Manifest:
+    """Return what all our pods have in common."""
+    pods = settings.pods
+    body: Manifest = {
+        "restartPolicy": "Never",
+        "automountServiceAccountToken": False,
+        "enableServiceLinks": False,
+        "securityContext": {
+            "runAsNonRoot": True,
+            "runAsUser": settings.uid,
+            "runAsGroup": settings.uid,
+            "fsGroup": settings.uid,
+            "fsGroupChangePolicy": "OnRootMismatch",
+            "seccompProfile": {"type": "RuntimeDefault"},
+        },
+    }
+    secrets = [{"name": item} if isinstance(item, str) else item for item in pods.image_pull_secrets]
+    optional = {
+        "nodeSelector": dict(pods.node_selector),
+        "tolerations": list(pods.tolerations),
+        "affinity": dict(pods.affinity),
+        "imagePullSecrets": secrets,
+        "priorityClassName": pods.priority_class_name,
+        "serviceAccountName": pods.service_account_name,
+    }
+    return body | {key: value for key, value in optional.items() if value}
+
+
+def job(
+    namespace: str,
+    name: str,
+    pod: Manifest,
+    *,
+    labels: Mapping[str, str],
+    owners: Sequence[Manifest],
+    annotations: Mapping[str, str],
+    passed_labels: Mapping[str, str] | None = None,
+    passed_annotations: Mapping[str, str] | None = None,
+    ttl_seconds: int | None = None,
+) -> Manifest:
+    """Return a Job of one pod that is never repeated, but for what takes a pod from outside.
+
+    Args:
+        namespace: where it goes.
+        name: its name.
+        pod: spec of the pod.
+        labels: labels of the Job and its pod.
+        owners: references to its owners.
+        annotations: annotations of the pod.
+        passed_labels: further labels of both, which never replace ours.
+        passed_annotations: the same for annotations.
+        ttl_seconds: how long it stays when it has finished; None: as long as its owners.
+    """
+    ours = {MANAGED_BY: MANAGER} | {key: label_value(value) for key, value in labels.items()}
+    all_labels = dict(passed_labels or {}) | ours
+    metadata: Manifest = {"namespace": namespace, "name": name, "labels": all_labels}
+    if passed_annotations:
+        metadata["annotations"] = dict(passed_annotations)
+    if owners:
+        metadata["ownerReferences"] = list(owners)
+    spec: Manifest = {
+        "backoffLimit": 0,
+        "podReplacementPolicy": "Failed",
+        "podFailurePolicy": {
+            "rules": [
+                {"action": "Ignore", "onPodConditions": [{"type": "DisruptionTarget", "status": "True"}]}
+            ]
+        },
+        "template": {
+            "metadata": {
+                "labels": all_labels,
+                "annotations": dict(passed_annotations or {}) | dict(annotations),
+            },
+            "spec": pod,
+        },
+    }
+    if ttl_seconds is not None:
+        spec["ttlSecondsAfterFinished"] = ttl_seconds
+    return {"apiVersion": "batch/v1", "kind": "Job", "metadata": metadata, "spec": spec}

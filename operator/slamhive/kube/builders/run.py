@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Job of a run's attempt: the algorithm, the monitor beside it, and what a player adds."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from slamhive.kube.builders.common import (
+    Manifest,
+    annotation,
+    claim,
+    container,
+    downward,
+    equal_resources,
+    from_field,
+    job,
+    joined_name,
+    label,
+    mount,
+    owner_reference,
+    passed_on,
+    pod_spec,
+    scratch,
+    segment,
+    variables,
+)
+from slamhive.model.base import quantity, seconds
+from slamhive.model.errors import InputError
+from slamhive.plan import run_configuration, whole_cores
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from slamhive.kube.description import Description
+    from slamhive.kube.settings import Settings
+    from slamhive.model.algorithm import AlgorithmSpec
+    from slamhive.model.configuration import RunConfiguration
+    from slamhive.model.dataset import Dataset
+
+ALGORITHM = "algorithm"
+MONITOR = "monitor"
+
+OUTPUT_LIMIT_BYTES = 8 * 2**30
+TASK_LIMIT = 4096
+GRACE_SECONDS = 30
+_SPARE_SECONDS = 3600
+_MONITOR_RESOURCES = equal_resources("100m", "64Mi", logs="64Mi")
+_LOGS = "4Gi"
+_SCRATCH = "2Gi"
+_THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "TBB_NUM_THREADS",
+)
+
+
+@dataclass(frozen=True)
+class Companion:
+    """What a player adds to a run's pod.
+
+    Attributes:
+        containers: containers beside the algorithm.
+        init_containers: containers after the monitor and before the algorithm.
+        volumes: volumes that they share.
+        mounts: what the algorithm sees of those.
+        variables: variables that the algorithm gets.
+    """
+
+    containers: tuple[Manifest, ...] = ()
+    init_containers: tuple[Manifest, ...] = ()
+    volumes: tuple[Manifest, ...] = ()
+    mounts: tuple[Manifest, ...] = ()
+    variables: Mapping[str, str] = field(default_factory=dict)
+
+
+NO_COMPANION = Companion()
+
+
+def job_name(run: str, attempt: int) -> str:
+    """Return the name of an attempt's Job."""
+    return joined_name(run, str(attempt))
+
+
+def configuration(
+    run: str, spec: Mapping[str, Any], dataset: Dataset, description: Description
+) -> RunConfiguration:
+    """Return what a run's algorithm is told, from the description of its variant.
+
+    Args:
+        run: name of the run.
+        spec: its resolved spec.
+        dataset: the Dataset that it names.
+        description: what its preparation said.
+    """
+    cores = whole_cores(spec["resources"]["cpu"])
+    return run_configuration(run, spec, dataset, description, cores)
+
+
+@dataclass(frozen=True)
+class AttemptPlan:
+    """What an attempt's Job is made from.
+
+    Attributes:
+        run: the MappingRun as the API server returned it; it owns the Job.
+        spec: its resolved spec.
+        algorithm: what its Algorithm says.
+        configuration: what the algorithm is told.
+        variant_folder: folder of the prepared recording below ``variants/``.
+        attempt: number of the attempt, from 1.
+        companion: what a player adds.
+    """
+
+    run: Mapping[str, Any]
+    spec: Mapping[str, Any]
+    algorithm: AlgorithmSpec
+    configuration: RunConfiguration
+    variant_folder: str
+    attempt: int
+    companion: Companion = NO_COMPANION
+
+    @property
+    def folder(self) -> str:
+        """Return the attempt's folder on the results volume, for a subPathExpr."""
+        return f"runs/{segment(self.run['metadata']['uid'], 'the uid')}/$(POD_UID)"
+
+
+def run_job(plan: AttemptPlan, settings: Settings) -> Manifest:
+    """Return the Job of an attempt.
+
+    Raises:
+        InputError: a sentence about what makes it impossible, such as an Algorithm without an image.
+    """
+    metadata = plan.run["metadata"]
+    companion = plan.companion
+    pod = pod_spec(settings) | {
+        "shareProcessNamespace": True,
+        "terminationGracePeriodSeconds": GRACE_SECONDS,
+        # The monitor ends what takes too long; this ends what killed the monitor, and leaves its figures.
+        "activeDeadlineSeconds": math.ceil(seconds(plan.spec["timeout"])) + _SPARE_SECONDS,
+        "initContainers": [_monitor(plan, settings), *companion.init_containers],
+        "containers": [_algorithm(plan, settings), *companion.containers],
+        "volumes": [*_volumes(plan.spec, settings), *companion.volumes],
+    }
+    if settings.pods.runtime_class_name:
+        pod["runtimeClassName"] = settings.pods.runtime_class_name
+    text = yaml.safe_dump(plan.configuration.as_json(), sort_keys=False, allow_unicode=True)
+    return job(
+        metadata["namespace"],
+        job_name(metadata["name"], plan.attempt),
+        pod,
+        labels=_labels(plan),
+        owners=[owner_reference(plan.run, controller=True)],
+        annotations={label("configuration"): annotation(text, "the configuration")},
+        passed_labels=passed_on(metadata.get("labels")),
+        passed_annotations=passed_on(metadata.get("annotations")),
+    )
+
+
+def _labels(plan: AttemptPlan) -> dict[str, str]:
+    metadata = plan.run["metadata"]
+    given = metadata.get("labels") or {}
+    kept = {label(word): given[label(word)] for word in ("sweep", "point", "slot") if label(word) in given}
+    return kept | {
+        label("role"): "run",
+        label("run"): metadata["name"],
+        label("algorithm"): plan.spec["algorithmRef"]["name"],
+        label("dataset"): plan.spec["datasetRef"]["name"],
+        label("attempt"): str(plan.attempt),
+    }
+
+
+def _algorithm(plan: AttemptPlan, settings: Settings) -> Manifest:
+    spec, algorithm, companion = plan.spec, plan.algorithm, plan.companion
+    if algorithm.image is None:
+        raise InputError(f"algorithm {spec['algorithmRef']['name']!r} has no image, so it runs on no cluster")
+    variant = segment(plan.variant_folder, "the variant's folder")
+    threads = str(whole_cores(spec["resources"]["cpu"]))
+    values = {
+        "SLAMHIVE_RUN": "/slamhive",
+        "SLAMHIVE_CONTAINER": ALGORITHM,
+        "SLAMHIVE_SEED": str(spec["seed"]),
+        **dict.fromkeys(_THREAD_VARIABLES, threads),
+        "OMP_WAIT_POLICY": "PASSIVE",
+        "HOME": "/tmp",  # noqa: S108 - a volume of the pod's own
+        "TMPDIR": "/tmp",  # noqa: S108
+        "LANG": "C.UTF-8",
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONNOUSERSITE": "1",
+        **companion.variables,
+    }
+    wanted = spec["resources"]
+    gpus = {settings.pods.gpu_resource: str(wanted["gpu"])} if wanted.get("gpu") else {}
+    body = container(
+        ALGORITHM,
+        algorithm.image,
+        settings,
+        command=algorithm.command,
+        env=[from_field("POD_UID", "metadata.uid"), *variables(values)],
+        mounts=[
+            mount("configuration", "/slamhive/config.yaml", read_only=True, subPath="config.yaml"),
+            mount("data", "/slamhive/dataset", read_only=True, subPath=f"variants/{variant}"),
+            mount("results", "/slamhive/output", subPathExpr=f"{plan.folder}/output"),
+            *_assets(algorithm),
+            mount("tmp", "/tmp"),  # noqa: S108
+            mount("memory", "/dev/shm"),  # noqa: S108
+            *companion.mounts,
+        ],
+        resources=equal_resources(wanted["cpu"], wanted["memory"], logs=_LOGS, extra=gpus),
+    )
+    return body | {"workingDir": "/slamhive"}
+
+
+def _assets(algorithm: AlgorithmSpec) -> list[Manifest]:
+    """Return the files that preparation fetched; those with a path are in the image."""
+    fetched = [asset for asset in algorithm.assets if asset.url is not None]
+    names = [asset.name for asset in fetched]
+    for name in names:
+        if ":" in name or names.count(name) > 1:
+            raise InputError(f"assets: {name!r} must be named once and hold no colon to be mounted")
+    return [
+        mount("data", f"/slamhive/assets/{asset.name}", read_only=True, subPath=f"assets/{asset.sha256}")
+        for asset in fetched
+    ]
+
+
+def _monitor(plan: AttemptPlan, settings: Settings) -> Manifest:
+    told = {
+        "container": ALGORITHM,
+        "runDirectory": "/slamhive-run",
+        "configuration": "/slamhive-config/config.yaml",
+        "timeoutSeconds": seconds(plan.spec["timeout"]),
+        "memoryLimitBytes": int(quantity(plan.spec["resources"]["memory"])),
+        "outputLimitBytes": OUTPUT_LIMIT_BYTES,
+        "taskLimit": TASK_LIMIT,
+        "dataSeconds": plan.configuration.dataset.duration_seconds,
+        "includesReader": plan.algorithm.includes_reader,
+        "intervalSeconds": 0.1,
+        "terminationMessage": "/dev/termination-log",
+    }
+    values = {
+        "SLAMHIVE_CONTAINER": MONITOR,
+        "SLAMHIVE_SIDECAR": json.dumps(told, separators=(",", ":")),
+        "HOME": "/tmp",  # noqa: S108
+    }
+    body = container(
+        MONITOR,
+        settings.image,
+        settings,
+        command=["python3", "-P", "-m", "slamhive.monitor.sidecar"],
+        env=[
+            from_field("POD_UID", "metadata.uid"),
+            from_field("NODE_NAME", "spec.nodeName"),
+            *variables(values),
+        ],
+        mounts=[
+            mount("results", "/slamhive-run", subPathExpr=plan.folder),
+            mount("configuration", "/slamhive-config", read_only=True),
+        ],
+        resources=_MONITOR_RESOURCES,
+    )
+    return body | {"restartPolicy": "Always"}
+
+
+def _volumes(spec: Mapping[str, Any], settings: Settings) -> list[Manifest]:
+    half = int(quantity(spec["resources"]["memory"]) / 2)
+    return [
+        downward("configuration", label("configuration"), "config.yaml"),
+        claim("results", settings.volumes.results.claim),
+        claim("data", settings.volumes.data.claim),
+        scratch("tmp", _SCRATCH),
+        # What is written there counts as the algorithm's memory, as it does on a workstation.
+        scratch("memory", str(half), memory=True),
+    ]

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a preparation says of the variant it made, kept in its Dataset's status."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field, StringConstraints
+
+from slamhive.model.configuration import PreparedRecording
+from slamhive.model.sensors import Extrinsics  # noqa: TC001 - the type of a field
+
+FolderName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=128)]
+"""A folder's own name: no path, so that it leads nowhere else."""
+
+
+class Description(PreparedRecording):
+    """A variant on the data volume."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    folder: FolderName = Field(description="Its folder below variants/.")
+    frames: int = Field(ge=0, le=2**53)
+    key: str = Field(max_length=128)
+    source_sha256: str = Field(max_length=64)
+    dataset_sha256: str = Field(max_length=64)
+    size_bytes: int = Field(default=0, ge=0, le=2**53)
+    ground_truth: Literal["poses", "relations"] | None = None
+    T_body_frame: Extrinsics | None = Field(default=None, alias="T_body_frame")
+    extrinsics: dict[str, Extrinsics] = Field(default_factory=dict)
+    preparation_version: int = 1

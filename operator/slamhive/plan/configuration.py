@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unified configuration of a run: the same on a workstation and on a cluster."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from slamhive.model.base import quantity
+from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from slamhive.model.configuration import PreparedRecording
+    from slamhive.model.dataset import Dataset
+
+
+def whole_cores(cpu: str) -> int:
+    """Return how many threads a run with so many processors is told to use: at least one."""
+    return max(1, math.ceil(quantity(cpu)))
+
+
+def run_configuration(
+    run: str, spec: Mapping[str, Any], dataset: Dataset, recording: PreparedRecording, cores: int
+) -> RunConfiguration:
+    """Return what a run's algorithm is told.
+
+    Args:
+        run: name of the run.
+        spec: its spec as ``resolve`` returns it.
+        dataset: the Dataset that it names, as declared.
+        recording: the variant that was prepared for it.
+        cores: processors that it may use.
+    """
+    options = spec["input"]
+    declared = dataset.spec
+    return RunConfiguration(
+        run=run,
+        algorithm=spec["algorithmRef"]["name"],
+        mode=spec["sensors"],
+        dataset=DatasetView(
+            name=dataset.name,
+            recording=RecordingPlace(format=recording.format, path=f"dataset/{recording.recording}"),
+            start_time=recording.start_time,
+            duration_seconds=recording.duration_seconds,
+            # The generator's worlds are level, whether their Dataset says so or not.
+            gravity_aligned=declared.gravity_aligned or declared.recording.synthetic is not None,
+        ),
+        sensors={role.value: view for role, view in recording.sensors.items()},
+        parameters=spec["parameters"],
+        input=InputView(
+            pace=options["pace"],
+            frame_rate=recording.frame_rate,
+            resolution=recording.resolution,
+            rate=options.get("rate") or 1.0,
+            duration=recording.duration_seconds,
+        ),
+        seed=spec["seed"],
+        cores=cores,
+    )
