@@ -2,8 +2,8 @@
 """CPU and memory of an algorithm, of its process tree alone, and the supervisor that runs and ends it.
 
 `python -m slamhive.monitor --spec FILE` supervises one run on a workstation: one process per run, the
-parent of the algorithm, so that nothing of the run outlives it. The sources and the accounting know nothing
-of that supervisor and serve a sidecar as well, which attaches to a container that is already there.
+parent of the algorithm, so that nothing of the run outlives it. `python -m slamhive.monitor.sidecar` sits in
+the algorithm's pod beside it and attaches to its container. Both read the same sources and reckon alike.
 
 Standard library alone, and little of it: this process starts once per run and its start counts.
 """
@@ -14,7 +14,7 @@ from slamhive.monitor.orphans import ProcessRecord, end_orphans, find_orphans
 from slamhive.monitor.proc import ProcSource
 from slamhive.monitor.processes import ProcessIdentity, identify
 from slamhive.monitor.sources import CgroupV1Source, CgroupV2Source, Sample, Source, cgroup_source_at
-from slamhive.monitor.spec import SpecError, SupervisorSpec
+from slamhive.monitor.spec import SidecarSpec, SpecError, SupervisorSpec
 from slamhive.monitor.summary import Reason, Summary
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "Reason",
     "RunCgroup",
     "Sample",
+    "SidecarSpec",
     "Source",
     "SpecError",
     "Summary",

@@ -10,12 +10,12 @@ import os
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 from slamhive.monitor.processes import read_file
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from slamhive.monitor.sources import Sample, Source
 
@@ -23,6 +23,27 @@ WINDOW_SECONDS = 1.0
 # Below this share of a window's capacity, work of others is noise of the tick that counts it.
 _CONTENTION_NOISE = 0.05
 _TICK = os.sysconf("SC_CLK_TCK")
+# A short run shall have samples too: these come before the regular ones, s.
+_EARLY_SAMPLES = (0.005, 0.02, 0.05)
+
+
+class SampleTimes:
+    """When to sample: on a grid from the start, and a few times before it begins."""
+
+    def __init__(self, start: float, interval: float) -> None:
+        """Begin at `start` (monotonic clock, s)."""
+        self._start = start
+        self._interval = interval
+        self._early = [start + seconds for seconds in _EARLY_SAMPLES if seconds < interval]
+        self.due = start
+        self.advance(start)
+
+    def advance(self, now: float) -> None:
+        """Go on to the next; samples that are too late are left out, not made up for."""
+        while self._early and self._early[0] <= now:
+            self._early.pop(0)
+        steps = int((now - self._start) / self._interval) + 1
+        self.due = self._early[0] if self._early else self._start + steps * self._interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +124,24 @@ class Accounting:
         self._peak = self._anonymous_peak = 0
         self._max_cores: float | None = None
         self._recent = deque([(start, 0.0)])
+
+    def state(self) -> dict[str, Any]:
+        """Return all that was kept, as JSON can hold it."""
+        values: dict[str, Any] = {name.lstrip("_"): value for name, value in vars(self).items()}
+        return {**values, "recent": list(self._recent)}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Self:
+        """Go on where another one was.
+
+        Raises:
+            KeyError: Something is missing.
+        """
+        account = cls(0.0)
+        for name in vars(account):
+            setattr(account, name, state[name.lstrip("_")])
+        account._recent = deque((float(time), float(cpu)) for time, cpu in state["recent"])
+        return account
 
     def add(self, sample: Sample, *, final: bool = False) -> float:
         """Take a sample.
@@ -202,15 +241,16 @@ class Contention:
     Where the kernel keeps no pressure of the group, waiting is that of processes alive as a window ends.
     """
 
-    def __init__(self, cpus: Iterable[int], source: Source, now: float) -> None:
+    def __init__(self, cpus: Iterable[int], source: Source, now: float, seconds: float = 0.0) -> None:
         """Watch a run.
 
         Args:
             cpus: The run's processors, empty for all.
             source: Its account.
             now: Monotonic clock, s.
+            seconds: What was found before.
         """
-        self.seconds = 0.0
+        self.seconds = seconds
         names = [f"cpu{number}".encode() for number in sorted(set(cpus))]
         self._names = frozenset(names or (f"cpu{number}".encode() for number in os.sched_getaffinity(0)))
         self._source = source

@@ -99,8 +99,9 @@ class CgroupV1:
         return read_stat(f"{self._by_controller['memory']}/memory.oom_control", b"oom_kill") or 0
 
     def throttled(self) -> float | None:
-        """Return throttled_time of the cpu controller, where it shares its tree with cpuacct."""
-        nanoseconds = read_stat(f"{self._by_controller['cpuacct']}/cpu.stat", b"throttled_time")
+        """Return throttled_time of the cpu controller, which often shares its tree with cpuacct."""
+        directory = self._by_controller.get("cpu", self._by_controller["cpuacct"])
+        nanoseconds = read_stat(f"{directory}/cpu.stat", b"throttled_time")
         return None if nanoseconds is None else nanoseconds / 1e9
 
     def kill(self) -> None:

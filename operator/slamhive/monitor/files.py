@@ -20,15 +20,29 @@ _MAX_ENTRIES = 200_000
 class UsageTable:
     """usage.csv: one row a sample, on disk about every second."""
 
-    def __init__(self, path: str) -> None:
-        """Begin a table.
+    def __init__(self, path: str, keep_bytes: int = 0) -> None:
+        """Begin a table, or go on with one.
+
+        Args:
+            path: The file.
+            keep_bytes: How much of what is there belongs to this table.
 
         Raises:
             OSError: The file can't be written.
         """
         self.error: OSError | None = None
-        self._file = open(path, "w", encoding="ascii", buffering=1 << 16)  # noqa: PTH123, SIM115 - close()
-        self._file.write("time_seconds,cpu_cores,memory_bytes,anonymous_bytes\n")
+        mode = "r+" if keep_bytes else "w"
+        self._file = open(path, mode, encoding="ascii", buffering=1 << 16)  # noqa: PTH123, SIM115 - close()
+        if keep_bytes:
+            self._file.truncate(keep_bytes)
+            self._file.seek(0, os.SEEK_END)
+        else:
+            self._file.write("time_seconds,cpu_cores,memory_bytes,anonymous_bytes\n")
+
+    @property
+    def size(self) -> int:
+        """The file's size at the last flush, bytes."""
+        return os.fstat(self._file.fileno()).st_size
 
     def add(self, seconds: float, cores: float, sample: Sample) -> None:
         """Add a row: time since the start, cores since the row before."""

@@ -13,9 +13,13 @@ import os
 import resource
 import time
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from slamhive.monitor.processes import children, identify, kernel_lists_children, read_file, stat_fields
 from slamhive.monitor.sources import Sample
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
 
 _TICK = os.sysconf("SC_CLK_TCK")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -30,13 +34,18 @@ class ProcSource:
 
     name = "proc"
 
-    def __init__(self, root: int | None = None) -> None:
+    def __init__(self, root: int | None = None, others: Callable[[], Iterable[int]] | None = None) -> None:
         """Watch a tree.
 
         Args:
             root: Its first process. None for all descendants of the calling process, which must be a
                 subreaper and have no other children; only then is the CPU of all that ended exact.
+            others: Finds processes that belong to it although they descend from it no more.
+
+        Raises:
+            ProcessLookupError: The first process is gone.
         """
+        self._others = others
         self._self = os.getpid() if root is None else None
         self._members: dict[int, _Member] = {}
         self._search_at = 0.0
@@ -99,6 +108,8 @@ class ProcSource:
         """Find new members, each process's children behind it; members keep this order."""
         known, self._members = self._members, {}
         waiting = [self._self] if self._self is not None else list(known)[:1]
+        if self._others is not None:
+            waiting.extend(self._others())
         for pid in waiting:
             member = known.pop(pid, None)
             if member is not None:

@@ -1,25 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a supervisor is asked to do: the file the executor writes and `python -m slamhive.monitor` reads."""
+"""What supervisor and sidecar are asked to do: JSON that the executor or the operator writes."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 MEBIBYTE = 1 << 20
+TERMINATION_MESSAGE = "/dev/termination-log"
 
 
 class SpecError(ValueError):
-    """A supervisor's specification is wrong; the message names the field and what is allowed."""
+    """A specification is wrong; the message names the field and what is allowed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SupervisorSpec:
+class Specification:
+    """A JSON object with camelCase keys; what each field may hold is checked."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            allowed, accepts = _RULES[field.name]
+            if not accepts(getattr(self, field.name)):
+                raise SpecError(f"{_camel(field.name)} must be {allowed}, not {getattr(self, field.name)!r}")
+
+    def to_json(self) -> str:
+        """Return the specification as a JSON object with camelCase keys."""
+        return json.dumps({_camel(field.name): getattr(self, field.name) for field in fields(self)}) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Self:
+        """Read a specification.
+
+        Raises:
+            SpecError: It isn't a JSON object, or a field is missing, unknown or out of bounds.
+        """
+        try:
+            values = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise SpecError(f"not JSON: {error}") from None
+        if not isinstance(values, dict):
+            raise SpecError("a specification is a JSON object")
+        names = {_camel(field.name): field for field in fields(cls)}
+        if unknown := sorted(values.keys() - names.keys()):
+            raise SpecError(f"unknown field {unknown[0]}; known are {', '.join(sorted(names))}")
+        required = (name for name, field in names.items() if field.default is MISSING)
+        if missing := sorted(name for name in required if name not in values):
+            raise SpecError(f"{missing[0]} is missing")
+        return cls(**{names[key].name: _tuple(value) for key, value in values.items()})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SupervisorSpec(Specification):
     """One run as its supervisor sees it.
 
     Attributes:
@@ -66,37 +103,39 @@ class SupervisorSpec:
     kill_grace_seconds: float = 5.0
     parent_pid: int | None = None
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            allowed, accepts = _RULES[field.name]
-            if not accepts(getattr(self, field.name)):
-                raise SpecError(f"{_camel(field.name)} must be {allowed}, not {getattr(self, field.name)!r}")
 
-    def to_json(self) -> str:
-        """Return the specification as a JSON object with camelCase keys."""
-        values = {_camel(field.name): getattr(self, field.name) for field in fields(self)}
-        values["env"] = dict(self.env)
-        return json.dumps(values, indent=2) + "\n"
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SidecarSpec(Specification):
+    """One run as the sidecar in its pod sees it.
 
-    @classmethod
-    def from_json(cls, text: str | bytes) -> Self:
-        """Read a specification.
+    Attributes:
+        container: What the algorithm's container carries in its environment as SLAMHIVE_CONTAINER.
+        run_directory: The run folder: summary.json, usage.csv and config.yaml are written there, `output`
+            in it is the algorithm's.
+        configuration: The unified configuration, copied into the run folder.
+        timeout_seconds: Wall time the algorithm may take from its first process on.
+        memory_limit_bytes: The container's memory limit, for the message; the kernel enforces it.
+        output_limit_bytes: Size to which the algorithm's output may grow.
+        task_limit: How many processes and threads may live at the same time.
+        data_seconds: Length of the recording, for CPU seconds per second of data.
+        includes_reader: The algorithm reads the recording by itself and can't tell what that costs.
+        interval_seconds: Time between two samples.
+        kill_grace_seconds: Time between SIGTERM and SIGKILL.
+        termination_message: Where the kubelet looks for the container's last word.
+    """
 
-        Raises:
-            SpecError: It isn't a JSON object, or a field is missing, unknown or out of bounds.
-        """
-        try:
-            values = json.loads(text)
-        except ValueError as error:
-            raise SpecError(f"not JSON: {error}") from None
-        if not isinstance(values, dict):
-            raise SpecError("a specification is a JSON object")
-        names = {_camel(field.name): field.name for field in fields(cls)}
-        if unknown := sorted(values.keys() - names.keys()):
-            raise SpecError(f"unknown field {unknown[0]}; known are {', '.join(sorted(names))}")
-        if missing := sorted(name for name in _REQUIRED if name not in values):
-            raise SpecError(f"{missing[0]} is missing")
-        return cls(**{names[key]: _tuple(value) for key, value in values.items()})
+    container: str
+    run_directory: str
+    configuration: str | None = None
+    timeout_seconds: float | None = None
+    memory_limit_bytes: int | None = None
+    output_limit_bytes: int | None = None
+    task_limit: int | None = 4096
+    data_seconds: float | None = None
+    includes_reader: bool = False
+    interval_seconds: float = 0.1
+    kill_grace_seconds: float = 5.0
+    termination_message: str = TERMINATION_MESSAGE
 
 
 def _camel(name: str) -> str:
@@ -181,6 +220,9 @@ _RULES: dict[str, tuple[str, Callable[[object], bool]]] = {
         "a number of seconds, 0 or more",
         lambda value: _number(value) and value >= 0,  # type: ignore[operator]
     ),
+    "container": ("the name of a container", _text),
+    "run_directory": _PATH_RULE,
+    "configuration": ("an absolute path or null", _optional(_path)),
+    "termination_message": _PATH_RULE,
     "parent_pid": ("a process id or null", _optional(lambda value: _integer(value, 1))),
 }
-_REQUIRED = ("argv", "cwd", "env", "logPath", "usagePath", "summaryPath", "processPath")

@@ -1,20 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The outcome of a run: summary.json, the truth about how it ended, and the reader's part of its CPU."""
+"""The outcome of a run: summary.json, the truth about how it ended."""
 
 from __future__ import annotations
 
 import json
-import math
-import os
-import stat
 import time
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
 from slamhive.monitor.accounting import Usage  # noqa: TC001 - the type of a public field
-
-_METRICS_BYTES = 64 << 20
 
 
 class Reason(StrEnum):
@@ -36,9 +31,9 @@ class Summary:
         signal: The signal that ended it.
         reason: None for a run that succeeded.
         message: One sentence, empty for a run that succeeded.
-        started_at: Wall clock, seconds since 1970.
+        started_at: Wall clock, seconds since 1970; None if it was never seen.
         finished_at: The same.
-        usage: What it used.
+        usage: What it used; None if it was never seen.
         log_tail: The last lines it printed.
         left_processes: Processes that outlived the algorithm's first one and were ended.
         notes: What was wrong but didn't end the run.
@@ -48,68 +43,24 @@ class Summary:
     signal: int | None
     reason: Reason | None
     message: str
-    started_at: float
-    finished_at: float
-    usage: Usage
+    started_at: float | None
+    finished_at: float | None
+    usage: Usage | None
     log_tail: str
     left_processes: int = 0
     notes: tuple[str, ...] = ()
 
-    def to_json(self) -> str:
-        """Return the summary as a JSON object with camelCase keys and ISO 8601 times."""
+    def as_json(self) -> dict[str, Any]:
+        """Return the summary as plain values with camelCase keys and ISO 8601 times."""
         values = asdict(self)
         values["reason"] = None if self.reason is None else self.reason.value
         for name in ("started_at", "finished_at"):
-            values[name] = iso_time(values[name])
-        return json.dumps(_camel_keys(values), indent=2, allow_nan=False) + "\n"
+            values[name] = None if values[name] is None else iso_time(values[name])
+        return {_camel(name): _camel_keys(value) for name, value in values.items()}
 
-
-@dataclass(frozen=True, slots=True)
-class ReaderReport:
-    """What metrics.json says about reading the recording.
-
-    Attributes:
-        cpu_seconds: CPU seconds of the reader, None if it doesn't say.
-        includes_reader: Whether they can't be told apart, None if it doesn't say.
-        note: What was wrong with the file, None if nothing was.
-    """
-
-    cpu_seconds: float | None = None
-    includes_reader: bool | None = None
-    note: str | None = None
-
-
-def read_reader_report(output_directory: str | None) -> ReaderReport:
-    """Read what an algorithm says about its reader; anything odd there is noted, never an error."""
-    if output_directory is None:
-        return ReaderReport()
-    try:
-        metrics = json.loads(_read_regular(f"{output_directory}/metrics.json"))
-    except FileNotFoundError:
-        return ReaderReport()
-    except (OSError, ValueError, RecursionError):
-        metrics = None
-    if not isinstance(metrics, dict):
-        return ReaderReport(note="output/metrics.json is no JSON object and was ignored")
-    seconds, includes = metrics.get("readerCpuSeconds"), metrics.get("includesReader")
-    included = includes if isinstance(includes, bool) else None
-    if seconds is None:
-        return ReaderReport(includes_reader=included)
-    number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
-    if not number or not math.isfinite(seconds) or seconds < 0:
-        note = f"output/metrics.json: readerCpuSeconds must be a number, 0 or more, not {str(seconds)[:40]}"
-        return ReaderReport(includes_reader=included, note=note)
-    return ReaderReport(float(seconds), included)
-
-
-def _read_regular(path: str) -> bytes:
-    """Read a file an algorithm wrote: no link to elsewhere, no pipe to wait on, no endless size."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    with open(descriptor, "rb") as file:  # noqa: PTH123
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode) or status.st_size > _METRICS_BYTES:
-            raise ValueError(path)
-        return file.read(_METRICS_BYTES)
+    def to_json(self) -> str:
+        """Return the same as text."""
+        return json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n"
 
 
 def iso_time(seconds: float) -> str:

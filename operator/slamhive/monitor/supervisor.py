@@ -16,12 +16,13 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from slamhive.monitor.accounting import Accounting, Contention
+from slamhive.monitor.accounting import Accounting, Contention, SampleTimes
 from slamhive.monitor.cgroup import make_run_cgroup
 from slamhive.monitor.files import OutputPipe, UsageTable, directory_bytes
 from slamhive.monitor.hierarchy import host_throttled
 from slamhive.monitor.launch import LaunchError, launch
 from slamhive.monitor.log import BoundedLog
+from slamhive.monitor.metrics import read_metrics, reader_report
 from slamhive.monitor.orphans import TOKEN, ProcessRecord, write_atomically
 from slamhive.monitor.outcome import Ending, Stop, judge, out_of_memory, output_too_large
 from slamhive.monitor.proc import ProcSource
@@ -38,7 +39,7 @@ from slamhive.monitor.processes import (
     set_parent_death_signal,
 )
 from slamhive.monitor.sources import Source, field
-from slamhive.monitor.summary import Reason, Summary, read_reader_report
+from slamhive.monitor.summary import Reason, Summary
 
 if TYPE_CHECKING:
     from slamhive.monitor.accounting import Usage
@@ -48,8 +49,6 @@ if TYPE_CHECKING:
 # ended, so it makes us look and means nothing by itself.
 _PARENT_SIGNAL = signal.SIGUSR1
 _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-# A short run shall have samples too: these come before the regular ones, s.
-_EARLY_SAMPLES = (0.005, 0.02, 0.05)
 _END_SECONDS = 20.0
 
 
@@ -165,14 +164,12 @@ class Supervisor:
 
     def _watch(self) -> None:
         """Sample and keep the limits until the algorithm's first process has ended, or must be killed."""
-        interval = self._spec.interval_seconds
         timeout = self._spec.timeout_seconds
-        grid = [self._start + seconds for seconds in _EARLY_SAMPLES if seconds < interval]
-        next_sample = grid.pop(0) if grid else self._start + interval
+        times = SampleTimes(self._start, self._spec.interval_seconds)
         deadline = None if timeout is None else self._start + timeout
         self._reap()
         while self._status is None:
-            due = min(moment for moment in (next_sample, deadline, self._kill_at) if moment is not None)
+            due = min(moment for moment in (times.due, deadline, self._kill_at) if moment is not None)
             self._sleep(due - time.monotonic())
             now = time.monotonic()
             self._reap()
@@ -182,11 +179,9 @@ class Supervisor:
             if deadline is not None and now >= deadline:
                 deadline = None
                 self._end(Stop(Reason.DEADLINE_EXCEEDED, f"it took more than {timeout:g} s"), now)
-            if now >= next_sample:
+            if now >= times.due:
                 self._sample(now)
-                # On a grid from the start; samples that are too late are left out, not made up for.
-                steps = int((now - self._start) / interval) + 1
-                next_sample = grid.pop(0) if grid else self._start + steps * interval
+                times.advance(now)
 
     def _sleep(self, seconds: float) -> None:
         """Wait for a signal, for time to pass, and while the algorithm prints much, for its output."""
@@ -284,23 +279,20 @@ class Supervisor:
         cores = self._accounting.add(sample, final=True)
         self._table.add(finished - self._start, cores, sample)
         self._contention.add(finished, sample.cpu)
-        report = read_reader_report(spec.output_directory)
-        reader = report.cpu_seconds
-        if report.note is not None:
-            self._notes.append(report.note)
-        if reader is not None and reader > sample.cpu:
-            self._notes.append(f"readerCpuSeconds {reader:g} is more than all CPU seconds and was ignored")
-            reader = None
+        reader = reader_report(read_metrics(spec.output_directory)).share(
+            sample.cpu, included=spec.includes_reader
+        )
+        if reader.note is not None:
+            self._notes.append(reader.note)
         throttled_after = host_throttled()
         throttled = self._cgroup.throttled() if self._cgroup else None
         if throttled_before is not None and throttled_after is not None:
             throttled = max(throttled or 0.0, throttled_after - throttled_before)
-        included = spec.includes_reader if report.includes_reader is None else report.includes_reader
         return self._accounting.usage(
             self._source.name,
             data_seconds=spec.data_seconds,
-            reader_cpu_seconds=reader,
-            includes_reader=included,
+            reader_cpu_seconds=reader.cpu_seconds,
+            includes_reader=reader.included,
             throttled_seconds=throttled,
             contended_seconds=self._contention.seconds,
             kernel_peak=self._source.kernel_peak(),
