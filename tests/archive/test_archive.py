@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 from sqlalchemy import event
 
-from slamhive.archive import Archive, CatalogEntry, SweepRecord, schema
+from slamhive.archive import Archive, CatalogEntry, SweepRecord, Totals, schema
 from slamhive.model.errors import InputError, SystemFault, UnknownNameError
 from slamhive.model.results import (
     CpuUsage,
@@ -143,6 +143,28 @@ def test_finished_points_of_a_sweep(archive: Archive, make_run: MakeRun, make_re
     assert archive.finished_uids("study") == set(found) == {"a", "b"}
     assert (found["a"].index, found["a"].outcomes) == (3, {"x": Outcome.TRACKED, "y": Outcome.LOST})
     assert (found["b"].reason, found["b"].outcomes) == (Reason.NO_TRAJECTORY, {})
+
+
+def test_totals_of_a_sweep_leave_out_what_is_asked(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    usage = Usage(cpu=CpuUsage(seconds=2.5))
+    archive.put_run(make_run("a", usage=usage, results=[make_result("x"), make_result("y")]))
+    archive.put_run(make_run("b", usage=usage, provenance=Provenance(reused_from="run-a")))
+    archive.put_run(make_run("c", usage=usage, phase=Phase.FAILED))
+    archive.put_run(make_run("d", usage=usage, phase=Phase.RUNNING))
+    assert archive.totals("study") == Totals(runs=3, reused=1, evaluated=1, cpu_seconds=5.0)
+    assert archive.totals("study", ["a"]) == Totals(runs=2, reused=1, evaluated=0, cpu_seconds=2.5)
+    assert archive.totals("nobody") == Totals(0, 0, 0, 0.0)
+
+
+def test_a_new_sweep_of_a_name_begins_empty(archive: Archive, make_run: MakeRun) -> None:
+    archive.put_sweep(SweepRecord(uid="0123456789", name="study", spec={}))
+    archive.put_run(make_run("a"))
+    assert archive.retire("study", "0123456789") == 0
+    assert archive.retire("study", "another") == 1
+    assert archive.count(sweep="study") == 0
+    assert archive.count(sweep="study@01234567") == 1
 
 
 @pytest.mark.parametrize("outcome", list(Outcome))

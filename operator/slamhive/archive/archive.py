@@ -6,7 +6,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Self
 
-from sqlalchemy import Table, delete, exists, func, literal, select, update
+from sqlalchemy import Table, case, delete, exists, func, literal, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from slamhive.archive import schema
@@ -15,6 +15,7 @@ from slamhive.archive.records import (
     CatalogEntry,
     FinishedPoint,
     SweepRecord,
+    Totals,
     catalog_row,
     clean,
     result_row,
@@ -164,6 +165,24 @@ class Archive:
             connection.execute(back)
             return connection.execute(change).rowcount
 
+    def retire(self, sweep: str, uid: str) -> int:
+        """Give the runs of earlier sweeps of a name the name ``NAME@`` and 8 digits of that sweep's UID.
+
+        Args:
+            sweep: name of the sweep.
+            uid: UID of the one that keeps the name.
+
+        Returns:
+            How many runs were renamed.
+        """
+        earlier = self.sweep(sweep)
+        if earlier is None or earlier.uid == uid:
+            return 0
+        runs = schema.runs.c
+        change = update(schema.runs).where(runs.sweep == sweep).values(sweep=f"{sweep}@{earlier.uid[:8]}")
+        with writing(self._engine) as connection:
+            return connection.execute(change).rowcount
+
     def get(self, uid: str) -> RunRecord | None:
         """Return a run by its UID."""
         return next(self.runs({"uid": uid}), None)
@@ -242,6 +261,26 @@ class Archive:
         query = select(func.sum(runs.cpu_seconds)).where(runs.sweep == sweep, runs.reused_from.is_(None))
         with reading(self._engine) as connection:
             return float(connection.execute(query).scalar() or 0.0)
+
+    def totals(self, sweep: str, without: Iterable[str] = ()) -> Totals:
+        """Return sums over the finished runs of a sweep.
+
+        Args:
+            sweep: name of the sweep.
+            without: UIDs of runs to leave out, at most some thousands.
+        """
+        runs, results = schema.runs.c, schema.results.c
+        computed = runs.reused_from.is_(None)
+        evaluated = exists().where(results.run_id == runs.id)
+        query = select(
+            func.count(),
+            func.sum(case((computed, 0), else_=1)),
+            func.sum(case((evaluated, 1), else_=0)),
+            func.sum(case((computed, runs.cpu_seconds))),
+        ).where(runs.sweep == sweep, runs.phase.in_(_FINISHED), runs.uid.not_in(list(without)))
+        with reading(self._engine) as connection:
+            count, reused, measured, cpu = connection.execute(query).one()
+        return Totals(count, int(reused or 0), int(measured or 0), float(cpu or 0.0))
 
     def find_reusable(self, content_hash: str) -> RunRecord | None:
         """Return a run whose result another one of the same content may take over.

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 from pydantic import Field
 
@@ -71,6 +71,22 @@ class FinishedPoint:
     reason: Reason | None
     content_hash: str | None
     outcomes: dict[str, Outcome]
+
+
+class Totals(NamedTuple):
+    """Sums over finished runs.
+
+    Attributes:
+        runs: their number.
+        reused: those that took an equal run's result.
+        evaluated: those with a result.
+        cpu_seconds: CPU time of those that computed.
+    """
+
+    runs: int
+    reused: int
+    evaluated: int
+    cpu_seconds: float
 
 
 def clean(value: Any) -> Any:
