@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The algorithm's container as its neighbour in the pod sees it: found, accounted for, ended.
+
+The containers of the pod share one namespace of processes. A container's first process comes from outside, so
+its parent is 0; what it was given as SLAMHIVE_CONTAINER says whose it is. Its cgroup is seen through its root
+directory. The directories stay open: through them the account can be read as long as the kernel keeps it,
+also when the process that led there is gone.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from slamhive.monitor.cgroup import CgroupV1, CgroupV2
+from slamhive.monitor.hierarchy import directory_processes
+from slamhive.monitor.proc import ProcSource
+from slamhive.monitor.processes import (
+    ProcessIdentity,
+    descendants,
+    end_processes,
+    identify,
+    read_file,
+    send,
+    stat_fields,
+)
+from slamhive.monitor.sources import read_number
+
+if TYPE_CHECKING:
+    from slamhive.monitor.cgroup import RunCgroup
+    from slamhive.monitor.sources import Source
+
+MARK = "SLAMHIVE_CONTAINER"
+_PAUSE = 1
+# How long a process may stay unreadable before it is taken for a program that hides itself, s.
+_HIDDEN_SECONDS = 5.0
+# Programs of container runtimes, which become the container's first process at any moment.
+_RUNTIMES = (b"runc", b"crun", b"youki")
+
+
+class Finder:
+    """Looks for the first process of a container, cheaply enough to do so a hundred times a second."""
+
+    def __init__(self, container: str) -> None:
+        """Look for the container of that name."""
+        self._mark = f"{MARK}={container}".encode()
+        self._elsewhere: set[int] = {_PAUSE, os.getpid()}
+        self._waiting: dict[int, float] = {}
+        self._newest = b""
+        self._load = os.open("/proc/loadavg", os.O_RDONLY | os.O_CLOEXEC)
+        self.by_exclusion = False
+
+    @property
+    def expecting(self) -> bool:
+        """A process has come of which we don't know yet what it becomes."""
+        return bool(self._waiting)
+
+    def look(self, now: float) -> ProcessIdentity | None:
+        """Return the container's first process, None while it isn't there."""
+        # The last number tells the newest process of our namespace: only when it changes is there a new one.
+        newest = os.pread(self._load, 128, 0).rpartition(b" ")[2]
+        if newest != self._newest:
+            self._newest = newest
+            self._note_new(now)
+        for pid, since in list(self._waiting.items()):
+            found = self._judge(pid, hidden=now - since > _HIDDEN_SECONDS)
+            if found is not None:
+                return found
+        return None
+
+    def close(self) -> None:
+        """Let go of open files."""
+        os.close(self._load)
+
+    def _note_new(self, now: float) -> None:
+        present = {int(name) for name in os.listdir("/proc") if name.isdigit()}  # noqa: PTH208
+        self._elsewhere &= present
+        for pid in sorted(present - self._elsewhere - self._waiting.keys()):
+            with suppress(OSError, ValueError):
+                if stat_fields(read_file(f"/proc/{pid}/stat"))[1] == b"0":
+                    self._waiting[pid] = now
+                else:
+                    self._elsewhere.add(pid)
+
+    def _judge(self, pid: int, *, hidden: bool) -> ProcessIdentity | None:
+        """Tell whether a process is the one; a runtime's program that has yet to become it stays waiting."""
+        process = identify(pid)
+        if process is None:
+            del self._waiting[pid]
+            return None
+        try:
+            marks = [
+                item for item in read_file(f"/proc/{pid}/environ").split(b"\0") if item.startswith(_MARK)
+            ]
+        except OSError:
+            self.by_exclusion = hidden and _hides(pid)
+            return process if self.by_exclusion else None
+        if self._mark in marks:
+            return process
+        if marks:
+            del self._waiting[pid]
+            self._elsewhere.add(pid)
+        return None
+
+
+_MARK = f"{MARK}=".encode()
+
+
+def _hides(pid: int) -> bool:
+    """Tell whether a process of our own user won't be read, which is a program's own will."""
+    try:
+        name = read_file(f"/proc/{pid}/comm")
+        mine = os.stat(f"/proc/{pid}").st_uid in (os.getuid(), 0)  # noqa: PTH116 - root's: it is undumpable
+        real = read_file(f"/proc/{pid}/status").partition(b"\nUid:")[2].split()[0]
+    except (OSError, IndexError):
+        return False
+    return mine and int(real) == os.getuid() and not name.startswith(_RUNTIMES)
+
+
+class Container:
+    """A container whose first process runs."""
+
+    def __init__(self, first: ProcessIdentity) -> None:
+        """Attach to it.
+
+        Raises:
+            OSError: The process is gone.
+        """
+        self.first = first
+        self.pidfd = os.pidfd_open(first.pid)
+        if identify(first.pid) != first:
+            os.close(self.pidfd)
+            raise ProcessLookupError(f"process {first.pid} is gone")
+        self._mounts = _mount_namespace(first.pid)
+        self._group = attach_cgroup(f"/proc/{first.pid}/root/sys/fs/cgroup", first.pid)
+        self._known: list[int] = [first.pid]
+        try:
+            self.source: Source = self._group.source if self._group else ProcSource(first.pid, self._related)
+        except OSError:
+            os.close(self.pidfd)
+            raise
+
+    @property
+    def exact(self) -> bool:
+        """The kernel keeps an account of the whole container."""
+        return self._group is not None
+
+    def processors(self) -> set[int]:
+        """Return the processors it may use, none if it is gone."""
+        with suppress(OSError):
+            return os.sched_getaffinity(self.first.pid)
+        return set()
+
+    def tasks(self) -> int:
+        """Return how many processes and, where the kernel counts them, threads there are."""
+        if self._group is not None:
+            for directory in self._group.directories:
+                if (count := read_number(f"{directory}/pids.current")) is not None:
+                    return count
+        return len(self.source.processes())
+
+    def oom_kills(self) -> int:
+        """Return how often the kernel killed one of its processes for want of memory."""
+        return self._group.oom_kills() if self._group else 0
+
+    def throttled(self) -> float | None:
+        """Return the seconds in which its CPU limit held it back, None where nothing counts that."""
+        return self._group.throttled() if self._group else None
+
+    def processes(self) -> list[ProcessIdentity]:
+        """Return its living processes, never one of another container."""
+        if self._group is not None:
+            pids = [
+                pid for directory in self._group.directories[:1] for pid in directory_processes(directory)
+            ]
+        else:
+            pids = [self.first.pid, *self._related()]
+        spared = _spared()
+        return [found for found in map(identify, dict.fromkeys(pids)) if found and found.pid not in spared]
+
+    def ask_to_end(self) -> None:
+        """Send SIGTERM to all of it, stopped ones included."""
+        for process in self.processes():
+            send(process, signal.SIGTERM)
+            send(process, signal.SIGCONT)
+
+    def end(self, seconds: float) -> list[ProcessIdentity]:
+        """End all of it by force; return what could not be ended in this time."""
+        return end_processes(self.processes, seconds)
+
+    def close(self) -> None:
+        """Let go of open files."""
+        self.source.close()
+        os.close(self.pidfd)
+        for directory in self._group.directories if self._group else ():
+            os.close(int(directory.rpartition("/")[2]))
+
+    def _related(self) -> list[int]:
+        """Find its processes in /proc: those that see its files, or else those that descend from known ones."""
+        spared = _spared()
+        if self._mounts is not None and self._mounts != _mount_namespace(os.getpid()):
+            names = (int(name) for name in os.listdir("/proc") if name.isdigit())  # noqa: PTH208
+            found = [pid for pid in names if pid not in spared and _mount_namespace(pid) == self._mounts]
+        else:
+            found = []
+        known = dict.fromkeys([*self._known, *found])
+        self._known = [pid for pid in (*known, *descendants(known)) if pid not in spared and identify(pid)]
+        return self._known
+
+
+def attach_cgroup(root: str, pid: int) -> RunCgroup | None:
+    """Open a container's own cgroup; its directories are held open.
+
+    Args:
+        root: Where its file system is seen.
+        pid: A process that must be in it, and we mustn't: a container that sees the machine's cgroups, not
+            its own, tells nothing of itself there.
+
+    Returns:
+        The group, None where there is no account of CPU and memory.
+    """
+    for make in (_attach_v1, _attach_v2):
+        group = make(root)
+        if group is not None:
+            inside = directory_processes(group.directories[0])
+            if pid in inside and not {_PAUSE, os.getpid()} & set(inside):
+                return group
+            group.source.close()
+            _let_go(group.directories)
+    return None
+
+
+def _attach_v1(root: str) -> RunCgroup | None:
+    held: dict[str, str] = {}
+    for controller in ("cpuacct", "memory", "cpu", "pids"):
+        names = ("cpu,cpuacct", "cpuacct,cpu") if controller in ("cpu", "cpuacct") else ()
+        for name in (controller, *names):
+            if controller not in held and (directory := _hold(f"{root}/{name}")) is not None:
+                held[controller] = directory
+    try:
+        return CgroupV1(held)
+    except (OSError, KeyError):
+        _let_go(held.values())
+        return None
+
+
+def _attach_v2(root: str) -> RunCgroup | None:
+    directory = _hold(root)
+    if directory is None:
+        return None
+    try:
+        return CgroupV2(directory)
+    except OSError:
+        _let_go([directory])
+        return None
+
+
+def _hold(path: str) -> str | None:
+    """Open a directory and return the path that leads to it for as long as it is open."""
+    try:
+        return f"/proc/self/fd/{os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)}"
+    except OSError:
+        return None
+
+
+def _let_go(directories: object) -> None:
+    for directory in directories:  # type: ignore[attr-defined]
+        os.close(int(directory.rpartition("/")[2]))
+
+
+def _mount_namespace(pid: int) -> int | None:
+    """Return which file systems a process sees, None if it is gone or not ours to know."""
+    with suppress(OSError):
+        return os.stat(f"/proc/{pid}/ns/mnt").st_ino  # noqa: PTH116
+    return None
+
+
+def _spared() -> set[int]:
+    """Return whom we never end: the pod's first process, ourselves, those above and below us."""
+    mine, pid = {_PAUSE, os.getpid()}, os.getpid()
+    with suppress(OSError, ValueError):
+        while pid > _PAUSE:
+            pid = int(stat_fields(read_file(f"/proc/{pid}/stat"))[1])
+            mine.add(pid)
+    return mine.union(descendants([os.getpid()]))
