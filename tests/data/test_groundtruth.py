@@ -43,7 +43,7 @@ def test_a_topic_is_read_once(tmp_path: Path, bag_with_truth: Any) -> None:
     assert kept.poses.stamps.tolist() == plain.poses.stamps.tolist()
     note = next((tmp_path / "cache").glob("*/groundtruth.txt"))
     assert read_tum(note).positions.tolist() == plain.poses.positions.tolist()
-    assert write_ground_truth(entry, tmp_path / "out.txt")
+    write_ground_truth(entry, kept, tmp_path / "out.txt", tmp_path / "cache")
     assert (tmp_path / "out.txt").read_text() == note.read_text()
 
 
@@ -121,5 +121,18 @@ def test_relations_are_kept_as_they_are(shared: Path, tmp_path: Path, bag_with_t
     entry = bag_with_truth(tmp_path, groundTruth={"file": "gt", "format": "Relations"})
     found = ground_truth(entry)
     assert isinstance(found.poses, Relations)
-    write_ground_truth(entry, tmp_path / "copy")
+    write_ground_truth(entry, found, tmp_path / "copy")
     assert (tmp_path / "copy").read_text() == text
+
+
+def test_what_is_written_is_read_as_the_same_poses(tmp_path: Path, bag_with_truth: Any) -> None:
+    rows = np.column_stack((np.arange(40) * 0.1, np.random.default_rng(3).normal(size=(40, 7)))) / 3
+    (tmp_path / "gt").write_text("# x\n" + "".join(" ".join(map(str, row)) + "\n" for row in rows.tolist()))
+    truth = {"file": "gt", "holes": [{"start": 0.5, "end": 0.7}, {"start": 1.2, "end": 9.0}]}
+    entry = bag_with_truth(tmp_path, groundTruth=truth)
+    found = ground_truth(entry)
+    write_ground_truth(entry, found, tmp_path / "out")
+    again = read_tum(tmp_path / "out")
+    assert 0 < len(again) < 36
+    for part in ("stamps", "positions", "quaternions"):
+        assert getattr(again, part).tolist() == getattr(found.poses, part).tolist()

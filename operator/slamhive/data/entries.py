@@ -107,7 +107,8 @@ def _remembered(path: Path, cache: Path | None) -> str:
         found = hashlib.file_digest(file, "sha256").hexdigest()
     if note is not None:
         note.parent.mkdir(parents=True, exist_ok=True)
-        aside = note.with_name(f"{key}.{os.getpid()}")
+        # Process ids are the same in many pods, which may share the folder.
+        aside = note.with_name(f"{key}.{os.urandom(6).hex()}")
         aside.write_text(found, encoding="ascii")
         aside.replace(note)
     return found

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -26,6 +25,7 @@ from slamhive_eval import (
     read_tum,
     write_tum,
 )
+from slamhive_eval.files import read_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 VERSION = 1
 """Raised when conversion makes something else of the same input."""
+
+_KEPT = (TruthFormat.TUM, TruthFormat.RELATIONS)
+"""Formats that evaluators read as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,24 +86,49 @@ def ground_truth(entry: DatasetEntry, cache: Path | None = None) -> GroundTruthP
     return GroundTruthPoses(poses, _frame(entry, truth))
 
 
-def write_ground_truth(entry: DatasetEntry, path: Path) -> bool:
-    """Write a dataset's ground truth as custom evaluators get it: TUM lines, or relations as they are.
+def write_ground_truth(
+    entry: DatasetEntry, truth: GroundTruthPoses, path: Path, cache: Path | None = None
+) -> None:
+    """Write a dataset's ground truth as evaluators get it: TUM lines, or relations as they are.
 
-    Returns:
-        Whether there is any.
+    What was read from TUM lines keeps its digits, so that reading it again gives the very same poses.
+
+    Args:
+        entry: The dataset.
+        truth: Its ground truth.
+        path: The file to make.
+        cache: As for `ground_truth`.
 
     Raises:
-        DataError: It is missing, damaged, or has no poses.
+        DataError: It can't be read any more.
+        OSError: The disk refuses.
     """
-    truth = ground_truth(entry)
-    if truth is None:
-        return False
-    if isinstance(truth.poses, Trajectory):
+    spec = entry.dataset.spec.ground_truth
+    source = _lines_of(entry, spec, cache)
+    if isinstance(truth.poses, Trajectory) and (spec is None or source is None):
         write_tum(path, truth.poses)
-    else:
-        source = entry.dataset.spec.ground_truth
-        shutil.copyfile(entry.root / str(source and source.file), path)
-    return True
+        return
+    try:
+        text = read_text(str(source))
+    except EvaluationError as error:
+        raise DataError(f"dataset {entry.name!r}: ground truth: {error}") from None
+    if isinstance(truth.poses, Trajectory) and spec is not None and spec.holes:
+        text = "\n".join(line for line in text.split("\n") if not _lies_in_hole(line, spec))
+    path.write_text(text, encoding="utf-8")
+
+
+def _lines_of(entry: DatasetEntry, truth: GroundTruth | None, cache: Path | None) -> Path | None:
+    """Return the file whose lines the ground truth is, if there is one."""
+    if truth is None or (truth.topic is not None and cache is None):
+        return None
+    if truth.topic is not None and cache is not None:
+        return _note_of_topic(entry, truth.topic, cache)
+    return entry.root / str(truth.file) if truth.format in _KEPT else None
+
+
+def _lies_in_hole(line: str, truth: GroundTruth) -> bool:
+    words = line.split("#", 1)[0].replace(",", " ").split()
+    return bool(words) and any(hole.start <= float(words[0]) <= hole.end for hole in truth.holes)
 
 
 def require_overlap(truth: Trajectory | Relations, start: float, end: float, where: str) -> None:
@@ -165,9 +193,14 @@ def _read(entry: DatasetEntry, truth: GroundTruth, cache: Path | None) -> Trajec
 
 
 def _of_topic(entry: DatasetEntry, topic: str, cache: Path | None) -> Trajectory:
-    if cache is None:
-        with open_recording(entry.dataset, entry.root) as recording:
-            return poses_of_topic(recording, topic)
+    if cache is not None:
+        return read_tum(_note_of_topic(entry, topic, cache))
+    with open_recording(entry.dataset, entry.root) as recording:
+        return poses_of_topic(recording, topic)
+
+
+def _note_of_topic(entry: DatasetEntry, topic: str, cache: Path) -> Path:
+    """Return the file in which the poses of a topic are kept, made if need be."""
     source = recording_sha256(entry, cache / ".hashes")
     folder = cache / digest({"version": VERSION, "source": source, "topic": topic})[:32]
 
@@ -175,7 +208,7 @@ def _of_topic(entry: DatasetEntry, topic: str, cache: Path | None) -> Trajectory
         write_tum(aside / "groundtruth.txt", _of_topic(entry, topic, None))
 
     make_once(folder, make)
-    return read_tum(folder / "groundtruth.txt")
+    return folder / "groundtruth.txt"
 
 
 def _without_holes(poses: Trajectory, truth: GroundTruth, name: str) -> Trajectory:

@@ -86,18 +86,31 @@ def evict(parent: Path, limit_bytes: int, now: float | None = None) -> list[str]
     """
     now = time.time() if now is None else now
     for leftover in parent.glob(".*.making"):
-        _if_free(parent / leftover.name[1:].removesuffix(".making"), leftover)
+        _remove_free(parent / leftover.name[1:].removesuffix(".making"), leftover)
     folders = [folder for folder in parent.iterdir() if folder.is_dir() and not folder.name.startswith(".")]
     sizes = {folder: _size(folder) for folder in folders}
     total = sum(sizes.values())
     removed = []
-    for folder in sorted(folders, key=_last_use):
+    for folder in sorted(folders, key=last_use):
         if total <= limit_bytes:
             break
-        if now - _last_use(folder) >= GRACE_SECONDS and _if_free(folder, folder):
+        if now - last_use(folder) >= GRACE_SECONDS and remove_free(folder):
             total -= sizes[folder]
             removed.append(folder.name)
     return removed
+
+
+def remove_free(folder: Path) -> bool:
+    """Remove a folder unless somebody works with it, and tell whether it was removed."""
+    return _remove_free(folder, folder)
+
+
+def last_use(folder: Path) -> float:
+    """Return when a folder was last asked for, s since the epoch; 0 when it never was."""
+    try:
+        return folder.with_name(f".{folder.name}.lock").stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
 
 
 def _is_whole(folder: Path, is_sound: Callable[[Path], bool] | None) -> bool:
@@ -151,8 +164,7 @@ def _locked(folder: Path, operation: int) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _if_free(folder: Path, victim: Path) -> bool:
-    """Remove a folder when nobody holds its lock."""
+def _remove_free(folder: Path, victim: Path) -> bool:
     path = folder.with_name(f".{folder.name}.lock")
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
@@ -177,13 +189,6 @@ def _remove(folder: Path) -> None:
             folder.rename(aside)
     with suppress(FileNotFoundError):
         shutil.rmtree(aside)
-
-
-def _last_use(folder: Path) -> float:
-    try:
-        return folder.with_name(f".{folder.name}.lock").stat().st_mtime
-    except FileNotFoundError:
-        return 0.0
 
 
 def _size(folder: Path) -> int:
