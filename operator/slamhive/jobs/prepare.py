@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prepares a variant of a dataset, its ground truth for the evaluator, and an algorithm's files.
+
+``python3 -P -m slamhive.jobs.prepare``, with the data volume at ``data`` and ``request/request.json``. Any
+number of these may run at the same time: what they make is made aside and renamed when it is whole, under a
+lock for what takes long.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.data.entries import dataset_sha256
+from slamhive.data.fetching import fetch, require_sha256
+from slamhive.data.groundtruth import ground_truth, write_ground_truth
+from slamhive.data.preparation import prepare
+from slamhive.data.store import materialise
+from slamhive.data.version import VERSION
+from slamhive.jobs.messages import described
+from slamhive.jobs.program import Refused, arguments, parse, read_request, run_program, write_aside
+from slamhive.jobs.requests import PrepareRequest
+from slamhive.model.errors import DataError
+from slamhive.model.results import Reason
+from slamhive_eval import Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from slamhive.data.entries import DatasetEntry
+    from slamhive.data.groundtruth import GroundTruthPoses
+    from slamhive.data.preparation import Variant
+    from slamhive.jobs.requests import FetchedAsset
+    from slamhive.model.dataset import Dataset
+
+_TELL_SECONDS = 5.0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Prepare what the request asks for."""
+    options = arguments("Prepare a variant of a dataset.").parse_args(argv)
+    return run_program(lambda: _work(options.root), refusal=Reason.PREPARATION_FAILED)
+
+
+def _work(root: Path) -> str:
+    request = parse(PrepareRequest, read_request(root), "request")
+    data = root / "data"
+    dataset, folder = request.dataset, data / "datasets" / request.dataset.name
+    _require_files(dataset, folder)
+    entry = materialise(dataset, folder, data / "generated", _teller("generating the recording"))
+    for asset in request.assets:
+        _place(asset, data / "assets")
+    variant = prepare(
+        *(entry, request.roles, request.input, request.formats, data / "variants"),
+        progress=_teller("preparing the variant"),
+    )
+    cache = data / "generated" / "truths"
+    truth = ground_truth(entry, cache)
+    place_truth(entry, truth, data / "groundtruth", cache)
+    return described(_describe(entry, variant, truth, data / "variants" / ".hashes"))
+
+
+def _require_files(dataset: Dataset, folder: Path) -> None:
+    """Check that what can't be fetched is there.
+
+    Raises:
+        Refused: it isn't.
+    """
+    truth, recording = dataset.spec.ground_truth, dataset.spec.recording
+    needed = [("recording.files", file.path) for file in recording.files if file.url is None]
+    if truth is not None and recording.synthetic is None:
+        needed += [("groundTruth.file", truth.file or ""), ("groundTruth.times", truth.times or "")]
+    for field, path in needed:
+        if path and not (folder / path).exists():
+            raise Refused(
+                Reason.DATASET_MISSING, f"dataset {dataset.name!r}: {field}: {folder / path} does not exist"
+            )
+
+
+def _place(asset: FetchedAsset, folder: Path) -> None:
+    """Have an algorithm's file on the volume under its checksum."""
+    place = folder / asset.sha256
+    where = f"assets: {asset.name}"
+    if place.is_file():
+        try:
+            require_sha256(place, asset.sha256, where)
+        except DataError:
+            pass
+        else:
+            return
+    folder.mkdir(parents=True, exist_ok=True)
+    write_aside(place, partial(_fetch, asset, where), mode=0o444)
+
+
+def _fetch(asset: FetchedAsset, where: str, aside: Path) -> None:
+    print(f"fetching {asset.name} from {asset.url}", file=sys.stderr, flush=True)  # noqa: T201
+    fetch(asset.url, aside, asset.sha256, where)
+
+
+def place_truth(entry: DatasetEntry, truth: GroundTruthPoses | None, folder: Path, cache: Path) -> None:
+    """Lay a dataset's ground truth where evaluators find it.
+
+    ``NAME.txt`` are poses, ``NAME.relations`` relations. ``NAME.rotations.npy`` are the rotation matrices of
+    a file that holds such: they are orthonormal to their digits only, which errors have in them.
+
+    Raises:
+        DataError: it can't be read.
+        OSError: the disk refuses.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    poses = None if truth is None else truth.poses
+    wanted: dict[str, Callable[[Path], object]] = {}
+    if truth is not None:
+        ending = "relations" if truth.is_relations else "txt"
+        wanted[ending] = partial(write_ground_truth, entry, truth, cache=cache)
+    if isinstance(poses, Trajectory) and poses.rotations is not None:
+        wanted["rotations.npy"] = partial(_write_array, poses.rotations)
+    for ending in ("txt", "relations", "rotations.npy"):
+        place = folder / f"{entry.name}.{ending}"
+        if ending in wanted:
+            write_aside(place, wanted[ending])
+        else:
+            place.unlink(missing_ok=True)
+
+
+def _write_array(array: np.ndarray[Any, Any], path: Path) -> None:
+    with path.open("wb") as file:  # numpy would add an ending to the name
+        np.save(file, array, allow_pickle=False)
+
+
+def _describe(
+    entry: DatasetEntry, variant: Variant, truth: GroundTruthPoses | None, hashes: Path
+) -> dict[str, Any]:
+    """Return what the operator is told of a variant."""
+    files = [path for path in variant.folder.rglob("*") if path.is_file()]
+    spec = entry.dataset.spec
+    kind = None if truth is None else "relations" if truth.is_relations else "poses"
+    return {
+        "folder": variant.folder.name,
+        "format": variant.format,
+        "recording": variant.path.name,
+        "sensors": {role: view.as_json() for role, view in variant.sensors.items()},
+        "startTime": variant.start_time,
+        "durationSeconds": variant.duration_seconds,
+        "frameRate": variant.frame_rate,
+        "resolution": variant.resolution,
+        "frames": variant.frames,
+        "key": variant.key,
+        "sourceSha256": variant.source_sha256,
+        "datasetSha256": dataset_sha256(entry, hashes),
+        "sizeBytes": sum(path.stat().st_size for path in files),
+        "groundTruth": kind,
+        "T_body_frame": None if truth is None else truth.T_body_frame.tolist(),
+        "extrinsics": {name: sensor.T_body_sensor for name, sensor in spec.sensors.items()},
+        "gravityAligned": spec.gravity_aligned,
+        "attributes": dict(spec.attributes),
+        "preparationVersion": VERSION,
+    }
+
+
+def _teller(what: str) -> Callable[[float], None]:
+    """Return what tells the log how far something is, every few seconds."""
+    told = float("-inf")
+
+    def progress(share: float) -> None:
+        nonlocal told
+        now = time.monotonic()
+        if now - told >= _TELL_SECONDS or share >= 1.0:
+            told = now
+            print(f"{what}: {100 * share:.0f} %", file=sys.stderr, flush=True)  # noqa: T201
+
+    return progress
+
+
+if __name__ == "__main__":
+    sys.exit(main())
