@@ -27,7 +27,9 @@ Object = dict[str, Any]
 
 CONTAINER = "algorithm"
 RUN_PODS = f"{Label.ROLE}={Role.RUN}"
-_ENDED = frozenset({"Succeeded", "Failed"})
+ENDED = frozenset({"Succeeded", "Failed"})
+"""Phases of a pod whose containers run no more."""
+
 _SUFFIXES = {
     "": 1.0,
     "n": 1e-9,
@@ -148,7 +150,7 @@ class MetricsReader:
         return {
             pod["metadata"]["name"]: pod["metadata"]["uid"]
             for pod in self._store.of(Kind.POD, namespace)
-            if labels_of(pod).get(Label.ROLE) == Role.RUN and pod["status"].get("phase") not in _ENDED
+            if labels_of(pod).get(Label.ROLE) == Role.RUN and pod["status"].get("phase") not in ENDED
         }
 
     def _take(self, namespace: str, item: Object, live: dict[str, str]) -> None:
@@ -178,7 +180,7 @@ def amount(text: str) -> float:
 
 
 def _is_over(pod: Object) -> bool:
-    return pod["status"].get("phase") in _ENDED
+    return pod["status"].get("phase") in ENDED
 
 
 def _pod_labels(namespace: str, pod: Object) -> PodLabels:

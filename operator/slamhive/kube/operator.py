@@ -10,14 +10,14 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.errors import ApiError, Conflict, Forbidden, NotFound, StartError
+from slamhive.kube.errors import ApiError, Conflict, Forbidden, NotFound, StartError, Unauthorized
 from slamhive.kube.kinds import MANAGER, OUR_KINDS, Key, Kind, Label, key_of
 from slamhive.kube.metrics import Metrics
-from slamhive.kube.metricsapi import MetricsReader
+from slamhive.kube.metricsapi import ENDED, MetricsReader
 from slamhive.kube.queue import Queue
 from slamhive.kube.routing import routes
 from slamhive.kube.store import Store, narrow
@@ -38,6 +38,7 @@ MANAGED = f"{Label.MANAGED_BY}={MANAGER}"
 SLOW_RETRY_SECONDS = 300.0
 STUCK_SECONDS = 300.0
 _SECOND_LIST_SECONDS = 10.0
+_LONGEST_START_WAIT = 30.0
 
 _log = logging.getLogger("slamhive.operator")
 _current: ContextVar[Key | None] = ContextVar("slamhive_current_key", default=None)
@@ -54,6 +55,7 @@ class Operator:
         archive: where finished runs are kept, if anywhere.
         clock: returns the time in s since 1970.
         queue: the work queue; default: one on the event loop's clock.
+        sleep: waits some seconds.
 
     Attributes:
         api: as given.
@@ -65,6 +67,7 @@ class Operator:
         metrics: what Prometheus gets.
         usage: figures of the metrics API.
         ready: whether the first LIST is done.
+        broken: set when a part of the operator ends that never should.
     """
 
     def __init__(
@@ -76,6 +79,7 @@ class Operator:
         *,
         clock: Callable[[], float] = time.time,
         queue: Queue | None = None,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
         self.api = api
         self.settings = settings
@@ -86,7 +90,9 @@ class Operator:
         self.metrics = Metrics(run_name_label=settings.metrics.run_name_label)
         self.usage = MetricsReader(api, self.store, self.metrics, settings.namespaces)
         self.ready = False
+        self._sleep = sleep
         self._reconcilers = dict(reconcilers)
+        self.broken = asyncio.Event()
         self._tasks: list[asyncio.Task[None]] = []
         self._told: dict[Key, str] = {}
         self._busy_since: dict[Key, float] = {}
@@ -118,6 +124,8 @@ class Operator:
     def _take(self, kind: Kind, obj: Object) -> None:
         new = self.store.get(key_of(kind, obj)) is None
         if self.store.put(kind, obj):
+            if kind is Kind.POD and (obj.get("status") or {}).get("phase") in ENDED:
+                self.usage.ended(obj["metadata"]["uid"])
             self._enqueue(routes(kind, obj, self.store, new=new))
 
     def _gone(self, kind: Kind, obj: Object) -> None:
@@ -189,23 +197,41 @@ class Operator:
         Raises:
             StartError: CRDs or rights are missing; the sentence says how to have them.
         """
-        await self._check_crds()
-        try:
-            await self.relist()
-        except Forbidden as error:
-            verb, resource = error.verb, error.resource
-            raise StartError(
-                f"{error}; the operator needs the right to {verb} {resource} in each of its namespaces "
-                f"({', '.join(self.settings.namespaces)}): the chart's Role and RoleBinding grant it"
-            ) from None
+        await self._list_first()
         self.ready = True
         self.queue_all()
-        self._tasks = [
-            asyncio.create_task(self._work(), name=f"worker-{number}")
-            for number in range(self.settings.workers)
-        ]
-        self._tasks.append(asyncio.create_task(self._relist_forever(), name="relist"))
-        self._tasks.append(asyncio.create_task(self._read_metrics_forever(), name="metrics-api"))
+        parts: dict[str, Coroutine[Any, Any, None]] = {
+            f"worker-{number}": self._work() for number in range(self.settings.workers)
+        }
+        parts |= {"relist": self._relist_forever(), "metrics-api": self._read_metrics_forever()}
+        self._tasks = [asyncio.create_task(part, name=name) for name, part in parts.items()]
+        for task in self._tasks:
+            task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled():
+            _log.critical("%s ended, which it never should", task.get_name(), exc_info=task.exception())
+            self.broken.set()
+
+    async def _list_first(self) -> None:
+        wait = 1.0
+        while True:
+            try:
+                await self._check_crds()
+                await self.relist()
+            except Forbidden as error:
+                raise StartError(
+                    f"{error}; the operator needs the right to {error.verb} {error.resource} in each of its "
+                    f"namespaces ({', '.join(self.settings.namespaces)}): the chart's Role grants it"
+                ) from None
+            except ApiError as error:
+                if not error.retryable or isinstance(error, Unauthorized):
+                    raise StartError(str(error)) from None
+                _log.warning("cannot begin yet, again in %.0f s: %s", wait, error)
+                await self._sleep(wait)
+                wait = min(2 * wait, _LONGEST_START_WAIT)
+            else:
+                return
 
     async def stop(self) -> None:
         """End all work; what is being reconciled is broken off, which is safe at any point."""
@@ -251,7 +277,7 @@ class Operator:
         # told by nobody.
         wait = min(_SECOND_LIST_SECONDS, self.settings.relist_seconds)
         while True:
-            await asyncio.sleep(wait)
+            await self._sleep(wait)
             wait = self.settings.relist_seconds
             try:
                 await self.relist()
@@ -264,11 +290,17 @@ class Operator:
     async def _read_metrics_forever(self) -> None:
         while True:
             try:
-                await self.usage.read()
+                if await self.usage.read():
+                    self._enqueue_sweeps()
             except Exception:  # noqa: BLE001
                 self.metrics.count_error("metrics-api", "unforeseen")
                 _log.exception("reading the metrics API failed in an unforeseen way")
-            await asyncio.sleep(self.settings.metrics.interval_seconds)
+            await self._sleep(self.settings.metrics.interval_seconds)
+
+    def _enqueue_sweeps(self) -> None:
+        # Sweeps say in a condition whether live figures are to be had.
+        for namespace in self.settings.namespaces:
+            self._enqueue(key_of(Kind.SWEEP, sweep) for sweep in self.store.of(Kind.SWEEP, namespace))
 
     # Work.
 
@@ -291,7 +323,7 @@ class Operator:
         except SlamHiveError as error:
             outcome = error.reason
             self._failed(key, error)
-        except Exception:
+        except Exception:  # noqa: BLE001 - no single object ends the operator
             outcome = "unforeseen"
             self.metrics.count_error(str(key.kind), outcome)
             delay = self.queue.retry(key)

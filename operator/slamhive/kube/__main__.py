@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``python3 -P -m slamhive.kube --settings FILE``: the operator's process.
+
+Exit codes: 0 after SIGTERM, 1 when it cannot work here (the sentence says what is missing), 2 when the
+settings are wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slamhive.archive import Archive
+from slamhive.kube import handlers
+from slamhive.kube.client import Api
+from slamhive.kube.errors import StartError
+from slamhive.kube.health import HealthServer
+from slamhive.kube.logs import set_up_logs
+from slamhive.kube.operator import Operator
+from slamhive.kube.reconciling import RECONCILERS
+from slamhive.kube.settings import Settings, load
+from slamhive.model.errors import InputError, SlamHiveError, SystemFault
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from slamhive.kube.kinds import Kind
+    from slamhive.kube.operator import Reconcile
+
+_log = logging.getLogger("slamhive.operator")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the operator until it is told to end; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python3 -P -m slamhive.kube", description="The operator.")
+    parser.add_argument("--settings", type=Path, required=True, help="the operator's settings (YAML)")
+    parser.add_argument("--kubeconfig", type=Path, help="kubeconfig to use, even inside a cluster")
+    options = parser.parse_args(arguments)
+    try:
+        settings = load(options.settings)
+        archive = open_archive(settings)
+    except InputError as error:
+        return _say(error, 2)
+    except SlamHiveError as error:
+        return _say(error, 1)
+    set_up_logs(settings)
+    try:
+        asyncio.run(run(settings, archive, options.kubeconfig))
+    except SlamHiveError as error:
+        return _say(error, 1)
+    except KeyboardInterrupt:
+        pass
+    return 0
+
+
+async def run(
+    settings: Settings,
+    archive: Archive | None = None,
+    kubeconfig: Path | None = None,
+    reconcilers: Mapping[Kind, Reconcile] = RECONCILERS,
+) -> None:
+    """Work until a signal comes.
+
+    Raises:
+        StartError: the operator cannot work here.
+        SystemFault: a part of it ended that never should.
+    """
+    api = await Api.connect(kubeconfig)
+    op = Operator(api, settings, reconcilers, archive)
+    health = HealthServer(op, settings.health.port)
+    try:
+        await _listen(op, health)
+        await op.start()
+        _log.info("watching %s", ", ".join(settings.namespaces))
+        await handlers.watch(op, stop_flag=op.broken)
+        if op.broken.is_set():
+            raise SystemFault(f"the operator broke off: {', '.join(op.failed_tasks)} ended")
+    finally:
+        await op.stop()
+        await health.stop()
+        await api.close()
+        if archive is not None:
+            archive.close()
+
+
+def open_archive(settings: Settings) -> Archive | None:
+    """Open the archive whose database URL is in the mounted file, if there is one.
+
+    Raises:
+        InputError: the file or the URL in it cannot be used.
+        SystemFault: the database doesn't answer.
+    """
+    if settings.archive_url_file is None:
+        return None
+    try:
+        url = settings.archive_url_file.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"archiveUrlFile: {settings.archive_url_file} cannot be read: {type(error).__name__}"
+        ) from None
+    if not url:
+        raise InputError(f"archiveUrlFile: {settings.archive_url_file} is empty: expected a database URL")
+    return Archive.open(url)
+
+
+async def _listen(op: Operator, health: HealthServer) -> None:
+    try:
+        await health.start()
+    except OSError as error:
+        raise StartError(f"health.port: cannot listen on port {health.port}: {error.strerror}") from None
+    try:
+        op.metrics.serve(op.settings.metrics.port)
+    except OSError as error:
+        port = op.settings.metrics.port
+        raise StartError(f"metrics.port: cannot listen on port {port}: {error.strerror}") from None
+
+
+def _say(error: SlamHiveError, code: int) -> int:
+    print(error, file=sys.stderr)  # noqa: T201 - the last word of a process that ends
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What kopf is told: to watch, and to hand over what it sees. Only the entry point imports this module.
+
+kopf keeps the watches alive; everything else that it could do (finalizers, annotations, peering, Events,
+retries) is left off, because the reconcilers work from the store and the queue.
+"""
+
+from __future__ import annotations
+
+import logging
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import kopf
+
+from slamhive.kube.kinds import Kind
+from slamhive.kube.operator import MANAGED
+
+if TYPE_CHECKING:
+    from slamhive.kube.client import Api
+    from slamhive.kube.operator import Operator
+
+WATCH_SECONDS = 600.0
+INACTIVE_SECONDS = 90.0
+"""Longer than the minute between the server's bookmarks: a watch silent for longer is dead."""
+
+_LOGIN_SECONDS = 600.0
+_IDLE_SECONDS = 1.0
+_PAGE = 500
+
+
+class NoDiffs(kopf.DiffBaseStorage):
+    """Remembers no last-seen state: nothing here asks what has changed since."""
+
+    def build(self, *, body: kopf.Body, extra_fields: Any = None) -> kopf.BodyEssence:  # noqa: ARG002
+        """Return nothing of an object, which saves a copy of it for each event."""
+        return {}
+
+    def fetch(self, *, body: kopf.Body) -> kopf.BodyEssence | None:  # noqa: ARG002
+        """Return that nothing was remembered."""
+        return None
+
+    def store(self, *, body: kopf.Body, patch: kopf.Patch, essence: kopf.BodyEssence) -> None:
+        """Store nothing."""
+
+
+def registry_for(op: Operator) -> kopf.OperatorRegistry:
+    """Return the handlers: one a kind, which hands over what the watch reports."""
+    registry = kopf.OperatorRegistry()
+    for kind in Kind:
+
+        async def hand_over(event: Any, watched: Kind, **_: Any) -> None:
+            op.observe(watched, event["type"], event["object"])
+
+        handler = partial(hand_over, watched=kind)
+        kopf.on.event(kind.group, kind.version, kind.plural, id=kind.plural, registry=registry)(handler)
+    kopf.on.login(id="login", registry=registry)(partial(_log_in, op.api))
+    return registry
+
+
+def settings_for_kopf() -> kopf.OperatorSettings:
+    """Return kopf's settings: watch what is ours, touch nothing."""
+    settings = kopf.OperatorSettings()
+    settings.watching.server_timeout = WATCH_SECONDS
+    settings.watching.inactivity_timeout = INACTIVE_SECONDS
+    settings.watching.chunk_size = _PAGE
+    for kind in Kind:
+        if not kind.is_ours:
+            settings.watching.label_selectors[kind.group, kind.version, kind.plural] = MANAGED
+    settings.scanning.disabled = True
+    settings.posting.enabled = False
+    settings.peering.standalone = True
+    settings.queueing.idle_timeout = _IDLE_SECONDS
+    settings.persistence.diffbase_storage = NoDiffs()
+    logging.getLogger("kopf.objects").setLevel(logging.WARNING)
+    return settings
+
+
+async def watch(op: Operator, stop_flag: Any, ready_flag: Any = None) -> None:
+    """Watch until the flag is set or a signal comes.
+
+    Args:
+        op: gets what is seen.
+        stop_flag: an event that ends the watching.
+        ready_flag: an event that is set when the watching has begun.
+    """
+    await kopf.operator(
+        registry=registry_for(op),
+        settings=settings_for_kopf(),
+        namespaces=op.settings.namespaces,
+        standalone=True,
+        stop_flag=stop_flag,
+        ready_flag=ready_flag,
+    )
+
+
+async def _log_in(api: Api, **_: Any) -> kopf.ConnectionInfo:
+    """Let kopf in by the same way as our own client: same address, certificates and token."""
+    access = await api.access()
+    expiration = datetime.now(UTC) + timedelta(seconds=_LOGIN_SECONDS) if access.token else None
+    return kopf.ConnectionInfo(
+        server=access.server,
+        ca_path=access.ca_path,
+        insecure=access.insecure,
+        token=access.token,
+        scheme="Bearer" if access.token else None,
+        certificate_path=access.certificate_path,
+        private_key_path=access.private_key_path,
+        proxy_url=access.proxy_url,
+        trust_env=True,
+        expiration=expiration,
+    )
