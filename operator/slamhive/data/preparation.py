@@ -25,6 +25,7 @@ from slamhive.data.recordings import guess_format, open_recording, recording_pat
 from slamhive.data.selection import select
 from slamhive.data.streams import streams_of
 from slamhive.data.transfer import transfer
+from slamhive.data.version import VERSION
 from slamhive.data.writing import FILE_NAMES
 from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.base import seconds
@@ -41,9 +42,6 @@ if TYPE_CHECKING:
     from slamhive.data.entries import DatasetEntry
     from slamhive.data.selection import Selection
     from slamhive.model.run import InputOptions, LidarInput
-
-VERSION = 1
-"""Raised when preparation makes something else of the same input: part of keys and content hashes."""
 
 DESCRIPTION = "variant.json"
 PRIMARY = (Role.CAMERA, Role.LEFT, Role.COLOR, Role.LIDAR)

@@ -9,8 +9,9 @@ import threading
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive import __version__
-from slamhive.data.preparation import VERSION, evict_variants, prepare
+from slamhive.data.preparation import evict_variants, prepare
 from slamhive.data.store import DatasetEntry, dataset_sha256, materialise
+from slamhive.data.version import VERSION
 from slamhive.local.cores import cpu_model
 from slamhive.local.environments import Environments
 from slamhive.local.evaluating import Evaluator

@@ -10,12 +10,11 @@ from slamhive.kube.builders.evaluation import (
     read_job,
     read_job_name,
 )
-from slamhive.kube.builders.run import AttemptPlan, Companion, configuration, job_name, run_job
-from slamhive.kube.builders.variant import variant_job, variant_job_name, variant_name, variant_request
+from slamhive.kube.builders.run import Companion, configuration, job_name, run_job
+from slamhive.kube.builders.variant import variant_job, variant_job_name, variant_name
 
 __all__ = [
     "ANNOTATION_LIMIT",
-    "AttemptPlan",
     "Companion",
     "batches",
     "configuration",
@@ -32,5 +31,4 @@ __all__ = [
     "variant_job",
     "variant_job_name",
     "variant_name",
-    "variant_request",
 ]

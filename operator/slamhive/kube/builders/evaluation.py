@@ -193,7 +193,7 @@ def read_job_name(run_uid: str, pod_uid: str) -> str:
     return f"{READ}-{digest({'run': run_uid, 'pod': pod_uid})[:_HASH_LENGTH]}"
 
 
-def read_job(run: Mapping[str, Any], pod_uid: str, settings: Settings) -> Manifest:
+def read_job(*, run: Mapping[str, Any], pod_uid: str, settings: Settings) -> Manifest:
     """Return the Job that reads the summary of an attempt whose monitor left no last words.
 
     Args:

@@ -29,6 +29,7 @@ from slamhive.kube.builders.common import (
     segment,
     variables,
 )
+from slamhive.kube.description import Description
 from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import InputError
 from slamhive.plan import run_configuration, whole_cores
@@ -36,9 +37,8 @@ from slamhive.plan import run_configuration, whole_cores
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from slamhive.kube.description import Description
     from slamhive.kube.settings import Settings
-    from slamhive.model.algorithm import AlgorithmSpec
+    from slamhive.model.algorithm import Algorithm, AlgorithmSpec
     from slamhive.model.configuration import RunConfiguration
     from slamhive.model.dataset import Dataset
 
@@ -89,33 +89,23 @@ def job_name(run: str, attempt: int) -> str:
 
 
 def configuration(
-    run: str, spec: Mapping[str, Any], dataset: Dataset, description: Description
+    run: str, spec: Mapping[str, Any], dataset: Dataset, description: Mapping[str, Any]
 ) -> RunConfiguration:
-    """Return what a run's algorithm is told, from the description of its variant.
+    """Return what a run's algorithm is told: what a workstation would tell it of the same variant.
 
     Args:
         run: name of the run.
         spec: its resolved spec.
         dataset: the Dataset that it names.
-        description: what its preparation said.
+        description: what the preparation said of its variant, as it stands in the Dataset's status.
     """
-    cores = whole_cores(spec["resources"]["cpu"])
-    return run_configuration(run, spec, dataset, description, cores)
+    recording = Description.model_validate(dict(description))
+    return run_configuration(run, spec, dataset, recording, whole_cores(spec["resources"]["cpu"]))
 
 
 @dataclass(frozen=True)
-class AttemptPlan:
-    """What an attempt's Job is made from.
-
-    Attributes:
-        run: the MappingRun as the API server returned it; it owns the Job.
-        spec: its resolved spec.
-        algorithm: what its Algorithm says.
-        configuration: what the algorithm is told.
-        variant_folder: folder of the prepared recording below ``variants/``.
-        attempt: number of the attempt, from 1.
-        companion: what a player adds.
-    """
+class _Plan:
+    """What an attempt's Job is made from."""
 
     run: Mapping[str, Any]
     spec: Mapping[str, Any]
@@ -123,7 +113,7 @@ class AttemptPlan:
     configuration: RunConfiguration
     variant_folder: str
     attempt: int
-    companion: Companion = NO_COMPANION
+    companion: Companion
 
     @property
     def folder(self) -> str:
@@ -131,39 +121,59 @@ class AttemptPlan:
         return f"runs/{segment(self.run['metadata']['uid'], 'the uid')}/$(POD_UID)"
 
 
-def run_job(plan: AttemptPlan, settings: Settings) -> Manifest:
+def run_job(
+    *,
+    run: Mapping[str, Any],
+    spec: Mapping[str, Any],
+    algorithm: Algorithm,
+    configuration: RunConfiguration,
+    description: Mapping[str, Any],
+    attempt: int,
+    settings: Settings,
+    companion: Companion = NO_COMPANION,
+) -> Manifest:
     """Return the Job of an attempt.
+
+    Args:
+        run: the MappingRun as the API server returned it; it owns the Job.
+        spec: its resolved spec.
+        algorithm: its Algorithm.
+        configuration: what the algorithm is told.
+        description: what the preparation said of its variant.
+        attempt: number of the attempt, from 1.
+        settings: the operator's.
+        companion: what a player adds.
 
     Raises:
         InputError: a sentence about what makes it impossible, such as an Algorithm without an image.
     """
-    metadata = plan.run["metadata"]
-    companion = plan.companion
+    plan = _Plan(run, spec, algorithm.spec, configuration, description["folder"], attempt, companion)
+    metadata = run["metadata"]
     pod = pod_spec(settings) | {
         "shareProcessNamespace": True,
         "terminationGracePeriodSeconds": GRACE_SECONDS,
         # The monitor ends what takes too long; this ends what killed the monitor, and leaves its figures.
-        "activeDeadlineSeconds": math.ceil(seconds(plan.spec["timeout"])) + _SPARE_SECONDS,
+        "activeDeadlineSeconds": math.ceil(seconds(spec["timeout"])) + _SPARE_SECONDS,
         "initContainers": [_monitor(plan, settings), *companion.init_containers],
         "containers": [_algorithm(plan, settings), *companion.containers],
-        "volumes": [*_volumes(plan.spec, settings), *companion.volumes],
+        "volumes": [*_volumes(spec, settings), *companion.volumes],
     }
     if settings.pods.runtime_class_name:
         pod["runtimeClassName"] = settings.pods.runtime_class_name
-    text = yaml.safe_dump(plan.configuration.as_json(), sort_keys=False, allow_unicode=True)
+    text = yaml.safe_dump(configuration.as_json(), sort_keys=False, allow_unicode=True)
     return job(
         metadata["namespace"],
-        job_name(metadata["name"], plan.attempt),
+        job_name(metadata["name"], attempt),
         pod,
         labels=_labels(plan),
-        owners=[owner_reference(plan.run, controller=True)],
+        owners=[owner_reference(run, controller=True)],
         annotations={label("configuration"): annotation(text, "the configuration")},
         passed_labels=passed_on(metadata.get("labels")),
         passed_annotations=passed_on(metadata.get("annotations")),
     )
 
 
-def _labels(plan: AttemptPlan) -> dict[str, str]:
+def _labels(plan: _Plan) -> dict[str, str]:
     metadata = plan.run["metadata"]
     given = metadata.get("labels") or {}
     kept = {label(word): given[label(word)] for word in ("sweep", "point", "slot") if label(word) in given}
@@ -176,7 +186,7 @@ def _labels(plan: AttemptPlan) -> dict[str, str]:
     }
 
 
-def _algorithm(plan: AttemptPlan, settings: Settings) -> Manifest:
+def _algorithm(plan: _Plan, settings: Settings) -> Manifest:
     spec, algorithm, companion = plan.spec, plan.algorithm, plan.companion
     if algorithm.image is None:
         raise InputError(f"algorithm {spec['algorithmRef']['name']!r} has no image, so it runs on no cluster")
@@ -230,7 +240,7 @@ def _assets(algorithm: AlgorithmSpec) -> list[Manifest]:
     ]
 
 
-def _monitor(plan: AttemptPlan, settings: Settings) -> Manifest:
+def _monitor(plan: _Plan, settings: Settings) -> Manifest:
     told = {
         "container": ALGORITHM,
         "runDirectory": "/slamhive-run",

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from slamhive.data.version import VERSION
 from slamhive.kube.builders.common import (
     Manifest,
     claim,
@@ -22,37 +23,64 @@ from slamhive.kube.builders.common import (
 )
 from slamhive.model.base import seconds
 from slamhive.model.canonical import digest, normalize
+from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from slamhive.kube.settings import Settings
-    from slamhive.model.algorithm import AlgorithmSpec
+    from slamhive.model.algorithm import Algorithm, Asset, RecordingFormat
     from slamhive.model.dataset import Dataset
+    from slamhive.model.sensors import Role
 
 PREPARE = "prepare"
+_PROSE = ("description", "homepage", "license", "attributes")
 _MATTERS = ("frameRate", "resolution", "start", "duration", "lidar", "remap")
 _HASH_LENGTH = 20
 _SCRATCH = "2Gi"
 _KEPT_SECONDS = 3600
 
 
-def variant_request(dataset: Dataset, algorithm: AlgorithmSpec, spec: Mapping[str, Any]) -> Manifest:
+def variant_name(
+    dataset: Dataset,
+    roles: Iterable[Role],
+    options: InputOptions,
+    formats: Iterable[RecordingFormat],
+    assets: Iterable[Asset],
+) -> str:
+    """Return the name of a variant: equal wishes have equal names.
+
+    Args:
+        dataset: what it is made of.
+        roles: the sensors that the algorithm takes.
+        options: the run's input options; pace and rate change nothing of the recording.
+        formats: formats that the algorithm reads, the preferred first.
+        assets: files that the algorithm needs; those with a url are fetched by the same Job.
+    """
+    declared = dataset.spec.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+    parts = {
+        "dataset": {
+            "name": dataset.name,
+            "spec": {key: declared[key] for key in declared if key not in _PROSE},
+        },
+        "roles": [str(role) for role in roles],
+        "input": _input(options),
+        "formats": [str(item) for item in formats],
+        "assets": sorted([asset["sha256"], asset["url"]] for asset in _fetched(assets)),
+        "version": VERSION,
+    }
+    return "v-" + digest(normalize(parts))[:_HASH_LENGTH]
+
+
+def variant_request(dataset: Dataset, algorithm: Algorithm, spec: Mapping[str, Any]) -> Manifest:
     """Return what the preparation for a run is asked for.
 
     Args:
         dataset: the Dataset that the run names.
-        algorithm: what its Algorithm says.
-        spec: the run's resolved spec.
+        algorithm: its Algorithm.
+        spec: its resolved spec.
     """
-    mode = algorithm.mode(SensorMode(spec["sensors"]))
-    options = {key: spec["input"][key] for key in _MATTERS if spec["input"].get(key)}
-    assets = [
-        {"name": asset.name, "url": asset.url, "sha256": asset.sha256}
-        for asset in algorithm.assets
-        if asset.url is not None
-    ]
     manifest = {
         "apiVersion": dataset.api_version,
         "kind": dataset.kind,
@@ -61,30 +89,21 @@ def variant_request(dataset: Dataset, algorithm: AlgorithmSpec, spec: Mapping[st
     }
     return {
         "dataset": manifest,
-        "roles": [str(role) for role in mode.needs],
-        "input": options,
-        "formats": [str(item) for item in algorithm.recording],
-        "assets": assets,
+        "roles": [str(role) for role in algorithm.spec.mode(SensorMode(spec["sensors"])).needs],
+        "input": _input(InputOptions.model_validate(spec["input"])),
+        "formats": [str(item) for item in algorithm.spec.recording],
+        "assets": _fetched(algorithm.spec.assets),
     }
 
 
-def variant_name(request: Mapping[str, Any], version: int) -> str:
-    """Return the name of the variant that a request asks for: equal requests have equal names.
+def _input(options: InputOptions) -> Manifest:
+    """Return the options that change what a recording is."""
+    body = options.model_dump(mode="json", by_alias=True, exclude_none=True, exclude_defaults=True)
+    return {key: body[key] for key in _MATTERS if body.get(key)}
 
-    Args:
-        request: as `variant_request` returns it.
-        version: of the preparation.
-    """
-    assets = sorted((asset["sha256"], asset["url"]) for asset in request["assets"])
-    parts = {
-        "dataset": {"name": request["dataset"]["metadata"]["name"], "spec": request["dataset"]["spec"]},
-        "roles": request["roles"],
-        "input": request["input"],
-        "formats": request["formats"],
-        "assets": [list(asset) for asset in assets],
-        "version": version,
-    }
-    return "v-" + digest(normalize(parts))[:_HASH_LENGTH]
+
+def _fetched(assets: Iterable[Asset]) -> list[dict[str, str | None]]:
+    return [{"name": asset.name, "url": asset.url, "sha256": asset.sha256} for asset in assets if asset.url]
 
 
 def variant_job_name(variant: str) -> str:
@@ -93,20 +112,30 @@ def variant_job_name(variant: str) -> str:
 
 
 def variant_job(
-    namespace: str, request: Mapping[str, Any], variant: str, owners: Sequence[Manifest], settings: Settings
+    *,
+    namespace: str,
+    name: str,
+    dataset: Dataset,
+    algorithm: Algorithm,
+    spec: Mapping[str, Any],
+    settings: Settings,
+    owners: Sequence[Manifest],
 ) -> Manifest:
     """Return the Job that prepares a variant.
 
     Args:
         namespace: of the Dataset.
-        request: as `variant_request` returns it.
-        variant: its name.
-        owners: references to all that need it; it goes when the last of them goes.
+        name: of the variant.
+        dataset: what it is made of.
+        algorithm: the Algorithm of a run that needs it.
+        spec: that run's resolved spec.
         settings: the operator's.
+        owners: references to all that need it; it goes when the last of them goes.
 
     Raises:
         InputError: the request doesn't fit into an object.
     """
+    request = variant_request(dataset, algorithm, spec)
     wanted = settings.preparation
     body = container(
         PREPARE,
@@ -133,12 +162,12 @@ def variant_job(
     }
     return job(
         namespace,
-        variant_job_name(variant),
+        variant_job_name(name),
         pod,
         labels={
             label("role"): PREPARE,
-            label("variant"): variant,
-            label("dataset"): request["dataset"]["metadata"]["name"],
+            label("variant"): name,
+            label("dataset"): dataset.name,
         },
         owners=owners,
         annotations={label("request"): request_text(request)},
