@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Jobs tell the operator when they end: termination messages, pure, for Jobs and the operator.
+"""What Jobs tell the operator when they end: termination messages, which `slamhive.kube.reports` reads.
 
 ::
 
@@ -11,30 +11,22 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 import zlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from slamhive.model.configuration import SensorView
 from slamhive.model.errors import SystemFault
-from slamhive.model.results import Reason
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from slamhive.model.results import Reason
+
 MESSAGE_BYTES = 4096
 """The kubelet keeps no more of a container's termination message."""
 
-_DESCRIPTION_BYTES = 1 << 20
 _DIGITS = 12
-
-
-class Failure(NamedTuple):
-    """Why a Job could not do what it was asked."""
-
-    reason: Reason
-    message: str
 
 
 def described(description: Mapping[str, Any]) -> str:
@@ -85,6 +77,8 @@ def _shorter_and_shorter(description: Mapping[str, Any]) -> Iterator[dict[str, A
 
 def failed(reason: Reason, message: str) -> str:
     """Return the termination message of a Job that failed, shortened to what the kubelet keeps."""
+    # Names of files may hold bytes that are no text.
+    message = message.encode("utf-8", "replace").decode()
     limit = len(message)
     while True:
         shown = message if limit >= len(message) else message[:limit] + "…"
@@ -94,43 +88,6 @@ def failed(reason: Reason, message: str) -> str:
         if excess <= 0:
             return text
         limit = max(0, min(limit, len(message)) - max(1, excess // 4))
-
-
-def read_message(text: str) -> dict[str, Any] | Failure:
-    """Read any termination message of a Job.
-
-    Returns:
-        The object, or the failure that it tells of; what is no message is a fault, too.
-    """
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict) or found.get("v") != 1:
-        shown = " ".join(text.split())[:200]
-        return Failure(Reason.SYSTEM_FAULT, f"it ended without a report: {shown}" if shown else "no report")
-    error = found.get("error")
-    if not isinstance(error, dict):
-        return found
-    known = set(Reason)
-    reason = Reason(error["reason"]) if error.get("reason") in known else Reason.SYSTEM_FAULT
-    return Failure(reason, str(error.get("message", "")))
-
-
-def read_description(text: str) -> dict[str, Any] | Failure:
-    """Read the termination message of a Job that prepares."""
-    found = read_message(text)
-    if isinstance(found, Failure):
-        return found
-    try:
-        unpacking = zlib.decompressobj()
-        plain = unpacking.decompress(base64.b64decode(str(found.get("z")), validate=True), _DESCRIPTION_BYTES)
-        description = json.loads(plain)
-    except (binascii.Error, zlib.error, ValueError):
-        description = None
-    if not isinstance(description, dict):
-        return Failure(Reason.SYSTEM_FAULT, "the report of the preparation can't be read")
-    return description
 
 
 def _rounded(value: Any) -> Any:

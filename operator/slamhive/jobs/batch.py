@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measuring many runs on all processors, each in a process whose end or greed stops no other."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import resource
+import signal
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.measuring import measure
+from slamhive.jobs.machine import free_memory, usable_cores
+from slamhive.jobs.opening import opened
+from slamhive.jobs.program import parse
+from slamhive.jobs.requests import RunItem
+from slamhive.model.errors import DataError, SlamHiveError
+from slamhive_eval import EvaluationError, Relations, Trajectory, read_relations, read_tum
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from slamhive.model.evaluation import EvaluationSettings
+
+TRAJECTORY = "output/trajectory.txt"
+_TRAJECTORY_BYTES = 512 << 20
+_PACKED = (b"\x1f\x8b", b"BZh")
+_WORKER_BYTES = 192 << 20
+_SPARE = 0.9
+
+Truth = Trajectory | Relations
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What measuring needs, the same for all runs.
+
+    Attributes:
+        results: folder of the results volume.
+        settings: how to measure.
+        evaluation: name of the evaluation; None: the alignment's.
+        truths: ground truth by dataset, or the sentence that says why there is none.
+    """
+
+    results: Path
+    settings: EvaluationSettings
+    evaluation: str | None
+    truths: Mapping[str, Truth | str]
+
+    def measure(self, item: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a run's line: its result, or the sentence that says why there is none."""
+        line = identity(item)
+        try:
+            run = parse(RunItem, dict(item), f"run {line['name']}")
+            truth = self.truths.get(run.dataset, f"dataset {run.dataset!r} has no ground truth")
+            if isinstance(truth, str):
+                return line | {"error": truth}
+            estimate = self._estimate(run)
+            result = measure(truth, estimate, self.settings, run.subject(), self.evaluation)
+            line |= {"result": result.as_json()}
+            json.dumps(line, allow_nan=False)
+            return line  # noqa: TRY300 - what JSON can't say is an error of this run
+        except MemoryError:
+            return line | {"error": "measuring it needs more memory than the evaluator has"}
+        except (SlamHiveError, EvaluationError) as error:
+            return line | {"error": str(error)}
+        except Exception as error:  # noqa: BLE001 - one bad run must not stop the rest
+            return line | {"error": f"unforeseen: {type(error).__name__}: {' '.join(str(error).split())}"}
+
+    def _estimate(self, run: RunItem) -> Trajectory:
+        """Read a run's trajectory.
+
+        Raises:
+            DataError: it isn't there, or not what the run wrote.
+            EvaluationError: it is no trajectory.
+        """
+        path = f"{run.folder}/{TRAJECTORY}"
+        with opened(self.results, path, _TRAJECTORY_BYTES) as descriptor:
+            with open(descriptor, "rb", closefd=False) as file:
+                if file.read(3).startswith(_PACKED):
+                    raise DataError(f"{path} is compressed; trajectories are plain text")
+                file.seek(0)
+                found = hashlib.file_digest(file, "sha256").hexdigest()
+            if run.sha256 is not None and found != run.sha256:
+                raise DataError(f"{path} has sha256 {found}, the run wrote one of {run.sha256}")
+            link = f"/proc/self/fd/{descriptor}"
+            try:
+                return read_tum(link)
+            except EvaluationError as error:
+                raise DataError(str(error).replace(link, path)) from None
+
+
+def identity(item: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what every line begins with."""
+    return {"uid": item.get("uid"), "name": item.get("name")}
+
+
+def measure_all(
+    bench: Bench, items: Sequence[Mapping[str, Any]], cores: int | None = None, memory: int | None = None
+) -> Iterator[dict[str, Any]]:
+    """Measure runs, and return their lines in the order of the runs, as soon as they are there.
+
+    Args:
+        bench: what measuring needs.
+        items: the runs as requested.
+        cores: processes at a time; None: as many as there are processors.
+        memory: bytes that all processes may take together; None: what the cgroup leaves.
+    """
+    memory = free_memory() if memory is None else memory
+    workers = min(cores or usable_cores(), max(1, len(items)))
+    if memory is not None:
+        workers = max(1, min(workers, memory // _WORKER_BYTES))
+    share = None if memory is None else int(memory * _SPARE) // workers
+    done = 0
+    try:
+        for line in _measured(bench, items, workers, share):
+            yield line
+            done += 1
+    except BrokenProcessPool:
+        # Who broke it can't be told: the rest one by one, each on its own.
+        for item in items[done:]:
+            try:
+                yield from _measured(bench, [item], 1, share)
+            except BrokenProcessPool:
+                yield identity(item) | {"error": "measuring it ended the evaluator's process"}
+
+
+def _measured(
+    bench: Bench, items: Iterable[Mapping[str, Any]], workers: int, share: int | None
+) -> Iterator[dict[str, Any]]:
+    # A fork shares the ground truth with all workers.
+    context = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(bench, share)) as pool:
+        yield from pool.map(_measure, items)
+
+
+_BENCHES: list[Bench] = []
+
+
+def _begin(bench: Bench, share: int | None) -> None:
+    """Set up a worker: more memory than its share is refused to it, where the kernel would end the pod."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    _BENCHES[:] = [bench]
+    if share is not None:
+        limit = _data_bytes() + share
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+
+def _measure(item: Mapping[str, Any]) -> dict[str, Any]:
+    return _BENCHES[0].measure(item)
+
+
+def _data_bytes() -> int:
+    """Return what this process counts as data already, most of it shared with its parent."""
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+        if line.startswith("VmData:"):
+            return int(line.split()[1]) << 10
+    return 0
+
+
+def read_truths(folder: Path, datasets: Iterable[str]) -> dict[str, Truth | str]:
+    """Read the ground truth of datasets, each once.
+
+    Returns:
+        For each dataset its ground truth, or the sentence that says why there is none.
+    """
+    return {name: _read_truth(folder, name) for name in dict.fromkeys(datasets)}
+
+
+def _read_truth(folder: Path, name: str) -> Truth | str:
+    poses, relations = folder / f"{name}.txt", folder / f"{name}.relations"
+    matrices = folder / f"{name}.rotations.npy"
+    try:
+        if relations.is_file():
+            return read_relations(relations)
+        if not poses.is_file():
+            return f"dataset {name!r} has no ground truth"
+        truth = read_tum(poses)
+        if not matrices.is_file():
+            return truth
+        rotations = np.load(matrices, allow_pickle=False)
+        return Trajectory(truth.stamps, truth.positions, truth.quaternions, rotations)
+    except (EvaluationError, OSError, ValueError) as error:
+        return f"dataset {name!r}: ground truth: {error}".replace(f"{folder}/", "")

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that algorithms and others' evaluators left, opened so that no link leads elsewhere."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from slamhive.model.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@contextmanager
+def opened(root: Path, relative: str, limit: int) -> Iterator[int]:
+    """Open a regular file below a folder for reading; no part of the way may be a symbolic link.
+
+    Args:
+        root: the folder, trusted.
+        relative: the file's path in it.
+        limit: largest size allowed.
+
+    Yields:
+        The descriptor.
+
+    Raises:
+        DataError: it is missing, too large, or something else than a file.
+    """
+    parts = relative.split("/")
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
+    folder = file = -1
+    try:
+        folder = os.open(root, os.O_RDONLY | os.O_CLOEXEC | os.O_DIRECTORY)
+        for part in parts[:-1]:
+            _require_name(part, relative)
+            below = os.open(part, flags | os.O_DIRECTORY, dir_fd=folder)
+            os.close(folder)
+            folder = below
+        _require_name(parts[-1], relative)
+        file = os.open(parts[-1], flags | os.O_NONBLOCK, dir_fd=folder)
+        status = os.fstat(file)
+        if not stat.S_ISREG(status.st_mode):
+            raise DataError(f"{relative} is not a regular file")
+        if status.st_size > limit:
+            raise DataError(f"{relative} has {status.st_size} bytes, at most {limit} are read")
+        yield file
+    except OSError as error:
+        raise DataError(f"{relative}: {_meaning(error)}") from error
+    finally:
+        for descriptor in (folder, file):
+            if descriptor >= 0:
+                os.close(descriptor)
+
+
+def read_bytes(root: Path, relative: str, limit: int) -> bytes:
+    """Return what a file holds; errors as of `opened`."""
+    with opened(root, relative, limit) as descriptor, open(descriptor, "rb", closefd=False) as file:
+        return file.read(limit)
+
+
+def _require_name(part: str, relative: str) -> None:
+    if part in {"", ".", ".."}:
+        raise DataError(f"{relative!r} is not a path below the volume's folder")
+
+
+def _meaning(error: OSError) -> str:
+    match error.errno:
+        case errno.ENOENT:
+            return "does not exist"
+        case errno.ELOOP | errno.ENOTDIR:
+            return "is not reached through plain folders alone: symbolic links are not followed"
+        case _:
+            return error.strerror or str(error)

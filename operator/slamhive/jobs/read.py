@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads the summary of a run whose monitor left no last words, and tells what those would have been."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from typing import TYPE_CHECKING
+
+from slamhive.jobs.opening import read_bytes
+from slamhive.jobs.program import arguments, parse, read_request, run_program
+from slamhive.jobs.requests import ReadRequest
+from slamhive.model.errors import DataError
+from slamhive.monitor.termination import termination_message
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+_PATH = re.compile(r"runs/[^/]+/[^/]+/summary\.json")
+_BYTES = 4 << 20
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Read the summary that the request names."""
+    options = arguments("Read a run's summary.").parse_args(argv)
+    return run_program(lambda: _work(options.root))
+
+
+def _work(root: Path) -> str:
+    path = parse(ReadRequest, read_request(root), "request").path
+    if not _PATH.fullmatch(path):
+        raise DataError(f"request.path: {path!r} is not like runs/UID/POD/summary.json")
+    text = read_bytes(root / "results", path, _BYTES)
+    try:
+        summary = json.loads(text)
+    except (ValueError, RecursionError):
+        summary = None
+    if not isinstance(summary, dict):
+        raise DataError(f"{path} is no JSON object")
+    try:
+        return termination_message(summary).decode()
+    except (ValueError, RecursionError):
+        raise DataError(f"{path} holds what can't be told on, such as a number that is not finite") from None
+
+
+if __name__ == "__main__":
+    sys.exit(main())
