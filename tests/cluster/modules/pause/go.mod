@@ -1,0 +1,3 @@
+module slamhive.io/test/pause
+
+go 1.21

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A cluster as tests see it: its kubeconfig, kubectl, and waiting with a deadline."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from testcluster.errors import ClusterError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A cluster that answers.
+
+    Attributes:
+        mode: local, kind or current.
+        kubeconfig: the administrator's kubeconfig.
+        kubectl_path: the kubectl to use.
+        loader: puts an image built on this machine into the cluster, by its name.
+        instance: name of a local cluster, None for others.
+    """
+
+    mode: str
+    kubeconfig: Path
+    kubectl_path: str
+    loader: Callable[[str], None]
+    instance: str | None = None
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Environment for programs that find the cluster by KUBECONFIG."""
+        return os.environ | {"KUBECONFIG": str(self.kubeconfig)}
+
+    def run(
+        self, *arguments: str, stdin: str | None = None, timeout: float = 120
+    ) -> subprocess.CompletedProcess[str]:
+        """Run kubectl and return what came of it, whatever that is."""
+        return subprocess.run(
+            [self.kubectl_path, *arguments],
+            input=stdin,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
+
+    def kubectl(self, *arguments: str, stdin: str | None = None, timeout: float = 120) -> str:
+        """Run kubectl and return its output.
+
+        Raises:
+            ClusterError: it failed; the message is kubectl's.
+        """
+        result = self.run(*arguments, stdin=stdin, timeout=timeout)
+        if result.returncode:
+            raise ClusterError(f"kubectl {' '.join(arguments)}: {result.stderr.strip()}")
+        return result.stdout
+
+    def get(self, *arguments: str) -> Any:
+        """Return objects as kubectl get gives them."""
+        return json.loads(self.kubectl("get", *arguments, "-o", "json"))
+
+    def apply(self, *objects: dict[str, Any], namespace: str | None = None) -> None:
+        """Apply objects on the server's side."""
+        where = ["-n", namespace] if namespace else []
+        body = json.dumps({"apiVersion": "v1", "kind": "List", "items": objects})
+        self.kubectl("apply", "--server-side", "--force-conflicts", *where, "-f", "-", stdin=body)
+
+    def apply_files(self, paths: Iterable[Path], *more: str) -> None:
+        """Apply manifest files on the server's side."""
+        files = [argument for path in paths for argument in ("-f", str(path))]
+        self.kubectl("apply", "--server-side", "--force-conflicts", *more, *files)
+
+    def load(self, image: str) -> None:
+        """Put an image that was built on this machine into the cluster."""
+        self.loader(image)
+
+
+def until(condition: Callable[[], Any], what: str, seconds: float = 60, pause: float = 0.2) -> Any:
+    """Return the condition's first true value.
+
+    Raises:
+        ClusterError: it had none by the deadline; the message says what was waited for.
+    """
+    deadline = time.monotonic() + seconds
+    while not (value := condition()):
+        if time.monotonic() > deadline:
+            raise ClusterError(f"gave up after {seconds:g} s waiting for {what}")
+        time.sleep(pause)
+    return value
