@@ -1,0 +1,398 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From what Jobs and pods say to what the engine wants to know. Pure: neither API nor clock.
+
+A pod's end is taken as soon as the pod shows it, before its Job does: a Job here fails with its first pod.
+Only what a disruption took (eviction by the node, drain, preemption, a lost node) is replaced by the Job, and
+is seen as running until the replacement ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from slamhive.engine import AttemptEnd, AttemptState, VariantState
+from slamhive.kube.builders.evaluation import EVALUATE, EVALUATOR, LINKS, READ, REPORT
+from slamhive.kube.builders.run import ALGORITHM, MONITOR
+from slamhive.kube.builders.variant import PREPARE
+from slamhive.kube.kinds import Label
+from slamhive.kube.pods import (
+    Ending,
+    Waiting,
+    condition,
+    container_of,
+    ending_of,
+    has_completed,
+    has_failed,
+    is_disrupted,
+    is_finished,
+    message_of,
+    newest,
+    refused_by_node,
+    was_cut_off,
+    what_waits,
+)
+from slamhive.kube.reports import Report, clean, last_line, read_description, read_failure, read_report
+from slamhive.model.results import Reason
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from slamhive.kube.description import Description
+
+    Object = Mapping[str, Any]
+
+Problem = tuple[Reason, str]
+
+
+@dataclass(frozen=True)
+class Attempted:
+    """What is seen of an attempt.
+
+    Attributes:
+        state: whether its program runs, as far as the engine is concerned.
+        end: how it ended.
+        number: which attempt it is.
+        waiting: why its program doesn't run yet.
+        report: what its monitor told.
+        needs_read: whether the monitor told nothing though the program ran: what it left is to be read and
+            given to `with_report`; ``end`` is what stands if nothing is found.
+        ending: how the algorithm's container ended.
+        pod: name of its pod.
+        pod_uid: identity of its pod, by which its folder is named.
+        node: the node it ran on.
+        image_id: the image that the runtime really ran.
+        started: when the container began, ISO 8601.
+        finished: when it had ended.
+        log_tail: the last lines of its log.
+    """
+
+    state: AttemptState = AttemptState.NONE
+    end: AttemptEnd | None = None
+    number: int | None = None
+    waiting: Waiting | None = None
+    report: Report | None = None
+    needs_read: bool = False
+    ending: Ending | None = None
+    pod: str | None = None
+    pod_uid: str | None = None
+    node: str | None = None
+    image_id: str | None = None
+    started: str | None = None
+    finished: str | None = None
+    log_tail: str | None = None
+
+    @property
+    def waiting_reason(self) -> str | None:
+        """Return one word for why it waits."""
+        return self.waiting.reason if self.waiting else None
+
+    @property
+    def waiting_message(self) -> str | None:
+        """Return a sentence about why it waits."""
+        return self.waiting.message if self.waiting else None
+
+    def give_up_at(self, grace_seconds: float) -> float | None:
+        """Return when its waiting counts as its end, s since 1970; None when it never does.
+
+        Args:
+            grace_seconds: how long what may pass is waited for.
+        """
+        if self.waiting is None or self.waiting.end is None:
+            return None
+        return (self.waiting.since or 0.0) + (0.0 if self.waiting.hopeless else grace_seconds)
+
+    def given_up(self) -> Attempted:
+        """Return the attempt as ended by what it waits for; its Job is still there and is to be deleted."""
+        return replace(self, state=AttemptState.ENDED, end=self.waiting.end if self.waiting else None)
+
+    def with_report(self, report: Report | None) -> Attempted:
+        """Return the attempt with what was read of it; None: nothing was found."""
+        if report is None:
+            return replace(self, needs_read=False)
+        end = self.end if self.ending is None else _judged(self.ending, report)
+        return replace(self, report=report, needs_read=False, end=end)
+
+
+def observe_attempt(job: Object | None, pods: Iterable[Object]) -> Attempted:
+    """Say what is seen of an attempt.
+
+    Args:
+        job: its Job; None when that is gone.
+        pods: its pods.
+    """
+    pod = newest(job, pods)
+    if pod is None:
+        return Attempted() if job is None else _without_pod(job)
+    seen = _seen(job, pod)
+    if not is_finished(pod):
+        return replace(seen, waiting=what_waits(pod, ALGORITHM))
+    if is_disrupted(pod) or was_cut_off(pod, ALGORITHM):
+        return _taken(seen, job, pod)
+    return _ended(seen, pod)
+
+
+def _without_pod(job: Object) -> Attempted:
+    number = _number(job)
+    if has_failed(job) or has_completed(job):
+        end = AttemptEnd(reason=Reason.NODE_LOST, message="its pod was deleted")
+        return Attempted(AttemptState.ENDED, end, number)
+    if (job.get("spec") or {}).get("suspend"):
+        waiting = Waiting("Suspended", "its Job waits in a queue")
+    else:
+        waiting = Waiting("NoPod", "its Job has no pod yet")
+    return Attempted(AttemptState.RUNNING, number=number, waiting=waiting)
+
+
+def _seen(job: Object | None, pod: Object) -> Attempted:
+    ending = ending_of(pod, ALGORITHM)
+    status = container_of(pod, ALGORITHM)
+    running = (status.get("state") or {}).get("running") or {}
+    return Attempted(
+        AttemptState.RUNNING,
+        number=_number(job or pod),
+        report=read_report(message_of(pod, MONITOR)) if is_finished(pod) else None,
+        ending=ending,
+        pod=pod["metadata"]["name"],
+        pod_uid=pod["metadata"].get("uid"),
+        node=(pod.get("spec") or {}).get("nodeName"),
+        image_id=clean(status.get("imageID") or "", 300) or None,
+        started=ending.started if ending else running.get("startedAt"),
+        finished=ending.finished if ending else None,
+        log_tail=ending.message or None if ending else None,
+    )
+
+
+def _taken(seen: Attempted, job: Object | None, pod: Object) -> Attempted:
+    """Return an attempt whose pod was taken from outside; only a Job that has ended makes that an end."""
+    told = (condition(pod, "DisruptionTarget") or {}).get("message") or pod["status"].get("message")
+    message = clean(f"its pod was taken away: {told}") if told else "its pod was deleted"
+    if has_failed(job) or has_completed(job):
+        end = AttemptEnd(reason=Reason.NODE_LOST, message=message)
+        return replace(seen, state=AttemptState.ENDED, end=end, report=None)
+    return replace(seen, waiting=Waiting("Disrupted", message), report=None)
+
+
+def _ended(seen: Attempted, pod: Object) -> Attempted:
+    ending, report = seen.ending, seen.report
+    told = _told_by_pod(pod, ending)
+    if report is not None and report.reason is not None and ending is not None:
+        told = None  # what the monitor did comes before what followed from it
+    if told is not None:
+        end = told
+    elif ending is None:
+        end = AttemptEnd(reason=Reason.SYSTEM_FAULT, message=_before_start(pod))
+    else:
+        end = _judged(ending, report)
+    if ending is not None and report is None and end.reason is Reason.SYSTEM_FAULT:
+        words = last_line(message_of(pod, MONITOR))
+        end = replace(end, message=f"{end.message}: {words}" if words else end.message)
+    ran = ending is not None and not ending.was_unable and not ending.is_unknown
+    return replace(seen, state=AttemptState.ENDED, end=end, needs_read=ran and report is None)
+
+
+def _told_by_pod(pod: Object, ending: Ending | None) -> AttemptEnd | None:
+    """Return an end that the kubelet made of the entire pod."""
+    word, message = pod["status"].get("reason") or "", clean(pod["status"].get("message") or "")
+    if word == "DeadlineExceeded":
+        return AttemptEnd(reason=Reason.DEADLINE_EXCEEDED, message=message)
+    if word == "Evicted":
+        disk = any(part in message.lower() for part in ("ephemeral", "emptydir"))
+        return AttemptEnd(reason=Reason.OUTPUT_TOO_LARGE if disk else Reason.NODE_LOST, message=message)
+    if word in {"NodeLost", "NodeShutdown", "Shutdown", "Terminated"}:
+        return AttemptEnd(reason=Reason.NODE_LOST, message=message or "its node went away")
+    if ending is None and word:
+        return AttemptEnd(reason=Reason.SYSTEM_FAULT, message=refused_by_node(pod))
+    return None
+
+
+def _before_start(pod: Object) -> str:
+    """Return which container kept the algorithm from being started."""
+    for status in pod["status"].get("initContainerStatuses") or ():
+        ending = ending_of(pod, status["name"])
+        if ending is not None and status["name"] != MONITOR and ending.exit_code != 0:
+            return f"container {status['name']!r}: {ending.refusal if ending.was_unable else ending.sentence}"
+    return refused_by_node(pod)
+
+
+def _judged(ending: Ending, report: Report | None) -> AttemptEnd:
+    """Return how an attempt ended, from what the kubelet and the monitor saw."""
+    seen = AttemptEnd(exit_code=ending.exit_code, signal=ending.signal)
+    if report is not None and report.reason is not None:
+        return replace(seen, reason=report.reason, message=report.message or ending.sentence)
+    for holds, reason, message in (
+        (ending.reason == "OOMKilled", Reason.OUT_OF_MEMORY, "it needed more memory than its limit"),
+        (ending.was_unable, Reason.ALGORITHM_FAILED, ending.refusal),
+        (ending.is_unknown, Reason.NODE_LOST, "nobody saw how it ended"),
+        (ending.exit_code != 0, None, ending.sentence),
+        (report is None, Reason.SYSTEM_FAULT, "the monitor left no report"),
+    ):
+        if holds:
+            return replace(seen, reason=reason, message=message)
+    problem, missing = (report.trajectory_problem, report.trajectory_missing) if report else (None, False)
+    return replace(seen, trajectory_problem=problem, trajectory_missing=missing)
+
+
+@dataclass(frozen=True)
+class VariantObserved:
+    """What is seen of a preparation.
+
+    Attributes:
+        state: whether the variant is there.
+        description: what it is, when it is.
+        problem: why it isn't, when it failed.
+        waiting: why the preparation doesn't run yet.
+    """
+
+    state: VariantState = VariantState.ABSENT
+    description: Description | None = None
+    problem: Problem | None = None
+    waiting: Waiting | None = None
+
+
+def observe_variant(job: Object | None, pods: Iterable[Object]) -> VariantObserved:
+    """Say what is seen of a preparation.
+
+    Args:
+        job: its Job; None when there is none.
+        pods: pods, its own among them.
+    """
+    if job is None:
+        return VariantObserved()
+    seen = _observe_job(job, pods, (PREPARE,))
+    if seen.state is not AttemptState.ENDED:
+        return VariantObserved(VariantState.MAKING, waiting=seen.waiting)
+    description = read_description(seen.words)
+    if seen.problem is None and description is None:
+        seen = replace(seen, problem=(Reason.SYSTEM_FAULT, "the preparation's report can't be read"))
+    if seen.problem is not None:
+        return VariantObserved(VariantState.FAILED, problem=_of_preparation(seen.problem))
+    return VariantObserved(VariantState.READY, description)
+
+
+def _of_preparation(problem: Problem) -> Problem:
+    """Return a problem as one of preparing: a recording that asks too much is no fault of the machine."""
+    reason, message = problem
+    if reason is Reason.OUT_OF_MEMORY:
+        return Reason.PREPARATION_FAILED, "preparing needed more memory than preparation.memory allows"
+    if reason is Reason.DEADLINE_EXCEEDED:
+        return Reason.PREPARATION_FAILED, "preparing took longer than preparation.timeout allows"
+    if reason in {Reason.ALGORITHM_FAILED, Reason.NODE_LOST}:
+        return Reason.SYSTEM_FAULT, message
+    return problem
+
+
+@dataclass(frozen=True)
+class EvaluatorObserved:
+    """What is seen of a Job that measures.
+
+    Attributes:
+        state: whether it runs.
+        problem: why it failed; None when it didn't.
+        waiting: why it doesn't run yet.
+        pod: name of its pod, for its log.
+        container: the container whose log carries results.
+    """
+
+    state: AttemptState = AttemptState.NONE
+    problem: Problem | None = None
+    waiting: Waiting | None = None
+    pod: str | None = None
+    container: str = EVALUATE
+
+
+def observe_evaluator(job: Object | None, pods: Iterable[Object]) -> EvaluatorObserved:
+    """Say what is seen of a Job that measures.
+
+    Args:
+        job: the Job; None when there is none.
+        pods: pods, its own among them.
+    """
+    if job is None:
+        return EvaluatorObserved()
+    seen = _observe_job(job, pods, (EVALUATE, REPORT, EVALUATOR, LINKS))
+    return EvaluatorObserved(seen.state, seen.problem, seen.waiting, seen.pod, seen.container)
+
+
+@dataclass(frozen=True)
+class ReadObserved:
+    """What is seen of a Job that reads what a monitor left.
+
+    Attributes:
+        ended: whether it has told all that it will.
+        report: what it found.
+        problem: why it found nothing.
+    """
+
+    ended: bool
+    report: Report | None = None
+    problem: Problem | None = None
+
+
+def observe_read(job: Object | None, pods: Iterable[Object]) -> ReadObserved:
+    """Say what is seen of a Job that reads what a monitor left.
+
+    Args:
+        job: the Job; None when there is none.
+        pods: pods, its own among them.
+    """
+    if job is None:
+        return ReadObserved(ended=False)
+    seen = _observe_job(job, pods, (READ,))
+    return ReadObserved(seen.state is AttemptState.ENDED, read_report(seen.words), seen.problem)
+
+
+@dataclass(frozen=True)
+class _JobSeen:
+    """What is seen of a Job of our own programs."""
+
+    state: AttemptState
+    problem: Problem | None = None
+    waiting: Waiting | None = None
+    words: str | None = None
+    pod: str | None = None
+    container: str = ""
+
+
+def _observe_job(job: Object, pods: Iterable[Object], names: tuple[str, ...]) -> _JobSeen:
+    """Say what is seen of a Job whose containers have some of these names, the main ones first."""
+    pod = newest(job, pods)
+    if pod is None:
+        if has_completed(job):
+            return _JobSeen(AttemptState.ENDED)
+        if has_failed(job):
+            return _JobSeen(AttemptState.ENDED, (Reason.SYSTEM_FAULT, "its pod was deleted"))
+        return _JobSeen(AttemptState.RUNNING, waiting=_without_pod(job).waiting)
+    main = next((name for name in names if container_of(pod, name)), names[0])
+    base = _JobSeen(AttemptState.RUNNING, pod=pod["metadata"]["name"], container=main)
+    if not is_finished(pod):
+        return replace(base, waiting=what_waits(pod, main))
+    if is_disrupted(pod) or was_cut_off(pod, main):
+        if not has_failed(job):
+            return base
+        return replace(
+            base, state=AttemptState.ENDED, problem=(Reason.SYSTEM_FAULT, "its pod was taken away")
+        )
+    words = message_of(pod, main)
+    problem = None if pod["status"]["phase"] == "Succeeded" else _why_failed(pod, names, words)
+    return replace(base, state=AttemptState.ENDED, problem=problem, words=words)
+
+
+def _why_failed(pod: Object, names: tuple[str, ...], words: str | None) -> Problem:
+    failure = read_failure(words)
+    if failure is not None:
+        return failure.reason, failure.message
+    for name in names:
+        ending = ending_of(pod, name)
+        told = _told_by_pod(pod, ending)
+        if told is not None and told.reason is not None:
+            return told.reason, told.message or ""
+        if ending is not None and ending.exit_code != 0:
+            end = _judged(ending, None)
+            return end.reason or Reason.ALGORITHM_FAILED, f"container {name!r}: {end.message}"
+    return Reason.SYSTEM_FAULT, refused_by_node(pod)
+
+
+def _number(obj: Object) -> int | None:
+    text = (obj["metadata"].get("labels") or {}).get(Label.ATTEMPT) or ""
+    return int(text) if text.isdecimal() and len(text) < 10 else None
