@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 Object = dict[str, Any]
 
+OWN_EVALUATIONS = {"sweep:": Label.SWEEP, "run:": Label.RUN}
+"""What the names begin with under which Sweeps and runs are evaluated as they ask themselves, and the label
+that such Jobs carry instead of an Evaluation's name. No object can have such a name."""
+
 _FINISHED = frozenset(str(phase) for phase in Phase if phase.is_finished)
 
 
@@ -52,8 +56,12 @@ def _of_job(obj: Object, namespace: str) -> Iterator[Key]:
         Role.RUN: [(Kind.MAPPING_RUN, Label.RUN)],
         Role.READ: [(Kind.MAPPING_RUN, Label.RUN)],
         Role.PREPARE: [(Kind.DATASET, Label.DATASET)],
-        Role.EVALUATE: [(Kind.EVALUATION, Label.EVALUATION), (Kind.SWEEP, Label.SWEEP)],
+        Role.EVALUATE: [(Kind.EVALUATION, Label.EVALUATION)],
     }
+    if labels.get(Label.ROLE) == Role.EVALUATE:
+        for prefix, label in OWN_EVALUATIONS.items():
+            if name := labels.get(label):
+                yield Key(Kind.EVALUATION, namespace, f"{prefix}{name}")
     for role, targets in named.items():
         if labels.get(Label.ROLE) == role:
             for kind, label in targets:

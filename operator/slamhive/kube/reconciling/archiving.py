@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finished runs beyond a Sweep's retention: into the archive first, and only then out of the cluster."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+from slamhive.archive import CatalogEntry
+from slamhive.kube.errors import Conflict
+from slamhive.kube.kinds import Key, Kind, key_of
+from slamhive.kube.reconciling.points import decode
+from slamhive.kube.reconciling.records import record_of
+from slamhive.kube.reconciling.sweep_runs import is_settled, point_of, state_of
+from slamhive.model.errors import UnknownNameError
+
+if TYPE_CHECKING:
+    from slamhive.kube.operator import Operator
+    from slamhive.kube.reconciling.catalogue import Catalogue
+    from slamhive.kube.reconciling.sweep_memory import SweepMemory
+    from slamhive.model.results import RunRecord
+    from slamhive.model.sweep import Sweep
+
+_AT_ONCE = 50
+
+Object = dict[str, Any]
+
+
+class Retirement:
+    """Moves finished runs into the archive.
+
+    Args:
+        catalogue: Algorithms and Datasets, of which the archive keeps what runs used.
+    """
+
+    def __init__(self, catalogue: Catalogue) -> None:
+        self._catalogue = catalogue
+
+    async def retire(
+        self, op: Operator, key: Key, sweep: Sweep, memory: SweepMemory, runs: dict[int, Object]
+    ) -> list[float]:
+        """Archive and delete the oldest settled runs beyond the retention; returns when to come back."""
+        settled = [run for run in runs.values() if is_settled(run)]
+        surplus = len(settled) - sweep.spec.retention.runs
+        if surplus <= 0:
+            return []
+        body = op.store.get(key)
+        if body is None or op.archive is None:
+            return []
+        settled.sort(key=lambda run: run["status"].get("completionTime") or "")
+        written = decode(body["status"].get("points"), len(memory.states))
+        # Only what the status says to be done may go: the bit is what remains of a run here.
+        going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
+        for run in going:
+            await asyncio.to_thread(op.archive.put_run, *self._records(op, run))
+        for run in going:
+            meta = run["metadata"]
+            run_key = key_of(Kind.MAPPING_RUN, run)
+            try:
+                await op.delete(run_key, uid=meta["uid"], resource_version=meta["resourceVersion"])
+            except Conflict:  # someone wrote to it: the archive gets the newer state next time
+                await op.refresh(run_key)
+                continue
+            memory.archived.add(run)
+        return [op.settings.sweep_write_seconds] if len(going) < surplus else []
+
+    def _records(
+        self, op: Operator, run: Object
+    ) -> tuple[RunRecord, CatalogEntry | None, CatalogEntry | None]:
+        namespace, spec = run["metadata"]["namespace"], run["spec"]
+        algorithm = dataset = None
+        attributes: Object = {}
+        try:
+            algorithm = CatalogEntry.of(
+                self._catalogue.algorithm(op.store, namespace, spec["algorithmRef"]["name"])
+            )
+            found = self._catalogue.dataset(op.store, namespace, spec["datasetRef"]["name"])
+            dataset, attributes = CatalogEntry.of(found), dict(found.spec.attributes)
+        except UnknownNameError:  # deleted from the catalog meanwhile
+            pass
+        return record_of(run, attributes=attributes), algorithm, dataset

@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measuring finished runs in batches: evaluator Jobs, and what they print into each run's status.
+
+A run without a result is measured again: a Job that is gone, a line that is missing and an operator that was
+killed in between all come to the same.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+from slamhive.analysis.subjects import SubjectItem, Surroundings, subject_of
+from slamhive.engine import AttemptState
+from slamhive.jobs.lines import Decoder
+from slamhive.kube.builders import batches, evaluator_job
+from slamhive.kube.description import Description
+from slamhive.kube.errors import AlreadyExists, ApiError, Conflict, NotFound
+from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
+from slamhive.kube.observing import EvaluatorObserved, observe_evaluator
+from slamhive.kube.reconciling import variants
+from slamhive.kube.reconciling.groups import Group, group_of, key_for
+from slamhive.kube.reconciling.summing import evaluation_status
+from slamhive.kube.status import changes, condition, display, merged, moment, result_field
+from slamhive.model.errors import InputError
+from slamhive.model.results import Result, Usage
+from slamhive.model.sensors import SensorMode
+from slamhive.plan import resolve
+
+if TYPE_CHECKING:
+    from slamhive.kube.operator import Operator
+    from slamhive.kube.reconciling.catalogue import Catalogue
+
+Object = dict[str, Any]
+
+RUNS_ANNOTATION = "slamhive.io/runs"
+_MOST_FAILURES = 3
+_AT_ONCE = 8
+_WRITE_TRIES = 5
+_WRITE_SECONDS = 2.0
+
+
+class Evaluations:
+    """Measures finished runs.
+
+    Args:
+        catalogue: Algorithms and Datasets.
+    """
+
+    def __init__(self, catalogue: Catalogue) -> None:
+        self._catalogue = catalogue
+        self._problems: dict[tuple[str, str], str] = {}
+        self._failures: dict[Key, int] = {}
+        self._written: dict[Key, float] = {}
+
+    def consider(self, op: Operator, run: Object) -> None:
+        """Have a finished run measured, if that is asked for and was not done."""
+        key = key_for(run)
+        if key is not None and run["status"].get("trajectory"):
+            op.queue.add(key)
+
+    async def __call__(self, op: Operator, key: Key) -> float | None:
+        """Look at a group: take results in, start what is missing, write the Evaluation's status."""
+        try:
+            group = group_of(op, key)
+        except InputError as error:
+            await self._refuse(op, key, str(error))
+            return None
+        if group is None:
+            self._failures.pop(key, None)
+            return None
+        busy: set[str] = set()
+        active = 0
+        for job in self._jobs(op, group):
+            pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
+            seen = observe_evaluator(job, pods)
+            if seen.state is AttemptState.ENDED:
+                await self._collect(op, group, job, seen)
+            else:
+                active += 1
+                busy |= _names(job)
+        group = group_of(op, key) or group
+        delays = await self._start_missing(op, group, busy, active)
+        delays += await self._write(op, group)
+        return min(delays, default=None)
+
+    @staticmethod
+    def _jobs(op: Operator, group: Group) -> list[Object]:
+        return [
+            job
+            for kind, job in op.store.owned(group.owner["uid"])
+            if kind is Kind.JOB
+            and (job["metadata"].get("labels") or {}).get(Label.ROLE) == Role.EVALUATE
+            and not job["metadata"].get("deletionTimestamp")
+        ]
+
+    def _is_missing(self, group: Group, run: Object) -> bool:
+        return not group.has_result(run) and (group.hash, run["metadata"]["uid"]) not in self._problems
+
+    async def _start_missing(self, op: Operator, group: Group, busy: set[str], active: int) -> list[float]:
+        missing = [
+            run for run in group.runs if run["metadata"]["name"] not in busy and self._is_missing(group, run)
+        ]
+        if not missing:
+            return []
+        wanted = op.settings.evaluation
+        if active >= wanted.parallel_jobs:
+            return []  # the end of one of them leads back here
+        ended = [moment(run["status"].get("completionTime")) or 0.0 for run in missing]
+        wait = min(ended) + wanted.delay_seconds * 2 ** self._failures.get(group.key, 0) - op.clock()
+        if len(missing) < wanted.batch_size and wait > 0:
+            return [wait]
+        items = await self._items(op, group, missing)
+        for batch in list(batches(items, wanted.batch_size))[: wanted.parallel_jobs - active]:
+            await self._start(op, group, [dict(item) for item in batch])
+        return []
+
+    async def _items(self, op: Operator, group: Group, runs: list[Object]) -> list[Object]:
+        items = []
+        for run in runs:
+            try:
+                items.append(self._item(op, run))
+            except InputError as error:
+                await self._give_up(op, group, run, str(error))
+        return items
+
+    def _item(self, op: Operator, run: Object) -> Object:
+        """Return what the evaluator is to know of a run.
+
+        Raises:
+            InputError: a sentence about why it cannot be measured.
+        """
+        namespace, status = run["metadata"]["namespace"], run["status"]
+        algorithm = self._catalogue.algorithm(op.store, namespace, run["spec"]["algorithmRef"]["name"])
+        dataset = self._catalogue.dataset(op.store, namespace, run["spec"]["datasetRef"]["name"])
+        spec = resolve(run["spec"], algorithm, dataset)
+        key = Key(Kind.DATASET, namespace, dataset.name)
+        told = variants.entries(op, key).get(status.get("variant") or "", {}).get("description")
+        if told is None:
+            raise InputError(
+                f"variant {status.get('variant')} of Dataset {dataset.name!r} is not known any more"
+            )
+        known = Description.model_validate(told)
+        if known.ground_truth is None:
+            raise InputError(f"Dataset {dataset.name!r} has no ground truth")
+        given = Surroundings(
+            truth_frame=known.T_body_frame or _IDENTITY,
+            by_role={role: view.T_body_sensor for role, view in known.sensors.items()},
+            by_name=known.extrinsics,
+            remap=spec["input"].get("remap"),
+            gravity_aligned=dataset.spec.gravity_aligned,
+            window=(known.start_time, known.start_time + known.duration_seconds),
+        )
+        subject = SubjectItem.of(subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)).as_json()
+        folder = status["trajectory"]["path"].removesuffix("/output/trajectory.txt")
+        return subject | {
+            "uid": run["metadata"]["uid"],
+            "name": run["metadata"]["name"],
+            "folder": folder,
+            "sha256": status["trajectory"]["sha256"],
+            "dataset": dataset.name,
+        }
+
+    async def _start(self, op: Operator, group: Group, batch: list[Object]) -> None:
+        request = {"evaluation": group.name, "settings": group.settings.as_json(), "runs": batch}
+        body = evaluator_job(
+            group.key.namespace,
+            request,
+            settings_hash=group.hash,
+            attempt=self._failures.get(group.key, 0) + 1,
+            owners=[group.owner],
+            settings=op.settings,
+            evaluator=group.evaluator,
+        )
+        names = ",".join(run["name"] for run in batch)
+        body["metadata"].setdefault("annotations", {})[RUNS_ANNOTATION] = names
+        for meta in (body["metadata"], body["spec"]["template"]["metadata"]):
+            labels = meta["labels"] | group.labels
+            meta["labels"] = {name: value for name, value in labels.items() if value is not None}
+        try:
+            await op.create(Kind.JOB, body)
+        except AlreadyExists:
+            await op.refresh(key_of(Kind.JOB, body))
+
+    async def _collect(self, op: Operator, group: Group, job: Object, seen: EvaluatorObserved) -> None:
+        """Take an ended Job's results into the runs' statuses, then remove it."""
+        decoder = Decoder()
+        problem = seen.problem[1] if seen.problem else None
+        if seen.pod is not None:
+            try:
+                decoder.add(await op.api.logs(group.key.namespace, seen.pod, seen.container))
+            except ApiError as error:
+                problem = problem or str(error)
+        limit = asyncio.Semaphore(_AT_ONCE)
+
+        async def take(record: Object) -> None:
+            async with limit:
+                await self._take(op, group, record)
+
+        await asyncio.gather(*(take(record) for record in decoder.records.values()))
+        if decoder.is_complete:
+            self._failures.pop(group.key, None)
+        else:
+            await self._failed(op, group, job, problem or "the evaluator's results are incomplete")
+        await op.delete(key_of(Kind.JOB, job))
+
+    async def _failed(self, op: Operator, group: Group, job: Object, problem: str) -> None:
+        count = self._failures.get(group.key, 0) + 1
+        self._failures[group.key] = count
+        if count < _MOST_FAILURES:
+            return
+        names = _names(job)
+        for run in group.runs:
+            if run["metadata"]["name"] in names and self._is_missing(group, run):
+                await self._give_up(op, group, run, problem)
+        self._failures.pop(group.key, None)
+
+    async def _take(self, op: Operator, group: Group, record: Object) -> None:
+        key = Key(Kind.MAPPING_RUN, group.key.namespace, str(record.get("name")))
+        run = op.store.get(key)
+        if run is None or run["metadata"]["uid"] != record.get("uid"):
+            return
+        if "error" in record:
+            await self._give_up(op, group, run, str(record["error"])[:1000])
+            return
+        try:
+            result = Result.model_validate(record["result"])
+        except ValueError as error:
+            await self._give_up(op, group, run, f"the evaluator's result is not one: {error}"[:1000])
+            return
+        if group.name is not None:
+            result = result.replace(evaluation=group.name)
+        fresh = [condition("Evaluated", True, "Evaluated")]
+        await _update(op, key, record["uid"], fresh, result_field(result))
+        spec = run["spec"]
+        op.metrics.record_result(
+            spec["algorithmRef"]["name"], spec["datasetRef"]["name"], result_field(result)
+        )
+
+    async def _give_up(self, op: Operator, group: Group, run: Object, problem: str) -> None:
+        self._problems[group.hash, run["metadata"]["uid"]] = problem
+        if group.name is None:
+            fresh = [condition("Evaluated", False, "NotEvaluable", problem)]
+            await _update(op, key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"], fresh)
+
+    async def _write(self, op: Operator, group: Group) -> list[float]:
+        body = op.store.get(group.key)
+        if group.name is None or body is None:
+            return []
+        problems = {
+            run["metadata"]["name"]: self._problems[group.hash, run["metadata"]["uid"]]
+            for run in group.runs
+            if (group.hash, run["metadata"]["uid"]) in self._problems
+        }
+        now = op.clock()
+        status = evaluation_status(group, problems)
+        generation = body["metadata"].get("generation", 1)
+        status["observedGeneration"] = generation
+        before = body["status"].get("conditions") or ()
+        status["conditions"] = merged(before, status.pop("fresh"), generation, now)
+        patch = changes(body["status"], status)
+        wait = self._written.get(group.key, 0.0) + _WRITE_SECONDS - now
+        if not patch:
+            return []
+        if wait > 0:
+            return [wait]
+        self._written[group.key] = now
+        await op.patch(group.key, {"status": patch}, subresource="status")
+        return []
+
+    @staticmethod
+    async def _refuse(op: Operator, key: Key, message: str) -> None:
+        body = op.store.get(key)
+        if body is None:
+            return
+        before = body["status"].get("conditions") or ()
+        fresh = [condition("Accepted", False, "InvalidSpec", message)]
+        status = {"conditions": merged(before, fresh, body["metadata"].get("generation", 1), op.clock())}
+        if changes(body["status"], status):
+            await op.patch(key, {"status": status}, subresource="status")
+
+
+async def _update(
+    op: Operator, key: Key, uid: str, fresh: list[Object], result: Object | None = None
+) -> None:
+    """Write a result or a condition into a run's status, whatever else writes there at the same time."""
+    for _ in range(_WRITE_TRIES):
+        run = op.store.get(key)
+        if run is None or run["metadata"]["uid"] != uid:
+            return
+        status = run["status"]
+        generation = run["metadata"].get("generation", 1)
+        after: Object = {"conditions": merged(status.get("conditions") or (), fresh, generation, op.clock())}
+        if result is not None:
+            kept = [
+                item for item in status.get("results") or () if item["evaluation"] != result["evaluation"]
+            ]
+            after["results"] = [*kept, result]
+            usage = Usage.model_validate(status["usage"]) if status.get("usage") else None
+            after["display"] = display(usage, after["results"])
+        patch = changes(status, after)
+        if not patch:
+            return
+        body = {"metadata": {"resourceVersion": run["metadata"]["resourceVersion"]}, "status": patch}
+        try:
+            await op.patch(key, body, subresource="status")
+        except Conflict:
+            await op.refresh(key)
+        except NotFound:
+            return
+        else:
+            return
+    raise Conflict(f"{key}: its status keeps changing", status=409)
+
+
+def _names(job: Object) -> set[str]:
+    text = (job["metadata"].get("annotations") or {}).get(RUNS_ANNOTATION, "")
+    return set(text.split(",")) - {""}
+
+
+_IDENTITY = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]

@@ -1,0 +1,389 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A MappingRun: from its spec through its variant and its Job to a status.
+
+What is seen goes to ``decide_run``; what it decides is done here. At most four writes: the Job, the status
+when it starts, the status when it ends, and later its results.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from slamhive.engine import (
+    AttemptEnd,
+    AttemptState,
+    Prepare,
+    RunObserved,
+    RunState,
+    Start,
+    Stop,
+    decide_run,
+)
+from slamhive.kube.builders import configuration, read_job, run_job
+from slamhive.kube.errors import AlreadyExists, Forbidden
+from slamhive.kube.kinds import Key, Kind, Label, Role, key_of, reference
+from slamhive.kube.observing import Attempted, observe_attempt, observe_read
+from slamhive.kube.reconciling import variants
+from slamhive.kube.reconciling.finishing import attempt_fields, provenance, twin_fields, usage_suspect
+from slamhive.kube.reconciling.records import image_digest
+from slamhive.kube.reconciling.variants import VariantSeen, Wanted
+from slamhive.kube.status import changes, condition, iso, merged, moment, phase_of, run_state, state_fields
+from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.model.results import Phase, Reason
+from slamhive.plan import resolve, spec_hash
+
+if TYPE_CHECKING:
+    from slamhive.engine import Decision
+    from slamhive.kube.operator import Operator
+    from slamhive.kube.reconciling.catalogue import Catalogue
+    from slamhive.kube.reconciling.evaluating import Evaluations
+    from slamhive.kube.reconciling.reuse import Twins
+    from slamhive.kube.reports import Report
+    from slamhive.model.algorithm import Algorithm
+    from slamhive.model.dataset import Dataset
+    from slamhive.model.results import RunRecord
+
+_TAKEN_SECONDS = 2.0
+_QUOTA_SECONDS = 15.0
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """A run with all that bears on what happens next.
+
+    Attributes:
+        key: its address.
+        body: the object.
+        spec: its spec with all defaults.
+        spec_hash: the hash of it.
+        algorithm: its Algorithm.
+        dataset: its Dataset.
+        wanted: the variant that it reads.
+        variant: what is known of that.
+        attempted: what is seen of its newest attempt.
+        job: the newest attempt's Job.
+    """
+
+    key: Key
+    body: dict[str, Any]
+    spec: dict[str, Any]
+    spec_hash: str
+    algorithm: Algorithm
+    dataset: Dataset
+    wanted: Wanted
+    variant: VariantSeen
+    attempted: Attempted
+    job: dict[str, Any] | None
+
+
+class RunReconciler:
+    """Brings MappingRuns to their end.
+
+    Args:
+        catalogue: Algorithms and Datasets.
+        evaluations: who measures finished runs.
+        twins: finished runs by content.
+    """
+
+    def __init__(self, catalogue: Catalogue, evaluations: Evaluations, twins: Twins) -> None:
+        self._catalogue = catalogue
+        self._evaluations = evaluations
+        self._twins = twins
+        self._waiting: set[Key] = set()
+        self._resolved: dict[str, tuple[dict[str, Any], str, Wanted]] = {}
+
+    def waiting(self, namespace: str) -> list[Key]:
+        """Return the runs that wait for the catalog."""
+        return [key for key in self._waiting if key.namespace == namespace]
+
+    async def __call__(self, op: Operator, key: Key) -> float | None:
+        """Look at a run, do what is to be done next, and write what changed."""
+        self._waiting.discard(key)
+        run = op.store.get(key)
+        if run is None or run["metadata"].get("deletionTimestamp"):
+            return None
+        if phase_of(run["status"]).is_finished:
+            self._resolved.pop(run["metadata"]["uid"], None)
+            self._twins.learn(run)
+            self._evaluations.consider(op, run)
+            return None
+        state = run_state(run["status"])
+        try:
+            facts = self._look(op, key, run, state)
+        except UnknownNameError as error:
+            self._waiting.add(key)
+            fresh = [condition("Accepted", False, "CatalogIncomplete", str(error))]
+            await self._write(op, run, state_fields(state), fresh)
+            return None
+        except InputError as error:
+            await self._refuse(op, run, state, Reason.INVALID_PARAMETERS, str(error))
+            return None
+        if not facts.algorithm.spec.image:
+            message = f"Algorithm {facts.algorithm.name!r} names no image, which a cluster needs"
+            await self._refuse(op, run, state, Reason.ALGORITHM_UNAVAILABLE, message)
+            return None
+        return await self._lead(op, facts, state)
+
+    def _look(self, op: Operator, key: Key, run: dict[str, Any], state: RunState) -> RunFacts:
+        spec = run["spec"]
+        algorithm = self._catalogue.algorithm(op.store, key.namespace, spec["algorithmRef"]["name"])
+        dataset = self._catalogue.dataset(op.store, key.namespace, spec["datasetRef"]["name"])
+        uid = run["metadata"]["uid"]
+        if uid not in self._resolved:
+            resolved = resolve({name: spec[name] for name in spec if name != "cancel"}, algorithm, dataset)
+            self._resolved[uid] = (resolved, spec_hash(resolved), Wanted.by(resolved, algorithm, dataset))
+        resolved, hashed, wanted = self._resolved[uid]
+        created = moment(run["metadata"].get("creationTimestamp")) or 0.0
+        job, attempted = self._newest(op, uid)
+        return RunFacts(
+            key=key,
+            body=run,
+            spec=resolved,
+            spec_hash=hashed,
+            algorithm=algorithm,
+            dataset=dataset,
+            wanted=wanted,
+            variant=variants.look(op, key.namespace, wanted, max(created, state.not_before)),
+            attempted=attempted,
+            job=job,
+        )
+
+    @staticmethod
+    def _newest(op: Operator, uid: str) -> tuple[dict[str, Any] | None, Attempted]:
+        jobs = [
+            job
+            for kind, job in op.store.owned(uid)
+            if kind is Kind.JOB and _label(job, Label.ROLE) == Role.RUN
+        ]
+        job = max(jobs, key=lambda found: int(_label(found, Label.ATTEMPT) or 0), default=None)
+        owned = op.store.owned(job["metadata"]["uid"]) if job else []
+        return job, observe_attempt(job, [pod for kind, pod in owned if kind is Kind.POD])
+
+    async def _lead(self, op: Operator, facts: RunFacts, state: RunState) -> float | None:
+        attempted = facts.attempted
+        if attempted.needs_read:
+            report, waits = await self._read(op, facts)
+            if waits:
+                return None
+            attempted = attempted.with_report(report)
+            facts = replace(facts, attempted=attempted)
+        now = op.clock()
+        patience = attempted.give_up_at(op.settings.image_pull_grace_seconds)
+        waits_for = [patience - now] if patience is not None and patience > now else []
+        if patience is not None and patience <= now:
+            attempted = attempted.given_up()
+            facts = replace(facts, attempted=attempted)
+        state = replace(state, attempts=max(state.attempts, attempted.number or 0))
+        fresh = attempted.state is AttemptState.NONE and state.not_before <= now
+        cancel = bool(facts.body["spec"].get("cancel"))
+        twin = await self._twins.find(op, facts) if fresh and not cancel else None
+        decision = decide_run(state, self._observed(facts, state, twin), now)
+        delay = await self._act(op, facts, decision)
+        if patience is not None and patience <= now and facts.job is not None:
+            await op.delete(key_of(Kind.JOB, facts.job))  # it would go on trying
+        starts = any(isinstance(action, Start) for action in decision.actions)
+        if not starts:
+            await self._record(op, facts, decision.state, twin)
+        if decision.look_again_at is not None:
+            waits_for.append(decision.look_again_at - now)
+        if delay is not None:
+            waits_for.append(delay)
+        return min(waits_for, default=None)
+
+    @staticmethod
+    def _observed(facts: RunFacts, state: RunState, twin: RunRecord | None) -> RunObserved:
+        """Return what the engine is to know."""
+        attempted, spec = facts.attempted, facts.spec
+        attempt, end, number = attempted.state, attempted.end, attempted.number
+        lost = attempt is AttemptState.NONE and state.phase is Phase.RUNNING
+        if lost and state.attempts > state.judged:
+            attempt, number = AttemptState.ENDED, state.attempts
+            end = AttemptEnd(reason=Reason.SYSTEM_FAULT, message="its Job was deleted by someone else")
+        return RunObserved(
+            retries=spec["retries"],
+            cancel=bool(facts.body["spec"].get("cancel")),
+            reusable=twin is not None,
+            variant=facts.variant.state,
+            variant_problem=facts.variant.problem,
+            attempt=attempt,
+            end=end,
+            number=number,
+            wants_evaluation=spec["evaluate"],
+        )
+
+    async def _act(self, op: Operator, facts: RunFacts, decision: Decision) -> float | None:
+        """Do what was decided; returns after how many seconds to try what cannot be done now."""
+        delay = None
+        for action in decision.actions:
+            match action:
+                case Prepare():
+                    delay = await variants.make(op, facts.key.namespace, facts.wanted, _needing(facts.body))
+                case Start(attempt):
+                    delay = await self._start(op, facts, attempt)
+                case Stop() if facts.job is not None:
+                    await op.delete(key_of(Kind.JOB, facts.job))
+                case _:  # evaluating follows from the finished status
+                    pass
+        if not decision.actions and decision.state.phase is Phase.PREPARING:
+            await variants.join(op, facts.key.namespace, facts.wanted, _needing(facts.body))
+        return delay
+
+    async def _start(self, op: Operator, facts: RunFacts, attempt: int) -> float | None:
+        description = facts.variant.description or {}
+        body = run_job(
+            run=facts.body,
+            spec=facts.spec,
+            algorithm=facts.algorithm,
+            configuration=configuration(facts.key.name, facts.spec, facts.dataset, description),
+            description=description,
+            attempt=attempt,
+            settings=op.settings,
+        )
+        try:
+            await op.create(Kind.JOB, body)
+        except AlreadyExists:
+            found = await op.refresh(key_of(Kind.JOB, body))
+            owners = (found["metadata"].get("ownerReferences") or ()) if found else ()
+            ours = facts.body["metadata"]["uid"] in {item["uid"] for item in owners}
+            if found is None or not ours or found["metadata"].get("deletionTimestamp"):
+                return _TAKEN_SECONDS  # a namesake's Job that is on its way out
+        except Forbidden as error:
+            if not error.is_quota:
+                raise
+            fresh = [condition("Scheduled", False, "QuotaExceeded", str(error))]
+            await self._write(op, facts.body, {}, fresh)
+            return _QUOTA_SECONDS
+        await variants.touch(
+            op, Key(Kind.DATASET, facts.key.namespace, facts.dataset.name), facts.wanted.name
+        )
+        return None
+
+    @staticmethod
+    async def _read(op: Operator, facts: RunFacts) -> tuple[Report | None, bool]:
+        """Have a Job read what the pod did not tell; returns the report and whether to wait for it."""
+        body = read_job(run=facts.body, pod_uid=facts.attempted.pod_uid or "", settings=op.settings)
+        key = key_of(Kind.JOB, body)
+        job = op.store.get(key)
+        if job is None:
+            try:
+                job = await op.create(Kind.JOB, body)
+            except AlreadyExists:
+                job = await op.refresh(key)
+        if job is None:
+            return None, True
+        pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
+        seen = observe_read(job, pods)
+        return seen.report, not seen.ended
+
+    async def _refuse(
+        self, op: Operator, run: dict[str, Any], state: RunState, reason: Reason, message: str
+    ) -> None:
+        after = decide_run(state, RunObserved(problem=(reason, message)), op.clock()).state
+        fresh = [
+            condition("Accepted", False, str(reason), message),
+            condition("Complete", True, str(reason), message),
+        ]
+        await self._write(op, run, state_fields(after) | {"completionTime": iso(op.clock())}, fresh)
+
+    async def _record(self, op: Operator, facts: RunFacts, state: RunState, twin: RunRecord | None) -> None:
+        attempted = facts.attempted
+        waits = attempted.waiting_reason is not None
+        if state.phase is Phase.RUNNING and attempted.started is None and not waits:
+            return  # nothing to tell yet; the Job says that it was created
+        fields = state_fields(state) | {"variant": facts.wanted.name}
+        fresh = [condition("Accepted", True, "Accepted"), *_scheduling(attempted, state)]
+        if state.phase is Phase.RUNNING and attempted.started is None:
+            fields |= {"phase": str(Phase.PENDING)}
+        elif state.phase is Phase.RUNNING:
+            fields["startTime"] = attempted.started
+        if state.phase.is_finished:
+            left, told = self._finished(op, facts, state, twin)
+            fields |= left
+            fresh += told
+        await self._write(op, facts.body, fields, fresh)
+        if state.phase.is_finished:
+            await self._after(op, facts)
+
+    def _finished(
+        self, op: Operator, facts: RunFacts, state: RunState, twin: RunRecord | None
+    ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """Return what is recorded of a run that has ended."""
+        attempted, now = facts.attempted, op.clock()
+        fresh = [condition("Complete", True, str(state.reason or state.phase), state.message or "")]
+        if twin is not None and state.phase is Phase.SUCCEEDED:
+            return twin_fields(twin), [
+                *fresh,
+                condition("Reused", True, "EqualRun", f"took {twin.name}'s result"),
+            ]
+        if attempted.state is not AttemptState.ENDED:
+            return {"completionTime": iso(now)}, fresh
+        image = image_digest(attempted.image_id) if attempted.image_id else None
+        hashed = self._twins.content_hash(facts, image)
+        fields = attempt_fields(facts.body["metadata"]["uid"], attempted, now)
+        fields["provenance"] = provenance(attempted, facts.variant.description, facts.spec_hash, hashed)
+        shown = op.usage.observed(attempted.pod_uid or "")
+        usage = attempted.report.usage if attempted.report else None
+        suspect = shown and usage_suspect(usage, shown.max_cores, shown.max_memory_bytes)
+        if suspect:
+            fresh.append(condition("UsageSuspect", True, "SourcesDisagree", suspect))
+        return fields, fresh
+
+    async def _after(self, op: Operator, facts: RunFacts) -> None:
+        run = op.store.get(facts.key)
+        if run is not None:
+            spec = run["spec"]
+            op.metrics.record_finished(
+                spec["algorithmRef"]["name"], spec["datasetRef"]["name"], run["status"]
+            )
+            if phase_of(run["status"]) is Phase.FAILED:
+                status = run["status"]
+                text = status.get("message") or ""
+                await op.api.event(Kind.MAPPING_RUN, run, "Warning", status.get("reason") or "Failed", text)
+            self._twins.learn(run)
+            self._evaluations.consider(op, run)
+        await self._note_image(op, facts)
+
+    @staticmethod
+    async def _write(
+        op: Operator, run: dict[str, Any], fields: dict[str, Any], fresh: list[dict[str, Any]]
+    ) -> None:
+        before = run["status"]
+        generation = run["metadata"].get("generation", 1)
+        conditions = merged(before.get("conditions") or (), fresh, generation, op.clock())
+        patch = changes(before, fields | {"conditions": conditions})
+        if not patch:
+            return
+        body = {"metadata": {"resourceVersion": run["metadata"]["resourceVersion"]}, "status": patch}
+        await op.patch(key_of(Kind.MAPPING_RUN, run), body, subresource="status")
+
+    @staticmethod
+    async def _note_image(op: Operator, facts: RunFacts) -> None:
+        """Keep what an Algorithm's tag means today, so that equal runs are known before they start."""
+        image = facts.attempted.image_id
+        key = Key(Kind.ALGORITHM, facts.key.namespace, facts.algorithm.name)
+        algorithm = op.store.get(key)
+        if not image or algorithm is None or algorithm["status"].get("imageID") == image:
+            return
+        await op.patch(key, {"status": {"imageID": image}}, subresource="status")
+
+
+def _label(obj: dict[str, Any], label: str) -> str | None:
+    value = (obj["metadata"].get("labels") or {}).get(label)
+    return str(value) if value is not None else None
+
+
+def _needing(run: dict[str, Any]) -> dict[str, Any]:
+    """Return the reference to what needs a run's variant: its Sweep, or itself."""
+    for owner in run["metadata"].get("ownerReferences") or ():
+        if owner.get("kind") == Kind.SWEEP:
+            return {key: value for key, value in owner.items() if key != "controller"}
+    return reference(Kind.MAPPING_RUN, run)
+
+
+def _scheduling(attempted: Attempted, state: RunState) -> list[dict[str, Any]]:
+    if attempted.waiting_reason is not None and not state.phase.is_finished:
+        return [condition("Scheduled", False, attempted.waiting_reason, attempted.waiting_message or "")]
+    if attempted.node is not None:
+        return [condition("Scheduled", True, "Scheduled")]
+    return []

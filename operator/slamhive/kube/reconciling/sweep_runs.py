@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a Sweep makes and counts: its MappingRuns, their slots, figures over those that are done. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from slamhive.engine import PointState
+from slamhive.kube.kinds import MANAGER, Key, Kind, Label, key_of, reference
+from slamhive.kube.status import phase_of
+from slamhive.model.crd_status import BEST_LENGTH
+from slamhive.model.results import Outcome, Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from slamhive.plan import Point
+
+OWN_PREFIX = "slamhive.io/"
+
+
+def run_body(sweep: dict[str, Any], point: Point, slot: int) -> dict[str, Any]:
+    """Return the MappingRun of a point.
+
+    Args:
+        sweep: the Sweep as the API holds it.
+        point: the point.
+        slot: number of its place among those in flight.
+    """
+    meta = sweep["metadata"]
+    given = (sweep["spec"].get("template") or {}).get("metadata") or {}
+    spec = {key: value for key, value in point.spec.items() if key != "cancel"}
+    labels = {
+        Label.MANAGED_BY: MANAGER,
+        Label.SWEEP: meta["name"],
+        Label.POINT: str(point.index),
+        Label.SLOT: str(slot),
+        Label.ALGORITHM: spec["algorithmRef"]["name"],
+        Label.DATASET: spec["datasetRef"]["name"],
+    }
+    return {
+        "apiVersion": Kind.MAPPING_RUN.api_version,
+        "kind": str(Kind.MAPPING_RUN),
+        "metadata": {
+            "name": point.name,
+            "namespace": meta["namespace"],
+            "labels": _passed(given.get("labels")) | {str(key): value for key, value in labels.items()},
+            "annotations": _passed(given.get("annotations")),
+            "ownerReferences": [reference(Kind.SWEEP, sweep, controller=True)],
+        },
+        "spec": spec,
+    }
+
+
+def point_of(run: Mapping[str, Any]) -> int | None:
+    """Return the index of the point that a MappingRun belongs to."""
+    text = (run["metadata"].get("labels") or {}).get(Label.POINT, "")
+    return int(text) if text.isdecimal() else None
+
+
+def state_of(run: Mapping[str, Any]) -> PointState:
+    """Return the state of a run's point."""
+    phase = phase_of(run.get("status") or {})
+    if phase is Phase.SUCCEEDED:
+        return PointState.SUCCEEDED
+    return PointState.FAILED if phase.is_finished else PointState.ACTIVE
+
+
+def slots_used(runs: Iterable[Mapping[str, Any]]) -> set[int]:
+    """Return the slots of runs in flight."""
+    texts = (
+        (run["metadata"].get("labels") or {}).get(Label.SLOT, "")
+        for run in runs
+        if state_of(run) is PointState.ACTIVE
+    )
+    return {int(text) for text in texts if text.isdecimal()}
+
+
+def free_slot(used: set[int]) -> int:
+    """Return the smallest slot that is free, and take it."""
+    slot = next(number for number in range(len(used) + 1) if number not in used)
+    used.add(slot)
+    return slot
+
+
+@dataclass
+class Tally:
+    """Figures over a Sweep's finished runs.
+
+    Attributes:
+        reused: runs that took an equal run's result.
+        evaluated: runs with a result.
+        cpu_seconds: CPU time of those that computed.
+        best: Tracked runs with the smallest errors.
+    """
+
+    reused: int = 0
+    evaluated: int = 0
+    cpu_seconds: float = 0.0
+    best: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, run: Mapping[str, Any]) -> None:
+        """Count a finished run."""
+        status = run.get("status") or {}
+        if (status.get("provenance") or {}).get("reusedFrom"):
+            self.reused += 1
+        else:
+            self.cpu_seconds += ((status.get("usage") or {}).get("cpu") or {}).get("seconds") or 0.0
+        results = status.get("results") or ()
+        if results:
+            self.evaluated += 1
+            entry = _best_entry(run, results[0])
+            if entry is not None:
+                self.best = best_of([*self.best, entry])
+
+
+def best_of(entries: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the entries with the smallest errors, each run once."""
+    by_name = {entry["name"]: entry for entry in entries}
+    return sorted(by_name.values(), key=lambda entry: (entry["ate"], entry["name"]))[:BEST_LENGTH]
+
+
+def is_settled(run: Mapping[str, Any]) -> bool:
+    """Tell whether nothing more will be written of a run: it has ended, and was measured if it can be."""
+    status = run.get("status") or {}
+    phase = phase_of(status)
+    if phase is not Phase.SUCCEEDED:
+        return phase.is_finished
+    wanted = run["spec"].get("evaluate", True) and status.get("trajectory")
+    told = any(item["type"] == "Evaluated" for item in status.get("conditions") or ())
+    return not wanted or bool(status.get("results")) or told
+
+
+def keys(runs: Iterable[Mapping[str, Any]]) -> list[Key]:
+    """Return the addresses of MappingRuns."""
+    return [key_of(Kind.MAPPING_RUN, dict(run)) for run in runs]
+
+
+def _best_entry(run: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any] | None:
+    error = (result.get("ate") or {}).get("rmse")
+    if result.get("outcome") != Outcome.TRACKED or not isinstance(error, int | float):
+        return None
+    entry: dict[str, Any] = {
+        "name": run["metadata"]["name"],
+        "index": point_of(run),
+        "ate": float(error),
+        "coverage": result.get("coverage"),
+        "algorithm": run["spec"]["algorithmRef"]["name"],
+        "dataset": run["spec"]["datasetRef"]["name"],
+    }
+    return {key: value for key, value in entry.items() if value is not None}
+
+
+def _passed(given: Mapping[str, str] | None) -> dict[str, str]:
+    """Return labels or annotations of a template without those that are ours to set."""
+    return {key: value for key, value in (given or {}).items() if not key.startswith(OWN_PREFIX)}

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Statuses as the API holds them: times, conditions, and what the engine remembers of a run. Pure."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+from slamhive.engine import RunState
+from slamhive.model.results import Phase, Reason, Result
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from slamhive.model.results import Usage
+
+_MESSAGE_LENGTH = 4096
+_RESULT_FIELDS = ("evaluation", "outcome", "coverage")
+
+
+def iso(moment: float) -> str:
+    """Return a moment in s since 1970 as the API writes times, to the microsecond."""
+    return datetime.fromtimestamp(moment, UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+def moment(text: object) -> float | None:
+    """Return a time of the API in s since 1970, or None where there is none."""
+    if not isinstance(text, str):
+        return None
+    try:
+        return datetime.fromisoformat(text).timestamp()
+    except ValueError:
+        return None
+
+
+def condition(kind: str, holds: bool | None, reason: str, message: str = "") -> dict[str, Any]:
+    """Return one aspect of a state, still without its times."""
+    word = "Unknown" if holds is None else str(holds)
+    return {"type": kind, "status": word, "reason": reason, "message": message[:_MESSAGE_LENGTH]}
+
+
+def merged(
+    before: Iterable[Mapping[str, Any]], fresh: Iterable[dict[str, Any]], generation: int, now: float
+) -> list[dict[str, Any]]:
+    """Return conditions with fresh ones taken in; a time changes only when its status does.
+
+    Args:
+        before: the conditions so far.
+        fresh: as ``condition`` makes them.
+        generation: generation of the object that they were found for.
+        now: s since 1970.
+    """
+    known = {str(item["type"]): dict(item) for item in before}
+    for item in fresh:
+        old = known.get(item["type"], {})
+        since = old.get("lastTransitionTime") if old.get("status") == item["status"] else None
+        known[item["type"]] = item | {
+            "lastTransitionTime": since or iso(now),
+            "observedGeneration": generation,
+        }
+    return list(known.values())
+
+
+def holds(status: Mapping[str, Any], kind: str) -> bool | None:
+    """Tell whether a condition holds; None when nothing is known of it."""
+    for item in status.get("conditions") or ():
+        if item.get("type") == kind:
+            return {"True": True, "False": False}.get(item.get("status", ""))
+    return None
+
+
+def run_state(status: Mapping[str, Any]) -> RunState:
+    """Return what a MappingRun's status remembers for the engine."""
+    reason = status.get("reason")
+    return RunState(
+        phase=phase_of(status),
+        reason=Reason(reason) if reason in set(Reason) else None,
+        message=status.get("message"),
+        attempts=status.get("attempts", 0),
+        faults=status.get("faults", 0),
+        judged=status.get("judged", 0),
+        not_before=moment(status.get("notBefore")) or 0.0,
+    )
+
+
+def phase_of(status: Mapping[str, Any]) -> Phase:
+    """Return a run's phase; one without a status is pending."""
+    return Phase(status.get("phase") or Phase.PENDING)
+
+
+def state_fields(state: RunState) -> dict[str, Any]:
+    """Return what is kept of the engine's state in a status; None removes a field."""
+    return {
+        "phase": str(state.phase),
+        "reason": str(state.reason) if state.reason else None,
+        "message": (state.message or "")[:_MESSAGE_LENGTH] or None,
+        "attempts": state.attempts,
+        "faults": state.faults or None,
+        "judged": state.judged or None,
+        "notBefore": iso(state.not_before) if state.not_before else None,
+    }
+
+
+def result_field(result: Result) -> dict[str, Any]:
+    """Return a result as an item of a MappingRun's ``status.results``."""
+    return result.values | {
+        key: value for key, value in result.as_json().items() if key in _RESULT_FIELDS and value is not None
+    }
+
+
+def result_of(field: Mapping[str, Any]) -> Result:
+    """Return the result that an item of ``status.results`` holds."""
+    values = {key: value for key, value in field.items() if key not in _RESULT_FIELDS}
+    return Result.model_validate({key: field.get(key) for key in _RESULT_FIELDS} | {"values": values})
+
+
+def display(usage: Usage | None, results: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Return the figures that kubectl prints of a run."""
+    shown: dict[str, str] = {}
+    first = next(iter(results), None)
+    error = (first or {}).get("ate") or {}
+    if isinstance(error.get("rmse"), int | float):
+        shown["ate"] = f"{error['rmse']:.4g} m"
+    if usage is not None and usage.cpu.mean_cores is not None:
+        shown["cpu"] = f"{usage.cpu.mean_cores:.2f}"
+    if usage is not None and usage.memory.peak_bytes is not None:
+        shown["memory"] = f"{usage.memory.peak_bytes / 2**20:.0f}Mi"
+    return shown
+
+
+def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the merge patch that turns the named fields of a status into what they shall be."""
+    return {key: value for key, value in after.items() if before.get(key) != value}
