@@ -28,6 +28,7 @@ import yaml
 from slamhive.engine import AttemptEnd
 from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
+from slamhive.local.playing import Player, judge
 from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
@@ -85,6 +86,7 @@ class Attempt:
         self.run = folder / "run"
         self.output = self.run / "output"
         self._process: subprocess.Popen[bytes] | None = None
+        self._player = Player(folder)
         self._stopping = False
 
     def finished(self, uid: str, content_hash: str) -> bool:
@@ -106,8 +108,11 @@ class Attempt:
         try:
             with suppress(ValueError):  # no record: nobody is named by it
                 end_orphans(self.folder / "process.json")
+            with suppress(ValueError):
+                end_orphans(self._player.record)
             self._lay_out(order)
-            spec = self._supervisor_spec(order)
+            variables = self._player.start(order)
+            spec = self._supervisor_spec(order, variables)
             spec_path = self.folder / "supervisor.json"
             spec_path.write_text(spec.to_json())
             ticket = {"uid": order.uid, "contentHash": order.content_hash}
@@ -121,17 +126,24 @@ class Attempt:
                     stderr=log,
                     start_new_session=True,
                 )
+            self._player.watch(self._end_program)
         except OSError as error:
+            self._player.stop()
             raise SystemFault(f"{self.folder}: {error.strerror or error}") from None
 
     def wait(self) -> None:
         """Wait until the program and all its descendants are gone."""
         if self._process is not None:
             self._process.wait()
+        self._player.stop()
+        self._player.wait()
 
     def stop(self) -> None:
         """Ask the supervisor to end the program; ``wait`` returns when it has."""
         self._stopping = True
+        self._end_program()
+
+    def _end_program(self) -> None:
         if self._process is not None and self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
 
@@ -145,7 +157,7 @@ class Attempt:
             return AttemptEnd(reason=Reason.SYSTEM_FAULT, message=lines or "the supervisor was killed")
         reason = summary.get("reason")
         problem, missing = self._trajectory_problem()
-        return AttemptEnd(
+        end = AttemptEnd(
             exit_code=summary.get("exitCode"),
             signal=summary.get("signal"),
             reason=Reason(reason) if reason in set(Reason) else None,
@@ -153,6 +165,7 @@ class Attempt:
             trajectory_problem=problem,
             trajectory_missing=missing,
         )
+        return end if self._stopping else judge(end, self._player.played())
 
     def collect(self) -> None:
         """Put the usage samples beside the trajectory."""
@@ -250,13 +263,13 @@ class Attempt:
         config.write_text(text)
         config.chmod(stat.S_IRUSR | stat.S_IRGRP | stat.S_IROTH)
 
-    def _supervisor_spec(self, order: AttemptOrder) -> SupervisorSpec:
+    def _supervisor_spec(self, order: AttemptOrder, variables: Mapping[str, str]) -> SupervisorSpec:
         program = order.entry.algorithm.spec.local
         adapter = order.entry.folder / (program.adapter if program else "adapter.py")
         return SupervisorSpec(
             argv=(str(order.environment.python), str(adapter)),
             cwd=str(self.run),
-            env=self._variables(order),
+            env=self._variables(order) | dict(variables),
             log_path=str(self.folder / "log.txt"),
             usage_path=str(self.folder / "usage.csv"),
             summary_path=str(self.folder / "summary.json"),
@@ -294,7 +307,7 @@ def end_left_behind(runs: Path) -> None:
 
     An attempt whose supervisor wrote its summary left nothing. Only the home's one runner may call this.
     """
-    for record in runs.glob("*/*/process.json"):
+    for record in (*runs.glob("*/*/process.json"), *runs.glob("*/*/player/process.json")):
         if not record.with_name("summary.json").exists():
             with suppress(ValueError, OSError):  # an algorithm may have spoilt it: it names nobody
                 end_orphans(record)

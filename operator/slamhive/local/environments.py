@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
 from slamhive.model.errors import SlamHiveError, SystemFault
+from slamhive.playback.ros import find_ros, what_it_takes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,8 +66,8 @@ class Environments:
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return what tells apart environments and adapters: equal digests run the same program."""
         program = _program(entry)
-        python = interpreter(program)
-        parts = [f"{python.version[0]}.{python.version[1]}", platform.machine()]
+        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        parts = [f"{python.version[0]}.{python.version[1]}", platform.machine(), *python.beside]
         parts.extend(_sha256(entry.folder / name) for name in (program.requirements, program.adapter))
         # What the adapter may import: its own folder, and the helpers that adapters share.
         parts.extend(_sha256(path) for path in sorted(entry.folder.glob("*.py")))
@@ -86,10 +87,10 @@ class Environments:
             SystemFault: the packages can't be installed right now.
         """
         program = _program(entry)
-        python = interpreter(program)
+        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
         requirements = entry.folder / program.requirements
         key = hashlib.sha256(
-            f"{python.path}\n{python.version}\n{_sha256(requirements)}".encode()
+            "\n".join([python.path, str(python.version), _sha256(requirements), *python.beside]).encode()
         ).hexdigest()[:16]
         path = self._folder / key
         if not (path / _MARKER).exists():
@@ -105,7 +106,9 @@ class Environments:
     def _make(self, name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
         self._notify(f"making the environment of {name} (once)")
         shutil.rmtree(path, ignore_errors=True)
-        _command([python.path, "-m", "venv", str(path)], f"environment of {name}", requirements.parent, held)
+        seeing = ["--system-site-packages"] if python.beside else []
+        make = [python.path, "-m", "venv", *seeing, str(path)]
+        _command(make, f"environment of {name}", requirements.parent, held)
         pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
         install = [*pip, "install", "--quiet", "-r", str(requirements)]
         _command(install, f"packages of {name}", requirements.parent, held)
@@ -114,23 +117,34 @@ class Environments:
 
 @dataclass(frozen=True)
 class Interpreter:
-    """A Python interpreter on this machine."""
+    """A Python interpreter on this machine.
+
+    Attributes:
+        path: Where it is.
+        version: Its version.
+        beside: What an algorithm takes of the machine beside its own packages: ROS.
+    """
 
     path: str
     version: tuple[int, int]
+    beside: tuple[str, ...] = ()
 
 
 def availability(entry: AlgorithmEntry) -> str | None:
     """Say why an algorithm can't run on this machine as far as can be told without installing it."""
     try:
-        interpreter(_program(entry))
+        interpreter(_program(entry), ros=entry.algorithm.spec.ros1 is not None)
     except Unavailable as error:
         return str(error)
     return None
 
 
-def interpreter(program: LocalProgram) -> Interpreter:
+def interpreter(program: LocalProgram, *, ros: bool = False) -> Interpreter:
     """Return an interpreter that an algorithm has packages for.
+
+    Args:
+        program: The algorithm's program.
+        ros: Whether it must be the one that this machine's ROS 1 is for.
 
     Raises:
         Unavailable: there is none, or not for this machine.
@@ -138,6 +152,8 @@ def interpreter(program: LocalProgram) -> Interpreter:
     machine = platform.machine()
     if program.machines and machine not in program.machines:
         raise Unavailable(f"has no packages for {machine}, only for {', '.join(program.machines)}")
+    if ros:
+        return _of_ros(program)
     own = Interpreter(getattr(sys, "_base_executable", None) or sys.executable, sys.version_info[:2])
     if _accepts(program.python, own.version):
         return own
@@ -149,6 +165,16 @@ def interpreter(program: LocalProgram) -> Interpreter:
         f"needs Python {program.python}, here is {own.version[0]}.{own.version[1]}; "
         "install another python3.x with its venv module and it will be found on the PATH"
     )
+
+
+def _of_ros(program: LocalProgram) -> Interpreter:
+    found = find_ros()
+    if found is None:
+        raise Unavailable(what_it_takes())
+    if not _accepts(program.python, found.version):
+        version = ".".join(map(str, found.version))
+        raise Unavailable(f"needs Python {program.python}, and ROS 1 is here for Python {version}")
+    return Interpreter(found.python, found.version, (f"ros1 {found.release}",))
 
 
 @cache

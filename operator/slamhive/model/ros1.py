@@ -51,8 +51,8 @@ class Ros1(Model):
     poses: Ros1Poses = Field(description="Where its poses come from.")
     topics: dict[str, RosTopic] = Field(
         default_factory=dict,
-        description="Topic on which it takes a role's messages, such as lidar: /velodyne_points; default: the "
-        "recording's own, as config.yaml names it.",
+        description="Topic on which it takes a role's messages, such as lidar: /velodyne_points; default: "
+        "the recording's own, as config.yaml names it.",
     )
     ready: Duration = Field(
         default="2m", description="Time that it may take to subscribe to its sensors' topics."

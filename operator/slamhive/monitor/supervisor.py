@@ -25,6 +25,7 @@ from slamhive.monitor.log import BoundedLog
 from slamhive.monitor.metrics import read_metrics, reader_report
 from slamhive.monitor.orphans import TOKEN, ProcessRecord, write_atomically
 from slamhive.monitor.outcome import Ending, Stop, judge, out_of_memory, output_too_large
+from slamhive.monitor.playing import played_mean_cores
 from slamhive.monitor.proc import ProcSource
 from slamhive.monitor.processes import (
     ProcessIdentity,
@@ -133,6 +134,9 @@ class Supervisor:
         finished, left = self._finish()
         usage = self._usage(finished, throttled)
         self._close_files()
+        played = played_mean_cores(spec.output_directory, spec.usage_path, started_at)
+        if played is not None:
+            usage = replace(usage, cpu=replace(usage.cpu, mean_cores=played))
         tail = self._log.tail()
         ending = Ending(
             status=self._status,

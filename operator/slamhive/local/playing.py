@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The player beside an attempt on a workstation: a program of its own, under a supervisor of its own.
+
+::
+
+    RUN/player/            its files: request, log, supervision, what ROS writes
+    RUN/run/output/        where it puts the poses that it heard
+
+What it costs is none of the algorithm's: it is in another process tree and cgroup, and on other processors
+where there are any.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import slamhive
+from slamhive.model.errors import SystemFault
+from slamhive.model.results import Reason
+from slamhive.monitor import SupervisorSpec
+from slamhive.playback.building import play_request
+from slamhive.playback.outcome import Played, read_report
+from slamhive.playback.protocol import MASTER_FILE, READY_FILE, VARIABLE, ros_variables
+from slamhive.playback.ros import find_ros, what_it_takes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from slamhive.engine import AttemptEnd
+    from slamhive.local.attempt import AttemptOrder
+    from slamhive.playback.protocol import PlayRequest
+    from slamhive.playback.ros import Ros
+
+_READY_SECONDS = 60.0
+_LOOK_SECONDS = 0.02
+_MEMORY_LIMIT = 4 * 2**30
+
+
+class Player:
+    """The player of one attempt.
+
+    Args:
+        folder: The attempt's folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / "player"
+        self._run = folder / "run"
+        self._process: subprocess.Popen[bytes] | None = None
+        self._stopping = False
+
+    @property
+    def record(self) -> Path:
+        """Where its supervisor says who runs."""
+        return self._folder / "process.json"
+
+    def start(self, order: AttemptOrder) -> dict[str, str]:
+        """Start the player, if the attempt needs one, and wait until a node may be started.
+
+        Returns:
+            Variables by which the algorithm finds it.
+
+        Raises:
+            SystemFault: It can't be started.
+        """
+        request = play_request(
+            order.entry.algorithm.spec,
+            order.configuration,
+            run=str(self._run),
+            folder=str(self._folder),
+            mark=f"SLAMHIVE_RUN={self._run}",
+        )
+        if request is None:
+            return {}
+        ros = find_ros()
+        if ros is None:
+            raise SystemFault(f"the player {what_it_takes()}")
+        self._lay_out(request)
+        path = self._folder / "supervisor.json"
+        path.write_text(self._supervisor_spec(ros).to_json())
+        with (self._folder / "supervisor.log").open("wb") as log, _elsewhere(order.cpus):
+            self._process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "slamhive.monitor",
+                    "--spec",
+                    str(self._folder / "supervisor.json"),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=log,
+                start_new_session=True,
+            )
+        self._wait_until_ready()
+        return _variables(ros, self._master(), self._folder)
+
+    def watch(self, end: Callable[[], None]) -> None:
+        """Call a function if the player ends before it was asked to: nobody else would end the algorithm."""
+        process = self._process
+        if process is None:
+            return
+
+        def look() -> None:
+            process.wait()
+            played = self.played()
+            if not self._stopping and not (played and played.completed):
+                end()
+
+        threading.Thread(target=look, name="player", daemon=True).start()
+
+    def stop(self) -> None:
+        """Ask it to end, as the algorithm has."""
+        self._stopping = True
+        if self._process is not None and self._process.poll() is None:
+            self._process.send_signal(signal.SIGTERM)
+
+    def wait(self) -> None:
+        """Wait until it is gone."""
+        if self._process is not None:
+            self._process.wait()
+
+    def played(self) -> Played | None:
+        """Return how playing ended, None where nothing was to be played."""
+        if not self._folder.is_dir():
+            return None
+        report = read_report(self._run / "output")
+        if report is not None:
+            return report
+        return Played(False, "SystemFault", self._last_line())
+
+    def _lay_out(self, request: PlayRequest) -> None:
+        for name in ("home", "tmp", "code"):
+            (self._folder / name).mkdir(parents=True)
+        # Of all that our interpreter has, the player's gets slamhive alone: it is another Python.
+        (self._folder / "code" / "slamhive").symlink_to(Path(slamhive.__file__).parent)
+        (self._folder / "request.json").write_text(request.to_json())
+
+    def _supervisor_spec(self, ros: Ros) -> SupervisorSpec:
+        folder = self._folder
+        return SupervisorSpec(
+            argv=(ros.python, "-P", "-m", "slamhive.playback.player"),
+            cwd=str(folder),
+            env={
+                **dict(ros.variables),
+                "PATH": os.environ.get("PATH", os.defpath),
+                "HOME": str(folder / "home"),
+                "TMPDIR": str(folder / "tmp"),
+                "LANG": "C.UTF-8",
+                "PYTHONPATH": os.pathsep.join([str(folder / "code"), *ros.paths]),
+                "PYTHONNOUSERSITE": "1",
+                "PYTHONDONTWRITEBYTECODE": "1",
+                VARIABLE: str(folder / "request.json"),
+            },
+            log_path=str(folder / "log.txt"),
+            usage_path=str(folder / "usage.csv"),
+            summary_path=str(folder / "summary.json"),
+            process_path=str(self.record),
+            memory_limit_bytes=_MEMORY_LIMIT,
+            parent_pid=os.getpid(),
+        )
+
+    def _wait_until_ready(self) -> None:
+        deadline = time.monotonic() + _READY_SECONDS
+        while not (self._folder / READY_FILE).exists():
+            process = self._process
+            if process is None or process.poll() is not None or time.monotonic() > deadline:
+                self.stop()
+                self.wait()
+                raise SystemFault(f"the player doesn't start: {self._last_line()}")
+            time.sleep(_LOOK_SECONDS)
+
+    def _master(self) -> str:
+        return str(json.loads((self._folder / MASTER_FILE).read_text())["uri"])
+
+    def _last_line(self) -> str:
+        for name in ("log.txt", "supervisor.log"):
+            with suppress(OSError):
+                text = (self._folder / name).read_text(encoding="utf-8", errors="replace")
+                lines = [line.strip() for line in text.splitlines() if line.strip()]
+                if lines:
+                    return lines[-1]
+        return "the player was killed"
+
+
+def judge(end: AttemptEnd, played: Played | None) -> AttemptEnd:
+    """Return how an attempt ended in the light of how playing did.
+
+    Args:
+        end: As its supervisor says.
+        played: As the player says, None where nothing was to be played.
+    """
+    if played is None or end.reason not in {None, Reason.ALGORITHM_FAILED, Reason.CANCELLED}:
+        return end
+    if played.completed:
+        return replace(end, exit_code=0, signal=None, reason=None, message=None)
+    if played.reason is not None:
+        return replace(end, reason=Reason(played.reason), message=played.message)
+    if end.reason is Reason.CANCELLED:
+        return replace(end, reason=Reason.SYSTEM_FAULT, message="the player was killed")
+    return end
+
+
+def _variables(ros: Ros, master: str, folder: Path) -> dict[str, str]:
+    return dict(ros.variables) | ros_variables(master, str(folder.parent / "home" / ".ros"))
+
+
+class _elsewhere:  # noqa: N801 - reads as a statement
+    """Lets what this thread starts run on all processors but some, if there are others."""
+
+    def __init__(self, cpus: tuple[int, ...]) -> None:
+        self._cpus = cpus
+
+    def __enter__(self) -> None:
+        self._before = os.sched_getaffinity(0)
+        everything = os.sched_getaffinity(os.getpid())
+        os.sched_setaffinity(0, everything.difference(self._cpus) or everything)
+
+    def __exit__(self, *_: object) -> None:
+        os.sched_setaffinity(0, self._before)

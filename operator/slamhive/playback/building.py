@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a run's configuration and its Algorithm to what the player is asked to do."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from slamhive.model.algorithm import Poses, PoseStamp
+from slamhive.model.base import seconds
+from slamhive.model.sensors import SensorType, Stamp
+from slamhive.playback.protocol import FrameSource, PlayRequest, PoseSource
+
+if TYPE_CHECKING:
+    from slamhive.model.algorithm import AlgorithmSpec, Output
+    from slamhive.model.configuration import RunConfiguration, SensorView
+    from slamhive.model.ros1 import Ros1
+
+_WHEN = {
+    Stamp.SCAN_START: 0.0,
+    Stamp.SCAN_MID: 0.5,
+    Stamp.SCAN_END: 1.0,
+}
+_POSE_WHEN = {
+    PoseStamp.SCAN_START: 0.0,
+    PoseStamp.SCAN_MID: 0.5,
+    PoseStamp.SCAN_END: 1.0,
+}
+_USUAL_RATE = 10.0
+
+
+def play_request(
+    algorithm: AlgorithmSpec,
+    configuration: RunConfiguration,
+    *,
+    run: str,
+    folder: str,
+    mark: str,
+    port: int = 0,
+    stay: bool = False,
+) -> PlayRequest | None:
+    """Return what the player does for a run, None where the algorithm needs none.
+
+    Args:
+        algorithm: The run's Algorithm.
+        configuration: The run's configuration.
+        run: The run folder as the player sees it.
+        folder: A folder of the player's own.
+        mark: NAME=VALUE that the algorithm's processes, and no others, have in their environment.
+        port: Of the ROS master; 0 for any that is free.
+        stay: Whether the player stays, when all is done, until asked to go.
+    """
+    ros = algorithm.plays(configuration.input.pace)
+    if ros is None:
+        return None
+    mode = algorithm.mode(configuration.mode)
+    first = configuration.sensors[mode.needs[0]]
+    topics = {view.topic: ros.topics.get(role, view.topic) for role, view in configuration.sensors.items()}
+    output = algorithm.output_of(mode)
+    return PlayRequest(
+        recording=f"{run}/{configuration.dataset.recording.path}",
+        output=f"{run}/output",
+        folder=folder,
+        algorithm=mark,
+        topics=topics,
+        remap=_calibrations(configuration, ros),
+        poses=PoseSource(
+            topic=ros.poses.topic, type=ros.poses.type, parent=ros.poses.parent, frame=ros.poses.frame
+        ),
+        frames=FrameSource(
+            topic=topics[first.topic],
+            period=1.0 / (first.rate or _USUAL_RATE),
+            match=_match(first, output),
+            time_offset=first.time_offset,
+            every=output.poses is Poses.FRAMES,
+        ),
+        rate=configuration.input.rate,
+        data_seconds=configuration.dataset.duration_seconds,
+        port=port,
+        ready_seconds=seconds(ros.ready),
+        settle_seconds=seconds(ros.settle),
+        end_seconds=seconds(ros.end),
+        stay=stay,
+    )
+
+
+def _calibrations(configuration: RunConfiguration, ros: Ros1) -> dict[str, str]:
+    """Return how the camera_info beside each camera's topic is renamed with it."""
+    renamed = {}
+    for role, view in configuration.sensors.items():
+        new = ros.topics.get(role, view.topic)
+        if view.type in {SensorType.CAMERA, SensorType.DEPTH_CAMERA} and new != view.topic:
+            renamed[_sibling(view.topic)] = _sibling(new)
+    return renamed
+
+
+def _sibling(topic: str) -> str:
+    return f"{topic.rpartition('/')[0]}/camera_info"
+
+
+def _match(sensor: SensorView, output: Output) -> str:
+    """Return which frame a pose belongs to: poses may be stamped with another instant of a scan."""
+    frame = _WHEN.get(sensor.stamp) if sensor.type is SensorType.LIDAR else None
+    pose = _POSE_WHEN.get(output.stamp)
+    if frame is None or pose is None or frame == pose:
+        return "At"
+    return "After" if pose > frame else "Before"

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses out of ROS messages, which are taken as they are: any object with their fields will do."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from slamhive.playback.protocol import PoseSource
+
+NANOSECONDS = 1_000_000_000
+
+
+class Pose(NamedTuple):
+    """A pose.
+
+    Attributes:
+        stamp: Of its header, ns.
+        position: x, y, z in m.
+        rotation: Unit quaternion x, y, z, w.
+    """
+
+    stamp: int
+    position: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+
+    @property
+    def is_sound(self) -> bool:
+        """Tell whether it is a pose at all: finite, with a rotation that can be normalised."""
+        norm = math.hypot(*self.rotation)
+        return all(map(math.isfinite, self.position)) and math.isfinite(norm) and norm > 1e-6
+
+    def line(self, offset: int = 0) -> str:
+        """Return it as a line in the TUM format, its stamp moved by an offset in ns."""
+        seconds, rest = divmod(self.stamp + offset, NANOSECONDS)
+        norm = math.hypot(*self.rotation)
+        numbers = (*self.position, *(value / norm for value in self.rotation))
+        return f"{seconds}.{rest:09d} " + " ".join(f"{value:.9f}" for value in numbers) + "\n"
+
+
+def reader(source: PoseSource) -> Callable[[Any], Iterator[Pose]]:
+    """Return what takes the poses out of a source's messages; of a Path all of them, the newest last."""
+    if source.type == "TF":
+        return Chain(source.parent or "", source.frame or "").take
+    return {
+        "PoseStamped": lambda message: iter([_pose(message.header, message.pose)]),
+        "PoseWithCovarianceStamped": lambda message: iter([_pose(message.header, message.pose.pose)]),
+        "Odometry": lambda message: iter([_pose(message.header, message.pose.pose)]),
+        "Path": lambda message: (_pose(item.header, item.pose) for item in message.poses),
+    }[source.type]
+
+
+def _pose(header: Any, pose: Any) -> Pose:
+    return _of(header, pose.position, pose.orientation)
+
+
+def _of(header: Any, position: Any, rotation: Any) -> Pose:
+    stamp = header.stamp.secs * NANOSECONDS + header.stamp.nsecs
+    return Pose(stamp, (position.x, position.y, position.z), (rotation.x, rotation.y, rotation.z, rotation.w))
+
+
+class Chain:
+    """The pose of one frame in another by the transforms of /tf and /tf_static, as they stand at the moment.
+
+    A pose comes with each message that moves the chain. Transforms that weren't in the message are taken as
+    they were last heard, and the stamp is that of the newest.
+
+    Args:
+        parent: The frame of the world.
+        frame: The frame whose pose is taken.
+    """
+
+    def __init__(self, parent: str, frame: str) -> None:
+        self._parent, self._frame = parent.strip("/"), frame.strip("/")
+        self._edges: dict[str, tuple[str, Pose]] = {}
+
+    def take(self, message: Any) -> Iterator[Pose]:
+        """Take a TFMessage and yield the pose that it gives, if it gives one."""
+        moved = set()
+        for item in message.transforms:
+            child = item.child_frame_id.strip("/")
+            transform = item.transform
+            edge = _of(item.header, transform.translation, transform.rotation)
+            self._edges[child] = (item.header.frame_id.strip("/"), edge)
+            moved.add(child)
+        steps = self._steps()
+        if not steps or moved.isdisjoint(child for child, _ in steps):
+            return
+        result = steps[0][1]
+        for _, edge in list(steps)[1:]:
+            result = compose(result, edge)
+        yield result
+
+    def _steps(self) -> deque[tuple[str, Pose]]:
+        steps: deque[tuple[str, Pose]] = deque()
+        at = self._frame
+        while at != self._parent:
+            if at not in self._edges or len(steps) > len(self._edges):
+                return deque()
+            above, edge = self._edges[at]
+            steps.appendleft((at, edge))
+            at = above
+        return steps
+
+
+def compose(first: Pose, second: Pose) -> Pose:
+    """Return one pose in the frame of another: the product of both transforms, the newer stamp."""
+    x, y, z, w = first.rotation
+    a, b, c, d = second.rotation
+    rotation = (
+        w * a + x * d + y * c - z * b,
+        w * b - x * c + y * d + z * a,
+        w * c + x * b - y * a + z * d,
+        w * d - x * a - y * b - z * c,
+    )
+    px, py, pz = second.position
+    # v + 2 w (q × v) + 2 q × (q × v)
+    tx, ty, tz = 2 * (y * pz - z * py), 2 * (z * px - x * pz), 2 * (x * py - y * px)
+    moved = (
+        px + w * tx + y * tz - z * ty,
+        py + w * ty + z * tx - x * tz,
+        pz + w * tz + x * ty - y * tx,
+    )
+    u, v, s = first.position
+    position = (u + moved[0], v + moved[1], s + moved[2])
+    return Pose(max(first.stamp, second.stamp), position, rotation)

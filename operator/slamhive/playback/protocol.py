@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the player is asked to do, and the files by which it tells how it went. Standard library alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Any, Self
+
+VARIABLE = "SLAMHIVE_PLAYER"
+"""Variable that holds a request, or the path of a file with one."""
+
+MASTER_FILE, READY_FILE = "master.json", "ready"
+"""In the player's folder: where the ROS master answers; written when a node may be started."""
+
+LOOPBACK = "127.0.0.1"
+"""Nodes answer there alone, so that nothing outside the machine, or the pod, reaches them."""
+
+REPORT_FILE = "playback.json"
+"""In the output folder: how far playing has come, and what went wrong."""
+
+
+@dataclass(frozen=True)
+class PoseSource:
+    """Where poses come from.
+
+    Attributes:
+        topic: The topic.
+        type: PoseStamped, PoseWithCovarianceStamped, Odometry, Path or TF.
+        parent: Of TF: the frame of the world.
+        frame: Of TF: the frame whose pose is taken.
+    """
+
+    topic: str
+    type: str
+    parent: str | None = None
+    frame: str | None = None
+
+
+@dataclass(frozen=True)
+class FrameSource:
+    """The messages that count as frames, for latency and drops.
+
+    Attributes:
+        topic: The topic as the algorithm takes it.
+        period: Time between two of them, s.
+        match: Which frame a pose belongs to. At: the one of its stamp. After: its stamp lies after the
+            frame's, as that of a scan's end does; Before: the other way round.
+        time_offset: To add to header stamps to get sensor time, s.
+        every: Whether each frame is to have a pose, so that one without has been dropped.
+    """
+
+    topic: str
+    period: float
+    match: str = "At"
+    time_offset: float = 0.0
+    every: bool = True
+
+
+@dataclass(frozen=True)
+class PlayRequest:
+    """What to play to whom.
+
+    Attributes:
+        recording: Path of the bag.
+        output: The run's output folder.
+        folder: A folder of the player's own.
+        algorithm: NAME=VALUE that the algorithm's processes, and no others, have in their environment.
+        topics: The topics of sensors, by their name in the bag: the name under which they are played. The
+            node must take all of these before the recording is played.
+        remap: More topics to rename, such as a camera's calibration.
+        poses: Where poses come from.
+        frames: What counts as a frame.
+        rate: Speed of playing.
+        data_seconds: Length of the recording.
+        port: Of the ROS master; 0 for any that is free.
+        ready_seconds: How long the node may take to be ready.
+        settle_seconds: How long without a pose means that it is done.
+        end_seconds: How long it may take to end when asked.
+        stay: Whether to stay, when all is done, until asked to go.
+    """
+
+    recording: str
+    output: str
+    folder: str
+    algorithm: str
+    topics: dict[str, str]
+    poses: PoseSource
+    frames: FrameSource
+    remap: dict[str, str] = field(default_factory=dict)
+    rate: float = 1.0
+    data_seconds: float | None = None
+    port: int = 0
+    ready_seconds: float = 120.0
+    settle_seconds: float = 2.0
+    end_seconds: float = 30.0
+    stay: bool = False
+
+    def to_json(self) -> str:
+        """Return the request as JSON."""
+        return json.dumps(asdict(self), separators=(",", ":"))
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Read a request.
+
+        Raises:
+            ValueError: It is none.
+        """
+        try:
+            values: dict[str, Any] = json.loads(text)
+            parts = {"poses": PoseSource(**values["poses"]), "frames": FrameSource(**values["frames"])}
+            return cls(**{**values, **parts})
+        except (TypeError, KeyError) as error:
+            raise ValueError(f"no request for the player: {error}") from None
+
+
+class PlayError(Exception):
+    """Playing failed; the message is the sentence that the run ends with.
+
+    Args:
+        message: What went wrong.
+        reason: AlgorithmFailed if the node is to blame, SystemFault if the machine is.
+    """
+
+    def __init__(self, message: str, reason: str = "SystemFault") -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+def ros_variables(uri: str, folder: str) -> dict[str, str]:
+    """Return the variables with which a node finds the master, and nobody else finds the node."""
+    return {
+        "ROS_MASTER_URI": uri,
+        "ROS_IP": LOOPBACK,
+        "ROS_HOSTNAME": LOOPBACK,
+        "ROS_HOME": folder,
+        "ROS_LOG_DIR": f"{folder}/log",
+    }
