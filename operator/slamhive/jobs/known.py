@@ -103,9 +103,9 @@ def api_lister(namespace: str, kubeconfig: str | None = None) -> Lister:
 
     try:
         if kubeconfig:
-            config.load_kube_config(kubeconfig)
+            config.load_kube_config(kubeconfig)  # type: ignore[no-untyped-call]
         else:
-            config.load_incluster_config()
+            config.load_incluster_config()  # type: ignore[no-untyped-call]
     except config.ConfigException as error:
         raise SystemFault(f"the API can't be reached: {error}") from None
     api = client.CustomObjectsApi()
