@@ -59,7 +59,7 @@ class Kind:
         del node, owner
         if problems := missing():
             raise ClusterError("\n".join(problems))
-        with locked(self.cluster):
+        with locked("instances"):
             if not self.alive():
                 self._kind(
                     *("create", "cluster", "--name", self.cluster, "--config", str(CONFIG)),
@@ -69,7 +69,7 @@ class Kind:
 
     def down(self) -> None:
         """End it."""
-        with locked(self.cluster):
+        with locked("instances"):
             self._kind("delete", "cluster", "--name", self.cluster, "--kubeconfig", str(self.kubeconfig))
             self.kubeconfig.unlink(missing_ok=True)
 

@@ -110,7 +110,7 @@ class Local:
         if problems := missing.missing():
             raise ClusterError("\n".join(problems))
         build(CONTROL_PLANE + (NODE if node else ()))
-        with locked(self.instance.name):
+        with locked("instances"):
             begun = self.alive()
             try:
                 if not begun:
@@ -127,7 +127,7 @@ class Local:
 
     def down(self) -> None:
         """End the cluster and leave nothing of it; also what a killed `up` or `down` left."""
-        with locked(self.instance.name):
+        with locked("instances"):
             folder = self.instance.folder
             addresses = self.instance.addresses() if (folder / "number").exists() else None
             with contextlib.suppress(ClusterError):
@@ -174,14 +174,14 @@ class Local:
             raise ClusterError(
                 f"{folder}: too long for the sockets in it; set SLAMHIVE_CLUSTER_HOME to a shorter path"
             )
-        with locked("addresses"):
-            addresses = self._number()
+        addresses = self._number()
         (folder / "log").mkdir()
         pki.make(self.instance)
         descriptors = () if owner is None else (owner,)
         with (folder / "log" / "init.log").open("wb") as log:
-            subprocess.Popen(
+            subprocess.run(
                 [
+                    *("setsid", "--fork"),
                     *("unshare", "--net", "--mount", "--pid", "--fork", "--kill-child=KILL"),
                     *(sys.executable, str(Path(init.__file__).resolve()), str(folder), addresses.cgroup),
                     *map(str, descriptors),
@@ -190,8 +190,8 @@ class Local:
                 stdout=log,
                 stderr=log,
                 pass_fds=descriptors,
-                start_new_session=True,
                 cwd="/",
+                check=True,
             )
         with self._explained("init"):
             until(self.alive, "the cluster's first process", 20, 0.02)
