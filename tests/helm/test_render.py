@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is rendered for several files of values: kept whole, and what has to hold for all of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+HERE = Path(__file__).parent
+CHARTS = HERE.parents[1] / "helm"
+LICENCE = "# SPDX-License-Identifier: Apache-2.0\n"
+CLUSTER_SCOPED = {"PersistentVolume"}
+OF_WORKSPACES = {
+    "ServiceAccount",
+    "Role",
+    "RoleBinding",
+    "PersistentVolumeClaim",
+    "NetworkPolicy",
+    "CronJob",
+    "PodDisruptionBudget",
+}
+
+
+def test_renders_are_what_they_were(
+    variety: str, rendered: list[dict[str, Any]], kept: Callable[[Path, str], None]
+) -> None:
+    shown = [_without_files(one) for one in rendered]
+    kept(HERE / "golden" / f"{variety}.yaml", LICENCE + yaml.safe_dump_all(shown, sort_keys=True, width=110))
+
+
+def _without_files(one: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what is a file of its own, tested elsewhere."""
+    if one["metadata"]["name"].endswith("-grafana"):
+        one = one | {"data": dict.fromkeys(one["data"], "…")}
+    if one["kind"] == "Pod":
+        container = one["spec"]["containers"][0] | {"args": ["…"]}
+        one = one | {"spec": one["spec"] | {"containers": [container]}}
+    return one
+
+
+def test_every_object_is_told_apart(rendered: list[dict[str, Any]]) -> None:
+    names = Counter((o["kind"], o["metadata"].get("namespace"), o["metadata"]["name"]) for o in rendered)
+    assert [name for name, times in names.items() if times > 1] == []
+
+
+def test_objects_are_in_their_namespaces_and_labelled(variety: str, rendered: list[dict[str, Any]]) -> None:
+    workspaces = {"students", "guests"} if variety == "team" else set()
+    for one in rendered:
+        namespace = one["metadata"].get("namespace")
+        if one["kind"] in CLUSTER_SCOPED:
+            assert namespace is None
+        else:
+            assert namespace in {"lab", *workspaces}
+        if namespace in workspaces:
+            assert one["kind"] in OF_WORKSPACES
+        labels = one["metadata"]["labels"]
+        assert labels["app.kubernetes.io/instance"] == "slamhive"
+        assert labels["app.kubernetes.io/component"]
+        assert labels.get("team") == ("robotics" if variety == "team" else None)
+    assert {one["metadata"]["namespace"] for one in rendered if "namespace" in one["metadata"]} == {
+        "lab",
+        *workspaces,
+    }
+
+
+@pytest.mark.parametrize("name", ["team"])
+def test_each_workspace_has_what_the_release_has(helm: Any, name: str) -> None:
+    objects = helm.objects("-f", str(HERE / "values" / f"{name}.yaml"))
+    found = {
+        workspace: {
+            (one["kind"], one["metadata"]["name"])
+            for one in objects
+            if one["metadata"].get("namespace") == workspace
+        }
+        for workspace in ("lab", "students", "guests")
+    }
+    assert found["students"] == found["guests"]
+    assert found["students"] < found["lab"]
+    assert {kind for kind, _ in found["students"]} == OF_WORKSPACES
+    subjects = {
+        one["metadata"]["name"]: one["subjects"][0]["namespace"]
+        for one in objects
+        if one["kind"] == "RoleBinding" and one["metadata"]["namespace"] == "students"
+    }
+    assert subjects == {"hive-operator": "lab", "hive-dashboard": "lab", "hive-collector": "students"}
+
+
+@pytest.mark.parametrize("chart", ["slamhive", "slamhive-crds"])
+def test_lint_finds_nothing(helm: Any, chart: str) -> None:
+    told = helm.run("lint", "--strict", str(CHARTS / chart), "--kube-version", "1.34.0")
+    assert "[WARNING]" not in told
+    assert "[ERROR]" not in told
+
+
+@pytest.mark.parametrize("chart", ["slamhive", "slamhive-crds"])
+def test_old_kubernetes_is_refused(helm: Any, chart: str) -> None:
+    told = helm.text("--kube-version", "1.28.3", chart=CHARTS / chart, code=1)
+    assert "requires kubeVersion: >=1.29.0-0" in told
+
+
+@pytest.mark.parametrize(
+    ("release", "values", "name"),
+    [
+        ("slamhive", [], "slamhive"),
+        ("lab", [], "lab-slamhive"),
+        ("my-slamhive-2", [], "my-slamhive-2"),
+        ("lab", ["--set", "fullnameOverride=hive"], "hive"),
+        ("l" * 53, [], "l" * 40),
+    ],
+)
+def test_names_come_from_the_release_and_fit(helm: Any, release: str, values: list[str], name: str) -> None:
+    text = helm.run("template", release, str(CHARTS / "slamhive"), "--kube-version", "1.34.0", *values)
+    objects = [one for one in yaml.safe_load_all(text) if one]
+    assert {o["metadata"]["name"] for o in objects if o["kind"] == "Deployment"} == {f"{name}-operator"}
+    assert all(len(o["metadata"]["name"]) <= 52 for o in objects if o["kind"] == "CronJob")
+
+
+def test_changed_settings_restart_the_operator(helm: Any) -> None:
+    def checksum(*words: str) -> str:
+        (operator,) = (one for one in helm.objects(*words) if one["kind"] == "Deployment")
+        return str(operator["spec"]["template"]["metadata"]["annotations"]["checksum/settings"])
+
+    assert checksum() == checksum("--set", "operator.resources.limits.cpu=1")
+    assert checksum() != checksum("--set", "settings.workers=9")

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may do what, as rendered: in namespaces alone, no secrets, no wildcards, no needless tokens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slamhive.kube.kinds import OUR_KINDS
+
+VALUES = Path(__file__).parent / "values"
+READ = {"get", "list", "watch"}
+KINDS = {kind.plural for kind in OUR_KINDS}
+WORKLOADS = {"Deployment", "Pod", "CronJob"}
+
+
+def rules(objects: list[dict[str, Any]], account: str) -> dict[str, set[str]]:
+    """Verbs by resource (with its group) that a component's account has in the release's namespace."""
+    found: dict[str, set[str]] = {}
+    for one in objects:
+        labels = one["metadata"]["labels"]
+        if one["kind"] == "Role" and labels["app.kubernetes.io/component"] == account:
+            for rule in one["rules"]:
+                for resource in rule["resources"]:
+                    for group in rule["apiGroups"]:
+                        found.setdefault(f"{resource}.{group}".rstrip("."), set()).update(rule["verbs"])
+    return found
+
+
+def test_no_rule_is_wide(rendered: list[dict[str, Any]]) -> None:
+    roles = [one for one in rendered if one["kind"] == "Role"]
+    assert roles
+    assert [one for one in rendered if one["kind"].startswith("Cluster")] == []
+    for role in roles:
+        for rule in role["rules"]:
+            words = [*rule["apiGroups"], *rule["resources"], *rule["verbs"]]
+            assert "*" not in "".join(words)
+            assert not {"secrets", "pods/exec", "pods/attach", "serviceaccounts/token"} & {*rule["resources"]}
+            assert not {"escalate", "bind", "impersonate", "deletecollection"} & {*rule["verbs"]}
+
+
+def test_the_operator_has_what_it_needs(helm: Any) -> None:
+    found = rules(helm.objects(), "operator")
+    for kind in KINDS:
+        assert found[f"{kind}.slamhive.io"] >= READ
+        assert found[f"{kind}/status.slamhive.io"] >= {"patch"}
+    assert found["mappingruns.slamhive.io"] >= {"create", "patch", "delete"}
+    assert found["jobs.batch"] == READ | {"create", "patch", "delete"}
+    assert found["pods"] == READ
+    assert found["pods/log"] == {"get"}
+    assert found["pods.metrics.k8s.io"] == {"get", "list"}
+    assert found["events"] == {"get", "create", "patch"}
+    # What people describe is theirs: the operator changes only its state.
+    for kind in KINDS - {"mappingruns"}:
+        assert found[f"{kind}.slamhive.io"] == READ
+
+
+def test_the_others_only_read(helm: Any) -> None:
+    objects = helm.objects("-f", str(VALUES / "team.yaml"))
+    assert rules(objects, "dashboard") == {f"{kind}.slamhive.io": READ for kind in KINDS}
+    assert rules(objects, "collector") == {
+        f"{kind}.slamhive.io": {"get", "list"} for kind in ("mappingruns", "datasets")
+    }
+    assert rules(objects, "runs") == {}
+    assert {verb for verbs in rules(objects, "test").values() for verb in verbs} <= {"get", "list"}
+
+
+def test_roles_are_bound_to_their_own_account(rendered: list[dict[str, Any]]) -> None:
+    roles = {(o["metadata"]["namespace"], o["metadata"]["name"]) for o in rendered if o["kind"] == "Role"}
+    accounts = {
+        (o["metadata"]["namespace"], o["metadata"]["name"]) for o in rendered if o["kind"] == "ServiceAccount"
+    }
+    bindings = [one for one in rendered if one["kind"] == "RoleBinding"]
+    assert {(o["metadata"]["namespace"], o["roleRef"]["name"]) for o in bindings} == roles
+    for one in bindings:
+        (subject,) = one["subjects"]
+        assert (subject["namespace"], subject["name"]) in accounts
+        assert subject["name"] == one["roleRef"]["name"]
+
+
+def test_no_account_has_a_token_of_itself(rendered: list[dict[str, Any]]) -> None:
+    accounts = {o["metadata"]["name"]: o for o in rendered if o["kind"] == "ServiceAccount"}
+    for account in accounts.values():
+        assert account["automountServiceAccountToken"] is False
+    bound = {one["roleRef"]["name"] for one in rendered if one["kind"] == "RoleBinding"}
+    assert {name for name in accounts if name not in bound} == {n for n in accounts if n.endswith("-runs")}
+
+
+@pytest.mark.parametrize(
+    ("role", "verbs"), [("edit", READ | {"create", "patch", "update", "delete"}), ("view", READ)]
+)
+def test_people_get_the_kinds_with_the_clusters_roles(helm: Any, role: str, verbs: set[str]) -> None:
+    chart = Path(__file__).parents[2] / "helm" / "slamhive-crds"
+    (found,) = (
+        one
+        for one in helm.objects(chart=chart)
+        if one["kind"] == "ClusterRole" and role in one["metadata"]["name"]
+    )
+    assert found["metadata"]["labels"][f"rbac.authorization.k8s.io/aggregate-to-{role}"] == "true"
+    (rule,) = found["rules"]
+    assert rule["apiGroups"] == ["slamhive.io"]
+    assert {*rule["resources"]} == KINDS
+    assert {*rule["verbs"]} == verbs
+    none = helm.objects("--set", "aggregateRoles=false", chart=chart)
+    assert {one["kind"] for one in none} == {"CustomResourceDefinition"}
