@@ -159,7 +159,7 @@ def _seen(job: Object | None, pod: Object) -> Attempted:
         image_id=clean(status.get("imageID") or "", 300) or None,
         started=ending.started if ending else running.get("startedAt"),
         finished=ending.finished if ending else None,
-        log_tail=ending.message or None if ending else None,
+        log_tail=ending.log or None if ending else None,
     )
 
 
@@ -358,11 +358,11 @@ def _observe_job(job: Object, pods: Iterable[Object], names: tuple[str, ...]) ->
     """Say what is seen of a Job whose containers have some of these names, the main ones first."""
     pod = newest(job, pods)
     if pod is None:
-        if has_completed(job):
-            return _JobSeen(AttemptState.ENDED)
-        if has_failed(job):
-            return _JobSeen(AttemptState.ENDED, (Reason.SYSTEM_FAULT, "its pod was deleted"))
-        return _JobSeen(AttemptState.RUNNING, waiting=_without_pod(job).waiting)
+        seen = _without_pod(job)
+        lost = has_failed(job)
+        return _JobSeen(
+            seen.state, (Reason.SYSTEM_FAULT, "its pod was deleted") if lost else None, seen.waiting
+        )
     main = next((name for name in names if container_of(pod, name)), names[0])
     base = _JobSeen(AttemptState.RUNNING, pod=pod["metadata"]["name"], container=main)
     if not is_finished(pod):

@@ -84,13 +84,18 @@ class Ending:
         return self.reason == "ContainerStatusUnknown"
 
     @property
+    def log(self) -> str:
+        """Return the last lines of its log, empty where the message is the runtime's."""
+        return "" if self.was_unable or self.is_unknown else self.message
+
+    @property
     def sentence(self) -> str:
         """Return how it ended, with the last line of its log."""
         if self.signal is not None:
             what = f"ended by signal {self.signal} ({_signal_name(self.signal)})"
         else:
             what = f"exit code {self.exit_code}"
-        line = last_line(self.message)
+        line = last_line(self.log)
         return f"{what}: {line}" if line else what
 
     @property

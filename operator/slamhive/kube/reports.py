@@ -11,6 +11,7 @@ import base64
 import binascii
 import json
 import math
+import re
 import unicodedata
 import zlib
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ DESCRIPTION_BYTES = 1 << 20
 _DEPTH = 12
 _EXACT = 2**53
 _SENTENCE = 1000
+_COLOURS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 _HIDDEN = frozenset({"Cc", "Cf", "Cs"})
 _MONITORS = frozenset(
     {
@@ -88,7 +90,7 @@ def clean(text: object, limit: int = _SENTENCE) -> str:
     """
     shown = "".join(
         character
-        for character in str(text)[: 4 * limit]
+        for character in _COLOURS.sub("", str(text)[: 4 * limit])
         if character in "\n\t" or unicodedata.category(character) not in _HIDDEN
     ).strip()
     return shown if len(shown) <= limit else shown[: limit - 1] + "…"

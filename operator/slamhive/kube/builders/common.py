@@ -155,9 +155,10 @@ def downward(name: str, annotation_name: str, file: str) -> Manifest:
     return {"name": name, "downwardAPI": {"defaultMode": 0o444, "items": [item]}}
 
 
-def claim(name: str, claim_name: str) -> Manifest:
-    """Return a volume by its claim."""
-    return {"name": name, "persistentVolumeClaim": {"claimName": claim_name}}
+def claim(name: str, claim_name: str, *, read_only: bool = False) -> Manifest:
+    """Return a volume by its claim; of a read-only one the kubelet makes no folder that is missing."""
+    source = {"claimName": claim_name} | ({"readOnly": True} if read_only else {})
+    return {"name": name, "persistentVolumeClaim": source}
 
 
 def scratch(name: str, size: str, *, memory: bool = False) -> Manifest:

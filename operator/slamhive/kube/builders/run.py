@@ -283,7 +283,8 @@ def _volumes(spec: Mapping[str, Any], settings: Settings) -> list[Manifest]:
     return [
         downward("configuration", label("configuration"), "config.yaml"),
         claim("results", settings.volumes.results.claim),
-        claim("data", settings.volumes.data.claim),
+        # A variant that is gone must not become an empty folder.
+        claim("data", settings.volumes.data.claim, read_only=True),
         scratch("tmp", _SCRATCH),
         # What is written there counts as the algorithm's memory, as it does on a workstation.
         scratch("memory", str(half), memory=True),
