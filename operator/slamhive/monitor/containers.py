@@ -29,11 +29,17 @@ from slamhive.monitor.processes import (
 from slamhive.monitor.sources import read_number
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from slamhive.monitor.cgroup import RunCgroup
     from slamhive.monitor.sources import Source
 
 MARK = "SLAMHIVE_CONTAINER"
 _PAUSE = 1
+# How often to look: while a process is becoming a container, at first, and when an image takes minutes, s.
+_EXPECTING_INTERVAL, _FIRST_INTERVAL, _LATER_INTERVAL = 0.002, 0.005, 0.02
+_EXPECTING_SECONDS = 10.0
+_FIRST_SECONDS = 60.0
 # How long a process may stay unreadable before it is taken for a program that hides itself, s.
 _HIDDEN_SECONDS = 5.0
 # Programs of container runtimes, which become the container's first process at any moment.
@@ -46,16 +52,19 @@ class Finder:
     def __init__(self, container: str) -> None:
         """Look for the container of that name."""
         self._mark = f"{MARK}={container}".encode()
+        self._begin: float | None = None
         self._elsewhere: set[int] = {_PAUSE, os.getpid()}
         self._waiting: dict[int, float] = {}
         self._newest = b""
         self._load = os.open("/proc/loadavg", os.O_RDONLY | os.O_CLOEXEC)
         self.by_exclusion = False
 
-    @property
-    def expecting(self) -> bool:
-        """A process has come of which we don't know yet what it becomes."""
-        return bool(self._waiting)
+    def interval(self, now: float) -> float:
+        """Return the seconds until it is worth to look again."""
+        if any(now - since < _EXPECTING_SECONDS for since in self._waiting.values()):
+            return _EXPECTING_INTERVAL
+        self._begin = now if self._begin is None else self._begin
+        return _FIRST_INTERVAL if now - self._begin < _FIRST_SECONDS else _LATER_INTERVAL
 
     def look(self, now: float) -> ProcessIdentity | None:
         """Return the container's first process, None while it isn't there."""
@@ -91,32 +100,26 @@ class Finder:
             del self._waiting[pid]
             return None
         try:
-            marks = [
-                item for item in read_file(f"/proc/{pid}/environ").split(b"\0") if item.startswith(_MARK)
-            ]
+            environment = read_file(f"/proc/{pid}/environ").split(b"\0")
         except OSError:
             self.by_exclusion = hidden and _hides(pid)
             return process if self.by_exclusion else None
-        if self._mark in marks:
+        if self._mark in environment:
             return process
-        if marks:
+        if any(item.startswith(f"{MARK}=".encode()) for item in environment):
             del self._waiting[pid]
             self._elsewhere.add(pid)
         return None
-
-
-_MARK = f"{MARK}=".encode()
 
 
 def _hides(pid: int) -> bool:
     """Tell whether a process of our own user won't be read, which is a program's own will."""
     try:
         name = read_file(f"/proc/{pid}/comm")
-        mine = os.stat(f"/proc/{pid}").st_uid in (os.getuid(), 0)  # noqa: PTH116 - root's: it is undumpable
-        real = read_file(f"/proc/{pid}/status").partition(b"\nUid:")[2].split()[0]
+        user = read_file(f"/proc/{pid}/status").partition(b"\nUid:")[2].split()[0]
     except (OSError, IndexError):
         return False
-    return mine and int(real) == os.getuid() and not name.startswith(_RUNTIMES)
+    return int(user) == os.getuid() and not name.startswith(_RUNTIMES)
 
 
 class Container:
@@ -135,7 +138,7 @@ class Container:
             raise ProcessLookupError(f"process {first.pid} is gone")
         self._mounts = _mount_namespace(first.pid)
         self._group = attach_cgroup(f"/proc/{first.pid}/root/sys/fs/cgroup", first.pid)
-        self._known: list[int] = [first.pid]
+        self._known = [first]
         try:
             self.source: Source = self._group.source if self._group else ProcSource(first.pid, self._related)
         except OSError:
@@ -194,20 +197,18 @@ class Container:
         """Let go of open files."""
         self.source.close()
         os.close(self.pidfd)
-        for directory in self._group.directories if self._group else ():
-            os.close(int(directory.rpartition("/")[2]))
+        _let_go(self._group.directories if self._group else ())
 
     def _related(self) -> list[int]:
-        """Find its processes in /proc: those that see its files, or else those that descend from known ones."""
+        """Find its processes in /proc: those that see its files and those that descend from known ones."""
         spared = _spared()
+        pids = [known.pid for known in self._known if identify(known.pid) == known]
         if self._mounts is not None and self._mounts != _mount_namespace(os.getpid()):
             names = (int(name) for name in os.listdir("/proc") if name.isdigit())  # noqa: PTH208
-            found = [pid for pid in names if pid not in spared and _mount_namespace(pid) == self._mounts]
-        else:
-            found = []
-        known = dict.fromkeys([*self._known, *found])
-        self._known = [pid for pid in (*known, *descendants(known)) if pid not in spared and identify(pid)]
-        return self._known
+            pids += [pid for pid in names if pid not in spared and _mount_namespace(pid) == self._mounts]
+        everyone = dict.fromkeys([*pids, *descendants(pids)])
+        self._known = [found for found in map(identify, everyone) if found and found.pid not in spared]
+        return [known.pid for known in self._known]
 
 
 def attach_cgroup(root: str, pid: int) -> RunCgroup | None:
@@ -265,8 +266,8 @@ def _hold(path: str) -> str | None:
         return None
 
 
-def _let_go(directories: object) -> None:
-    for directory in directories:  # type: ignore[attr-defined]
+def _let_go(directories: Iterable[str]) -> None:
+    for directory in directories:
         os.close(int(directory.rpartition("/")[2]))
 
 

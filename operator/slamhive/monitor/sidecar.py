@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m slamhive.monitor.sidecar`: in a run's pod, watches the algorithm and writes the summary.
+
+The kubelet starts it before the algorithm and ends it afterwards by SIGTERM. What it finds out is in
+usage.csv while the algorithm runs, in summary.json when it has ended, and in short in the container's
+termination message. Killed and started again it goes on where it was.
+
+Exit codes: 0, summary.json says how the run ended; 1, no summary could be written; 2, wrong specification.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from contextlib import suppress
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from slamhive.monitor.accounting import Accounting
+from slamhive.monitor.containers import Container, Finder
+from slamhive.monitor.machine import cpu_model, process_start
+from slamhive.monitor.metrics import frame_counts, plain_values, read_metrics, reader_report
+from slamhive.monitor.orphans import write_atomically
+from slamhive.monitor.outcome import out_of_memory
+from slamhive.monitor.processes import read_file
+from slamhive.monitor.sidecarstate import SidecarState
+from slamhive.monitor.signals import Signals
+from slamhive.monitor.spec import TERMINATION_MESSAGE, SidecarSpec, SpecError
+from slamhive.monitor.summary import Reason, Summary
+from slamhive.monitor.termination import VERSION, termination_message, write_message
+from slamhive.monitor.trajectory import check_trajectory
+from slamhive.monitor.watching import STATE, UNENDED, Watch
+
+if TYPE_CHECKING:
+    from slamhive.monitor.accounting import Usage
+    from slamhive.monitor.metrics import Metrics
+    from slamhive.monitor.processes import ProcessIdentity
+
+VARIABLE = "SLAMHIVE_SIDECAR"
+_SUMMARY = "summary.json"
+_CONFIGURATION = "config.yaml"
+_METRICS_BYTES = 4 << 20
+_METRICS_MEMORY = 32 << 20
+_LEFT_SECONDS = 5.0
+_UNSEEN = "the algorithm was never seen: it did not start, or ended within milliseconds"
+
+
+class Sidecar:
+    """Watches the algorithm of one pod."""
+
+    def __init__(self, spec: SidecarSpec) -> None:
+        """Take a specification; signals are ours from now on."""
+        self._spec = spec
+        self._signals = Signals()
+
+    def run(self) -> int:
+        """Wait for the algorithm, watch it, write the summary, wait to be ended; return the exit code."""
+        summary = self._earlier_summary()
+        written = summary is not None
+        if summary is None:
+            state = self._follow()
+            summary = self._summary(state)
+            written = self._write(summary)
+            # Where the algorithm runs on after us, the next sidecar takes over.
+            if written and (state.ended or state.first is None):
+                with suppress(OSError):
+                    os.unlink(self._path(STATE))  # noqa: PTH108
+        try:
+            write_message(self._spec.termination_message, termination_message(summary))
+        except OSError as error:
+            _say(f"{self._spec.termination_message}: {error.strerror}")
+        while not self._signals.told:
+            self._signals.wait()
+        return 0 if written else 1
+
+    def _earlier_summary(self) -> dict[str, Any] | None:
+        """Return the summary that one before us wrote, None if there is still something to do."""
+        if os.path.lexists(self._path(STATE)):
+            return None
+        try:
+            found = json.loads(read_file(self._path(_SUMMARY)))
+        except (OSError, ValueError):
+            return None
+        return found if isinstance(found, dict) else None
+
+    def _follow(self) -> SidecarState:
+        """Watch the algorithm to its end; what is known of it then."""
+        earlier = SidecarState.load(self._path(STATE))
+        state = SidecarState() if earlier is None else earlier
+        if os.path.lexists(self._path(STATE)):
+            state.note("the monitor was restarted")
+        if earlier is None:
+            with suppress(OSError):
+                state.save(self._path(STATE))
+            self._copy_configuration(state)
+        if state.stop is not None and state.stop.reason is Reason.CANCELLED:
+            state.stop = None  # that was our own end, and here we are again
+        container = self._attach(state)
+        if container is not None:
+            try:
+                if Watch(self._spec, container, state).run(self._signals):
+                    _end_left(container, state)
+            finally:
+                container.close()
+        return state
+
+    def _attach(self, state: SidecarState) -> Container | None:
+        """Return the algorithm's container once it runs, None if it never comes or is gone already."""
+        if state.first is not None:
+            if state.here:
+                with suppress(OSError):
+                    return Container(state.first)
+            if not state.ended:
+                state.ended = True
+                state.note("the algorithm ended while the monitor was away: the figures are those before")
+            return None
+        first, late = self._wait(state)
+        if first is None:
+            return None
+        try:
+            container = Container(first)
+        except OSError:
+            return None
+        state.first, state.start = first, time.monotonic()
+        if late:
+            with suppress(OSError):
+                state.start = process_start(first.pid)
+        state.started_at = time.time() - (time.monotonic() - state.start)
+        if not container.exact:
+            state.note("the container's cgroup can't be read: figures are those of its processes in /proc")
+        return container
+
+    def _wait(self, state: SidecarState) -> tuple[ProcessIdentity | None, bool]:
+        """Wait for the algorithm's first process; tell too whether it was there before we looked."""
+        finder = Finder(self._spec.container)
+        try:
+            first, late = finder.look(time.monotonic()), True
+            while first is None and not self._signals.told:
+                self._signals.wait(finder.interval(time.monotonic()))
+                first, late = finder.look(time.monotonic()), False
+            if finder.by_exclusion:
+                state.note("the algorithm hides its environment and was found by exclusion")
+            return first, late
+        finally:
+            finder.close()
+
+    def _summary(self, state: SidecarState) -> dict[str, Any]:
+        spec = self._spec
+        output = f"{spec.run_directory}/output"
+        metrics = read_metrics(output, _METRICS_BYTES, _METRICS_MEMORY)
+        usage = self._usage(state, metrics) if state.accounting else None
+        if usage is None:
+            state.note(_UNSEEN)
+        stop = state.stop or (out_of_memory(spec.memory_limit_bytes) if state.oom_kills else None)
+        summary = Summary(
+            exit_code=None,
+            signal=None,
+            reason=stop.reason if stop else None,
+            message=stop.message if stop else "",
+            started_at=state.started_at if usage else None,
+            finished_at=state.started_at + usage.wall_seconds if usage else None,
+            usage=usage,
+            log_tail="",
+            left_processes=state.left,
+            notes=tuple(state.notes),
+        )
+        return {
+            **summary.as_json(),
+            **_trajectory(output),
+            "frames": frame_counts(metrics),
+            "metrics": plain_values(metrics),
+            "node": os.environ.get("NODE_NAME") or None,
+            "cpuModel": cpu_model(),
+        }
+
+    def _usage(self, state: SidecarState, metrics: Metrics) -> Usage:
+        account = Accounting.from_state(state.accounting)
+        reader = reader_report(metrics).share(account.cpu_seconds, included=self._spec.includes_reader)
+        if reader.note is not None:
+            state.note(reader.note)
+        return account.usage(
+            state.source,
+            data_seconds=self._spec.data_seconds,
+            reader_cpu_seconds=reader.cpu_seconds,
+            includes_reader=reader.included,
+            throttled_seconds=state.throttled,
+            contended_seconds=state.contended,
+            kernel_peak=state.kernel_peak,
+        )
+
+    def _copy_configuration(self, state: SidecarState) -> None:
+        if self._spec.configuration is not None:
+            try:
+                text = read_file(self._spec.configuration).decode("utf-8", "surrogateescape")
+                write_atomically(self._path(_CONFIGURATION), text, durable=False)
+            except (OSError, ValueError) as error:
+                state.note(f"{_CONFIGURATION} could not be kept: {error}")
+
+    def _write(self, summary: dict[str, Any]) -> bool:
+        try:
+            write_atomically(self._path(_SUMMARY), json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        except OSError as error:
+            _say(f"{self._path(_SUMMARY)}: {error.strerror}")
+            return False
+        return True
+
+    def _path(self, name: str) -> str:
+        return f"{self._spec.run_directory}/{name}"
+
+
+def _end_left(container: Container, state: SidecarState) -> None:
+    """End what outlived the first process, so that nobody changes the output any more."""
+    left = [process for process in container.processes() if process != container.first]
+    state.left = len(left)
+    if left and container.end(_LEFT_SECONDS):
+        state.note(UNENDED)
+
+
+def _trajectory(output: str) -> dict[str, Any]:
+    found = check_trajectory(output)
+    if found.info is None:
+        return {"trajectoryProblem": found.problem, "trajectoryMissing": found.missing}
+    info = asdict(found.info)
+    info["durationSeconds"] = info.pop("duration_seconds")
+    return {"trajectory": info}
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+def main() -> int:
+    """Watch the run that the environment describes and return the exit code."""
+    try:
+        spec = SidecarSpec.from_json(os.environ.get(VARIABLE, ""))
+    except SpecError as error:
+        message = f"{VARIABLE}: {error}" if VARIABLE in os.environ else f"{VARIABLE} is not set"
+        _say(message)
+        told = {"v": VERSION, "reason": "SystemFault", "message": message[:1000]}
+        with suppress(OSError):
+            write_message(TERMINATION_MESSAGE, json.dumps(told).encode())
+        return 2
+    try:
+        return Sidecar(spec).run()
+    except OSError as error:
+        _say(f"the run can't be watched: {error.strerror}: {error.filename}")
+        return 1
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stdout.flush()
+    os._exit(code)  # skips the interpreter's clean-up
