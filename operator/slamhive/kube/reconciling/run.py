@@ -232,7 +232,7 @@ class RunReconciler:
     async def _start(self, op: Operator, facts: RunFacts, attempt: int) -> float | None:
         description = facts.variant.description or {}
         body = run_job(
-            run=facts.body,
+            run=_typed(facts.body),
             spec=facts.spec,
             algorithm=facts.algorithm,
             configuration=configuration(facts.key.name, facts.spec, facts.dataset, description),
@@ -262,7 +262,7 @@ class RunReconciler:
     @staticmethod
     async def _read(op: Operator, facts: RunFacts) -> tuple[Report | None, bool]:
         """Have a Job read what the pod did not tell; returns the report and whether to wait for it."""
-        body = read_job(run=facts.body, pod_uid=facts.attempted.pod_uid or "", settings=op.settings)
+        body = read_job(run=_typed(facts.body), pod_uid=facts.attempted.pod_uid or "", settings=op.settings)
         key = key_of(Kind.JOB, body)
         job = op.store.get(key)
         if job is None:
@@ -366,6 +366,11 @@ class RunReconciler:
         if not image or algorithm is None or algorithm["status"].get("imageID") == image:
             return
         await op.patch(key, {"status": {"imageID": image}}, subresource="status")
+
+
+def _typed(run: dict[str, Any]) -> dict[str, Any]:
+    """Return a run with its kind, which the store leaves out."""
+    return {"apiVersion": Kind.MAPPING_RUN.api_version, "kind": str(Kind.MAPPING_RUN)} | run
 
 
 def _label(obj: dict[str, Any], label: str) -> str | None:
