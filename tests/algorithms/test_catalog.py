@@ -28,8 +28,9 @@ def declared(folder: Path) -> Algorithm:
 
 def parameters_used(folder: Path) -> set[str]:
     """Names that the adapter asks the run for, written out or in its table PARAMETERS."""
+    own = [folder / name for name in modules_needed(folder, "adapter.py") if (folder / name).is_file()]
     used = set()
-    for node in ast.walk(ast.parse((folder / "adapter.py").read_text())):
+    for node in (node for path in own for node in ast.walk(ast.parse(path.read_text()))):
         if (
             isinstance(node, ast.Call)
             and isinstance(node.func, ast.Attribute)

@@ -132,7 +132,7 @@ class Master:
 
 def play_bag(folder: Path, recording: str, rate: float, remap: Mapping[str, str]) -> Program:
     """Start rosbag play, paused before the first message: it tells of its topics and of the clock already."""
-    options = ["--pause", "--clock", "--hz", "200", "--rate", repr(rate)]
+    options = ["--pause", "--clock", "--rate", repr(rate)]
     renamed = [f"{old}:={new}" for old, new in remap.items() if old != new]
     argv = ["rosbag", "play", *options, recording, f"__name:={BAG_NODE[1:]}", *renamed]
     return Program(argv, folder / "rosbag.log")

@@ -1,0 +1,1 @@
+../orb-slam3/adapter.py
