@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The player in a run's pod, for algorithms that are ROS 1 nodes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from slamhive.kube.builders.common import (
+    container,
+    equal_resources,
+    from_field,
+    mount,
+    scratch,
+    segment,
+    variables,
+)
+from slamhive.kube.builders.run import ALGORITHM, NO_COMPANION, Companion
+from slamhive.model.errors import InputError
+from slamhive.playback.pod import COMMAND, FOLDER, NAME, player_pod
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from slamhive.kube.settings import Settings
+    from slamhive.model.algorithm import Algorithm
+    from slamhive.model.configuration import RunConfiguration
+
+_RESOURCES = equal_resources("1", "1Gi", logs="1Gi")
+_SCRATCH = "256Mi"
+
+
+def player(
+    *,
+    run: Mapping[str, Any],
+    algorithm: Algorithm,
+    configuration: RunConfiguration,
+    description: Mapping[str, Any],
+    settings: Settings,
+    image: str | None,
+) -> Companion:
+    """Return what a player adds to a run's pod: nothing where the algorithm needs none.
+
+    Args:
+        run: the MappingRun as the API server returned it.
+        algorithm: its Algorithm.
+        configuration: what the algorithm is told.
+        description: what the preparation said of its variant.
+        settings: the operator's.
+        image: the player's image.
+
+    Raises:
+        InputError: the algorithm needs a player and the operator has no image of it.
+    """
+    pod = player_pod(algorithm.spec, configuration, ALGORITHM)
+    if pod is None:
+        return NO_COMPANION
+    if image is None:
+        raise InputError(
+            f"algorithm {algorithm.name!r} is a ROS 1 node, and the operator's setting playerImage names no "
+            "image that plays to it"
+        )
+    folder = f"runs/{segment(run['metadata']['uid'], 'the uid')}/$(POD_UID)"
+    variant = segment(description["folder"], "the variant's folder")
+    body = container(
+        NAME,
+        image,
+        settings,
+        command=COMMAND,
+        env=[from_field("POD_UID", "metadata.uid"), *variables(pod.variables)],
+        mounts=[
+            mount("data", "/slamhive/dataset", read_only=True, subPath=f"variants/{variant}"),
+            mount("results", "/slamhive/output", subPathExpr=f"{folder}/output"),
+            mount("player", FOLDER),
+            mount("player-tmp", "/tmp"),  # noqa: S108
+        ],
+        resources=_RESOURCES,
+    )
+    return Companion(
+        init_containers=(body | {"restartPolicy": "Always", "startupProbe": pod.startup},),
+        volumes=(scratch("player", _SCRATCH), scratch("player-tmp", _SCRATCH)),
+        variables=pod.algorithm_variables,
+    )
