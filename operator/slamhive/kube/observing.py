@@ -24,12 +24,12 @@ from slamhive.kube.pods import (
     ending_of,
     has_completed,
     has_failed,
+    is_deleted,
     is_disrupted,
     is_finished,
     message_of,
     newest,
     refused_by_node,
-    was_cut_off,
     what_waits,
 )
 from slamhive.kube.reports import Report, clean, last_line, read_description, read_failure, read_report
@@ -127,7 +127,7 @@ def observe_attempt(job: Object | None, pods: Iterable[Object]) -> Attempted:
     seen = _seen(job, pod)
     if not is_finished(pod):
         return replace(seen, waiting=what_waits(pod, ALGORITHM))
-    if is_disrupted(pod) or was_cut_off(pod, ALGORITHM):
+    if is_disrupted(pod) or is_deleted(pod):
         return _taken(seen, job, pod)
     return _ended(seen, pod)
 
@@ -367,7 +367,7 @@ def _observe_job(job: Object, pods: Iterable[Object], names: tuple[str, ...]) ->
     base = _JobSeen(AttemptState.RUNNING, pod=pod["metadata"]["name"], container=main)
     if not is_finished(pod):
         return replace(base, waiting=what_waits(pod, main))
-    if is_disrupted(pod) or was_cut_off(pod, main):
+    if is_disrupted(pod) or is_deleted(pod):
         if not has_failed(job):
             return base
         return replace(

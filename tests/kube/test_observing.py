@@ -1,0 +1,351 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reasons of ends and waits, from statuses that a real cluster wrote (golden/pods.json)."""
+
+from __future__ import annotations
+
+import base64
+import copy
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slamhive.engine import AttemptState, VariantState, classify
+from slamhive.kube.observing import (
+    Attempted,
+    observe_attempt,
+    observe_evaluator,
+    observe_read,
+    observe_variant,
+)
+from slamhive.kube.reports import Report
+from slamhive.model.results import Reason
+
+PODS = json.loads((Path(__file__).parent / "golden" / "pods.json").read_text(encoding="utf-8"))
+MISSING = "output/trajectory.txt is missing or not a regular file"
+VIEW = {"name": "lidar", "type": "Lidar", "topic": "/points"}
+DESCRIPTION = {
+    "folder": "k1",
+    "format": "Rosbag1",
+    "recording": "recording.bag",
+    "sensors": {"lidar": VIEW},
+    "startTime": 1.0,
+    "durationSeconds": 5.0,
+    "frames": 50,
+    "key": "k1",
+    "sourceSha256": "0" * 64,
+    "datasetSha256": "0" * 64,
+    "sizeBytes": 3,
+}
+
+
+def job(*conditions: str, **spec: Any) -> dict[str, Any]:
+    found = [{"type": kind, "status": "True"} for kind in conditions]
+    labels = {"slamhive.io/attempt": "2"}
+    return {"metadata": {"uid": "job", "labels": labels}, "spec": spec, "status": {"conditions": found}}
+
+
+def pod(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = copy.deepcopy(PODS[name])
+    return found
+
+
+def without_report(name: str) -> dict[str, Any]:
+    found = pod(name)
+    for status in found["status"]["initContainerStatuses"]:
+        status["state"]["terminated"].pop("message", None)
+    return found
+
+
+def with_report(name: str, **told: Any) -> dict[str, Any]:
+    found = pod(name)
+    found["status"]["initContainerStatuses"][0]["state"]["terminated"]["message"] = json.dumps(
+        {"v": 1} | told
+    )
+    return found
+
+
+def seen(*pods: dict[str, Any], conditions: tuple[str, ...] = ()) -> Attempted:
+    return observe_attempt(job(*conditions), pods)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason", "message"),
+    [
+        ("ok", None, None),
+        ("crash", Reason.ALGORITHM_FAILED, "exit code 3: cannot read topic /points"),
+        ("segv", Reason.ALGORITHM_FAILED, "ended by signal 11 (SIGSEGV)"),
+        ("oom", Reason.OUT_OF_MEMORY, "it needed more memory than its limit of 128 MiB"),
+        ("deadline", Reason.DEADLINE_EXCEEDED, "it took more than 4 s"),
+        (
+            "pod-deadline",
+            Reason.DEADLINE_EXCEEDED,
+            "Pod was active on the node longer than the specified deadline",
+        ),
+        (
+            "no-program",
+            Reason.ALGORITHM_FAILED,
+            'its program can\'t be started: "nosuch": executable file not found in $PATH',
+        ),
+        (
+            "not-a-program",
+            Reason.ALGORITHM_FAILED,
+            'its program can\'t be started: "/etc": permission denied',
+        ),
+        ("monitor-killed", Reason.ALGORITHM_FAILED, "exit code 5"),
+        ("silent", Reason.NO_TRAJECTORY, MISSING),
+        ("poison", Reason.ALGORITHM_FAILED, 'exit code 2: "}{[ $(POD_UID) \\xff'),
+        ("disk-full", Reason.OUTPUT_TOO_LARGE, 'Usage of EmptyDir volume "tmp" exceeds the limit "10Mi".'),
+    ],
+)
+def test_each_end_has_its_reason(name: str, reason: Reason | None, message: str | None) -> None:
+    attempted = seen(pod(name))
+    assert (attempted.state, attempted.number, attempted.needs_read) == (AttemptState.ENDED, 2, False)
+    assert attempted.end is not None
+    assert classify(attempted.end) == (reason, message)
+
+
+def test_an_end_comes_with_what_the_monitor_and_the_runtime_know() -> None:
+    attempted = seen(pod("ok"))
+    assert attempted.report is not None
+    assert attempted.report.usage is not None
+    assert attempted.report.trajectory is not None
+    assert attempted.report.usage.source == "cgroup-v1"
+    assert attempted.report.started_at == "2026-11-21T15:12:19.831Z"
+    assert (attempted.pod_uid, attempted.node) == ("pod", "node1")
+    assert (attempted.started, attempted.finished) == ("2026-11-21T15:12:19Z", "2026-11-21T15:12:21Z")
+    assert (attempted.image_id or "").startswith("sha256:")
+    assert seen(pod("crash")).log_tail == "reading\ncannot read topic /points"
+    assert seen(pod("poison")).log_tail == 'red\n"}{[ $(POD_UID) \\xff'
+    assert seen(pod("disk-full")).log_tail is None
+
+
+@pytest.mark.parametrize(
+    ("name", "word", "reason", "part"),
+    [
+        ("unschedulable", "Unschedulable", None, "1 Insufficient cpu"),
+        ("no-image", "ImagePullBackOff", Reason.IMAGE_PULL_FAILED, "image 'slamhive/nope:1'"),
+        ("bad-image-name", "InvalidImageName", Reason.IMAGE_PULL_FAILED, "not a valid name"),
+        ("no-variant", "CreateContainerConfigError", Reason.SYSTEM_FAULT, 'volumeMount "data"'),
+    ],
+)
+def test_what_keeps_a_pod_waiting_is_told(name: str, word: str, reason: Reason | None, part: str) -> None:
+    attempted = seen(pod(name))
+    assert attempted.state is AttemptState.RUNNING
+    assert attempted.waiting_reason == word
+    assert part in (attempted.waiting_message or "")
+    waiting = attempted.waiting
+    assert waiting is not None
+    assert (waiting.end.reason if waiting.end else None) is reason
+
+
+def test_patience_ends_for_an_image_but_not_for_room() -> None:
+    attempted = seen(pod("no-image"))
+    assert attempted.waiting is not None
+    assert attempted.waiting.since is not None
+    assert attempted.give_up_at(120) == attempted.waiting.since + 120
+    hopeless = seen(pod("bad-image-name"))
+    assert hopeless.waiting is not None
+    assert hopeless.give_up_at(120) == hopeless.waiting.since
+    assert seen(pod("unschedulable")).give_up_at(120) is None
+    gone = attempted.given_up()
+    assert gone.state is AttemptState.ENDED
+    assert gone.end is not None
+    assert gone.end.reason is Reason.IMAGE_PULL_FAILED
+
+
+def test_a_program_that_runs_waits_for_nothing() -> None:
+    running = pod("running")
+    assert seen(running).waiting is None
+    assert seen(running).started is not None
+    monitor = running["status"]["initContainerStatuses"][0]
+    monitor["state"] = {"waiting": {"reason": "CrashLoopBackOff", "message": "back-off 10s"}}
+    assert seen(running).waiting is None
+    running["status"]["containerStatuses"][0]["state"] = {"waiting": {"reason": "PodInitializing"}}
+    waiting = seen(running).waiting
+    assert waiting is not None
+    assert waiting.end is not None
+    assert waiting.end.reason is Reason.SYSTEM_FAULT
+
+
+def test_a_job_waits_for_its_pod_or_in_a_queue() -> None:
+    assert seen().waiting_reason == "NoPod"
+    assert observe_attempt(job(suspend=True), []).waiting_reason == "Suspended"
+    assert observe_attempt(None, []) == Attempted()
+
+
+def test_what_a_disruption_took_is_replaced_and_the_replacement_counts() -> None:
+    taken = seen(pod("evicted"))
+    assert (taken.state, taken.end) == (AttemptState.RUNNING, None)
+    assert taken.waiting_message == "its pod was taken away: Eviction API: evicting"
+    both = seen(pod("replacement"), pod("evicted"))
+    assert both.pod == PODS["replacement"]["metadata"]["name"]
+    failed = seen(pod("evicted"), conditions=("Failed",))
+    assert failed.end is not None
+    assert failed.end.reason is Reason.NODE_LOST
+
+
+@pytest.mark.parametrize("pods", [[], ["deleted"]])
+def test_a_deleted_pod_is_no_fault_of_the_algorithm(pods: list[str]) -> None:
+    there = [pod(name) for name in pods]
+    assert seen(*there).state is AttemptState.RUNNING
+    lost = seen(*there, conditions=("Failed",))
+    assert lost.end is not None
+    assert (lost.end.reason, lost.report) == (Reason.NODE_LOST, None)
+    assert observe_attempt(None, there).state is (AttemptState.RUNNING if pods else AttemptState.NONE)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("ok", Reason.SYSTEM_FAULT),
+        ("crash", Reason.ALGORITHM_FAILED),
+        ("oom", Reason.OUT_OF_MEMORY),
+        ("pod-deadline", Reason.DEADLINE_EXCEEDED),
+    ],
+)
+def test_what_the_monitor_did_not_tell_is_read(name: str, reason: Reason) -> None:
+    attempted = seen(without_report(name))
+    assert attempted.needs_read
+    nothing = attempted.with_report(None)
+    assert not nothing.needs_read
+    assert nothing.end is not None
+    assert classify(nothing.end)[0] is reason
+    read = attempted.with_report(Report(reason=Reason.OUTPUT_TOO_LARGE, message="too much"))
+    assert read.end is not None
+    assert read.report is not None
+    assert read.end.reason is Reason.OUTPUT_TOO_LARGE
+
+
+def test_the_words_of_a_monitor_that_failed_are_kept() -> None:
+    broken = without_report("ok")
+    words = "Traceback\nModuleNotFoundError: No module named 'slamhive'\n"
+    broken["status"]["initContainerStatuses"][0]["state"]["terminated"]["message"] = words
+    end = seen(broken).end
+    assert end is not None
+    assert end.message == "the monitor left no report: ModuleNotFoundError: No module named 'slamhive'"
+
+
+def test_what_the_monitor_did_comes_before_how_the_program_took_it() -> None:
+    end = seen(with_report("segv", reason="OutputTooLarge", message="it wrote too much")).end
+    assert end is not None
+    assert classify(end) == (Reason.OUTPUT_TOO_LARGE, "it wrote too much")
+    ended_well = seen(with_report("ok", reason="DeadlineExceeded", message="late")).end
+    assert ended_well is not None
+    assert classify(ended_well)[0] is Reason.DEADLINE_EXCEEDED
+
+
+@pytest.mark.parametrize("forged", ["Cancelled", "NodeLost", "ImagePullFailed", 5, [], {"a": 1}])
+def test_a_report_cannot_ask_for_another_try(forged: Any) -> None:
+    end = seen(with_report("crash", reason=forged)).end
+    assert end is not None
+    assert classify(end)[0] is Reason.ALGORITHM_FAILED
+
+
+@pytest.mark.parametrize(
+    ("word", "message", "reason"),
+    [
+        ("UnexpectedAdmissionError", "Allocate failed: no GPU", Reason.SYSTEM_FAULT),
+        ("OutOfcpu", "Node didn't have enough resource: cpu", Reason.SYSTEM_FAULT),
+        ("NodeLost", "Node node1 which was running pod is unresponsive", Reason.NODE_LOST),
+        ("Terminated", "Pod was terminated in response to imminent node shutdown.", Reason.NODE_LOST),
+        ("Evicted", "The node was low on resource: memory.", Reason.NODE_LOST),
+        ("Evicted", "Pod ephemeral local storage usage exceeds the total limit", Reason.OUTPUT_TOO_LARGE),
+    ],
+)
+def test_what_a_node_refused_or_ended_is_told(word: str, message: str, reason: Reason) -> None:
+    refused = pod("unschedulable")
+    refused["status"] = {"phase": "Failed", "reason": word, "message": message}
+    end = seen(refused).end
+    assert end is not None
+    assert end.reason is reason
+    assert message in (end.message or "")
+    assert end.reason.is_infrastructure is (reason is not Reason.OUTPUT_TOO_LARGE)
+
+
+def test_pods_of_other_jobs_do_not_count() -> None:
+    other = pod("crash")
+    other["metadata"]["ownerReferences"][0]["uid"] = "another"
+    assert seen(other).pod is None
+
+
+def ours(container: str, message: str | None, code: int = 0, **terminated: Any) -> dict[str, Any]:
+    state = {"exitCode": code, "message": message, "finishedAt": "2026-11-21T15:13:23Z"} | terminated
+    found = pod("ok")
+    found["status"] = {
+        "phase": "Failed" if code else "Succeeded",
+        "containerStatuses": [{"name": container, "state": {"terminated": state}}],
+    }
+    return found
+
+
+def packed(description: object) -> str:
+    return json.dumps(
+        {"v": 1, "z": base64.b64encode(zlib.compress(json.dumps(description).encode())).decode()}
+    )
+
+
+def test_a_preparation_describes_its_variant() -> None:
+    found = observe_variant(job("Complete"), [ours("prepare", packed(DESCRIPTION))])
+    assert found.state is VariantState.READY
+    assert found.description is not None
+    assert found.description.as_json()["folder"] == "k1"
+    assert observe_variant(job(), []).state is VariantState.MAKING
+    assert observe_variant(None, []).state is VariantState.ABSENT
+
+
+ERROR = json.dumps({"v": 1, "error": {"reason": "DatasetMissing", "message": "no file a.bag"}})
+
+
+@pytest.mark.parametrize(
+    ("made", "reason", "part"),
+    [
+        (ours("prepare", ERROR, 1), Reason.DATASET_MISSING, "no file a.bag"),
+        (ours("prepare", "Traceback\nBoom", 1), Reason.SYSTEM_FAULT, "exit code 1: Boom"),
+        (ours("prepare", None, 137, reason="OOMKilled"), Reason.PREPARATION_FAILED, "more memory"),
+        (ours("prepare", packed({"folder": "../x"})), Reason.SYSTEM_FAULT, "can't be read"),
+        (ours("prepare", packed(DESCRIPTION | {"folder": "../x"})), Reason.SYSTEM_FAULT, "can't be read"),
+        (
+            ours("prepare", packed(DESCRIPTION | {"pad": "0" * (2 << 20)})),
+            Reason.SYSTEM_FAULT,
+            "can't be read",
+        ),
+        (ours("prepare", '{"v":1,"z":"AAAA"}'), Reason.SYSTEM_FAULT, "can't be read"),
+        (ours("prepare", None), Reason.SYSTEM_FAULT, "can't be read"),
+    ],
+)
+def test_a_preparation_that_failed_says_why(made: dict[str, Any], reason: Reason, part: str) -> None:
+    found = observe_variant(job(), [made])
+    assert (found.state, found.description) == (VariantState.FAILED, None)
+    assert found.problem is not None
+    assert found.problem[0] is reason
+    assert part in found.problem[1]
+
+
+def test_an_evaluator_that_failed_says_which_container() -> None:
+    assert observe_evaluator(job("Complete"), [ours("evaluate", None)]).problem is None
+    custom = ours("evaluator", "no such trajectory\n", 2)
+    custom["status"]["initContainerStatuses"] = custom["status"]["containerStatuses"]
+    custom["status"]["containerStatuses"] = [
+        {"name": "report", "state": {"waiting": {"reason": "PodInitializing"}}}
+    ]
+    found = observe_evaluator(job(), [custom])
+    assert (found.state, found.container) == (AttemptState.ENDED, "report")
+    expected = "container 'evaluator': exit code 2: no such trajectory"
+    assert found.problem == (Reason.ALGORITHM_FAILED, expected)
+    assert observe_evaluator(job("Complete"), []).problem is None
+    assert observe_evaluator(job("Failed"), []).problem is not None
+
+
+def test_what_was_read_is_a_report() -> None:
+    text = json.dumps({"v": 1, "reason": None, "trajectoryProblem": "bad", "usage": {"samples": 3}})
+    found = observe_read(job(), [ours("read", text)])
+    assert found.ended
+    assert found.report is not None
+    assert found.report.trajectory_problem == "bad"
+    failed = observe_read(job(), [ours("read", ERROR, 1)])
+    assert (failed.ended, failed.report) == (True, None)
+    assert failed.problem == (Reason.DATASET_MISSING, "no file a.bag")
+    assert not observe_read(None, []).ended
