@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
     from slamhive.kube.kinds import Kind
     from slamhive.kube.operator import Reconcile
+
+_LONGEST_END_SECONDS = 5.0
 
 _log = logging.getLogger("slamhive.operator")
 
@@ -76,15 +79,41 @@ async def run(
         await _listen(op, health)
         await op.start()
         _log.info("watching %s", ", ".join(settings.namespaces))
-        await handlers.watch(op, stop_flag=op.broken)
-        if op.broken.is_set():
-            raise SystemFault(f"the operator broke off: {', '.join(op.failed_tasks)} ended")
+        await _watch(op)
+        _log.info("ending")
     finally:
+        # What kopf leaves half-read when its watches are cancelled is of no interest any more.
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
         await op.stop()
         await health.stop()
         await api.close()
         if archive is not None:
             archive.close()
+
+
+async def _watch(op: Operator) -> None:
+    """Watch until a signal comes.
+
+    Left to itself, kopf takes 7 s to end; cancelled, it ends at once. So its signal handlers are replaced.
+    """
+    signalled, ready = asyncio.Event(), asyncio.Event()
+    watching = asyncio.create_task(handlers.watch(op, ready), name="watches")
+    flags = [asyncio.create_task(flag.wait()) for flag in (signalled, op.broken)]
+    begun = asyncio.create_task(ready.wait())
+    try:
+        await asyncio.wait([watching, begun, *flags], return_when=asyncio.FIRST_COMPLETED)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            asyncio.get_running_loop().add_signal_handler(number, signalled.set)
+        await asyncio.wait([watching, *flags], return_when=asyncio.FIRST_COMPLETED)
+        if op.broken.is_set():
+            raise SystemFault(f"the operator broke off: {', '.join(op.failed_tasks)} ended")
+        if watching.done() and (error := watching.exception()) is not None:
+            raise SystemFault(f"the watches broke off: {error}") from error
+    finally:
+        tasks = [watching, begun, *flags]
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks, timeout=_LONGEST_END_SECONDS)
 
 
 def open_archive(settings: Settings) -> Archive | None:

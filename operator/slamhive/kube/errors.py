@@ -194,9 +194,9 @@ def _causes(answer: dict[str, Any]) -> list[dict[str, Any]]:
 def _sentence(answer: dict[str, Any], body: bytes, status: int) -> str:
     # The causes say per field what the message runs together.
     sentences = [
-        f"{cause['field']}: {cause.get('message', '')}" if cause.get("field") else cause.get("message", "")
+        f"{cause['field']}: {cause.get('message', '')}"
         for cause in _causes(answer)
-        if cause.get("reason", "").startswith("FieldValue")
+        if cause.get("reason", "").startswith("FieldValue") and cause.get("field", "<nil>") != "<nil>"
     ]
     if sentences:
         return "; ".join(dict.fromkeys(sentences))

@@ -7,6 +7,7 @@ retries) is left off, because the reconcilers work from the store and the queue.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import kopf
 
+from slamhive.kube.client import PAGE
 from slamhive.kube.kinds import Kind
 from slamhive.kube.operator import MANAGED
 
@@ -21,13 +23,12 @@ if TYPE_CHECKING:
     from slamhive.kube.client import Api
     from slamhive.kube.operator import Operator
 
-WATCH_SECONDS = 600.0
+WATCH_SECONDS = 600
 INACTIVE_SECONDS = 90.0
 """Longer than the minute between the server's bookmarks: a watch silent for longer is dead."""
 
 _LOGIN_SECONDS = 600.0
-_IDLE_SECONDS = 1.0
-_PAGE = 500
+_IDLE_SECONDS = 0.1
 
 
 class NoDiffs(kopf.DiffBaseStorage):
@@ -64,7 +65,7 @@ def settings_for_kopf() -> kopf.OperatorSettings:
     settings = kopf.OperatorSettings()
     settings.watching.server_timeout = WATCH_SECONDS
     settings.watching.inactivity_timeout = INACTIVE_SECONDS
-    settings.watching.chunk_size = _PAGE
+    settings.watching.chunk_size = PAGE
     for kind in Kind:
         if not kind.is_ours:
             settings.watching.label_selectors[kind.group, kind.version, kind.plural] = MANAGED
@@ -77,20 +78,18 @@ def settings_for_kopf() -> kopf.OperatorSettings:
     return settings
 
 
-async def watch(op: Operator, stop_flag: Any, ready_flag: Any = None) -> None:
-    """Watch until the flag is set or a signal comes.
+async def watch(op: Operator, ready_flag: asyncio.Event | None = None) -> None:
+    """Watch until cancelled, or until a signal comes before the flag is set.
 
     Args:
         op: gets what is seen.
-        stop_flag: an event that ends the watching.
-        ready_flag: an event that is set when the watching has begun.
+        ready_flag: set when the watching has begun and kopf's own signal handlers are in place.
     """
     await kopf.operator(
         registry=registry_for(op),
         settings=settings_for_kopf(),
         namespaces=op.settings.namespaces,
         standalone=True,
-        stop_flag=stop_flag,
         ready_flag=ready_flag,
     )
 

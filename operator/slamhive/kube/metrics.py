@@ -10,7 +10,14 @@ from __future__ import annotations
 from collections import Counter as Tally
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, start_http_server
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Histogram,
+    ProcessCollector,
+    disable_created_metrics,
+    start_http_server,
+)
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 
@@ -49,6 +56,7 @@ class Metrics:
     """
 
     def __init__(self, *, run_name_label: bool = False) -> None:
+        disable_created_metrics()  # they double the series and say nothing
         self.registry = CollectorRegistry()
         self.live = _Live(run_name_label=run_name_label)
         self._state = _State()

@@ -12,6 +12,7 @@ import logging
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping
 from contextvars import ContextVar
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.errors import ApiError, Conflict, Forbidden, NotFound, StartError, Unauthorized
@@ -20,7 +21,7 @@ from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
 from slamhive.kube.queue import Queue
 from slamhive.kube.routing import routes
-from slamhive.kube.store import Store, narrow
+from slamhive.kube.store import Store
 from slamhive.model.base import GROUP, VERSION
 from slamhive.model.errors import InputError, SlamHiveError
 
@@ -256,7 +257,7 @@ class Operator:
     async def _relist_one(self, kind: Kind, namespace: str) -> None:
         labels = None if kind.is_ours else MANAGED
         items, version = await self.api.list(
-            kind, namespace, labels=labels, narrow=lambda obj: narrow(kind, obj)
+            kind, namespace, labels=labels, narrow=partial(self.store.narrowed, kind)
         )
         for key, obj, there in self.store.sync(kind, namespace, items, version):
             if kind is Kind.POD and not there:

@@ -55,10 +55,15 @@ class Store:
         """Return the number of objects."""
         return sum(len(objects) for objects in self._objects.values())
 
-    def put(self, kind: Kind, obj: Object) -> bool:
+    def put(self, kind: Kind, obj: Object, *, narrowed: bool = False) -> bool:
         """Take an object in; returns whether it was news.
 
         An older version than the one here, the same version, and objects known to be deleted are not.
+
+        Args:
+            kind: its kind.
+            obj: the object.
+            narrowed: whether it has gone through ``narrow`` already.
         """
         key = key_of(kind, obj)
         if obj["metadata"].get("uid") in self._deleted:
@@ -66,11 +71,11 @@ class Store:
         present = self.get(key)
         if present is not None and version_of(obj) <= version_of(present):
             return False
-        narrowed = narrow(kind, obj)
+        kept = obj if narrowed else narrow(kind, obj)
         if present is not None:
             self._unlink(key, present)
-        self._objects[kind, key.namespace][key.name] = narrowed
-        self._link(key, narrowed)
+        self._objects[kind, key.namespace][key.name] = kept
+        self._link(key, kept)
         return True
 
     def remove(self, kind: Kind, namespace: str, name: str, uid: str | None = None) -> bool:
@@ -123,6 +128,15 @@ class Store:
         pairs = ((key.kind, self.get(key)) for key in self._owned.get(uid, ()))
         return [(kind, obj) for kind, obj in pairs if obj is not None]
 
+    def narrowed(self, kind: Kind, obj: Object) -> Object:
+        """Return an object narrowed: the one here if it is the same version."""
+        present = self.get(key_of(kind, obj))
+        if present is not None and present["metadata"].get("resourceVersion") == obj["metadata"].get(
+            "resourceVersion"
+        ):
+            return present
+        return narrow(kind, obj)
+
     def sync(
         self, kind: Kind, namespace: str, items: Iterable[Object], resource_version: str = ""
     ) -> list[tuple[Key, Object, bool]]:
@@ -131,7 +145,7 @@ class Store:
         Args:
             kind: the kind that was listed.
             namespace: where.
-            items: the whole list.
+            items: the whole list, narrowed.
             resource_version: version of the list: objects newer than it are not missed in it.
         """
         listed = _number(resource_version)
@@ -140,7 +154,7 @@ class Store:
         for obj in items:
             key = key_of(kind, obj)
             seen.add(key.name)
-            if self.put(kind, obj):
+            if self.put(kind, obj, narrowed=True):
                 changed.append((key, obj, True))
         for name, obj in list(self._objects[kind, namespace].items()):
             if name not in seen and (not listed or version_of(obj) <= listed):

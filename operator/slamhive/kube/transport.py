@@ -14,6 +14,7 @@ import json
 import os
 import random
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import urlencode
 
@@ -25,7 +26,6 @@ from slamhive.kube.errors import ApiError, ServerFault, StartError, TooManyReque
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping
-    from pathlib import Path
 
 Object = dict[str, Any]
 
@@ -123,13 +123,13 @@ class Transport:
                     return cls(ApiClient(configuration), **options)
                 except ConfigException:
                     pass
-            file = str(kubeconfig) if kubeconfig else os.environ.get("KUBECONFIG")
+            file = _kubeconfig(kubeconfig)
             await load_kube_config(  # type: ignore[no-untyped-call]
                 config_file=file, context=context, client_configuration=configuration
             )
         except (ConfigException, OSError) as error:
             raise StartError(
-                f"no cluster is known: this is no pod of one, and there is no usable kubeconfig ({error}); "
+                f"no cluster is known: this is no pod of one, and no kubeconfig can be used ({error}); "
                 "set KUBECONFIG or write ~/.kube/config"
             ) from None
         return cls(ApiClient(configuration), **options)
@@ -236,3 +236,10 @@ class Transport:
         )
         content: bytes = await answer.read()
         return answer.status, content, answer.headers
+
+
+def _kubeconfig(given: Path | None) -> str:
+    files = str(given or os.environ.get("KUBECONFIG") or Path("~/.kube/config").expanduser())
+    if not any(Path(file).is_file() for file in files.split(os.pathsep)):
+        raise FileNotFoundError(f"there is no file {files}")
+    return files
