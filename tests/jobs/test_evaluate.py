@@ -1,0 +1,341 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Evaluation as its Job does it: the same results as a workstation's, whatever some runs left."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from slamhive.analysis.subjects import Surroundings, subject_of
+from slamhive.archive import Archive
+from slamhive.jobs.lines import decode
+from slamhive.jobs.requests import RunItem
+from slamhive.kube.reports import read_description
+from slamhive.local.catalog import Workshop
+from slamhive.local.workbench import Workbench
+from slamhive.model.algorithm import Algorithm
+from slamhive.model.dataset import Dataset
+from slamhive.model.evaluation import EvaluationSettings
+from slamhive.model.sensors import SensorMode
+from slamhive_eval import read_kitti, read_tum, write_tum
+
+if TYPE_CHECKING:
+    from slamhive.local.home import Home
+
+SETTINGS = {
+    "rpe": [{"delta": 1, "unit": "m"}, {"delta": 5, "unit": "s", "pairs": "Consecutive"}],
+    "association": {"maxDifference": "20ms"},
+}
+LEVER = [[0.0, -1.0, 0.0, 0.3], [1.0, 0.0, 0.0, -0.2], [0.0, 0.0, 1.0, 0.55], [0.0, 0.0, 0.0, 1.0]]
+
+
+def algorithm_of(**output: Any) -> Algorithm:
+    spec = {
+        "image": "x",
+        "modes": [{"name": "lidar"}, {"name": "mono", "output": {"gravityAligned": True}}],
+        "output": {"frame": "lidar"} | output,
+    }
+    return Algorithm.model_validate({"metadata": {"name": "other"}, "spec": spec})
+
+
+def dataset_of(truth: Any, **spec: Any) -> Dataset:
+    sensors = {
+        "lidar": {"type": "Lidar", "topic": "/points", "T_body_sensor": LEVER},
+        "camera": {"type": "Camera", "topic": "/none", "T_body_sensor": np.eye(4).tolist()},
+    }
+    spec |= {"recording": {"files": [{"path": "walk.bag"}]}, "sensors": sensors, "groundTruth": truth}
+    return Dataset.model_validate({"metadata": {"name": "walk"}, "spec": spec})
+
+
+def put_run(pod: Any, number: int, estimate: Path | str) -> dict[str, Any]:
+    """Lay a run's folder onto the results volume, and return its item without a subject."""
+    uid = f"{number:08d}-0000-4000-8000-000000000000"
+    folder = f"runs/{uid}/{uid[::-1]}"
+    place = pod.root / "results" / folder / "output"
+    place.mkdir(parents=True)
+    data = estimate.encode() if isinstance(estimate, str) else estimate.read_bytes()
+    (place / "trajectory.txt").write_bytes(data)
+    return {
+        "uid": uid,
+        "name": f"run-{number}",
+        "folder": folder,
+        "sha256": hashlib.sha256(data).hexdigest(),
+        "dataset": "walk",
+        "mode": "lidar",
+    }
+
+
+def evaluate(pod: Any, runs: Any, *options: str, evaluation: Any = None, **popen: Any) -> list[Any]:
+    request = {"evaluation": evaluation, "settings": SETTINGS, "runs": runs}
+    ended = pod.run("evaluate", *options, request=request, **popen)
+    assert ended.code == 0, ended.stderr
+    found = decode(ended.stdout)
+    assert (found.total, found.missing, found.damaged) == (len(runs), [], 0)
+    lines = (pod.root / "output" / "results.jsonl").read_text().splitlines()
+    records = [found.records[number] for number in range(len(runs))]
+    assert [json.loads(line) for line in lines] == records
+    assert [(record["uid"], record["name"]) for record in records] == [
+        (run.get("uid"), run.get("name")) for run in runs
+    ]
+    assert ended.told["failed"] == sum("error" in record for record in records)
+    return records
+
+
+def prepare_truth(shared: Path, kind: str, folder: Path) -> tuple[dict[str, Any], Path, tuple[float, float]]:
+    """Lay out ground truth of a kind, and return its manifest, an estimate and a window on it."""
+    source, estimate = shared / "trajectories", folder / "estimate.txt"
+    if kind == "Kitti":
+        for name, file in (("gt", "KITTI_00_gt.txt"), ("times", "KITTI_00_gt_times.txt")):
+            shutil.copyfile(source / file, folder / name)
+        write_tum(estimate, read_kitti(source / "KITTI_00_ORB.txt", source / "KITTI_00_gt_times.txt"))
+        return {"file": "gt", "times": "times", "format": "Kitti"}, estimate, (20.0, 400.0)
+    if kind == "Euroc":
+        text = (shared / "euroc_v1_01_start" / "groundtruth.txt").read_text()
+        shutil.copyfile(shared / "euroc_v1_01_start" / "groundtruth.txt", estimate)
+        rows = [line.split() for line in text.splitlines() if line[:1] != "#"]
+        lines = [
+            f"{round(float(row[0]) * 1e9)},{','.join([*row[1:4], row[7], *row[4:7]])},0,0,0" for row in rows
+        ]
+        (folder / "gt").write_text("#timestamp\n" + "\n".join(lines) + "\n")
+        return {"file": "gt", "format": "Euroc"}, estimate, (float(rows[0][0]), float(rows[-1][0]))
+    if kind == "Relations":
+        poses = read_tum(source / "fr2_desk_groundtruth.txt").stamps
+        lines = [f"{a} {b} 0.3 0.1 0 0 0 0.2" for a, b in zip(poses[:-900:50], poses[900::50], strict=False)]
+        (folder / "gt").write_text("\n".join(lines) + "\n")
+        truth: dict[str, Any] = {"file": "gt", "format": "Relations"}
+    else:
+        shutil.copyfile(source / "fr2_desk_groundtruth.txt", folder / "gt")
+        truth = {"file": "gt", "holes": [{"start": 1311868180.0, "end": 1311868190.25}]}
+    shutil.copyfile(source / "fr2_desk_ORB.txt", estimate)
+    return truth, estimate, (1311868170.0, 1311868230.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [("Tum", "lidar"), ("Tum", "mono"), ("Euroc", "lidar"), ("Kitti", "mono"), ("Relations", "lidar")],
+)
+def test_results_are_those_of_the_workstation(  # noqa: PLR0917 - fixtures
+    pod: Any, shared: Path, home: Home, tiny: Path, kind: str, mode: str
+) -> None:
+    folder = pod.root / "data" / "datasets" / "walk"
+    folder.mkdir()
+    truth, estimate, window = prepare_truth(shared, kind, folder)
+    truth |= {"frame": "lidar"} if mode == "mono" else {"T_body_frame": LEVER}
+    shutil.copyfile(next(tiny.glob("tiny-*/recording.bag")), folder / "walk.bag")
+    dataset, algorithm = dataset_of(truth, gravityAligned=True), algorithm_of(poses="Keyframes")
+    spec = {
+        "algorithmRef": {"name": "other"},
+        "datasetRef": {"name": "walk"},
+        "sensors": mode,
+        "input": {"remap": {}},
+    }
+
+    request = {"dataset": dataset.as_json(), "roles": ["lidar"], "formats": ["Rosbag1"]}
+    told = read_description(pod.run("prepare", request=request).message)
+    assert told is not None
+    given = Surroundings(
+        truth_frame=told.T_body_frame,  # type: ignore[arg-type]
+        by_role={role: sensor.T_body_sensor for role, sensor in told.sensors.items()},
+        by_name=told.extrinsics,
+        gravity_aligned=dataset.spec.gravity_aligned,
+        window=window,
+    )
+    subject = subject_of(algorithm.spec, SensorMode(mode), given)
+    item = RunItem.of(subject, **put_run(pod, 1, estimate) | {"mode": mode}).as_json()
+    (pod.root / "groundtruth").rmdir()
+    (pod.root / "groundtruth").symlink_to(pod.root / "data" / "groundtruth")
+    [line] = evaluate(pod, [item])
+
+    expected = on_the_workstation(home, algorithm, dataset, folder)(spec, estimate, window)
+    if kind in {"Tum", "Relations"}:
+        assert line["result"] == expected
+    found, wanted = flat(line["result"]), flat(expected)
+    assert found.keys() == wanted.keys()
+    for key, value in wanted.items():
+        close = isinstance(value, float) and found[key] == pytest.approx(value, rel=1e-9, abs=1e-12)
+        assert close or found[key] == value, key
+    assert kind == "Relations" or wanted[".values.ate.rmse"] > 0
+
+
+def on_the_workstation(home: Home, algorithm: Algorithm, dataset: Dataset, folder: Path) -> Any:
+    """Return what measures a trajectory as ``slamhive run`` does."""
+
+    def measure(spec: dict[str, Any], estimate: Path, window: tuple[float, float]) -> Any:
+        workshop = Workshop()
+        workshop.add([algorithm, dataset], folder)
+        with Archive.open(home.archive_url) as archive:
+            bench = Workbench(home, workshop, archive)
+            # A workstation would prepare what the mode needs; the recording's own sensors suffice here.
+            lidar = algorithm.replace(spec=algorithm.spec.replace(modes=[algorithm.spec.modes[0]]))
+            variant = bench.prepare(spec | {"sensors": "lidar"}, lidar)
+            variant = replace(variant, start_time=window[0], duration_seconds=window[1] - window[0])
+            settings = EvaluationSettings.model_validate(SETTINGS)
+            result = bench.evaluator.measure_file(estimate, spec, settings, variant)
+        assert result is not None
+        return json.loads(json.dumps(result.as_json()))
+
+    return measure
+
+
+def flat(value: Any, path: str = "") -> dict[str, Any]:
+    if isinstance(value, dict):
+        return {key: item for name in value for key, item in flat(value[name], f"{path}.{name}").items()}
+    if isinstance(value, list):
+        return {key: item for k, part in enumerate(value) for key, item in flat(part, f"{path}[{k}]").items()}
+    return {path: value}
+
+
+@pytest.fixture
+def walked(pod: Any) -> str:
+    """A volume with ground truth of a walk, and a good estimate of it."""
+    turns = np.linspace(0, 6, 200)
+    rows = [
+        f"{100 + k / 10:.6f} {np.cos(t):.9f} {t:.9f} {np.sin(t):.9f} 0 0 0 1" for k, t in enumerate(turns)
+    ]
+    text = "\n".join(rows) + "\n"
+    (pod.root / "groundtruth" / "walk.txt").write_text(text)
+    return text
+
+
+def damaged(pod: Any, walked: str) -> list[tuple[dict[str, Any], str]]:
+    """Runs that can't be measured, each with a part of the sentence that says why."""
+    cases: list[tuple[dict[str, Any], str]] = []
+
+    def case(sentence: str, estimate: str = walked, **changes: Any) -> Path:
+        run = put_run(pod, len(cases) + 10, estimate) | changes
+        cases.append((run, sentence))
+        return Path(pod.root, "results", str(run["folder"]), "output", "trajectory.txt")
+
+    case("sha256", sha256="0" * 64)
+    case("line 2: found 2 of 8 values", "1 0 0 0 0 0 0 1\nof poses\n", sha256=None)
+    case("finite", "1 0 0 nan 0 0 0 1\n")
+    case("holds no poses", "")
+    case("no ground truth", dataset="elsewhere")
+    case("folder", folder="../../../etc")
+    case("folder", folder="/etc")
+    case("mode", mode="sonar")
+    case("extrinsic", extrinsic=[[1, 2]])
+    case("dataset", dataset="../walk")
+    case("name", name="a/b")
+    case("does not exist", folder="runs/none/none")
+    case("compressed").write_bytes(b"\x1f\x8b" + b"\0" * 100)
+    path = case("symbolic links are not followed")
+    path.unlink()
+    path.symlink_to("/etc/passwd")
+    path = case("symbolic links are not followed")
+    shutil.rmtree(path.parent)
+    path.parent.symlink_to(pod.root / "groundtruth")
+    path = case("not a regular file")
+    path.unlink()
+    path.mkdir()
+    path = case("not a regular file")
+    path.unlink()
+    os.mkfifo(path)
+    path = case("at most")
+    os.truncate(path, 600 << 20)
+    cases.append(({"uid": 3, "name": None}, "run None"))
+    return cases
+
+
+def test_one_bad_run_never_stops_the_rest(pod: Any, walked: str) -> None:
+    good = put_run(pod, 1, walked)
+    cases = damaged(pod, walked)
+    runs = [run for case in cases for run in (case[0], good)]
+    records = evaluate(pod, runs, evaluation="mine")
+    for record, (_, sentence) in zip(records[::2], cases, strict=True):
+        assert sentence in record["error"]
+        assert str(pod.root) not in record["error"]
+        assert "unforeseen" not in record["error"]
+    for record in records[1::2]:
+        result = record["result"]
+        assert (result["evaluation"], result["outcome"]) == ("mine", "Tracked")
+
+
+@pytest.mark.parametrize("processes", ["1", "2"])
+def test_a_greedy_run_is_refused_its_memory(pod: Any, walked: str, processes: str) -> None:
+    pose = "1 0 0 0 0 0 0 1\n"
+    runs = [put_run(pod, 1, walked), put_run(pod, 2, pose * 8_000_000), put_run(pod, 3, walked)]
+    records = evaluate(pod, runs, "--memory", str(500 << 20), "--processes", processes)
+    assert "memory" in records[1]["error"]
+    assert [record["result"]["outcome"] for record in records[::2]] == ["Tracked", "Tracked"]
+
+
+def test_a_process_that_dies_takes_no_other_run_along(
+    pod: Any, walked: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from slamhive.jobs import batch
+
+    runs = [put_run(pod, number, walked) for number in range(1, 7)]
+    measure = batch.measure
+
+    def dying(*arguments: Any) -> Any:
+        if arguments[3].keyframes:
+            os.abort()
+        return measure(*arguments)
+
+    monkeypatch.setattr(batch, "measure", dying)
+    runs[2]["keyframes"] = True
+    truths = batch.read_truths(pod.root / "groundtruth", ["walk"])
+    bench = batch.Bench(pod.root / "results", EvaluationSettings(), None, truths)
+    records = list(batch.measure_all(bench, runs, cores=2))
+    assert [record["name"] for record in records] == [run["name"] for run in runs]
+    assert [k for k, record in enumerate(records) if "error" in record] == [2]
+
+
+def test_the_evaluator_s_image_suffices() -> None:
+    """It holds numpy, pydantic, pyyaml, rfc8785 and rosbags alone."""
+    code = """
+import sys
+for name in ("cv2", "sqlalchemy", "kubernetes", "kopf", "rich", "typer", "scipy", "fastapi", "aiohttp"):
+    sys.modules[name] = None
+import slamhive.jobs.evaluate, slamhive.jobs.batch, slamhive.jobs.report, slamhive.jobs.read
+assert not set(sys.modules) & {"slamhive.kube", "slamhive.data", "slamhive.archive", "slamhive.local"}
+"""
+    subprocess.run([sys.executable, "-P", "-c", code], check=True)
+
+
+def test_links_lead_to_the_runs_folders(pod: Any, walked: str) -> None:
+    runs = [put_run(pod, number, walked) for number in (1, 2)]
+    for _ in range(2):  # a container may be started again
+        assert pod.run("evaluate", "--links", request={"runs": runs}).code == 0
+    found = {link.name: link / "output" / "trajectory.txt" for link in (pod.root / "runs").iterdir()}
+    assert sorted(found) == ["run-1", "run-2"]
+    assert found["run-1"].read_text() == walked
+    assert found["run-1"].resolve() == Path(
+        pod.root.resolve(), "results", runs[0]["folder"], "output/trajectory.txt"
+    )
+
+
+@pytest.mark.parametrize("change", [{"name": "../x"}, {"name": "a/b"}, {"folder": "../../etc"}])
+def test_links_lead_nowhere_else(pod: Any, walked: str, change: Any) -> None:
+    run = put_run(pod, 1, walked) | change
+    assert pod.run("evaluate", "--links", request={"runs": [run]}).error[0] == "SystemFault"
+    assert list((pod.root / "runs").iterdir()) == []
+
+
+def test_subjects_keep_every_digit_in_their_request() -> None:
+    random = np.random.default_rng(5)
+    rotation, _ = np.linalg.qr(random.normal(size=(3, 3)))
+    pose = np.eye(4)
+    pose[:3] = np.column_stack((rotation, random.normal(size=3)))
+    given = Surroundings(pose, {}, {"left": LEVER}, None, True, (1.0 / 3.0, 1e9 + 0.1))  # type: ignore[dict-item]
+    algorithm = algorithm_of(frame="camera")
+    subject = subject_of(algorithm.spec, SensorMode.MONO, given)
+    run = {"uid": "u", "name": "n", "folder": "f", "dataset": "d"}
+    text = json.dumps(RunItem.of(subject, **run).as_json())
+    again = RunItem.model_validate_json(text).subject()
+    assert again.extrinsic is not None
+    assert subject.extrinsic is not None
+    assert again.extrinsic.tolist() == subject.extrinsic.tolist()
+    assert (again.window, again.gravity_aligned, again.keyframes) == (subject.window, True, False)
+    assert np.allclose(pose @ subject.extrinsic, LEVER)
