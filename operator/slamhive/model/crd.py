@@ -26,6 +26,7 @@ from slamhive.model.crd_rules import (
     PATTERN_LENGTH,
     RULES,
     TEXT_LENGTH,
+    meaning,
 )
 from slamhive.model.crd_status import COLUMNS, statuses
 from slamhive.model.dataset import Dataset
@@ -43,7 +44,10 @@ _KINDS: dict[str, tuple[type[BaseModel], str, tuple[str, ...]]] = {
     "MappingRun": (MappingRun, "mappingruns", ("mrun",)),
     "Sweep": (Sweep, "sweeps", ("sw",)),
 }
-_COPIED = ("description", "enum", "pattern", "minLength", "maxLength", "minItems", "maxItems", "format")
+_COPIED = (
+    *("description", "enum", "pattern", "format"),
+    *("minLength", "maxLength", "minItems", "maxItems", "minProperties", "maxProperties"),
+)
 _NAME_LIMIT = 63
 
 
@@ -94,9 +98,11 @@ class _Converter:
                 del result["type"]
                 result |= {"x-kubernetes-int-or-string": True, "maxLength": _NAME_LIMIT}
                 result["anyOf"] = [{"type": "integer"}, {"type": "string"}]
+                _explain_pattern(result, "type(self) == int || ")
             case "string" if "enum" not in result and "format" not in result:
                 usual = PATTERN_LENGTH if "pattern" in result else TEXT_LENGTH
                 result.setdefault("maxLength", LENGTHS.get(where, usual))
+                _explain_pattern(result)
             case "integer":
                 result["format"] = "int64"
         _bounds(schema, result)
@@ -125,9 +131,30 @@ class _Converter:
         if schema.get("required"):
             result["required"] = list(schema["required"])
         result |= EXTRA.get(name, {})
-        rules = [{"rule": rule, "message": message} for rule, message in RULES.get(name, ())]
+        rules = [_rule(rule, message, properties) for rule, message in RULES.get(name, ())]
         if rules:
             result["x-kubernetes-validations"] = rules
+
+
+def _explain_pattern(schema: Schema, unless: str = "") -> None:
+    """Say in words what a pattern asks; the pattern itself stays for other tools."""
+    sentence = meaning(schema.get("pattern", ""))
+    if sentence is not None:
+        pattern = schema["pattern"].replace("\\", "\\\\")
+        schema["x-kubernetes-validations"] = [
+            {"rule": f"{unless}self.matches('{pattern}')", "message": sentence}
+        ]
+
+
+def _rule(rule: str, message: str, properties: Schema) -> Schema:
+    """Return a rule whose error stands at the field that its message names."""
+    way, _, text = message.partition(": ")
+    result = {"rule": rule, "message": message}
+    if way.split(".")[0] in properties:
+        result["fieldPath"] = f".{way}"
+    if text.startswith("needed"):
+        result["reason"] = "FieldValueRequired"
+    return result
 
 
 def _values_of(schema: Schema) -> bool:
@@ -176,12 +203,10 @@ def without_defaults(schema: Schema) -> Schema:
 
 def _tolerant(rule: Schema) -> Schema:
     """Return a rule that allows the field to be absent which its message names."""
-    name = rule["message"].split(":")[0]
-    return (
-        rule
-        if f"has(self.{name})" in rule["rule"]
-        else rule | {"rule": f"!has(self.{name}) || {rule['rule']}"}
-    )
+    field = f"self.{rule['message'].split(':')[0]}"
+    if field not in rule["rule"] or f"has({field})" in rule["rule"]:
+        return rule
+    return rule | {"rule": f"!has({field}) || {rule['rule']}"}
 
 
 def _reachable(model: Any) -> set[type[BaseModel]]:

@@ -9,14 +9,19 @@ not look into.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
+from slamhive.model.algorithm import RelativePath
+from slamhive.model.base import Sha256, explain
 from slamhive.model.run import MappingRunSpec
 from slamhive.model.sweep import IMMUTABLE, MAX_POINTS
+from slamhive.model.synthetic import NOMINAL_LAP_METRES, REST_SECONDS
 
 Rule = tuple[str, str]
 
 _ROLES = "'camera', 'left', 'right', 'color', 'depth', 'lidar', 'imu'"
+MAX_SPEED = 6.0
+"""Greatest speed of a synthetic recording's platform, m/s."""
 _SELECTABLE = "'algorithm', 'dataset', 'algorithmRef.name', 'datasetRef.name'"
 
 RULES: dict[str, tuple[Rule, ...]] = {
@@ -76,7 +81,10 @@ RULES: dict[str, tuple[Rule, ...]] = {
         ),
         ("!has(self.lidar) || self.type == 'Lidar'", "lidar: only a sensor of type Lidar takes it"),
         ("!has(self.imu) || self.type == 'Imu'", "imu: only a sensor of type Imu takes it"),
-        ("self.T_body_sensor[3] == [0.0, 0.0, 0.0, 1.0]", "T_body_sensor: the last row must be 0 0 0 1"),
+        (
+            "size(self.T_body_sensor) != 4 || self.T_body_sensor[3] == [0.0, 0.0, 0.0, 1.0]",
+            "T_body_sensor: the last row must be 0 0 0 1",
+        ),
     ),
     "SyntheticLidar": (("self.minRange < self.maxRange", "maxRange: must be greater than minRange"),),
     "SyntheticCamera": (
@@ -89,6 +97,13 @@ RULES: dict[str, tuple[Rule, ...]] = {
         (
             "!has(self.speed) || !has(self.durationSeconds)",
             "speed: excludes durationSeconds; with loops, one gives the other",
+        ),
+        (
+            (
+                f"!has(self.durationSeconds) || self.loops * {NOMINAL_LAP_METRES}"
+                f" <= {MAX_SPEED} * (self.durationSeconds - {2 * REST_SECONDS})"
+            ),
+            f"durationSeconds: too short for so many loops; at most {MAX_SPEED:g} m/s are possible",
         ),
     ),
     "LidarInput": (
@@ -118,6 +133,11 @@ RULES: dict[str, tuple[Rule, ...]] = {
         ("!has(self.step) || self.to >= self.from", "to: must not be below from"),
     ),
     "Axis": (
+        ("has(self.path) || has(self.points)", "path: needed with values, range and selector"),
+        (
+            "!has(self.points) || (has(self.name) && !has(self.path))",
+            "points: an axis of points has a name and no path",
+        ),
         (
             f"!has(self.selector) || (has(self.path) && self.path in [{_SELECTABLE}])",
             "selector: selects algorithms or datasets, so path must be algorithm or dataset",
@@ -126,13 +146,11 @@ RULES: dict[str, tuple[Rule, ...]] = {
 }
 """Rules by the name of the model; each message begins with the field."""
 
-_AXIS_SOURCES = ("values", "range", "selector")
+_AXIS_SOURCES = ("values", "range", "selector", "points")
 EXTRA: dict[str, dict[str, Any]] = {
     "Axis": {
-        "oneOf": [
-            *({"required": [source, "path"]} for source in _AXIS_SOURCES),
-            {"required": ["points", "name"], "not": {"required": ["path"]}},
-        ]
+        "oneOf": [{"required": [source]} for source in _AXIS_SOURCES],
+        "description": "One dimension of the matrix: exactly one of values, range, selector and points.",
     },
     "AlgorithmSpec.modes": {"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["name"]},
     "SyntheticRecording.sensors": {"x-kubernetes-list-type": "set"},
@@ -149,6 +167,19 @@ FROZEN: dict[str, tuple[str, ...] | None] = {
 }
 """Fields of a kind's spec that may not change, None for all of them."""
 
+_MEANINGS = {
+    get_args(RelativePath)[1].pattern: "expected a path below its folder: not absolute, no . or .. in it",
+    get_args(Sha256)[1].pattern: "expected a SHA-256 checksum: 64 digits and letters from a to f",
+    "^https://": "expected an address that begins with https://",
+}
+
+
+def meaning(pattern: str) -> str | None:
+    """Return in words what a pattern asks, None where nobody has written it down."""
+    error: Any = {"ctx": {"pattern": pattern}, "msg": ""}
+    return explain(error) or _MEANINGS.get(pattern)
+
+
 _SMALL = 64
 LENGTHS: dict[str, int] = {
     "Axis.values": MAX_POINTS,
@@ -162,7 +193,7 @@ LENGTHS: dict[str, int] = {
     "InputOptions.remap": 7,
     "Mode.roles": 7,
     "Parameter.values": 1000,
-    "Recording.files": 10_000,
+    "Recording.files": 1000,
     "Ros1.topics": 7,
     "RunSelector.names": 10_000,
     "SyntheticRecording.sensors": 4,
