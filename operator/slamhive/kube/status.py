@@ -120,12 +120,17 @@ def display(usage: Usage | None, results: Iterable[Mapping[str, Any]]) -> dict[s
     first = next(iter(results), None)
     error = (first or {}).get("ate") or {}
     if isinstance(error.get("rmse"), int | float):
-        shown["ate"] = f"{error['rmse']:.4g} m"
+        shown["ate"] = metres(error["rmse"])
     if usage is not None and usage.cpu.mean_cores is not None:
         shown["cpu"] = f"{usage.cpu.mean_cores:.2f}"
     if usage is not None and usage.memory.peak_bytes is not None:
         shown["memory"] = f"{usage.memory.peak_bytes / 2**20:.0f}Mi"
     return shown
+
+
+def metres(value: float) -> str:
+    """Return a length in m as kubectl prints it."""
+    return f"{value:.4g} m"
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:

@@ -156,11 +156,9 @@ def statuses(convert: Any) -> dict[str, Schema]:
         **{name: _count(f"Number of runs: {name}.") for name in counts},
         phase=_text("Where the Sweep stands, for printing.", 32),
         progress=_text("Runs that are done, of all.", 32),
-        archived=_object(
-            "Sums over finished runs whose objects are gone.",
-            reused=_count("Runs that took an equal run's result."),
-            evaluated=_count("Runs with a result."),
-            cpuSeconds=_number("CPU time in s."),
+        display=_object(
+            "Figures as kubectl prints them.",
+            ate=_text("RMSE of the absolute trajectory error of the best run.", 32),
         ),
         cpuSeconds=_number("CPU time of all finished runs in s."),
         selected={
@@ -288,7 +286,7 @@ COLUMNS: dict[str, list[Schema]] = {
         _column("Reused", ".status.reused", "integer", 1),
         _column("Evaluated", ".status.evaluated", "integer", 1),
         _column("Best", ".status.best[0].name"),
-        _column("ATE", ".status.best[0].ate", "number"),
+        _column("ATE", ".status.display.ate"),
         _AGE,
     ],
 }

@@ -36,7 +36,7 @@ from slamhive.kube.reconciling.sweep_runs import (
     slots_used,
     state_of,
 )
-from slamhive.kube.status import changes, condition, holds, iso, merged
+from slamhive.kube.status import changes, condition, holds, iso, merged, metres
 from slamhive.model.errors import InputError
 from slamhive.model.sweep import Sweep
 
@@ -320,6 +320,8 @@ def _figures(memory: SweepMemory, tally: Tally) -> Object:
         "best": tally.best,
         "points": encode(memory.states),
     }
+    if tally.best:
+        figures["display"] = {"ate": metres(tally.best[0]["ate"])}
     return figures | ({"selected": memory.selected} if memory.selected else {})
 
 
