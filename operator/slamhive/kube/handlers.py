@@ -7,7 +7,6 @@ retries) is left off, because the reconcilers work from the store and the queue.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -20,6 +19,8 @@ from slamhive.kube.kinds import Kind
 from slamhive.kube.operator import MANAGED
 
 if TYPE_CHECKING:
+    import asyncio
+
     from slamhive.kube.client import Api
     from slamhive.kube.operator import Operator
 

@@ -56,7 +56,7 @@ class Metrics:
     """
 
     def __init__(self, *, run_name_label: bool = False) -> None:
-        disable_created_metrics()  # they double the series and say nothing
+        disable_created_metrics()  # type: ignore[no-untyped-call]  # they double the series for nothing
         self.registry = CollectorRegistry()
         self.live = _Live(run_name_label=run_name_label)
         self._state = _State()
