@@ -290,7 +290,7 @@ def job(
         },
         "template": {
             "metadata": {
-                "labels": all_labels,
+                "labels": dict(all_labels),
                 "annotations": dict(passed_annotations or {}) | dict(annotations),
             },
             "spec": pod,
