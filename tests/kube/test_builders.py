@@ -262,7 +262,7 @@ def test_a_run_is_told_what_it_may_use() -> None:
 
 
 def test_a_generated_world_is_level_whether_its_dataset_says_so_or_not() -> None:
-    synthetic = {"synthetic": {"seed": 1, "sensors": ["Lidar"], "durationSeconds": 8}}
+    synthetic = {"synthetic": {"seed": 1, "sensors": ["Lidar"], "durationSeconds": 30}}
     data = dataset(recording=synthetic, sensors={}, gravityAligned=False)
     view = configuration("r", spec_of(algorithm(), data), data, DESCRIPTION)
     assert view.dataset.gravity_aligned
