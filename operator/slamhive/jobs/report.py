@@ -112,13 +112,15 @@ def _content(line: Mapping[str, Any], evaluation: str | None, where: str) -> dic
         return {"result": _result(given, evaluation, where).as_json()}
     except InputError as error:
         return {"error": str(error)}
+    except (ValueError, RecursionError):
+        return {"error": f"{where}: values are nested too deep"}
 
 
 def _result(given: Any, evaluation: str | None, where: str) -> Result:
     if not isinstance(given, dict):
         raise InputError(f"{where}: result: must be an object")
     outcome = given.get("outcome")
-    if outcome not in set(Outcome):
+    if outcome not in list(Outcome):
         raise InputError(f"{where}: outcome: {outcome!r} is not one of {', '.join(Outcome)}")
     beside = {key: item for key, item in given.items() if key not in {*_NAMES, *Result.model_fields}}
     values = given.get("values", {})
