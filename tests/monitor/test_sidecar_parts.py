@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sidecar's parts by themselves: specification, trajectory, termination message, state."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.monitor import SidecarSpec, SpecError
+from slamhive.monitor.accounting import Accounting
+from slamhive.monitor.containers import attach_cgroup
+from slamhive.monitor.outcome import Stop
+from slamhive.monitor.processes import ProcessIdentity
+from slamhive.monitor.sidecarstate import SidecarState
+from slamhive.monitor.sources import Sample
+from slamhive.monitor.summary import Reason
+from slamhive.monitor.termination import termination_message
+from slamhive.monitor.trajectory import check_trajectory
+from slamhive_eval import FileError, read_tum
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+SPEC = {"container": "algorithm", "runDirectory": "/run"}
+LINE = "{} 1 2 3 0 0 0 1\n"
+LONG = "".join(LINE.format(k / 8) for k in range(20000))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"container": ""}, "container must be the name of a container, not ''"),
+        ({"runDirectory": "x"}, "runDirectory must be an absolute path, not 'x'"),
+        ({"timeoutSeconds": 0}, "timeoutSeconds must be a number of seconds above 0 or null, not 0"),
+        ({"includesReader": 1}, "includesReader must be true or false, not 1"),
+        ({"intervalSeconds": 60}, "intervalSeconds must be a number of seconds from 0.01 to 10, not 60"),
+        ({"colour": 1}, "unknown field colour; known are configuration, container, "),
+    ],
+)
+def test_specification_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        SidecarSpec.from_json(json.dumps({**SPEC, **change}))
+    assert str(caught.value).startswith(message)
+
+
+def test_specification_round_trip() -> None:
+    spec = SidecarSpec.from_json(json.dumps({**SPEC, "dataSeconds": 26, "taskLimit": None}))
+    assert SidecarSpec.from_json(spec.to_json()) == spec
+    assert spec.termination_message == "/dev/termination-log"
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (None, "SLAMHIVE_SIDECAR is not set"),
+        ("{", "SLAMHIVE_SIDECAR: not JSON"),
+        ("{}", "SLAMHIVE_SIDECAR: container is missing"),
+    ],
+)
+def test_command_refuses(given: str | None, message: str) -> None:
+    environment = {key: value for key, value in os.environ.items() if key != "SLAMHIVE_SIDECAR"}
+    environment |= {} if given is None else {"SLAMHIVE_SIDECAR": given}
+    command = [sys.executable, "-P", "-m", "slamhive.monitor.sidecar"]
+    told = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert told.returncode == 2
+    assert told.stderr.startswith(message)
+    assert told.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        LINE.format(1) + LINE.format(2),
+        "# stamp tx\n\n" + LINE.format(1) + "\n\n" + LINE.format(1),
+        (LINE.format(1) + LINE.format(2)).replace("\n", "\r\n"),
+        LONG.replace("\n", "\r"),
+        LONG.replace("\n", "\r\n"),
+        (LINE.format(1) + LINE.format(2)).replace(" ", ", "),
+        LINE.format(1).rstrip("\n"),
+        "\ufeff" + LONG,
+        "1e0 1.0 +2 3E0 0 0 0 1 # first\n2 4 5 6 -0 0.0 0 2\n",
+        LONG + "# late\n" + LINE.format(9999),
+    ],
+)
+@pytest.mark.parametrize("pack", [bytes, gzip.compress, bz2.compress])
+def test_sound_trajectories(tmp_path: Path, text: str, pack: Callable[[bytes], bytes]) -> None:
+    path = tmp_path / "trajectory.txt"
+    path.write_bytes(pack(text.encode()))
+    found = check_trajectory(str(tmp_path))
+    expected = read_tum(path)
+    assert found.problem is None
+    assert found.info is not None
+    assert found.info.poses == len(expected)
+    assert found.info.duration_seconds == float(expected.stamps[-1] - expected.stamps[0])
+    assert found.info.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("before", ["", "# remark\n\n", LONG], ids=["first", "third", "late"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "3000 1 2 3 0 0 0",
+        "3000 1 2 3 0 0 0 1 9",
+        "3000 1 2 three 0 0 0 1",
+        "3000 1 2 3_0 0 0 0 1",
+        "3000 1 2 " + "x" * 100 + " 0 0 0 1",
+        "3000 1 nan 3 0 0 0 1",
+        "3000 1 2 -inf 0 0 0 1",
+        "3000 1 2 3 0 0 0 inf",
+        "1403636580000000000 1 2 3 0 0 0 1",
+        "-1e13 1 2 3 0 0 0 1",
+        "3000 1e31 2 3 0 0 0 1",
+        "3000 1 2 3 0 0 0 0",
+        "3000 1 2 3 1e-4 0 -1e-4 0",
+        "3000 1 2 3 0 0 0 1\n2999 1 2 3 0 0 0 1",
+        "<html>",
+        "3000 1 2 3 0 0 0 \0",
+    ],
+)
+def test_faults_are_named_as_the_evaluator_names_them(tmp_path: Path, before: str, line: str) -> None:
+    path = tmp_path / "trajectory.txt"
+    path.write_text(f"{before}{line}\n")
+    with pytest.raises(FileError) as expected:
+        read_tum(path)
+    found = check_trajectory(str(tmp_path))
+    assert found.info is None
+    assert found.problem == str(expected.value).replace(str(path), "output/trajectory.txt")
+    assert not found.missing
+
+
+@pytest.mark.parametrize(
+    ("data", "part", "missing"),
+    [
+        (b"", "holds no poses", True),
+        (b"# nothing\n\n", "holds no poses", False),
+        (gzip.compress(LONG.encode())[:-9], "the compressed data is broken or cut off", False),
+        (b"BZhno", "the compressed data is broken or cut off", False),
+        (b"x" * 200_000, "line 1: is longer than 64 KiB", False),
+        (LONG.encode() + b"1 " * 100_000, "line 20001: is longer than 64 KiB", False),
+        (b"1" * 3_000_000, "is larger than 2 MiB", False),
+        (gzip.compress(b"\n" * 3_000_000), "is larger than 2 MiB", False),
+        (os.urandom(50_000), "output/trajectory.txt", False),
+    ],
+)
+def test_poisoned_trajectories(tmp_path: Path, data: bytes, part: str, missing: bool) -> None:
+    (tmp_path / "trajectory.txt").write_bytes(data)
+    found = check_trajectory(str(tmp_path), limit=2 << 20)
+    assert found.problem is not None
+    assert part in found.problem
+    assert len(found.problem) < 300
+    assert (found.info, found.missing) == (None, missing)
+
+
+USAGE = {"cpu": {"seconds": 1 / 3}, "memory": {"peakBytes": 5}, "wallSeconds": 2.0000000001}
+
+
+@pytest.mark.parametrize("text", ["", "short", "x" * 5000, "é\n" * 5000, "\ud800" * 3000, '"\\' * 3000])
+@pytest.mark.parametrize("problem", ["", "y" * 4000])
+def test_termination_message_fits(text: str, problem: str) -> None:
+    counts = {"offered": 1, "processed": None, "dropped": None}
+    summary = {
+        "reason": "AlgorithmFailed",
+        "message": text,
+        "usage": USAGE,
+        "frames": counts,
+        "logTail": "no",
+    }
+    summary |= {"trajectoryProblem": problem, "trajectoryMissing": False, "cpuModel": "m" * 60}
+    data = termination_message(summary)
+    told = json.loads(data)
+    assert len(data) <= 2048
+    assert told["v"] == 1
+    assert told["usage"]["cpu"]["seconds"] == 0.333333
+    assert told["frames"] == counts
+    assert told["cpuModel"] == "m" * 60
+    assert "logTail" not in told
+    kept = text.encode("utf-8", "replace").decode()
+    assert kept.startswith(told["message"].rstrip("…"))
+    assert told["message"] == kept or len(told["message"]) >= 40
+
+
+def test_state_survives(tmp_path: Path) -> None:
+    account = Accounting(10.0)
+    for k in range(30):
+        account.add(Sample(10 + k / 10, k / 20, 100 + k, 50))
+    state = SidecarState(
+        first=ProcessIdentity(7, 12345),
+        start=10.0,
+        accounting=account.state(),
+        stop=Stop(Reason.DEADLINE_EXCEEDED, "it took more than 1 s"),
+        notes=["one"],
+    )
+    path = str(tmp_path / "monitor.json")
+    state.save(path)
+    loaded = SidecarState.load(path)
+    assert loaded is not None
+    assert (loaded.first, loaded.stop, loaded.notes) == (state.first, state.stop, state.notes)
+    again = Accounting.from_state(loaded.accounting)
+    for one in (account, again):
+        one.add(Sample(13.5, 1.9, 10, 10))
+    assert again.usage("proc") == account.usage("proc")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"first": 3}', "null"])
+def test_state_that_can_not_be_read(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "monitor.json"
+    path.write_text(text)
+    assert SidecarState.load(str(path)) is None
+
+
+def test_the_machines_own_cgroups_are_no_container() -> None:
+    """Seen from no container but the machine itself: we are in there too."""
+    assert attach_cgroup("/sys/fs/cgroup", os.getpid()) is None
+    assert attach_cgroup("/nowhere", os.getpid()) is None
+
+
+def test_imports_stay_light() -> None:
+    heavy = "numpy pydantic yaml rich subprocess asyncio argparse pathlib hashlib gzip".split()  # noqa: SIM905
+    code = f"import sys, slamhive.monitor.sidecar\nprint([m for m in {heavy} if m in sys.modules])"
+    told = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout == "[]\n"
