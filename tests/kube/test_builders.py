@@ -323,6 +323,11 @@ def test_what_no_pod_can_be_made_of_is_refused(change: dict[str, Any], part: str
         built(declared=algorithm(**change))
 
 
+def test_handed_on_annotations_are_to_leave_room_for_ours() -> None:
+    with pytest.raises(InputError, match="the annotations have"):
+        built(run(annotations={"example.org/note": "x" * 256 * 1024}))
+
+
 @pytest.mark.parametrize("bad", ["../x", "a/b", "..", "", ".", "a b", "$(HOME)"])
 def test_no_identity_leads_out_of_its_folder(bad: str) -> None:
     with pytest.raises(InputError, match="cannot be part of a path"):

@@ -20,6 +20,7 @@ from slamhive.kube.observing import (
     observe_read,
     observe_variant,
 )
+from slamhive.kube.pods import why_unable
 from slamhive.kube.reports import Report
 from slamhive.model.results import Reason
 
@@ -139,6 +140,56 @@ def test_what_keeps_a_pod_waiting_is_told(name: str, word: str, reason: Reason |
     waiting = attempted.waiting
     assert waiting is not None
     assert (waiting.end.reason if waiting.end else None) is reason
+
+
+def test_a_pod_that_is_to_go_says_so() -> None:
+    going = pod("running")
+    going["metadata"]["deletionTimestamp"] = "2026-11-21T15:16:00Z"
+    attempted = seen(going)
+    assert (attempted.state, attempted.waiting_reason) == (AttemptState.RUNNING, "Terminating")
+    assert attempted.give_up_at(0) is None
+
+
+@pytest.mark.parametrize(
+    ("told", "reason", "message"),
+    [
+        (
+            'failed to generate container "a1" spec: failed to generate spec: no command specified',
+            Reason.ALGORITHM_FAILED,
+            "its program can't be started: no command specified",
+        ),
+        (
+            "container init: unable to set memory limit to 2097152 (current usage: 2695168): unknown",
+            Reason.OUT_OF_MEMORY,
+            "its memory limit is too low to start a program",
+        ),
+        (
+            'container init: error mounting "/var/lib/x" to rootfs at "/slamhive/assets/a": not a directory',
+            Reason.SYSTEM_FAULT,
+            "nothing could be mounted at /slamhive/assets/a",
+        ),
+        ("", Reason.ALGORITHM_FAILED, "its program can't be started: the runtime gave no reason"),
+    ],
+)
+def test_why_a_program_cannot_start_is_told_shortly(told: str, reason: Reason, message: str) -> None:
+    assert why_unable(told) == (reason, message)
+    broken = pod("no-program")
+    broken["status"]["containerStatuses"][0]["state"]["terminated"]["message"] = told
+    end = seen(broken).end
+    assert end is not None
+    assert (end.reason, end.message) == (reason, message)
+
+
+def test_an_image_without_a_program_is_given_up() -> None:
+    stuck = pod("no-variant")
+    told = {
+        "reason": "CreateContainerError",
+        "message": "spec: failed to generate spec: no command specified",
+    }
+    stuck["status"]["containerStatuses"][0]["state"] = {"waiting": told}
+    end = seen(stuck).given_up().end
+    assert end is not None
+    assert end.reason is Reason.ALGORITHM_FAILED
 
 
 def test_patience_ends_for_an_image_but_not_for_room() -> None:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, StringConstraints
 
+from slamhive.model.base import Scalar  # noqa: TC001 - the type of a field
 from slamhive.model.configuration import PreparedRecording
 from slamhive.model.sensors import Extrinsics  # noqa: TC001 - the type of a field
 
@@ -28,4 +29,5 @@ class Description(PreparedRecording):
     ground_truth: Literal["poses", "relations"] | None = None
     T_body_frame: Extrinsics | None = Field(default=None, alias="T_body_frame")
     extrinsics: dict[str, Extrinsics] = Field(default_factory=dict)
+    attributes: dict[str, Scalar] = Field(default_factory=dict, description="To select and plot by.")
     preparation_version: int = 1

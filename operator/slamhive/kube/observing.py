@@ -31,6 +31,7 @@ from slamhive.kube.pods import (
     newest,
     refused_by_node,
     what_waits,
+    why_unable,
 )
 from slamhive.kube.reports import Report, clean, last_line, read_description, read_failure, read_report
 from slamhive.model.results import Reason
@@ -126,7 +127,8 @@ def observe_attempt(job: Object | None, pods: Iterable[Object]) -> Attempted:
         return Attempted() if job is None else _without_pod(job)
     seen = _seen(job, pod)
     if not is_finished(pod):
-        return replace(seen, waiting=what_waits(pod, ALGORITHM))
+        waiting = _going(pod) if is_deleted(pod) else what_waits(pod, ALGORITHM)
+        return replace(seen, waiting=waiting)
     if is_disrupted(pod) or is_deleted(pod):
         return _taken(seen, job, pod)
     return _ended(seen, pod)
@@ -161,6 +163,12 @@ def _seen(job: Object | None, pod: Object) -> Attempted:
         finished=ending.finished if ending else None,
         log_tail=ending.log or None if ending else None,
     )
+
+
+def _going(pod: Object) -> Waiting:
+    """Return what a pod waits for that is to go: its containers' end, or its node's word about it."""
+    told = (condition(pod, "DisruptionTarget") or {}).get("message")
+    return Waiting("Terminating", clean(f"its pod is being taken away: {told or 'it was deleted'}"))
 
 
 def _taken(seen: Attempted, job: Object | None, pod: Object) -> Attempted:
@@ -211,7 +219,8 @@ def _before_start(pod: Object) -> str:
     for status in pod["status"].get("initContainerStatuses") or ():
         ending = ending_of(pod, status["name"])
         if ending is not None and status["name"] != MONITOR and ending.exit_code != 0:
-            return f"container {status['name']!r}: {ending.refusal if ending.was_unable else ending.sentence}"
+            told = why_unable(ending.message)[1] if ending.was_unable else ending.sentence
+            return f"container {status['name']!r}: {told}"
     return refused_by_node(pod)
 
 
@@ -222,7 +231,7 @@ def _judged(ending: Ending, report: Report | None) -> AttemptEnd:
         return replace(seen, reason=report.reason, message=report.message or ending.sentence)
     for holds, reason, message in (
         (ending.reason == "OOMKilled", Reason.OUT_OF_MEMORY, "it needed more memory than its limit"),
-        (ending.was_unable, Reason.ALGORITHM_FAILED, ending.refusal),
+        (ending.was_unable, *why_unable(ending.message)),
         (ending.is_unknown, Reason.NODE_LOST, "nobody saw how it ended"),
         (ending.exit_code != 0, None, ending.sentence),
         (report is None, Reason.SYSTEM_FAULT, "the monitor left no report"),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import signal as signals
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,8 @@ _PULLS = frozenset(
 _STARTS = frozenset(
     {"CreateContainerConfigError", "CreateContainerError", "PostStartHookError", "RunContainerError"}
 )
+_MOUNTING = re.compile(r'error mounting "[^"]*" to rootfs at "([^"]*)"')
+_NO_MEMORY = ("memory limit", "OOM-killed")
 _UNABLE = ("StartError", "ContainerCannotRun")
 _PROGRAM = ("exec: ", "executable file not found", "no command specified", "no such file or directory")
 
@@ -96,11 +99,6 @@ class Ending:
             what = f"exit code {self.exit_code}"
         line = last_line(self.log)
         return f"{what}: {line}" if line else what
-
-    @property
-    def refusal(self) -> str:
-        """Return why the program can't be started, without the runtime's own stack of words."""
-        return f"its program can't be started: {_short_refusal(self.message)}"
 
 
 def newest(job: Object | None, pods: Iterable[Object]) -> Object | None:
@@ -233,12 +231,11 @@ def _explained(
     if word in _PULLS:
         message = f"image {image!r}: {_short_pull(told) or word}"
         return Waiting(word, message, since, AttemptEnd(reason=Reason.IMAGE_PULL_FAILED, message=message))
-    if word in _STARTS and name == main and any(part in told for part in _PROGRAM):
-        message = f"its program can't be started: {_short_refusal(told)}"
-        return Waiting(word, message, since, AttemptEnd(reason=Reason.ALGORITHM_FAILED, message=message))
     if word in _STARTS or word == "CrashLoopBackOff":
-        message = clean(f"container {name!r}: {told or word}")
-        return Waiting(word, message, since, AttemptEnd(reason=Reason.SYSTEM_FAULT, message=message))
+        reason, message = Reason.SYSTEM_FAULT, clean(f"container {name!r}: {told or word}")
+        if name == main and any(part in told for part in _PROGRAM):
+            reason, message = why_unable(told)
+        return Waiting(word, message, since, AttemptEnd(reason=reason, message=message))
     return None
 
 
@@ -258,13 +255,20 @@ def _short_pull(message: str) -> str:
     return clean(text, 300)
 
 
-def _short_refusal(message: str) -> str:
-    """Return what the runtime says of a program, without what it says of itself."""
-    for part in ("exec: ", "unable to start container process: ", "container spec: "):
+def why_unable(message: str) -> tuple[Reason, str]:
+    """Return why a runtime couldn't start a container's program, without what it says of itself."""
+    place = _MOUNTING.search(message)
+    if place is not None:
+        return Reason.SYSTEM_FAULT, f"nothing could be mounted at {clean(place.group(1), 300)}"
+    if any(part in message for part in _NO_MEMORY):
+        return Reason.OUT_OF_MEMORY, "its memory limit is too low to start a program"
+    why = last_line(message) or "the runtime gave no reason"
+    for part in ("exec: ", "unable to start container process: ", "spec: "):
         _, found, rest = message.rpartition(part)
         if found and rest:
-            return clean(rest.removesuffix(": unknown"), 300)
-    return last_line(message) or "the runtime gave no reason"
+            why = clean(rest.removesuffix(": unknown"), 300)
+            break
+    return Reason.ALGORITHM_FAILED, f"its program can't be started: {why}"
 
 
 def _containers(pod: Object) -> Iterator[Mapping[str, Any]]:

@@ -25,6 +25,8 @@ Manifest = dict[str, Any]
 ANNOTATION_LIMIT = 200 * 1024
 """Bytes of a request or configuration in an annotation; the API server takes 256 KiB for all of them."""
 
+_ALL_ANNOTATIONS = 256 * 1024
+
 MANAGED_BY = "app.kubernetes.io/managed-by"
 MANAGER = "slamhive"
 
@@ -272,6 +274,9 @@ def job(
         passed_labels: further labels of both, which never replace ours.
         passed_annotations: the same for annotations.
         ttl_seconds: how long it stays when it has finished; None: as long as its owners.
+
+    Raises:
+        InputError: the annotations don't fit into an object.
     """
     ours = {MANAGED_BY: MANAGER} | {key: label_value(value) for key, value in labels.items()}
     all_labels = dict(passed_labels or {}) | ours
@@ -280,6 +285,10 @@ def job(
         metadata["annotations"] = dict(passed_annotations)
     if owners:
         metadata["ownerReferences"] = list(owners)
+    noted = dict(passed_annotations or {}) | dict(annotations)
+    size = sum(len(key.encode()) + len(value.encode()) for key, value in noted.items())
+    if size > _ALL_ANNOTATIONS:
+        raise InputError(f"the annotations have {size} bytes in all, an object holds {_ALL_ANNOTATIONS}")
     spec: Manifest = {
         "backoffLimit": 0,
         "podReplacementPolicy": "Failed",
@@ -291,7 +300,7 @@ def job(
         "template": {
             "metadata": {
                 "labels": dict(all_labels),
-                "annotations": dict(passed_annotations or {}) | dict(annotations),
+                "annotations": noted,
             },
             "spec": pod,
         },
