@@ -87,7 +87,7 @@ def _build_all(chosen: list[Recipe], options: argparse.Namespace) -> int:
 def _build(tool: Tool, bases: Bases, recipe: Recipe) -> str:
     start = time.monotonic()
     base, identity = bases.of(recipe)
-    labels = recipe.labels(identity)
+    labels = recipe.labels(base, identity)
     image = tool.find(recipe.reference)
     if image and image.labels.get("io.slamhive.inputs") == labels["io.slamhive.inputs"]:
         done = "is up to date"

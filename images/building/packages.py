@@ -86,7 +86,7 @@ def document(recipe: Recipe, image: Image, packages: Iterable[Package], distribu
         packages: What is in it.
         distribution: As in `read`.
     """
-    from cyclonedx.factory.license import LicenseFactory
+    from cyclonedx.contrib.license.factories import LicenseFactory
     from cyclonedx.model import HashAlgorithm, HashType
     from cyclonedx.model.bom import Bom
     from cyclonedx.model.component import Component, ComponentType

@@ -72,7 +72,7 @@ class Recipe:
         """Return what changes whenever the image would: a hash of all that goes into it.
 
         Args:
-            base: Identity of the base image.
+            base: Name and identity of the base image.
         """
         total = hashlib.sha256(f"{self.tag}\n{base}\n{self.title}\n{self.license}\n".encode())
         for path in [self.dockerfile, *self.sources()]:
@@ -80,14 +80,15 @@ class Recipe:
             total.update(f"{path.relative_to(ROOT)} {path.stat().st_mode & 0o111:o} {content}\n".encode())
         return total.hexdigest()
 
-    def labels(self, base: str) -> dict[str, str]:
-        """Return the labels of the image."""
+    def labels(self, base: str, identity: str) -> dict[str, str]:
+        """Return the labels of the image, given name and identity of its base."""
         return {
             "org.opencontainers.image.title": self.tag.partition(":")[0],
             "org.opencontainers.image.version": self.tag.partition(":")[2],
             "org.opencontainers.image.description": self.title,
             "org.opencontainers.image.licenses": self.license,
-            "io.slamhive.inputs": self.digest(base),
+            "org.opencontainers.image.base.name": base,
+            "io.slamhive.inputs": self.digest(f"{base} {identity}"),
         }
 
 

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Dockerfiles as they are written: what a build would only show later, or never."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import TYPE_CHECKING
+
+import pytest
+from building.recipes import ROOT, Recipe, recipes
+from packaging.requirements import Requirement
+
+from slamhive.model.algorithm import Algorithm
+from slamhive.model.loading import load_file
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RECIPES = recipes()
+each = pytest.mark.parametrize("recipe", RECIPES.values(), ids=lambda recipe: recipe.name)
+
+
+def instructions(recipe: Recipe) -> list[tuple[str, str]]:
+    text = re.sub(r"^#.*\n", "", recipe.dockerfile.read_text(), flags=re.MULTILINE).replace("\\\n", " ")
+    return [(line.split(" ", 1)[0], line.split(" ", 1)[1]) for line in text.splitlines() if line]
+
+
+def last_stage(recipe: Recipe) -> list[tuple[str, str]]:
+    found = instructions(recipe)
+    start = max(index for index, (word, _) in enumerate(found) if word == "FROM")
+    return found[start:]
+
+
+def test_every_dockerfile_is_known() -> None:
+    files = {path for folder in ("images", "tests/images") for path in (ROOT / folder).rglob("Dockerfile")}
+    assert {recipe.dockerfile for recipe in RECIPES.values()} == files
+    assert {"slamhive", "evaluator", "kiss-icp", "shell-algorithm", "misbehaving"} <= set(RECIPES)
+
+
+@each
+def test_it_ends_as_nobody(recipe: Recipe) -> None:
+    users = [value for word, value in last_stage(recipe) if word == "USER"]
+    assert users == ["65532:65532"]
+    words = [word for word, _ in last_stage(recipe)]
+    assert words.index("USER") > max(
+        [index for index, word in enumerate(words) if word in ("RUN", "COPY", "WORKDIR")]
+    )
+
+
+@each
+def test_it_starts_from_a_base_that_can_be_chosen(recipe: Recipe) -> None:
+    found = instructions(recipe)
+    bases = [value.split()[0] for word, value in found if word == "FROM"]
+    stages = {value.split()[2] for word, value in found if word == "FROM" and " AS " in value}
+    assert found[0][0] == "ARG"
+    assert found[0][1].startswith("BASE=")
+    assert bases[0] == "${BASE}"
+    assert set(bases[1:]) <= stages
+    assert re.fullmatch(r"[a-z/]+:[\w.-]+", recipe.default_base)
+    assert not recipe.default_base.endswith(":latest")
+
+
+@each
+def test_it_holds_no_compiler_and_no_pip(recipe: Recipe) -> None:
+    text = " ".join(value for word, value in last_stage(recipe) if word == "RUN")
+    assert not re.search(r"\b(gcc|g\+\+|build-essential|cmake|python3-dev|pip|venv)\b", text)
+
+
+@each
+def test_it_runs_nothing_straight_from_the_net_and_knows_no_secret(recipe: Recipe) -> None:
+    text = " ".join(f"{word} {value}" for word, value in instructions(recipe))
+    assert not re.search(r"\b(curl|wget|ADD|SHELL|sudo)\b", text)
+    assert not re.search(r"(?i)(password|token|secret|api_?key|-----BEGIN|https?://\S+@)", text)
+    assert "--trusted-host" not in text
+    assert "--no-check" not in text
+
+
+@each
+def test_it_leaves_no_caches(recipe: Recipe) -> None:
+    for word, value in last_stage(recipe):
+        if word == "RUN" and "apt-get install" in value:
+            assert "--no-install-recommends" in value
+            assert "rm -rf /var/lib/apt/lists/*" in value
+    for word, value in instructions(recipe):
+        if word == "RUN" and re.search(r"\bpip\b.* (install|wheel)\b", value):
+            assert "--no-cache-dir" in value or "--no-index" in value
+
+
+@each
+def test_the_command_in_its_comment_is_the_one_that_builds_it(recipe: Recipe) -> None:
+    text = recipe.dockerfile.read_text()
+    found = re.search(r"^# Built from (.+): docker build (?:-f (\S+) )?-t (\S+) \.$", text, re.MULTILINE)
+    assert found
+    places = {ROOT: "the root of the repository", ROOT / "images/algorithms": "the folder above"}
+    assert found[1] == places.get(recipe.context, "this folder")
+    assert recipe.context / (found[2] or "Dockerfile") == recipe.dockerfile
+    assert found[3] == recipe.tag
+
+
+def manifest(recipe: Recipe) -> Algorithm:
+    (algorithm,) = load_file(recipe.dockerfile.parent / "algorithm.yaml")
+    assert isinstance(algorithm, Algorithm)
+    return algorithm
+
+
+@pytest.mark.parametrize("name", [name for name in RECIPES if (RECIPES[name].context != ROOT)])
+def test_an_algorithm_s_image_is_the_one_that_it_declares(name: str) -> None:
+    recipe = RECIPES[name]
+    spec = manifest(recipe).spec
+    stage = last_stage(recipe)
+    assert spec.image == recipe.tag
+    copied = {tuple(value.split()) for word, value in stage if word == "COPY"}
+    for asset in spec.assets:
+        if asset.path:
+            source = (recipe.dockerfile.parent / asset.path).relative_to(recipe.context).as_posix()
+            assert (source, "/slamhive/assets/") in copied
+            assert asset.name == asset.path
+    if spec.command:
+        command = ", ".join(f'"{word}"' for word in spec.command)
+        assert ("CMD", f"[{command}]") in stage
+
+
+def pinned(path: Path) -> dict[str, str]:
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    assert [line for line in lines if not re.fullmatch(r"[\w.-]+==[\w.]+", line)] == []
+    pairs = (line.split("==") for line in lines)
+    return {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in pairs}
+
+
+@pytest.mark.parametrize(
+    ("image", "extras", "alone"),
+    [
+        ("slamhive", ("operator", "dashboard", "postgresql"), None),
+        ("evaluator", (), {"numpy", "pydantic", "pyyaml", "rfc8785", "rosbags"}),
+    ],
+)
+def test_the_pins_are_what_the_project_asks_for(
+    image: str, extras: tuple[str, ...], alone: set[str] | None
+) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    optional = project["optional-dependencies"]
+    wanted = project["dependencies"] + [line for extra in extras for line in optional[extra]]
+    versions = pinned(ROOT / "images" / image / "requirements.txt")
+    for requirement in map(Requirement, wanted):
+        if alone is None or requirement.name in alone:
+            assert requirement.specifier.contains(versions[requirement.name]), requirement
+    if alone is not None:
+        assert not {"opencv-python-headless", "kopf", "sqlalchemy", "kubernetes", "rich"} & set(versions)
