@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real processes under a real supervisor, by cgroup and by /proc."""
+"""Real processes under a real supervisor or beside a real sidecar, by cgroup and by /proc."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from slamhive.monitor import SupervisorSpec, end_orphans, identify, make_run_cgroup
+from slamhive.monitor.hierarchy import own_hierarchies
+from slamhive.monitor.processes import children
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 
 def wait_for(condition: Callable[[], Any], seconds: float = 20.0) -> Any:
@@ -89,6 +91,148 @@ class Run:
 
     def cgroups(self) -> list[str]:
         return json.loads(self.process_json.read_text())["cgroups"]
+
+
+# As nsenter, but nsenter stops when its child is stopped.
+ENTER = """
+import ctypes, os, sys
+for name in ('pid', 'mnt'):
+    descriptor = os.open(f'/proc/{sys.argv[1]}/ns/{name}', os.O_RDONLY)
+    if name == 'mnt': here = os.getcwd()
+    if ctypes.CDLL(None).setns(descriptor, 0): os._exit(125)
+os.chdir(here)
+child = os.fork()
+if child == 0: os.execvp(sys.argv[2], sys.argv[2:])
+os._exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) % 256)
+"""
+
+
+class Pod:
+    """A pause process that holds the namespace; containers are entered from outside, as runtimes do."""
+
+    def __init__(self, folder: Path, *, accounted: bool) -> None:
+        self.folder = folder
+        self.output = folder / "output"
+        self.output.mkdir()
+        (folder / "config.in").write_text("kind: RunConfiguration\n")
+        self._holder = subprocess.Popen(
+            ["unshare", "--pid", "--fork", "--kill-child", "--mount-proc", "sleep", "600"]
+        )
+        self._pause = wait_for(lambda: children(self._holder.pid))[0]
+        wait_for(lambda: b"sleep" in Path(f"/proc/{self._pause}/cmdline").read_bytes())
+        me = identify(os.getpid())
+        self.group = make_run_cgroup(me) if accounted and me else None
+        self._entered: list[subprocess.Popen[bytes]] = []
+
+    def _enter(self, *argv: str, name: str, **variables: str) -> subprocess.Popen[bytes]:
+        given = [f"{key}={value}" for key, value in variables.items()]
+        command = [sys.executable, "-ISc", ENTER, str(self._pause)]
+        program = ["env", "-i", f"SLAMHIVE_CONTAINER={name}", "PATH=/usr/bin:/bin", *given, *argv]
+        if name == "algorithm":
+            program = ["unshare", "--mount", "sh", "-ec", self._script(), "sh", *program]
+        process = subprocess.Popen([*command, *program], cwd=self.output)
+        self._entered.append(process)
+        return process
+
+    def _script(self) -> str:
+        """What a runtime does in a container before its program: its own cgroup alone is seen in there."""
+        if self.group is None:
+            return 'exec "$@"'
+        mounts = {tree.directory: tree for tree in own_hierarchies()}
+        lines = [f"mkdir {self.folder}/cg", f"mount -t tmpfs none {self.folder}/cg"]
+        for directory in self.group.directories:
+            tree = mounts[os.path.dirname(directory)]  # noqa: PTH120
+            place = f"{self.folder}/cg/{os.path.basename(tree.mount)}" if tree.version == 1 else ""  # noqa: PTH119
+            lines += [f"mkdir -p {place}"] if place else []
+            lines += [f"mount --bind {directory} {place or f'{self.folder}/cg'}"]
+        lines += [f"mount --move {self.folder}/cg /sys/fs/cgroup"]
+        kept = [
+            f"exec {3 + k}>{directory}/cgroup.procs" for k, directory in enumerate(self.group.directories)
+        ]
+        joins = [f"echo 0 >&{3 + k}; exec {3 + k}>&-" for k in range(len(kept))]
+        return "\n".join([*kept, *lines, *joins, 'exec "$@"'])
+
+    def sidecar(self, *, at_once: bool = False, **options: Any) -> subprocess.Popen[bytes]:
+        """Start the sidecar and return when it watches, or with `at_once` before."""
+        spec = {
+            "container": "algorithm",
+            "runDirectory": str(self.folder),
+            "configuration": str(self.folder / "config.in"),
+            "terminationMessage": str(self.folder / "message"),
+            **options,
+        }
+        argv = ["env", "--block-signal=TERM", sys.executable, "-P", "-m", "slamhive.monitor.sidecar"]
+        state = self.folder / "monitor.json"
+        before = state.stat().st_mtime_ns if state.exists() else 0
+        started = self._enter(*argv, name="monitor", SLAMHIVE_SIDECAR=json.dumps(spec), NODE_NAME="n1")
+        done = self.folder / "summary.json"
+        wait_for(lambda: at_once or done.exists() or (state.exists() and state.stat().st_mtime_ns > before))
+        return started
+
+    def algorithm(self, *argv: str) -> subprocess.Popen[bytes]:
+        return self._enter(*argv, name="algorithm")
+
+    def python(self, code: str) -> subprocess.Popen[bytes]:
+        return self.algorithm(sys.executable, "-c", code)
+
+    @staticmethod
+    def send(entered: subprocess.Popen[bytes], number: int) -> None:
+        for pid in children(entered.pid):
+            os.kill(pid, number)
+
+    def end(self, sidecar: subprocess.Popen[bytes]) -> dict[str, Any]:
+        """Do as the kubelet does after the algorithm; return the summary."""
+        self.send(sidecar, signal.SIGTERM)
+        assert sidecar.wait(30) == 0
+        return self.summary()
+
+    def summary(self) -> dict[str, Any]:
+        return json.loads((self.folder / "summary.json").read_text())
+
+    def message(self) -> dict[str, Any]:
+        return json.loads((self.folder / "message").read_text())
+
+    def finished(self) -> dict[str, Any]:
+        wait_for((self.folder / "message").exists)
+        return self.summary()
+
+    def others(self) -> list[bytes]:
+        """What runs in the pod beside its pause."""
+        names = []
+        for pid in map(int, filter(str.isdigit, os.listdir("/proc"))):  # noqa: PTH208
+            with contextlib.suppress(OSError):
+                inside = Path(f"/proc/{pid}/ns/pid").stat() == Path(f"/proc/{self._pause}/ns/pid").stat()
+                if inside and pid != self._pause and identify(pid):
+                    names.append(Path(f"/proc/{pid}/cmdline").read_bytes())
+        return names
+
+    def close(self) -> None:
+        for directory in self.group.directories if self.group else ():
+            if os.path.exists(f"{directory}/freezer.state"):  # noqa: PTH110
+                Path(f"{directory}/freezer.state").write_text("THAWED")
+        self._holder.kill()
+        self._holder.wait()
+        for process in self._entered:
+            process.wait(30)
+        assert self.group is None or self.group.remove()
+
+
+def can_make_pods() -> bool:
+    command = ["unshare", "--pid", "--fork", "--mount-proc", "--mount", "true"]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+@pytest.fixture(params=["cgroup", "proc"])
+def pod(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Pod]:
+    if not can_make_pods():
+        pytest.skip("namespaces can't be made here; needs root")
+    made = Pod(tmp_path, accounted=request.param == "cgroup")
+    try:
+        if request.param == "cgroup" and made.group is None:
+            pytest.skip("no cgroup with CPU and memory can be made here")
+        yield made
+    finally:
+        made.close()
 
 
 @pytest.fixture(params=["cgroup", "proc"])

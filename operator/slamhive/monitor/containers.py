@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 MARK = "SLAMHIVE_CONTAINER"
 _PAUSE = 1
 # How often to look: while a process is becoming a container, at first, and when an image takes minutes, s.
-_EXPECTING_INTERVAL, _FIRST_INTERVAL, _LATER_INTERVAL = 0.002, 0.005, 0.02
+_EXPECTING_INTERVAL, _FIRST_INTERVAL, _LATER_INTERVAL = 0.002, 0.01, 0.02
 _EXPECTING_SECONDS = 10.0
 _FIRST_SECONDS = 60.0
 # How long a process may stay unreadable before it is taken for a program that hides itself, s.
