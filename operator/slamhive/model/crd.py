@@ -29,6 +29,7 @@ from slamhive.model.crd_rules import (
     meaning,
 )
 from slamhive.model.crd_status import COLUMNS, statuses
+from slamhive.model.crd_texts import KUBERNETES, TEXTS
 from slamhive.model.dataset import Dataset
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.run import MappingRun, MappingRunSpec
@@ -126,6 +127,8 @@ class _Converter:
             node = _special(name, key) or self._node(item, f"{name}.{key}")
             if fields[key].default_factory is not None:
                 node["default"] = _default(fields[key].get_default(call_default_factory=True))
+            if "description" not in node and f"{name}.{key}" in TEXTS:
+                node["description"] = TEXTS[f"{name}.{key}"]
             properties[key] = node
         result["properties"] = properties
         if schema.get("required"):
@@ -254,8 +257,8 @@ def definition(kind: str) -> Schema:
         "description": (model.__doc__ or "").strip(),
         "required": ["spec"],
         "properties": {
-            "apiVersion": {"type": "string"},
-            "kind": {"type": "string"},
+            "apiVersion": {"type": "string", "description": KUBERNETES["apiVersion"]},
+            "kind": {"type": "string", "description": KUBERNETES["kind"]},
             "metadata": {"type": "object"},
             "spec": spec,
             "status": statuses(convert)[kind],
