@@ -30,6 +30,7 @@ INACTIVE_SECONDS = 90.0
 
 _LOGIN_SECONDS = 600.0
 _IDLE_SECONDS = 0.1
+_EXIT_SECONDS = 0.5
 
 
 class NoDiffs(kopf.DiffBaseStorage):
@@ -74,6 +75,7 @@ def settings_for_kopf() -> kopf.OperatorSettings:
     settings.posting.enabled = False
     settings.peering.standalone = True
     settings.queueing.idle_timeout = _IDLE_SECONDS
+    settings.queueing.exit_timeout = _EXIT_SECONDS
     settings.persistence.diffbase_storage = NoDiffs()
     logging.getLogger("kopf.objects").setLevel(logging.WARNING)
     return settings

@@ -235,10 +235,12 @@ def _pod_status(status: Object) -> Object:
 def _interned(value: Any) -> Any:
     # Thousands of objects repeat the same field names, labels and states.
     if isinstance(value, dict):
-        return {sys.intern(name): _interned(item) for name, item in value.items()}
+        return {sys.intern(str(name)): _interned(item) for name, item in value.items()}
     if isinstance(value, list):
         return [_interned(item) for item in value]
-    return sys.intern(value) if isinstance(value, str) and len(value) <= _SHORT_TEXT else value
+    if isinstance(value, str) and len(value) <= _SHORT_TEXT:
+        return sys.intern(str(value))  # a word of an enumeration is no plain string
+    return value
 
 
 _SHORT_TEXT = 32
