@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tests" / "cluster"))
+
+from testcluster.fixtures import *  # noqa: E402, F403
+
 CHART = ROOT / "helm" / "slamhive"
 CRDS_CHART = ROOT / "helm" / "slamhive-crds"
 VALUES = Path(__file__).parent / "values"

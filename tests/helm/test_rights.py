@@ -61,7 +61,7 @@ def test_the_others_only_read(helm: Any) -> None:
     objects = helm.objects("-f", str(VALUES / "team.yaml"))
     assert rules(objects, "dashboard") == {f"{kind}.slamhive.io": READ for kind in KINDS}
     assert rules(objects, "collector") == {
-        f"{kind}.slamhive.io": {"get", "list"} for kind in ("mappingruns", "datasets")
+        f"{kind}.slamhive.io": {"get", "list"} for kind in ("algorithms", "datasets", "mappingruns")
     }
     assert rules(objects, "runs") == {}
     assert {verb for verbs in rules(objects, "test").values() for verb in verbs} <= {"get", "list"}

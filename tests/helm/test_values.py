@@ -115,6 +115,7 @@ WRONG = [
     ("runs.gpuResource=gpu", "/runs/gpuResource"),
     ("runs.tolerations[0].efect=NoSchedule", "'efect'"),
     ("runs.tolerations[0].effect=Never", "/runs/tolerations/0/effect"),
+    ("collector.grace=1day", "/collector/grace"),
     ("collector.schedule=daily", "/collector/schedule"),
     ("metrics.serviceMonitor.interval=15", "/metrics/serviceMonitor/interval"),
     ("networkPolicies.apiServer.ports={}", "/networkPolicies/apiServer/ports"),
