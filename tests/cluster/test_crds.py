@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Our kinds on a real API server: what it takes, what it refuses and in which words, what it shows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from testcluster.mistakes import GOOD, MISTAKES, manifest, put
+from typer.testing import CliRunner
+
+from slamhive.cli.main import app
+from slamhive.model import crd
+from slamhive.model.crd_rules import FROZEN as FROZEN_KINDS
+from slamhive.model.errors import InputError
+from slamhive.model.loading import KINDS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from testcluster.access import Cluster
+    from testcluster.mistakes import Mistake
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted([*ROOT.glob("examples/**/*.yaml"), *ROOT.glob("images/algorithms/*/algorithm.yaml")])
+TOLD_BY_SERVER = [item for item in MISTAKES if item.field is not None]
+UNTOLD = [item for item in MISTAKES if item.field is None]
+
+
+def _label(mistake: Mistake) -> str:
+    return mistake.label
+
+
+def _dry(cluster: Cluster, body: dict[str, Any]) -> tuple[int, str]:
+    result = cluster.run("apply", "--dry-run=server", "-f", "-", stdin=json.dumps(body))
+    return result.returncode, result.stderr
+
+
+def _validate(folder: Path, body: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> str:
+    """Return what `slamhive validate` objects to, empty when it has nothing to object."""
+    monkeypatch.setenv("SLAMHIVE_HOME", str(folder / "home"))
+    path = folder / "manifest.json"
+    path.write_text(json.dumps(body))
+    result = CliRunner().invoke(app, ["validate", str(path)])
+    if isinstance(result.exception, InputError):
+        return str(result.exception)
+    assert result.exit_code in {0, 2}, result.exception
+    return " ".join(result.output.split()) if result.exit_code else ""
+
+
+def test_the_table_is_long_and_covers_all_kinds() -> None:
+    assert len(TOLD_BY_SERVER) >= 40
+    assert {item.kind for item in TOLD_BY_SERVER} == set(KINDS)
+    assert len({item.label for item in MISTAKES}) == len(MISTAKES)
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_what_the_mistakes_are_made_in_is_right(
+    crds: Cluster, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert _dry(crds, manifest(kind, "right")) == (0, "")
+    assert _validate(tmp_path, manifest(kind, "right"), monkeypatch) == ""
+
+
+@pytest.mark.parametrize("mistake", TOLD_BY_SERVER, ids=_label)
+def test_the_api_server_refuses(crds: Cluster, mistake: Mistake) -> None:
+    code, text = _dry(crds, mistake.manifest("wrong"))
+    assert code == 1
+    assert any(mistake.field in line and mistake.server in line for line in text.splitlines()), text
+
+
+@pytest.mark.parametrize("mistake", UNTOLD, ids=_label)
+def test_the_api_server_cannot_tell(crds: Cluster, mistake: Mistake) -> None:
+    assert _dry(crds, mistake.manifest("wrong")) == (0, "")
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=_label)
+def test_validate_refuses(mistake: Mistake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert mistake.model in _validate(tmp_path, mistake.manifest("wrong"), monkeypatch)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_names_are_short_enough_for_labels(crds: Cluster, kind: str) -> None:
+    code, text = _dry(crds, manifest(kind, "a" * 64))
+    assert code == 1
+    assert "at most 63 characters" in text
+    assert _dry(crds, manifest(kind, "a" * 63))[0] == 0
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_examples_apply_and_apply_again(crds: Cluster, namespace: str, path: Path) -> None:
+    crds.kubectl("apply", "-n", namespace, "-f", str(path))
+    crds.kubectl("apply", "-n", namespace, "-f", str(path))
+    found = crds.get("slamhive", "-n", namespace)["items"]
+    assert found
+    assert {item["metadata"]["generation"] for item in found} == {1}
+
+
+FROZEN = [
+    ("Algorithm", "version", "2"),
+    ("Algorithm", "parameters.voxel.default", 2.0),
+    ("Dataset", "description", "another"),
+    ("MappingRun", "seed", 2),
+    ("MappingRun", "parameters", {"maxRange": 10}),
+    ("MappingRun", "timeout", "2h"),
+    ("Sweep", "repetitions", 2),
+    ("Sweep", "matrix.0.values", ["genz-icp"]),
+    ("Sweep", "template.spec.seed", 3),
+    ("Sweep", "exclude", [{"algorithm": "kiss-icp"}]),
+]
+FREE = [
+    ("MappingRun", "cancel", True),
+    ("Sweep", "parallelism", 4),
+    ("Sweep", "suspend", True),
+    ("Sweep", "maxFailures", 3),
+    ("Sweep", "budget", {"cpuHours": 2.0}),
+    ("Sweep", "evaluation.alignment", "Origin"),
+    ("Evaluation", "alignment", "Origin"),
+]
+
+
+def _edit(cluster: Cluster, namespace: str, kind: str, path: str, value: Any) -> tuple[int, str]:
+    body = manifest(kind, "x")
+    cluster.apply(body, namespace=namespace)
+    put(body["spec"], path, value)
+    result = cluster.run("apply", "--server-side", "-n", namespace, "-f", "-", stdin=json.dumps(body))
+    return result.returncode, result.stderr
+
+
+@pytest.mark.parametrize(("kind", "path", "value"), FROZEN)
+def test_identity_cannot_change(crds: Cluster, namespace: str, kind: str, path: str, value: Any) -> None:
+    code, text = _edit(crds, namespace, kind, path, value)
+    assert code == 1
+    field = "spec" if FROZEN_KINDS[kind] is None else f"spec.{path.partition('.')[0]}"
+    assert f"{field}: Invalid value" in text
+    assert f"cannot change once created; create another {kind} with a new name" in text
+
+
+@pytest.mark.parametrize(("kind", "path", "value"), FREE)
+def test_the_rest_can_change(crds: Cluster, namespace: str, kind: str, path: str, value: Any) -> None:
+    assert _edit(crds, namespace, kind, path, value) == (0, "")
+
+
+def _undescribed(schema: dict[str, Any], way: str) -> Iterator[str]:
+    for name, node in schema.get("properties", {}).items():
+        if not node.get("description") and (way, name) != ("", "metadata"):
+            yield f"{way}.{name}"
+        yield from _undescribed(node, f"{way}.{name}")
+    for key in ("items", "additionalProperties"):
+        if key in schema:
+            yield from _undescribed(schema[key], way)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_explain_tells_of_every_field(crds: Cluster, kind: str) -> None:
+    crds.kubectl("explain", kind.lower(), "--recursive")
+    served = crds.get("crd", f"{crd._KINDS[kind][1]}.slamhive.io")
+    schema = served["spec"]["versions"][0]["schema"]["openAPIV3Schema"]
+    assert list(_undescribed(schema, "")) == []
+
+
+def test_explain_is_readable(crds: Cluster) -> None:
+    text = crds.kubectl("explain", "sweep.spec.matrix")
+    assert "exactly one of values, range, selector and points" in " ".join(text.split())
+    assert "Longest time from the algorithm's first process" in crds.kubectl("explain", "mrun.spec.timeout")
+
+
+STATUS = {
+    "MappingRun": {
+        "phase": "Succeeded",
+        "display": {"ate": "0.034 m", "cpu": "0.81", "memory": "212 MiB"},
+        "results": [{"evaluation": "default", "outcome": "Tracked", "coverage": 0.99}],
+    },
+    "Sweep": {
+        "phase": "Running",
+        "progress": "12/80",
+        "running": 4,
+        "failed": 1,
+        "best": [{"name": "sweep-3f2a", "ate": 0.034}],
+        "display": {"ate": "0.034 m"},
+    },
+}
+COLUMNS = {
+    "MappingRun": (
+        "NAME PHASE ALGORITHM DATASET OUTCOME ATE CPU MEMORY AGE",
+        "x Succeeded kiss-icp synthetic-lidar Tracked 0.034 m 0.81 212 MiB",
+    ),
+    "Sweep": (
+        "NAME PHASE DONE RUNNING FAILED BEST ATE AGE",
+        "x Running 12/80 4 1 sweep-3f2a 0.034 m",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", COLUMNS)
+def test_columns_say_how_it_stands(crds: Cluster, namespace: str, kind: str) -> None:
+    crds.apply(manifest(kind, "x"), namespace=namespace)
+    status = json.dumps({"status": STATUS[kind]})
+    way = ["patch", kind.lower(), "x", "-n", namespace, "--subresource=status", "--type=merge", "-p", status]
+    crds.kubectl(*way)
+    head, row = crds.kubectl("get", kind.lower(), "-n", namespace).splitlines()
+    assert " ".join(head.split()) == COLUMNS[kind][0]
+    assert " ".join(row.split()).startswith(COLUMNS[kind][1])
+
+
+def test_all_kinds_are_found_by_category_and_short_name(crds: Cluster, namespace: str) -> None:
+    for kind in KINDS:
+        crds.apply(manifest(kind, "x"), namespace=namespace)
+    named = crds.kubectl("get", "slamhive", "-n", namespace, "-o", "name").split()
+    assert named == [f"{kind.lower()}.slamhive.io/x" for kind in KINDS]
+    for short in ("algo", "dset", "eval", "mrun", "sw"):
+        assert crds.kubectl("get", short, "-n", namespace, "-o", "name").count("/x") == 1
