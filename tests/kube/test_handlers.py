@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""kopf itself, watching a server that lists and streams what it is told to."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from aiohttp import web
+from aiohttp.test_utils import TestServer
+from kubernetes.aio.client import ApiClient, Configuration
+
+from slamhive.kube import handlers
+from slamhive.kube.client import Api
+from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.operator import Operator
+from slamhive.kube.settings import Settings
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+
+SETTINGS = Settings.model_validate(
+    {
+        "namespaces": ["lab"],
+        "image": "slamhive",
+        "volumes": {"results": {"claim": "r"}, "data": {"claim": "d"}},
+    }
+)
+RUN = Kind.MAPPING_RUN
+RUNS = RUN.path("lab")
+GROUPS = [
+    {
+        "name": kind.group,
+        "preferredVersion": {"version": kind.version},
+        "versions": [{"version": kind.version}],
+    }
+    for kind in (Kind.JOB, Kind.SWEEP)
+]
+PODS = Kind.POD.path("lab")
+
+
+def thing(name: str, version: int) -> dict[str, Any]:
+    metadata = {"name": name, "namespace": "lab", "uid": f"uid-{name}", "resourceVersion": str(version)}
+    return {"metadata": metadata, "spec": {}, "status": {}}
+
+
+class Server:
+    """Discovery, lists and watches; each watch of the runs streams the next of ``streams``, then ends."""
+
+    def __init__(self) -> None:
+        self.listed: dict[str, list[dict[str, Any]]] = {}
+        self.streams: list[list[dict[str, Any]]] = []
+        self.asked: list[tuple[str, str, dict[str, str]]] = []
+
+    async def handle(self, request: web.Request) -> web.StreamResponse:
+        self.asked.append((request.method, request.path, dict(request.query)))
+        if "namespaces" not in request.path:
+            return web.json_response(_discovered(request.path))
+        if request.query.get("watch") != "true":
+            items = self.listed.get(request.path, [])
+            return web.json_response({"metadata": {"resourceVersion": "10"}, "items": items})
+        response = web.StreamResponse()
+        await response.prepare(request)
+        if request.path == RUNS and self.streams:
+            for event in self.streams.pop(0):
+                await response.write(json.dumps(event).encode() + b"\n")
+            return response
+        await asyncio.Event().wait()
+        return response
+
+
+def _discovered(path: str) -> dict[str, Any]:
+    kinds = [kind for kind in Kind if path in {f"/apis/{kind.api_version}", f"/api/{kind.api_version}"}]
+    verbs = ["get", "list", "watch", "patch"]
+    named = [
+        {"name": kind.plural, "singularName": "", "kind": str(kind), "namespaced": True, "verbs": verbs}
+        for kind in kinds
+    ]
+    spaces = {
+        "name": "namespaces",
+        "singularName": "",
+        "kind": "Namespace",
+        "namespaced": False,
+        "verbs": verbs,
+    }
+    if path == "/api/v1":
+        named.append(spaces)
+    return {"resources": named, "versions": ["v1"], "groups": GROUPS}
+
+
+@pytest.fixture
+def server() -> Server:
+    return Server()
+
+
+@contextlib.asynccontextmanager
+async def watching(server: Server) -> AsyncIterator[Operator]:
+    """Let kopf watch. It ends all tasks younger than itself, so this is no fixture."""
+    application = web.Application()
+    application.router.add_route("*", "/{path:.*}", server.handle)
+    async with TestServer(application) as listening:
+        configuration = Configuration(host=str(listening.make_url("")).rstrip("/"))
+        api = Api(ApiClient(configuration))
+        op = Operator(api, SETTINGS, {})
+        task = asyncio.create_task(handlers.watch(op))
+        try:
+            yield op
+        finally:
+            task.cancel()
+            await asyncio.wait([task])
+            await api.close()
+
+
+async def until(op: Operator, *names: str) -> None:
+    await eventually(lambda: {obj["metadata"]["name"] for obj in op.store.of(RUN, "lab")} == set(names))
+
+
+async def eventually(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(30):
+        while not condition():  # noqa: ASYNC110 - what happens is behind a connection
+            await asyncio.sleep(0.01)
+
+
+async def test_what_is_listed_and_watched_enters_the_store_even_when_watches_are_cut(
+    server: Server,
+) -> None:
+    server.listed[RUNS] = [thing("listed", 5)]
+    server.streams = [
+        [{"type": "ADDED", "object": thing("added", 11)}],
+        [{"type": "DELETED", "object": thing("listed", 12)}],
+        [{"type": "ERROR", "object": {"kind": "Status", "code": 410}}],
+    ]
+    async with watching(server) as op:
+        await until(op, "added")
+        server.listed[RUNS] = [thing("added", 11), thing("after", 20)]
+        await until(op, "added", "after")
+
+
+async def test_only_our_pods_are_watched_and_nothing_is_written(server: Server) -> None:
+    async with watching(server):
+        await eventually(lambda: any(path == PODS and "watch" in query for _, path, query in server.asked))
+    for method, path, query in server.asked:
+        assert method == "GET"
+        if path == PODS:
+            assert query["labelSelector"] == "app.kubernetes.io/managed-by=slamhive"
+        if path == RUNS:
+            assert "labelSelector" not in query
+
+
+def test_kopf_keeps_its_hands_off() -> None:
+    settings = handlers.settings_for_kopf()
+    assert settings.scanning.disabled
+    assert not settings.posting.enabled
+    assert settings.watching.server_timeout == 600
+    assert 60 < settings.watching.inactivity_timeout < 120
+    assert isinstance(settings.persistence.diffbase_storage, handlers.NoDiffs)
+
+
+@pytest.fixture
+async def unconnected() -> AsyncIterator[Operator]:
+    api = Api(ApiClient(Configuration(host="http://none")))
+    yield Operator(api, SETTINGS, {})
+    await api.close()
+
+
+async def test_no_handler_asks_for_a_finalizer(unconnected: Operator) -> None:
+    registry = handlers.registry_for(unconnected)
+    assert len([*registry._watching.get_all_handlers()]) == len(Kind)
+    for unwanted in (registry._changing, registry._spawning, registry._indexing):
+        assert not [*unwanted.get_all_handlers()]
+
+
+async def test_each_kind_is_handed_over_as_itself(unconnected: Operator) -> None:
+    for handler in handlers.registry_for(unconnected)._watching.get_all_handlers():
+        await handler.fn(event={"type": None, "object": thing(f"of-{handler.id}", 3)})  # type: ignore[call-arg, misc]
+    for kind in Kind:
+        assert unconnected.store.get(Key(kind, "lab", f"of-{kind.plural}")) is not None

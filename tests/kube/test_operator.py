@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine room with toy reconcilers and an API of a few dictionaries."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.kube import health
+from slamhive.kube.errors import Conflict, Forbidden, Invalid, NotFound, ServerFault, StartError
+from slamhive.kube.kinds import OUR_KINDS, Key, Kind, Label, key_of
+from slamhive.kube.operator import SLOW_RETRY_SECONDS, Operator
+from slamhive.kube.settings import Settings
+from slamhive.model.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Awaitable, Callable
+
+RUN = Kind.MAPPING_RUN
+KEY = Key(RUN, "lab", "demo")
+SETTINGS = Settings.model_validate(
+    {
+        "namespaces": ["lab"],
+        "image": "slamhive",
+        "volumes": {"results": {"claim": "r"}, "data": {"claim": "d"}},
+        "workers": 2,
+    }
+)
+
+
+def thing(name: str = "demo", version: int = 1, phase: str = "", **labels: str) -> dict[str, Any]:
+    named = {f"slamhive.io/{label}": value for label, value in labels.items()}
+    metadata = {"name": name, "namespace": "lab", "uid": f"uid-{name}", "resourceVersion": str(version)}
+    return {"metadata": metadata | {"labels": named}, "spec": {}, "status": {"phase": phase} if phase else {}}
+
+
+class FakeApi:
+    """Objects in dictionaries; ``errors`` are raised one a call."""
+
+    def __init__(self) -> None:
+        self.objects: dict[Key, dict[str, Any]] = {}
+        self.version = 100
+        self.plurals = frozenset(kind.plural for kind in OUR_KINDS)
+        self.errors: list[Exception] = []
+        self.listed: list[tuple[Kind, str | None]] = []
+        self.count: Any = None
+
+    def have(self, kind: Kind, obj: dict[str, Any]) -> None:
+        self.objects[key_of(kind, obj)] = obj
+
+    def _next(self) -> int:
+        if self.errors:
+            raise self.errors.pop(0)
+        self.version += 1
+        return self.version
+
+    async def served(self, group: str, version: str) -> frozenset[str]:
+        return self.plurals
+
+    async def list(
+        self, kind: Kind, namespace: str, *, labels: str | None, narrow: Callable[[Any], Any]
+    ) -> tuple[list[dict[str, Any]], str]:
+        version = self._next()
+        self.listed.append((kind, labels))
+        found = [narrow(obj) for key, obj in self.objects.items() if key[:2] == (kind, namespace)]
+        return found, str(version)
+
+    async def get(self, key: Key) -> dict[str, Any]:
+        self._next()
+        if key not in self.objects:
+            raise NotFound("not there")
+        return self.objects[key]
+
+    async def create(self, kind: Kind, body: dict[str, Any], namespace: str | None) -> dict[str, Any]:
+        version = self._next()
+        obj = thing(body["metadata"]["name"], version)
+        obj["metadata"]["labels"] = body["metadata"].get("labels", {})
+        self.have(kind, obj)
+        return obj
+
+    async def patch(self, key: Key, body: dict[str, Any], *, subresource: str | None) -> dict[str, Any]:
+        version = self._next()
+        if key not in self.objects:
+            raise NotFound("not there")
+        present = self.objects[key]
+        metadata = present["metadata"] | {"resourceVersion": str(version)}
+        self.objects[key] = present | {"metadata": metadata} | body
+        return self.objects[key]
+
+    async def delete(self, key: Key, *, uid: str | None, **options: Any) -> None:
+        self._next()
+        self.objects.pop(key, None)
+
+    async def pod_metrics(self, namespace: str, labels: str) -> list[dict[str, Any]]:
+        raise NotFound("no metrics API")
+
+
+class Toy:
+    """A reconciler that does what it is told and remembers what it was asked."""
+
+    def __init__(self) -> None:
+        self.seen: list[str] = []
+        self.act: Callable[[Operator, Key], Awaitable[float | None]] | None = None
+
+    async def __call__(self, op: Operator, key: Key) -> float | None:
+        self.seen.append(str(key))
+        return None if self.act is None else await self.act(op, key)
+
+
+@pytest.fixture
+def api() -> FakeApi:
+    return FakeApi()
+
+
+@pytest.fixture
+def toy() -> Toy:
+    return Toy()
+
+
+@pytest.fixture
+async def op(api: FakeApi, toy: Toy) -> AsyncIterator[Operator]:
+    async def never(_: float) -> None:
+        await asyncio.Event().wait()
+
+    op = Operator(api, SETTINGS, dict.fromkeys((RUN, Kind.SWEEP), toy), sleep=never)  # type: ignore[arg-type]
+    yield op
+    await op.stop()
+
+
+async def settle(op: Operator) -> None:
+    async with asyncio.timeout(10):
+        while len(op.queue) or op.queue.active:  # noqa: ASYNC110 - the workers take turns with us
+            await asyncio.sleep(0)
+
+
+def failing(error: Exception) -> Callable[[Operator, Key], Awaitable[float | None]]:
+    async def act(op: Operator, key: Key) -> float | None:
+        raise error
+
+    return act
+
+
+async def test_nothing_is_reconciled_before_the_first_list(op: Operator, api: FakeApi, toy: Toy) -> None:
+    op.observe(RUN, "ADDED", thing("early", 99999))
+    await asyncio.sleep(0)
+    assert toy.seen == []
+    api.have(RUN, thing("listed"))
+    await op.start()
+    await settle(op)
+    assert sorted(toy.seen) == ["MappingRun lab/early", "MappingRun lab/listed"]
+
+
+async def test_only_our_jobs_and_pods_are_listed(op: Operator, api: FakeApi) -> None:
+    await op.start()
+    managed = "app.kubernetes.io/managed-by=slamhive"
+    assert set(api.listed) == {(kind, None if kind.is_ours else managed) for kind in Kind}
+
+
+async def test_a_job_brings_its_run(op: Operator, toy: Toy) -> None:
+    await op.start()
+    op.observe(Kind.JOB, "MODIFIED", thing("job", 5, role="run", run="demo"))
+    await settle(op)
+    assert toy.seen == ["MappingRun lab/demo"]
+
+
+async def test_a_stale_or_repeated_message_brings_nothing(op: Operator, toy: Toy) -> None:
+    await op.start()
+    for version in (5, 5, 4):
+        op.observe(RUN, "MODIFIED", thing(version=version))
+        await settle(op)
+    assert len(toy.seen) == 1
+
+
+async def test_a_deletion_brings_the_key_and_empties_the_store(op: Operator, toy: Toy) -> None:
+    await op.start()
+    op.observe(RUN, "ADDED", thing(version=5))
+    op.observe(RUN, "DELETED", thing(version=6))
+    await settle(op)
+    assert op.store.get(KEY) is None
+    assert toy.seen == [str(KEY)]
+
+
+async def test_own_writes_enter_the_store_and_bring_others_but_not_oneself(op: Operator, toy: Toy) -> None:
+    await op.start()
+    op.observe(RUN, "ADDED", thing(version=5))
+
+    async def create_once(op: Operator, key: Key) -> float | None:
+        if key.kind is RUN:
+            labels = {Label.ROLE: "run", Label.RUN: "demo", Label.SWEEP: "s"}
+            await op.create(Kind.JOB, {"metadata": {"name": "job", "labels": labels}}, "lab")
+            op.apply(RUN, thing(version=200, sweep="s"))
+        return None
+
+    toy.act = create_once
+    await settle(op)
+    assert op.store.get(Key(Kind.JOB, "lab", "job")) is not None
+    assert toy.seen == [str(KEY), "Sweep lab/s"]
+
+
+async def test_the_watch_s_echo_of_an_own_write_is_no_news(op: Operator, api: FakeApi, toy: Toy) -> None:
+    await op.start()
+    api.have(RUN, thing(version=5))
+    op.observe(RUN, "ADDED", thing(version=5))
+    await settle(op)
+    await op.patch(KEY, {"status": {"phase": "Running"}}, subresource="status")
+    await settle(op)
+    before = len(toy.seen)
+    op.observe(RUN, "MODIFIED", api.objects[KEY])
+    await settle(op)
+    assert len(toy.seen) == before
+
+
+async def test_writes_to_what_is_gone_take_it_out_of_the_store(op: Operator, api: FakeApi) -> None:
+    await op.start()
+    op.observe(RUN, "ADDED", thing(version=5))
+    with pytest.raises(NotFound):
+        await op.patch(KEY, {"status": {}}, subresource="status")
+    assert op.store.get(KEY) is None
+
+
+async def test_a_conflict_is_solved_by_reading_anew(op: Operator, api: FakeApi) -> None:
+    op.observe(RUN, "ADDED", thing(version=5))
+    api.have(RUN, thing(version=9, phase="Running"))
+    refreshed = await op.refresh(KEY)
+    assert refreshed is not None
+    assert op.store.get(KEY) == refreshed | {"status": {"phase": "Running"}}
+    api.objects.clear()
+    assert await op.refresh(KEY) is None
+    assert op.store.get(KEY) is None
+
+
+async def test_delete_means_the_very_object_in_the_store(op: Operator, api: FakeApi) -> None:
+    op.observe(RUN, "ADDED", thing(version=5))
+    assert await op.delete(KEY) is None
+    assert op.store.get(KEY) is None
+    op.observe(RUN, "ADDED", thing("other", 6))
+    api.errors = [Conflict("another uid")]
+    assert await op.delete(Key(RUN, "lab", "other")) is None
+    assert op.store.get(Key(RUN, "lab", "other")) is None
+
+
+async def test_a_reconciler_says_when_to_look_again(op: Operator, toy: Toy) -> None:
+    async def later(op: Operator, key: Key) -> float | None:
+        return 30.0
+
+    toy.act = later
+    await op.start()
+    op.observe(RUN, "ADDED", thing(version=5))
+    await settle(op)
+    assert op.queue.delayed == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (ServerFault("500"), (logging.WARNING, 1)),
+        (Conflict("changed"), (logging.DEBUG, 1)),
+        (Invalid("refused"), (logging.WARNING, 0)),
+        (InputError("unknown parameter"), (logging.ERROR, 0)),
+        (ZeroDivisionError("oops"), (logging.ERROR, 1)),
+    ],
+)
+async def test_failures_are_tried_again_and_told(
+    op: Operator, toy: Toy, caplog: pytest.LogCaptureFixture, error: Exception, expected: tuple[int, int]
+) -> None:
+    level, failures = expected
+    caplog.set_level(logging.DEBUG, "slamhive.operator")
+    toy.act = failing(error)
+    await op.start()
+    op.observe(RUN, "ADDED", thing(version=5))
+    await settle(op)
+    assert op.queue.delayed == 1
+    assert op.queue.failures(KEY) == failures
+    record = next(record for record in caplog.records if str(KEY) in record.getMessage())
+    assert record.levelno == level
+    assert (record.exc_info is not None) is isinstance(error, ZeroDivisionError)
+    if not failures:
+        assert f"again in {SLOW_RETRY_SECONDS:.1f} s" in record.getMessage()
+    assert op.failed_tasks == []
+
+
+async def test_the_same_mistake_is_told_once(
+    op: Operator, toy: Toy, caplog: pytest.LogCaptureFixture
+) -> None:
+    toy.act = failing(InputError("unknown parameter"))
+    await op.start()
+    for version in (5, 6, 7):
+        op.observe(RUN, "MODIFIED", thing(version=version))
+        await settle(op)
+    assert len(toy.seen) == 3
+    assert len([record for record in caplog.records if "unknown parameter" in record.message]) == 1
+
+
+async def test_a_relist_finds_what_the_watches_missed(op: Operator, api: FakeApi, toy: Toy) -> None:
+    api.have(RUN, thing("stays", 5))
+    api.have(RUN, thing("goes", 6))
+    await op.start()
+    await settle(op)
+    toy.seen.clear()
+    del api.objects[Key(RUN, "lab", "goes")]
+    api.have(RUN, thing("comes", 150))
+    await op.relist()
+    await settle(op)
+    assert sorted(toy.seen) == ["MappingRun lab/comes", "MappingRun lab/goes"]
+
+
+async def test_missing_crds_end_the_start_with_a_sentence(op: Operator, api: FakeApi) -> None:
+    api.plurals = frozenset({"algorithms", "datasets", "evaluations", "mappingruns"})
+    with pytest.raises(StartError, match=r"does not know sweeps\.slamhive\.io .*helm install slamhive-crds"):
+        await op.start()
+    assert not op.ready
+
+
+async def test_a_missing_right_ends_the_start_with_a_sentence(op: Operator, api: FakeApi) -> None:
+    api.errors = [Forbidden("cannot list sweeps.slamhive.io lab: no", verb="list", resource="sweeps")]
+    with pytest.raises(StartError, match=r"needs the right to list sweeps in each of its namespaces \(lab\)"):
+        await op.start()
+
+
+async def test_a_server_that_is_not_up_yet_is_waited_for(api: FakeApi, toy: Toy) -> None:
+    waits: list[float] = []
+
+    async def wait(seconds: float) -> None:
+        waits.append(seconds)
+        if len(waits) > 2:
+            await asyncio.Event().wait()
+
+    op = Operator(api, SETTINGS, {RUN: toy}, sleep=wait)  # type: ignore[arg-type]
+    api.errors = [ServerFault("refused"), ServerFault("refused")]
+    await op.start()
+    await op.stop()
+    assert op.ready
+    assert waits[:2] == [1.0, 2.0]
+
+
+async def test_sweeps_are_woken_when_live_figures_are_missing(op: Operator, api: FakeApi, toy: Toy) -> None:
+    api.have(Kind.SWEEP, thing("s"))
+    await op.start()
+    async with asyncio.timeout(10):
+        while op.usage.available is None:  # noqa: ASYNC110 - its task takes turns with us
+            await asyncio.sleep(0)
+    await settle(op)
+    assert op.usage.available is False
+    assert "Sweep lab/s" in toy.seen
+
+
+async def test_what_was_seen_of_a_pod_goes_with_it(op: Operator) -> None:
+    forgotten: list[str] = []
+    op.usage.forget = forgotten.append  # type: ignore[method-assign]
+    op.observe(Kind.POD, "ADDED", thing("p", 5, role="run", run="demo"))
+    op.observe(Kind.POD, "DELETED", thing("p", 6))
+    assert forgotten == ["uid-p"]
+
+
+async def test_health_tells_a_dead_part(op: Operator) -> None:
+    await op.start()
+    assert health.problem(op) == ""
+    op._tasks[0].cancel()
+    await asyncio.wait(op._tasks[:1])
+    assert health.problem(op) == "ended: worker-0"
+
+
+async def test_a_part_that_breaks_is_noticed(op: Operator, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def broken(key: Key) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(op, "handle", broken)
+    op.observe(RUN, "ADDED", thing(version=5))
+    await op.start()
+    async with asyncio.timeout(10):
+        await op.broken.wait()
+    assert op.failed_tasks == ["worker-0"]
