@@ -130,14 +130,18 @@ class Buildah:
 
     def build(self, recipe: Recipe, base: str, labels: dict[str, str]) -> None:
         """Build an image and tag it, reaching the package registries as this machine does."""
-        command = ["buildah", "bud", "--layers", "--isolation", "chroot", "--build-arg", f"BASE={base}"]
+        command = ["buildah", "bud", "--layers", "--force-rm", "--isolation", "chroot", "--build-arg", f"BASE={base}"]
         for path in (AUTHORITIES, PIP_SETTINGS):
             command += ["--volume", f"{path}:{path}:ro"] if path.exists() else []
         for key, value in labels.items():
             command += ["--label", f"{key}={value}"]
         command += ["-f", str(recipe.dockerfile), "-t", recipe.reference, str(recipe.context)]
+        earlier = self.find(recipe.reference)
         with (self._logs / f"{recipe.name}.log").open("w") as log:
             run(command, log=log)
+        if earlier:
+            # Nobody asks for it by name any more; where something still needs it, it stays.
+            _succeeds(["buildah", "rmi", earlier.identity.removeprefix("sha256:")])
 
     def archive(self, reference: str, path: Path) -> None:
         """Write an image to a file; the format without compression takes a third of the time."""
