@@ -92,7 +92,9 @@ def load(instance: Instance, source: bytes | Path) -> None:
     """
     content = source if isinstance(source, bytes) else None
     path = "-" if isinstance(source, bytes) else str(source)
-    command = ["ctr", "-a", str(instance.containerd), "-n", "k8s.io", "images", "import", path]
+    # Without its server it would wait for ever, and whoever started it may be killed.
+    alone = ("setpriv", "--pdeathsig", "KILL")
+    command = [*alone, "ctr", "-a", str(instance.containerd), "-n", "k8s.io", "images", "import", path]
     result = subprocess.run(command, input=content, capture_output=True, check=False)
     if result.returncode:
         raise ClusterError(f"cannot load an image: {result.stderr.decode().strip()[-500:]}")

@@ -61,6 +61,8 @@ class Kind:
             raise ClusterError("\n".join(problems))
         with locked("instances"):
             if not self.alive():
+                for name in ("data", "results"):
+                    (CONFIG.parent / "kind-data" / name).mkdir(parents=True, exist_ok=True)
                 self._kind(
                     *("create", "cluster", "--name", self.cluster, "--config", str(CONFIG)),
                     *("--kubeconfig", str(self.kubeconfig), "--wait", "300s"),

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import warnings
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -170,6 +172,14 @@ class Lab:
                     await watching
             await op.stop()
             await api.close()
+            _forget_broken_connections()
+
+
+def _forget_broken_connections() -> None:
+    """Let what kopf leaves half-read when its watches are cancelled go without a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        gc.collect()
 
 
 async def until(condition: Callable[[], Any], what: str, seconds: float = SECONDS) -> Any:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -160,9 +161,8 @@ class Local:
             addresses = self.instance.addresses()
         if addresses is not None:
             # The kernel takes its time to notice that a network is used no more.
-            if Path("/sys/class/net", addresses.link).exists():
-                with contextlib.suppress(ClusterError):
-                    _ip("link", "delete", addresses.link)
+            with contextlib.suppress(ClusterError):
+                _ip("link", "delete", addresses.link)
             cgroup = addresses.cgroup
             until(lambda: not init.remove_cgroups(cgroup), "its control groups", 30, 0.05)
         shutil.rmtree(folder, ignore_errors=True)
@@ -199,7 +199,7 @@ class Local:
 
     def _number(self) -> Addresses:
         taken = {path.read_text() for path in home().glob("run-*/number")}
-        taken |= {path.name.removeprefix("slamhive") for path in Path("/sys/class/net").glob("slamhive*")}
+        taken |= set(re.findall(r"slamhive(\d+)", _ip("-o", "link", "show")))
         free = [number for number in range(INSTANCES) if str(number) not in taken]
         if not free:
             raise ClusterError(f"{INSTANCES} clusters run on this machine already")
