@@ -213,7 +213,7 @@ def judge(end: AttemptEnd, played: Played | None) -> AttemptEnd:
 
 
 def _variables(ros: Ros, master: str, folder: Path) -> dict[str, str]:
-    return dict(ros.variables) | ros_variables(master, str(folder.parent / "home" / ".ros"))
+    return dict(ros.variables) | ros_variables(master, str(folder.parent / "home"))
 
 
 class _elsewhere:  # noqa: N801 - reads as a statement

@@ -75,5 +75,5 @@ def player_pod(algorithm: AlgorithmSpec, configuration: RunConfiguration, contai
             "timeoutSeconds": 5,
             "failureThreshold": 120,
         },
-        algorithm_variables=ros_variables(f"http://{LOOPBACK}:{_PORT}", "/tmp/.ros"),  # noqa: S108
+        algorithm_variables=ros_variables(f"http://{LOOPBACK}:{_PORT}", "/tmp"),  # noqa: S108
     )

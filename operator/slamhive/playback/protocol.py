@@ -129,11 +129,16 @@ class PlayError(Exception):
 
 
 def ros_variables(uri: str, folder: str) -> dict[str, str]:
-    """Return the variables with which a node finds the master, and nobody else finds the node."""
+    """Return the variables with which a node finds the master, and nobody else finds the node.
+
+    Args:
+        uri: Where the master answers.
+        folder: One that is there for ROS to write into: what it makes itself it wants to own like its parent.
+    """
     return {
         "ROS_MASTER_URI": uri,
         "ROS_IP": LOOPBACK,
         "ROS_HOSTNAME": LOOPBACK,
         "ROS_HOME": folder,
-        "ROS_LOG_DIR": f"{folder}/log",
+        "ROS_LOG_DIR": folder,
     }

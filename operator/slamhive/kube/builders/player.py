@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from slamhive.model.algorithm import Algorithm
     from slamhive.model.configuration import RunConfiguration
 
-_RESOURCES = equal_resources("1", "1Gi", logs="1Gi")
+_RESOURCES = equal_resources("500m", "1Gi", logs="1Gi")
 _SCRATCH = "256Mi"
 
 

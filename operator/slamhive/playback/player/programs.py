@@ -77,6 +77,7 @@ class Master:
     def __init__(self, folder: Path, port: int, stopped: Callable[[], bool]) -> None:
         port = port or _free_port()
         self.uri = f"http://{LOOPBACK}:{port}"
+        (folder / "ros").mkdir(exist_ok=True)
         os.environ.update(ros_variables(self.uri, str(folder / "ros")))
         self._program = Program(["roscore", "-p", str(port)], folder / "roscore.log")
         self.api = xmlrpc.client.ServerProxy(self.uri)
