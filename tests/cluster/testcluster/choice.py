@@ -40,6 +40,18 @@ class Choice:
         return "no test cluster: " + "; ".join(self.problems)
 
 
+def asked(environment: Mapping[str, str] = os.environ) -> str:
+    """Return the mode that somebody asked for, empty when nobody did.
+
+    Raises:
+        ClusterError: there is no such mode.
+    """
+    mode = environment.get(VARIABLE, "")
+    if mode and mode not in MODES:
+        raise ClusterError(f"{VARIABLE}={mode}: expected one of {', '.join(MODES)}")
+    return mode
+
+
 def choose(environment: Mapping[str, str] = os.environ, *, building: bool = False) -> Choice:
     """Choose a mode; an explicit one is kept, with what it lacks.
 
@@ -47,11 +59,9 @@ def choose(environment: Mapping[str, str] = os.environ, *, building: bool = Fals
         environment: where the variable is looked up.
         building: whether programs that have not been built are about to be.
     """
-    asked = environment.get(VARIABLE, "")
-    if asked and asked not in MODES:
-        raise ClusterError(f"{VARIABLE}={asked}: expected one of {', '.join(MODES)}")
-    if asked:
-        return Choice(asked, asked=True, problems=_problems(asked, building=building))
+    mode = asked(environment)
+    if mode:
+        return Choice(mode, asked=True, problems=_problems(mode, building=building))
     local = _problems("local", building=building)
     if not local:
         return Choice("local", asked=False)
@@ -66,7 +76,7 @@ def _problems(mode: str, *, building: bool) -> tuple[str, ...]:
             found = missing.missing()
             absent = programs.absent()
             if not found and absent and not building:
-                found = [f"its programs are not built ({', '.join(absent)}): make cluster-build, once"]
+                found = [f"its programs are not built ({', '.join(absent)}): make cluster-build"]
             return tuple(found)
         case "kind":
             return tuple(kind.missing())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands: build, up, down, load, status, packages."""
+"""The commands: prepare, build, up, down, load, status."""
 
 from __future__ import annotations
 
@@ -21,33 +21,35 @@ def _parser() -> argparse.ArgumentParser:
     load.add_argument("images", nargs="+", metavar="IMAGE")
     for command in (up, down, load):
         command.add_argument("--name", default=DEFAULT, help="another cluster beside the usual one")
-    build = commands.add_parser("build", help="build its programs once; they are kept")
-    build.add_argument(
-        "--if-possible", action="store_true", help="say what is missing and succeed where it cannot be had"
+    commands.add_parser("build", help="build its programs once; they are kept")
+    commands.add_parser(
+        "prepare", help="have ready what tests need, packages too, or say what is missing and succeed"
     )
-    commands.add_parser("packages", help="install the Debian packages it needs, where this is root on Debian")
     commands.add_parser("status", help="say which cluster tests would use, and why")
     return parser
 
 
-def _build(options: argparse.Namespace) -> None:
-    if options.if_possible:
-        chosen = choice.choose(building=True)
-        if chosen.mode != "local":
-            sys.stdout.write(chosen.sentence() + "\n")
-            return
-    programs.build()
+def _prepare() -> None:
+    if choice.asked() in {"", "local"}:
+        missing.install()
+    chosen = choice.choose(building=True)
+    if chosen.mode == "local" and not chosen.problems:
+        programs.build()
+    else:
+        sys.stdout.write(chosen.sentence() + "\n")
 
 
 def _run(options: argparse.Namespace) -> None:
     match options.command:
-        case "packages":
-            missing.install()
         case "build":
-            _build(options)
+            programs.build()
+        case "prepare":
+            _prepare()
         case "status":
             sys.stdout.write(choice.choose().sentence() + "\n")
         case "up":
+            if choice.asked() in {"", "local"}:
+                missing.install()
             access = choice.cluster(options.name).up(node=not options.control_plane)
             sys.stdout.write(f"KUBECONFIG={access.kubeconfig}\n")
         case "down":
