@@ -27,7 +27,7 @@ MADE = [
     *("deployments", "cronjobs", "services", "configmaps", "serviceaccounts", "roles", "rolebindings"),
     *("networkpolicies", "persistentvolumeclaims", "algorithms.slamhive.io", "datasets.slamhive.io"),
 ]
-IMAGE = "slamhive/slamhive:0.1.0"
+IMAGE = "docker.io/slamhive/slamhive:0.1.0"
 
 pytestmark = [pytest.mark.cluster]
 Install = Any

@@ -76,6 +76,8 @@ securityContext:
   capabilities: {drop: [ALL]}
 env:
   - {name: HOME, value: /tmp}
+  # There is no account of that number in the image, and libraries ask for its name.
+  - {name: USER, value: slamhive}
   - {name: PYTHONDONTWRITEBYTECODE, value: "1"}
 {{- end -}}
 
