@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from slamhive.archive import Archive
 
-SECONDS = 20.0
+SECONDS = 60.0
 API_VERSION = "slamhive.io/v1alpha1"
 
 
