@@ -64,7 +64,9 @@ def test_it_starts_from_a_base_that_can_be_chosen(recipe: Recipe) -> None:
 @each
 def test_it_holds_no_compiler_and_no_pip(recipe: Recipe) -> None:
     text = " ".join(value for word, value in last_stage(recipe) if word == "RUN")
-    assert not re.search(r"\b(gcc|g\+\+|build-essential|cmake|python3-dev|pip|venv)\b", text)
+    installed = " ".join(re.findall(r"apt-get install ([^&]*)", text))
+    assert not re.search(r"\b(gcc|g\+\+|build-essential|cmake|python3-(dev|pip|venv))\b", installed)
+    assert not re.search(r"\bpip\b", text)
 
 
 @each
@@ -81,7 +83,7 @@ def test_it_leaves_no_caches(recipe: Recipe) -> None:
     for word, value in last_stage(recipe):
         if word == "RUN" and "apt-get install" in value:
             assert "--no-install-recommends" in value
-            assert "rm -rf /var/lib/apt/lists/*" in value
+            assert re.search(r"rm -rf .*/var/lib/apt/lists/\* /var/cache/\*", value)
     for word, value in instructions(recipe):
         if word == "RUN" and re.search(r"\bpip\b.* (install|wheel)\b", value):
             assert "--no-cache-dir" in value or "--no-index" in value
