@@ -160,12 +160,18 @@ def test_archived_runs_keep_their_folders(volumes: Any, tmp_path: Path) -> None:
         assert volumes.files() == before
         for uid in (ARCHIVED, GONE):
             record = RunRecord(
-                uid=uid, name=uid, spec={}, phase=Phase.SUCCEEDED, finished=datetime.now(tz=UTC)
+                uid=uid,
+                name=uid,
+                spec={},
+                phase=Phase.SUCCEEDED,
+                finished=datetime.now(tz=UTC),
+                folder=f"runs/{uid}/pod",
             )
             archive.put_run(record)
         assert collect(volumes, *options).code == 0
         assert before - volumes.files() == {file for file in UNKNOWN if GONE not in file}
-        archive.remove_run(GONE)
+        # A record that names no folder is one whose files were not to be kept.
+        archive.put_run(RunRecord(uid=GONE, name=GONE, spec={}, phase=Phase.SUCCEEDED))
         collect(volumes, *options)
     assert before - volumes.files() == UNKNOWN
 
@@ -223,6 +229,27 @@ OBJECTS: dict[str, Any] = {
     ],
     "mappingruns": [{"metadata": {"uid": ALIVE}}],
 }
+
+
+def a_run(uid: str, *, files: str | None = None, **status: Any) -> dict[str, Any]:
+    annotations = {"slamhive.io/files": files} if files else {}
+    return {"metadata": {"uid": uid, "annotations": annotations}, "spec": {}, "status": status}
+
+
+@pytest.mark.parametrize(
+    ("run", "known"),
+    [
+        (a_run(ALIVE, phase="Running"), {ALIVE}),
+        (a_run(ALIVE, folder=f"runs/{GONE}/pod"), {ALIVE, GONE}),
+        (a_run(ALIVE, files="Delete", phase="Running"), {ALIVE}),
+        (a_run(ALIVE, files="Delete", phase="Succeeded", trajectory={"poses": 1}), {ALIVE}),
+        (a_run(ALIVE, files="Delete", phase="Succeeded", trajectory={"poses": 1}, results=[{}]), set()),
+        (a_run(ALIVE, files="Delete", phase="Failed"), set()),
+    ],
+)
+def test_a_run_needs_the_folder_of_its_result_until_it_may_go(run: Any, known: set[str]) -> None:
+    listed = {"algorithms": [], "datasets": [], "mappingruns": [run]}
+    assert known_to(listed.__getitem__).runs == known
 
 
 def test_objects_say_what_is_known() -> None:

@@ -40,6 +40,7 @@ _GENERATED = re.compile(r"(?P<name>.+)-[0-9a-f]{16}")
 _TRUTH = re.compile(r"(?P<name>[^.].*?)\.(txt|relations|rotations\.npy)")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _ASIDE = re.compile(r"\..+\.making|\.fetching-.+|\..+\.removing")
+_EVALUATION = re.compile(r"evaluate-[0-9a-f]{20}")
 _OWNER = ".slamhive-namespace"
 
 
@@ -49,7 +50,8 @@ class Find:
 
     Attributes:
         path: where it is.
-        kind: runs, variants, generated, groundtruth or assets; aside for what was left half made.
+        kind: runs, evaluations, variants, generated, groundtruth or assets; aside for what was left half
+            made.
         name: what must be known for it to stay.
     """
 
@@ -143,6 +145,9 @@ def _claim(results: Path, namespace: str, *, dry: bool) -> None:
 
 
 def _runs(results: Path) -> Iterator[Find]:
+    for entry in _entries(results / "evaluations"):
+        if _EVALUATION.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):
+            yield Find(Path(entry.path), "evaluations", entry.name)
     for entry in _entries(results / "runs"):
         name = entry.name
         if _UID.fullmatch(name) and entry.is_dir(follow_symlinks=False):

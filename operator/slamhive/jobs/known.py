@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
 CHUNK = 500
+FILES = "slamhive.io/files"
+"""Annotation of runs whose Sweep keeps no files: ``Delete``."""
 _TRIES = 3
 _TIMEOUT_SECONDS = 60
 _FORBIDDEN, _EXPIRED = 403, 410
@@ -70,7 +72,7 @@ def known_to(listing: Lister) -> Known:
         assets = None
     try:
         datasets = list(listing("datasets"))
-        runs = frozenset(str(item["metadata"]["uid"]) for item in listing("mappingruns"))
+        runs = frozenset(uid for item in listing("mappingruns") for uid in _run_folders(item))
     except PermissionError as error:
         raise SystemFault(str(error)) from None
     variants = [entry for item in datasets for entry in (item.get("status") or {}).get("variants") or ()]
@@ -80,6 +82,26 @@ def known_to(listing: Lister) -> Known:
         variants=frozenset(name for entry in variants for name in _folders(entry)),
         assets=None if assets is None else frozenset(str(checksum) for checksum in assets if checksum),
     )
+
+
+def _run_folders(run: Mapping[str, Any]) -> set[str]:
+    """Return the names of the folders that a MappingRun needs: its own, and the one whose result it took."""
+    status = run.get("status") or {}
+    if (run["metadata"].get("annotations") or {}).get(FILES) == "Delete" and _is_settled(run):
+        return set()
+    _, _, rest = str(status.get("folder") or "").partition("runs/")
+    return {str(run["metadata"]["uid"]), rest.partition("/")[0]} - {""}
+
+
+def _is_settled(run: Mapping[str, Any]) -> bool:
+    """Tell whether a run has ended and was measured, if it can be."""
+    status = run.get("status") or {}
+    measured = bool(status.get("results")) or any(
+        item.get("type") == "Evaluated" for item in status.get("conditions") or ()
+    )
+    wanted = (run.get("spec") or {}).get("evaluate", True) and status.get("trajectory")
+    succeeded = status.get("phase") == "Succeeded" and (measured or not wanted)
+    return succeeded or status.get("phase") in {"Failed", "Cancelled"}
 
 
 def _folders(entry: Mapping[str, Any]) -> list[str]:
@@ -179,7 +201,7 @@ def known_by_file(path: Path) -> Known:
 
 
 def archived(url: str, uids: Iterable[str]) -> frozenset[str]:
-    """Return which runs an archive knows.
+    """Return which runs an archive knows together with their folders.
 
     Args:
         url: of the archive's database.
@@ -196,7 +218,8 @@ def archived(url: str, uids: Iterable[str]) -> frozenset[str]:
             raise SystemFault(f"archive {archive.location}: holds no run at all, so no run folder is removed")
         iterator = iter(uids)
         while batch := list(islice(iterator, CHUNK)):
-            found.update(record.uid for record in archive.runs({"uid": batch}))
+            # A record without a folder is one whose files were not to be kept.
+            found.update(record.uid for record in archive.runs({"uid": batch}) if record.folder)
     return frozenset(found)
 
 

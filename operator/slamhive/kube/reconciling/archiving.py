@@ -11,7 +11,7 @@ from slamhive.kube.errors import Conflict
 from slamhive.kube.kinds import Key, Kind, key_of
 from slamhive.kube.reconciling.points import decode
 from slamhive.kube.reconciling.records import record_of
-from slamhive.kube.reconciling.sweep_runs import is_settled, point_of, state_of
+from slamhive.kube.reconciling.sweep_runs import FILES, is_settled, point_of, state_of
 from slamhive.model.errors import UnknownNameError
 
 if TYPE_CHECKING:
@@ -78,4 +78,7 @@ class Retirement:
             dataset, attributes = CatalogEntry.of(found), dict(found.spec.attributes)
         except UnknownNameError:  # deleted from the catalog meanwhile
             pass
-        return record_of(run, attributes=attributes), algorithm, dataset
+        record = record_of(run, attributes=attributes)
+        if (run["metadata"].get("annotations") or {}).get(FILES):
+            record = record.replace(folder=None)  # the collector removes it
+        return record, algorithm, dataset

@@ -76,6 +76,11 @@ class RunFacts:
     attempted: Attempted
     job: dict[str, Any] | None
 
+    @property
+    def dataset_key(self) -> Key:
+        """Return the address of its Dataset."""
+        return Key(Kind.DATASET, self.key.namespace, self.dataset.name)
+
 
 class RunReconciler:
     """Brings MappingRuns to their end.
@@ -182,6 +187,8 @@ class RunReconciler:
         delay = await self._act(op, facts, decision)
         if patience is not None and patience <= now and facts.job is not None:
             await op.delete(key_of(Kind.JOB, facts.job))  # it would go on trying
+            if "subPath" in (attempted.waiting_message or ""):
+                await variants.forget(op, facts.dataset_key, facts.wanted.name)  # its folder is gone
         starts = any(isinstance(action, Start) for action in decision.actions)
         if not starts:
             await self._record(op, facts, decision.state, twin)

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from slamhive.plan import Point
 
+FILES = "slamhive.io/files"
+"""Annotation of runs whose files are not to be kept; the collector removes them."""
 OWN_PREFIX = "slamhive.io/"
 
 
@@ -30,6 +32,7 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int) -> dict[str, Any]:
     """
     meta = sweep["metadata"]
     given = (sweep["spec"].get("template") or {}).get("metadata") or {}
+    kept = (sweep["spec"].get("retention") or {}).get("files") != "Delete"
     spec = {key: value for key, value in point.spec.items() if key != "cancel"}
     labels = {
         Label.MANAGED_BY: MANAGER,
@@ -46,7 +49,7 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int) -> dict[str, Any]:
             "name": point.name,
             "namespace": meta["namespace"],
             "labels": _passed(given.get("labels")) | {str(key): value for key, value in labels.items()},
-            "annotations": _passed(given.get("annotations")),
+            "annotations": _passed(given.get("annotations")) | ({} if kept else {FILES: "Delete"}),
             "ownerReferences": [reference(Kind.SWEEP, sweep, controller=True)],
         },
         "spec": spec,

@@ -237,6 +237,21 @@ async def touch(op: Operator, key: Key, name: str) -> None:
     await op.patch(key, body, subresource="status")
 
 
+async def forget(op: Operator, key: Key, name: str) -> None:
+    """Take a variant that turned out to be gone from the volume out of a Dataset's status."""
+    known = entries(op, key)
+    dataset = op.store.get(key)
+    for job in op.store.select(Kind.JOB, key.namespace, Label.VARIANT, name):
+        await op.delete(key_of(Kind.JOB, job))  # its report would bring the entry back
+    if dataset is None or known.pop(name, None) is None:
+        return
+    body = {
+        "metadata": {"resourceVersion": dataset["metadata"]["resourceVersion"]},
+        "status": {"variants": list(known.values())},
+    }
+    await op.patch(key, body, subresource="status")
+
+
 def _within(op: Operator, namespace: str, known: dict[str, Any]) -> dict[str, Any]:
     """Return the entries that may stay: unused ones go while a namespace's variants are too large."""
     limit = quantity(op.settings.variants_limit)
