@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.archive import CatalogEntry
 from slamhive.kube.errors import Conflict
 from slamhive.kube.kinds import Key, Kind, key_of
+from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.points import decode
 from slamhive.kube.reconciling.records import record_of
 from slamhive.kube.reconciling.sweep_runs import FILES, is_settled, point_of, state_of
@@ -75,7 +76,11 @@ class Retirement:
                 self._catalogue.algorithm(op.store, namespace, spec["algorithmRef"]["name"])
             )
             found = self._catalogue.dataset(op.store, namespace, spec["datasetRef"]["name"])
-            dataset, attributes = CatalogEntry.of(found), dict(found.spec.attributes)
+            dataset = CatalogEntry.of(found)
+            variant = run["status"].get("variant") or ""
+            entry = variants.entries(op, Key(Kind.DATASET, namespace, found.name)).get(variant, {})
+            # A generator adds what it knows of the world that it made.
+            attributes = (entry.get("description") or {}).get("attributes") or dict(found.spec.attributes)
         except UnknownNameError:  # deleted from the catalog meanwhile
             pass
         record = record_of(run, attributes=attributes)

@@ -148,7 +148,7 @@ class Evaluations:
             by_role={role: view.T_body_sensor for role, view in known.sensors.items()},
             by_name=known.extrinsics,
             remap=spec["input"].get("remap"),
-            gravity_aligned=dataset.spec.gravity_aligned,
+            gravity_aligned=dataset.spec.gravity_aligned or dataset.spec.recording.synthetic is not None,
             window=(known.start_time, known.start_time + known.duration_seconds),
         )
         subject = SubjectItem.of(subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)).as_json()
