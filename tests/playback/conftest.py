@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from slamhive.model.results import Phase, RunRecord
 
 NODE = Path(__file__).parent / "node.py"
+PATIENCE = {"deaf": {"ready": "5s"}, "stubborn": {"end": "1s"}}
 
 
 @pytest.fixture(scope="session")
@@ -52,7 +53,7 @@ def node_spec(act: str, **ros1: Any) -> dict[str, Any]:
             "output": {"frame": "lidar"},
             "paces": ["Realtime"],
             "realtime": {"queue": 1},
-            "ros1": {"poses": poses, "settle": "500ms", "end": "2s", "ready": "5s"} | ros1,
+            "ros1": {"poses": poses} | PATIENCE.get(act, {}) | ros1,
         },
     }
 
