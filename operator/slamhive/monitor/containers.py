@@ -137,7 +137,8 @@ class Container:
             os.close(self.pidfd)
             raise ProcessLookupError(f"process {first.pid} is gone")
         self._mounts = _mount_namespace(first.pid)
-        self._group = attach_cgroup(f"/proc/{first.pid}/root/sys/fs/cgroup", first.pid)
+        its_files = f"/proc/{first.pid}/root"
+        self._group = attach_cgroup(f"{its_files}/sys/fs/cgroup", first.pid)
         self._known = [first]
         try:
             self.source: Source = self._group.source if self._group else ProcSource(first.pid, self._related)
