@@ -96,8 +96,8 @@ def _run(cluster: Local) -> None:
     access.kubectl("wait", "--for=condition=Ready", "pod/x", "--timeout=60s")
 
 
-def play(mode: str, name: str) -> None:
-    """Have a cluster and end it."""
+def play(mode: str, name: str) -> str:
+    """Have a cluster and end it; return the name of its control groups."""
     cluster = Local.named(name)
     folder = cluster.instance.folder
     if mode == "half":
@@ -109,6 +109,7 @@ def play(mode: str, name: str) -> None:
         assert process.stdout.readline() == b"up\n"
     else:
         _run(cluster)
+    cgroup = cluster.instance.addresses().cgroup
     if mode in {"half", "owner"}:
         process.kill()
         process.communicate()
@@ -123,6 +124,7 @@ def play(mode: str, name: str) -> None:
         cluster.down()
     # What a killed process had started goes with it, in its own time.
     until(lambda: not snapshot(folder)["processes"], "the end of helpers", 30)
+    return cgroup
 
 
 def main(mode: str, name: str) -> None:
@@ -132,12 +134,12 @@ def main(mode: str, name: str) -> None:
     subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
     folder = Local.named(name).instance.folder
     before = snapshot(folder)
-    play(mode, name)
+    cgroup = play(mode, name)
     after = snapshot(folder)
-    for what in ("cgroups", "mounts"):
-        # Those of others may go meanwhile, which is their business.
-        after[what] = [item for item in after[what] if item not in before[what]]
-        before[what] = []
+    # Control groups and mounts of others come and go meanwhile, which is their business.
+    after["mounts"] = [line for line in after["mounts"] if line not in before["mounts"]]
+    after["cgroups"] = [path for path in after["cgroups"] if Path(path).name == cgroup]
+    before |= {"mounts": [], "cgroups": []}
     sys.stdout.write(json.dumps({"before": before, "after": after}))
 
 
