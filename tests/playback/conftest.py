@@ -74,6 +74,12 @@ class Notes:
         pass
 
 
+@pytest.fixture
+def notes() -> Notes:
+    """A watcher."""
+    return Notes()
+
+
 @pytest.fixture(scope="session")
 def play(
     ros: None, tmp_path_factory: pytest.TempPathFactory, environments: Path, tiny: Path

@@ -11,12 +11,12 @@ from pydantic import ValidationError
 
 from slamhive.engine import AttemptEnd
 from slamhive.local.environments import Unavailable, interpreter
-from slamhive.local.playing import judge
 from slamhive.model.algorithm import AlgorithmSpec, LocalProgram
 from slamhive.model.configuration import RunConfiguration
 from slamhive.model.results import Reason
 from slamhive.monitor.playing import played_mean_cores
 from slamhive.playback.building import play_request
+from slamhive.playback.judging import judge
 from slamhive.playback.outcome import Played, read_report
 from slamhive.playback.pod import player_pod
 from slamhive.playback.protocol import PlayRequest

@@ -28,11 +28,12 @@ import yaml
 from slamhive.engine import AttemptEnd
 from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
-from slamhive.local.playing import Player, judge
+from slamhive.local.playing import Player
 from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
 from slamhive.monitor import SupervisorSpec, end_orphans
+from slamhive.playback.judging import judge
 from slamhive_eval import EvaluationError, read_tum
 
 if TYPE_CHECKING:

@@ -20,13 +20,11 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import slamhive
 from slamhive.model.errors import SystemFault
-from slamhive.model.results import Reason
 from slamhive.monitor import SupervisorSpec
 from slamhive.playback.building import play_request
 from slamhive.playback.outcome import Played, read_report
@@ -36,7 +34,6 @@ from slamhive.playback.ros import find_ros, what_it_takes
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.engine import AttemptEnd
     from slamhive.local.attempt import AttemptOrder
     from slamhive.playback.protocol import PlayRequest
     from slamhive.playback.ros import Ros
@@ -192,24 +189,6 @@ class Player:
                 if lines:
                     return lines[-1]
         return "the player was killed"
-
-
-def judge(end: AttemptEnd, played: Played | None) -> AttemptEnd:
-    """Return how an attempt ended in the light of how playing did.
-
-    Args:
-        end: As its supervisor says.
-        played: As the player says, None where nothing was to be played.
-    """
-    if played is None or end.reason not in {None, Reason.ALGORITHM_FAILED, Reason.CANCELLED}:
-        return end
-    if played.completed:
-        return replace(end, exit_code=0, signal=None, reason=None, message=None)
-    if played.reason is not None:
-        return replace(end, reason=Reason(played.reason), message=played.message)
-    if end.reason is Reason.CANCELLED:
-        return replace(end, reason=Reason.SYSTEM_FAULT, message="the player was killed")
-    return end
 
 
 def _variables(ros: Ros, master: str, folder: Path) -> dict[str, str]:

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real algorithms as ROS 1 nodes, beside themselves in lockstep."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from slamhive.archive import Archive
+from slamhive.local.catalog import load_workshop
+from slamhive.local.home import Home
+from slamhive.local.runner import Job, Runner
+from slamhive.local.workbench import Workbench
+from slamhive.model.dataset import Dataset
+from slamhive.model.results import Reason
+from slamhive.model.sweep import Sweep
+from slamhive.plan import Plan, local_uid
+
+if TYPE_CHECKING:
+    from slamhive.model.results import RunRecord
+
+pytestmark = pytest.mark.slow
+
+STEREO = {"sensors": ["Stereo"], "durationSeconds": 12, "loops": 0.4, "camera": {"width": 320, "height": 240}}
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Home:
+    """A home whose environments outlive the session: making them takes minutes."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    environments = cache / "slamhive-tests" / "environments"
+    environments.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "environments").symlink_to(environments)
+    return Home.at(tmp_path)
+
+
+def run(home: Home, names: list[str], dataset: str, notes: object) -> list[RunRecord]:
+    workshop = load_workshop(home)
+    small = Dataset.model_validate(
+        {"metadata": {"name": "stereo"}, "spec": {"recording": {"synthetic": STEREO}}}
+    )
+    workshop.add([small], home.path)
+    template = {"datasetRef": {"name": dataset}, "input": {"duration": "12s"}, "timeout": "10m"}
+    template["sensors"] = "stereo" if dataset == "stereo" else "lidar"
+    axis = {"path": "algorithm", "values": names}
+    body = {"metadata": {"name": "real"}, "spec": {"template": {"spec": template}, "matrix": [axis]}}
+    sweep = Sweep.model_validate(body)
+    with Archive.open(home.archive_url) as archive:
+        job = Job(sweep, local_uid(sweep), Plan(sweep, workshop))
+        Runner(Workbench(home, workshop, archive), notes, parallelism=1).run([job])  # type: ignore[arg-type]
+        found = [archive.get(job.run_uid(index)) for index in range(len(names))]
+    records = [record for record in found if record is not None]
+    missing = [str(one.message) for one in records if one.reason is Reason.ALGORITHM_UNAVAILABLE]
+    if missing:
+        pytest.skip(missing[0])
+    assert [(one.phase, one.message or "") for one in records] == [("Succeeded", "")] * len(names)
+    return records
+
+
+def trajectory(record: RunRecord, name: str = "trajectory.txt") -> np.ndarray:
+    return np.loadtxt(Path(record.folder or "") / "run" / "output" / name)
+
+
+def test_kiss_icp(ros: None, home: Home, notes: object) -> None:
+    lockstep, played = run(home, ["kiss-icp", "kiss-icp-ros"], "synthetic-lidar", notes)
+    assert played.frames is not None
+    assert played.frames.offered == 120
+    first, second = trajectory(lockstep), trajectory(played)
+    assert set(second[:, 0]) <= set(first[:, 0])
+    assert len(second) == played.frames.processed
+    assert played.metrics["latencySeconds"]["mean"] > 0
+    if played.frames.dropped == 0:  # a busy machine drops some, and then the odometry takes another way
+        np.testing.assert_allclose(second, first, atol=1e-6)
+
+
+def test_orb_slam(ros: None, home: Home, notes: object) -> None:
+    (played,) = run(home, ["orb-slam3-smallvoc-ros"], "stereo", notes)
+    assert played.frames is not None
+    assert played.frames.processed is not None
+    assert played.frames.processed > 20
+    assert played.results[0].values["ate"]["rmse"] < 0.5
+    assert len(trajectory(played)) > 20
+    assert len(trajectory(played, "trajectory.online.txt")) > 20
+    assert played.metrics["keyframes"] > 1
