@@ -20,7 +20,7 @@ from slamhive.plan import Plan
 ROOT = Path(__file__).parents[1]
 SPDX = "SPDX-License-Identifier: Apache-2.0"
 SOURCES = {".py", ".yaml", ".yml", ".toml", ".sh", ".js", ".css"}
-NOT_OURS = {"crds", "tests/plan/golden"}
+NOT_OURS = {"crds", "tests/kube/golden", "tests/plan/golden"}
 SKIPPED = {"__pycache__", "build", "dist", "node_modules"}
 PLACES = re.compile(rb"(?<![\w.>])/(?:root|work|home/[a-z]\w*|Users/\w+|tmp/[a-z]\w*)/[\w.-]+")
 ALGORITHM_FILES = ("algorithm.yaml", "adapter.py", "requirements.txt", "Dockerfile")
