@@ -51,8 +51,10 @@ lint: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python tests/bench/run.py
 
+# The CRDs from the models, and the chart's copies of them and of the catalog.
 crds: $(STAMP)
 	$(BIN)/python -m slamhive.model.crd crds
+	SLAMHIVE_UPDATE=1 $(BIN)/python -m pytest -q tests/helm -k copies
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
