@@ -25,6 +25,7 @@ from slamhive.cli.console import (
     plural,
     remark,
 )
+from slamhive.cli.planning import planned, sweeps_of
 from slamhive.cli.progress import Display
 from slamhive.cli.results import show_table
 from slamhive.cli.tables import short_name
@@ -37,15 +38,15 @@ from slamhive.local.runner import Job, Runner
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.run import MappingRun
-from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec, TemplateMeta
-from slamhive.plan import Plan, local_uid
+from slamhive.model.sweep import Sweep
+from slamhive.plan import local_uid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.local.catalog import Workshop
     from slamhive.local.workbench import Workbench
-    from slamhive.model.loading import Kind
+    from slamhive.plan import Plan
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]
 
@@ -103,7 +104,7 @@ def plan(
     """
     workshop = load_workshop(Home.from_environment())
     plans = [
-        (sweep, _planned(sweep, workshop, strict=False)) for sweep in _sweeps(read_files(files, workshop))
+        (sweep, planned(sweep, workshop, strict=False)) for sweep in sweeps_of(read_files(files, workshop))
     ]
     if not plans:
         raise InputError(f"{files[0]}: no Sweep or MappingRun in it")
@@ -126,8 +127,8 @@ def validate(files: Files) -> None:
     workshop = load_workshop(Home.from_environment())
     objects = read_files(files, workshop)
     problems = 0
-    for sweep in _sweeps(objects):
-        points = _planned(sweep, workshop, strict=True)
+    for sweep in sweeps_of(objects):
+        points = planned(sweep, workshop, strict=True)
         found = points.check()
         problems += len(found)
         for problem in found:
@@ -176,7 +177,7 @@ def _run_files(
     workshop = load_workshop(home)
     objects = read_files(files, workshop)
     evaluations = [item for item in objects if isinstance(item, Evaluation)]
-    sweeps = _sweeps(objects)
+    sweeps = sweeps_of(objects)
     if not sweeps and not evaluations:
         raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
     jobs = [_job(sweep, workshop) for sweep in sweeps]
@@ -222,33 +223,8 @@ def _drive(
                 signal.signal(number, handler)
 
 
-def _sweeps(objects: Sequence[Kind]) -> list[Sweep]:
-    """Return the sweeps among objects; a single run is a sweep of one."""
-    for item in objects:
-        if isinstance(item, MappingRun) and item.spec.cancel:
-            raise InputError(f"MappingRun {item.name}: spec.cancel: true; a cancelled run is not started")
-    return [
-        item if isinstance(item, Sweep) else _as_sweep(item)
-        for item in objects
-        if isinstance(item, Sweep | MappingRun)
-    ]
-
-
-def _as_sweep(single: MappingRun) -> Sweep:
-    spec = single.spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
-    template = RunTemplate(metadata=TemplateMeta(labels=single.metadata.labels), spec=spec)
-    return Sweep(metadata=single.metadata, spec=SweepSpec(template=template))
-
-
-def _planned(sweep: Sweep, workshop: Workshop, *, strict: bool) -> Plan:
-    try:
-        return Plan(sweep, workshop, strict=strict)
-    except InputError as error:
-        raise InputError(f"{sweep.kind} {sweep.name}: {error}") from None
-
-
 def _job(sweep: Sweep, workshop: Workshop) -> Job:
-    points = _planned(sweep, workshop, strict=True)
+    points = planned(sweep, workshop, strict=True)
     problems = points.check()
     if problems:
         raise InputError("\n".join(f"{sweep.kind} {sweep.name}: {problem}" for problem in problems))

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What people ask of the API beyond what the operator does: trials without effect, and logs as they come."""
+
+from __future__ import annotations
+
+from contextlib import aclosing
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
+
+import aiohttp
+
+from slamhive.kube.client import Api
+from slamhive.kube.errors import ServerFault, from_answer
+from slamhive.kube.transport import CONNECT_SECONDS, Request
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncGenerator
+
+    from slamhive.kube.kinds import Key, Kind
+
+Object = dict[str, Any]
+
+_MERGE = "application/merge-patch+json"
+_SILENCE_SECONDS = 900.0
+_TRIAL = {"dryRun": "All"}
+
+
+class UserApi(Api):
+    """The API as a user's command has it."""
+
+    async def try_create(self, kind: Kind, namespace: str, body: Object) -> None:
+        """Let the server check an object without making it; errors as of ``create``."""
+        target, path = f"{namespace}/{body['metadata']['name']}", kind.path(namespace)
+        body = {"apiVersion": kind.api_version, "kind": str(kind)} | body
+        await self.json(Request("create", kind.resource, target, "POST", path, query=_TRIAL, body=body))
+
+    async def try_patch(self, key: Key, body: Object) -> None:
+        """Let the server check a change without making it; errors as of ``patch``."""
+        path = key.kind.path(key.namespace, key.name)
+        request = Request(
+            *("patch", key.kind.resource, f"{key.namespace}/{key.name}", "PATCH", path),
+            query=_TRIAL,
+            body=body,
+            content_type=_MERGE,
+        )
+        await self.json(request)
+
+    async def log_lines(
+        self,
+        namespace: str,
+        pod: str,
+        container: str,
+        *,
+        follow: bool = False,
+        since: str | None = None,
+        tail_lines: int | None = None,
+    ) -> AsyncGenerator[tuple[str, str], None]:
+        """Yield each line that a container wrote, with its time stamp (RFC 3339).
+
+        Args:
+            namespace: where the pod is.
+            pod: its name.
+            container: whose lines.
+            follow: whether to wait for further lines until the container ends.
+            since: only lines later than this time stamp.
+            tail_lines: only so many of the last lines.
+
+        Raises:
+            ServerFault: the connection broke; what came so far was yielded.
+            ApiError: see ``slamhive.kube.errors``.
+        """
+        query: dict[str, Any] = {"container": container, "timestamps": "true"}
+        query |= {"follow": "true"} if follow else {}
+        query |= {"sinceTime": since} if since else {}
+        query |= {"tailLines": tail_lines} if tail_lines is not None else {}
+        async with aclosing(self._lines(namespace, pod, query)) as lines:
+            async for line in lines:
+                stamp, _, text = line.decode(errors="replace").partition(" ")
+                # sinceTime counts in whole seconds.
+                if since is None or _order(stamp) > _order(since):
+                    yield stamp, text
+
+    async def _lines(self, namespace: str, pod: str, query: dict[str, Any]) -> AsyncGenerator[bytes, None]:
+        target = f"{namespace}/{pod}"
+        path = f"/api/v1/namespaces/{namespace}/pods/{pod}/log"
+        headers = {"Accept": "*/*", "User-Agent": "slamhive"}
+        await self._client.update_params_for_auth(headers, [], ["BearerToken"], path, "GET", None)
+        address = f"{self._client.configuration.host}{path}?{urlencode(query)}"
+        timeout = aiohttp.ClientTimeout(total=None, connect=CONNECT_SECONDS, sock_read=_SILENCE_SECONDS)
+        try:
+            answer = await self._client.rest_client.request(  # type: ignore[no-untyped-call]
+                "GET", address, headers=headers, _request_timeout=timeout
+            )
+            if answer.status >= 400:
+                content = await answer.read()
+                raise from_answer(answer.status, content, answer.headers, "get", "pods/log", target)
+            stream: aiohttp.ClientResponse = answer.response
+            async with stream:
+                rest = b""
+                async for chunk in stream.content.iter_any():
+                    *whole, rest = (rest + chunk).split(b"\n")
+                    for line in whole:
+                        yield line
+                if rest:
+                    yield rest
+        except (aiohttp.ClientError, TimeoutError, OSError) as error:
+            raise ServerFault(
+                f"cannot get pods/log {target}: the connection broke: {error or type(error).__name__}",
+                verb="get",
+                resource="pods/log",
+            ) from error
+
+
+def _order(stamp: str) -> tuple[str, str]:
+    """Return what RFC 3339 time stamps in UTC are ordered by: their fractions drop trailing zeros."""
+    whole, _, fraction = stamp.rstrip("Z").partition(".")
+    return whole, fraction.ljust(9, "0")

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a cluster into an archive: finished runs with their results, as if they had been run here."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from slamhive.archive import CatalogEntry, SweepRecord
+from slamhive.kube.kinds import Kind
+from slamhive.kube.reconciling.catalogue import parse
+from slamhive.kube.reconciling.records import record_of
+from slamhive.kube.status import phase_of
+from slamhive.kube.user.looking import is_over, name_of, owner_uid, runs_of, status_of
+from slamhive.model.errors import InputError
+from slamhive.model.sweep import Sweep
+from slamhive.plan import resolve, run_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from slamhive.archive import Archive
+    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.submitting import ClusterCatalog
+    from slamhive.model.results import RunRecord
+
+Object = dict[str, Any]
+
+SET_ASIDE = "@"
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """What came of a Sweep or a run.
+
+    Attributes:
+        name: its name in the cluster.
+        stored: the sweep that its runs belong to in the archive here.
+        runs: runs that were copied.
+        waiting: runs among them that are not evaluated yet.
+        unfinished: runs that have not ended.
+        elsewhere: finished runs whose objects the cluster no longer holds.
+    """
+
+    name: str
+    stored: str
+    runs: int
+    waiting: int = 0
+    unfinished: int = 0
+    elsewhere: int = 0
+
+
+class Fetcher:
+    """Copies finished runs into an archive; doing it again brings them up to date.
+
+    Args:
+        cluster: where they are.
+        catalog: its Algorithms and Datasets.
+        archive: where they go.
+        step: called with (done, of how many) after each.
+    """
+
+    def __init__(
+        self, cluster: Cluster, catalog: ClusterCatalog, archive: Archive, step: Callable[[int, int], None]
+    ) -> None:
+        self._cluster = cluster
+        self._catalog = catalog
+        self._archive = archive
+        self._step = step
+
+    async def sweep(self, body: Object) -> Fetched:
+        """Copy a Sweep's finished runs."""
+        name, uid, status = name_of(body), body["metadata"]["uid"], status_of(body)
+        runs = await runs_of(self._cluster, body)
+        stored = self._place(name, uid)
+        spec = parse(Sweep, body).spec
+        self._archive.put_sweep(
+            SweepRecord(
+                uid=uid,
+                name=stored,
+                labels=body["metadata"].get("labels") or {},
+                spec=spec.as_json(),
+                evaluation=spec.evaluation.as_json(),
+                created=body["metadata"].get("creationTimestamp"),
+            )
+        )
+        finished = [run for run in runs if phase_of(status_of(run)).is_finished]
+        self._keep(finished, stored)
+        done = status.get("succeeded", 0) + status.get("failed", 0)
+        total = status.get("total", len(runs))
+        return Fetched(
+            name=name,
+            stored=stored,
+            runs=len(finished),
+            waiting=sum(not is_over(Kind.MAPPING_RUN, run) for run in finished),
+            unfinished=max(0, total - max(done, len(finished))),
+            elsewhere=max(0, done - len(finished)),
+        )
+
+    def run(self, body: Object) -> Fetched:
+        """Copy a run; one that belongs to no Sweep becomes a sweep of one, as on a workstation."""
+        name, uid = name_of(body), body["metadata"]["uid"]
+        record = record_of(body)
+        owner = owner_uid(body)
+        if record.sweep is not None and owner is not None:
+            stored = self._place(record.sweep, owner)
+        else:
+            foreign = any(other.uid != uid for other in self._archive.runs(sweep=name))
+            stored = _aside(name, uid) if foreign else name
+        finished = phase_of(status_of(body)).is_finished
+        if finished:
+            self._keep([body], stored)
+        waiting = int(finished and not is_over(Kind.MAPPING_RUN, body))
+        return Fetched(name, stored, int(finished), waiting, int(not finished))
+
+    def _place(self, sweep: str, uid: str) -> str:
+        """Return the name for a Sweep's runs here: another one where other runs have its own.
+
+        The names of a Sweep's runs follow from its uid, so those that were fetched before are known.
+        """
+        strangers = (
+            record.index is None or record.name != run_name(sweep, uid, record.index)
+            for record in self._archive.runs(sweep=sweep)
+        )
+        return _aside(sweep, uid) if any(strangers) else sweep
+
+    def _keep(self, runs: Sequence[Object], stored: str) -> None:
+        for number, run in enumerate(runs, 1):
+            self._archive.put_run(*self._records(run, stored))
+            self._step(number, len(runs))
+
+    def _records(
+        self, run: Object, stored: str
+    ) -> tuple[RunRecord, CatalogEntry | None, CatalogEntry | None]:
+        spec = run["spec"]
+        algorithm = self._catalog.items.algorithms.get(spec["algorithmRef"]["name"])
+        dataset = self._catalog.items.datasets.get(spec["datasetRef"]["name"])
+        with suppress(InputError):  # the spec of a run that was refused is recorded as it stands
+            spec = resolve({key: spec[key] for key in spec if key != "cancel"}, algorithm, None)
+        attributes = dict(dataset.spec.attributes) if dataset else {}
+        record = record_of(run, spec, attributes).replace(sweep=stored)
+        return (
+            record,
+            CatalogEntry.of(algorithm) if algorithm else None,
+            CatalogEntry.of(dataset) if dataset else None,
+        )
+
+
+def remarks(fetched: Fetched) -> Iterator[str]:
+    """Yield sentences about what was not, or not simply, copied."""
+    if fetched.stored != fetched.name and fetched.stored.startswith(f"{fetched.name}{SET_ASIDE}"):
+        yield (
+            f"other runs are known as {fetched.name} here; those of the cluster are kept as {fetched.stored}"
+        )
+    if fetched.unfinished:
+        yield f"{fetched.name}: {fetched.unfinished} not finished yet; fetch again later"
+    if fetched.waiting:
+        yield f"{fetched.name}: {fetched.waiting} not evaluated yet; fetch again later"
+    if fetched.elsewhere:
+        yield (
+            f"{fetched.name}: {fetched.elsewhere} more are in the cluster's own archive alone "
+            "(spec.retention.runs); SLAMHIVE_ARCHIVE set to its address shows them"
+        )
+
+
+def _aside(name: str, uid: str) -> str:
+    return f"{name}{SET_ASIDE}{uid[:8]}"
