@@ -75,7 +75,6 @@ def test_the_image_runs_as_nobody_and_has_all_that_the_adapter_imports(folder: P
     text = (folder / "Dockerfile").read_text()
     assert re.search(r"^ARG BASE=", text, re.MULTILINE)
     assert re.search(r"^USER 65532", text, re.MULTILINE)
-    assert not re.search(r"\b(gcc|g\+\+|build-essential|cmake)\b", text)
     copied = {
         Path(word).name
         for line in re.findall(r"^COPY (.*) \S+$", text, re.MULTILINE)
