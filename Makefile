@@ -6,12 +6,14 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-packages lint bench install crds clean help
+.PHONY: demo test test-packages cluster-build cluster-up cluster-down images lint bench install crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
 	@echo 'make test    run all tests'
 	@echo 'make lint    style, types, layers'
+	@echo 'make images  build the container images'
+	@echo 'make cluster-up, cluster-down   a real Kubernetes for tests, on this machine'
 	@echo 'make bench   speed and memory, beside the limits'
 
 $(STAMP): pyproject.toml
@@ -30,8 +32,19 @@ install: $(STAMP)
 demo: $(STAMP)
 	$(BIN)/slamhive demo
 
-test: $(STAMP) test-packages
+test: $(STAMP) test-packages cluster-build
 	$(BIN)/python -m pytest
+
+# What the test cluster is made of; without root, Go or Debian its tests are skipped and say how to have them.
+cluster-build:
+	@$(PYTHON) tests/cluster/cluster.py prepare
+cluster-up:
+	@$(PYTHON) tests/cluster/cluster.py up
+cluster-down:
+	@$(PYTHON) tests/cluster/cluster.py down
+
+images: $(STAMP)
+	images/build
 
 # Shared libraries that ORB-SLAM3 links to; without them its tests are skipped.
 TEST_PACKAGES := libglu1-mesa libopengl0 libegl1 libgl1 libsm6 libglib2.0-0

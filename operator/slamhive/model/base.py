@@ -60,6 +60,8 @@ Name = Annotated[
     str,
     StringConstraints(pattern=_NAME, min_length=1, max_length=253),
 ]
+NAME_LIMIT = 63
+"""Longest name of an object of ours: it must fit into a label."""
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Scalar = bool | int | float | str | None
 
@@ -93,7 +95,7 @@ class ObjectMeta(Model):
 
     model_config = ConfigDict(extra="ignore")
 
-    name: Name
+    name: Name = Field(max_length=NAME_LIMIT)
     namespace: str | None = None
     uid: str | None = None
     labels: dict[str, str] = Field(default_factory=dict)

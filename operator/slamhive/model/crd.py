@@ -16,7 +16,7 @@ import yaml
 from pydantic import BaseModel
 
 from slamhive.model.algorithm import Algorithm
-from slamhive.model.base import GROUP, QUANTITY_PATTERN, VERSION
+from slamhive.model.base import GROUP, NAME_LIMIT, QUANTITY_PATTERN, VERSION
 from slamhive.model.crd_rules import (
     EXTRA,
     FROZEN,
@@ -49,7 +49,7 @@ _COPIED = (
     *("description", "enum", "pattern", "format"),
     *("minLength", "maxLength", "minItems", "maxItems", "minProperties", "maxProperties"),
 )
-_NAME_LIMIT = 63
+_NAME_LIMIT = NAME_LIMIT
 
 
 class _Converter:

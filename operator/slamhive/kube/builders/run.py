@@ -49,7 +49,7 @@ OUTPUT_LIMIT_BYTES = 8 * 2**30
 TASK_LIMIT = 4096
 GRACE_SECONDS = 30
 _SPARE_SECONDS = 3600
-_MONITOR_RESOURCES = equal_resources("100m", "64Mi", logs="64Mi")
+_MONITOR_RESOURCES = equal_resources("200m", "64Mi", logs="64Mi")
 _LOGS = "4Gi"
 _SCRATCH = "2Gi"
 _THREAD_VARIABLES = (
@@ -263,7 +263,8 @@ def _monitor(plan: _Plan, settings: Settings) -> Manifest:
         MONITOR,
         settings.image,
         settings,
-        command=["python3", "-P", "-m", "slamhive.monitor.sidecar"],
+        # A signal to end that comes before the monitor listens waits until it does.
+        command=["env", "--block-signal=TERM", "python3", "-P", "-m", "slamhive.monitor.sidecar"],
         env=[
             from_field("POD_UID", "metadata.uid"),
             from_field("NODE_NAME", "spec.nodeName"),
