@@ -44,21 +44,16 @@ cluster-down:
 	@$(PYTHON) tests/cluster/cluster.py down
 
 images: $(STAMP)
-	images/build
+	$(BIN)/python images/build $(IMAGES)
 
-# Shared libraries that ORB-SLAM3 links to; without them its tests are skipped.
-TEST_PACKAGES := libglu1-mesa libopengl0 libegl1 libgl1 libsm6 libglib2.0-0
 test-packages:
-	@if command -v dpkg-query >/dev/null && ! dpkg-query -W $(TEST_PACKAGES) >/dev/null 2>&1; then \
-	  if [ "$$(id -u)" = 0 ]; then \
-	    apt-get update -q >/dev/null && apt-get install -y -q --no-install-recommends $(TEST_PACKAGES) >/dev/null \
-	      || echo 'could not install $(TEST_PACKAGES): ORB-SLAM3 will be skipped'; \
-	  else echo 'ORB-SLAM3 will be skipped: sudo apt-get install $(TEST_PACKAGES)'; fi; fi
+	@tests/install-packages
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	cd images && ../$(BIN)/mypy --strict building
 	$(BIN)/lint-imports --no-logo 2>/dev/null || $(BIN)/lint-imports
 
 bench: $(STAMP)
