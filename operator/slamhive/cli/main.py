@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from slamhive import __version__
-from slamhive.cli import algorithms, datasets, importing, results, running, vocabulary
+from slamhive.cli import algorithms, cluster, datasets, importing, results, running, vocabulary
 from slamhive.cli.console import FAILED, INTERRUPTED, WRONG_INPUT, complain
 from slamhive.model.errors import InputError, SlamHiveError
 
@@ -24,6 +24,8 @@ app.command()(running.demo)
 app.command()(running.run)
 app.command()(running.plan)
 app.command()(running.validate)
+for command in (cluster.submit, cluster.status, cluster.logs, cluster.cancel, cluster.fetch):
+    app.command()(command)
 algorithms.app.command("train-vocabulary")(vocabulary.train)
 app.add_typer(results.app, name="results")
 app.add_typer(datasets.app, name="dataset")

@@ -13,6 +13,7 @@ import typer
 from rich.markup import escape
 
 from slamhive.cli import tables
+from slamhive.cli.cluster import Context, Namespace, cluster_client
 from slamhive.cli.console import (
     FAILED,
     INTERRUPTED,
@@ -35,6 +36,7 @@ from slamhive.local.environments import availability
 from slamhive.local.evaluations import bring_up_to_date, evaluate_again
 from slamhive.local.home import Home
 from slamhive.local.runner import Job, Runner
+from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.run import MappingRun
@@ -49,9 +51,15 @@ if TYPE_CHECKING:
     from slamhive.plan import Plan
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]
-
 _WATCH_SECONDS = 1.0
 _REPORTED = 20
+
+
+class On(Choice):
+    """Where runs happen."""
+
+    WORKSTATION = "workstation"
+    CLUSTER = "cluster"
 
 
 def run(
@@ -65,13 +73,28 @@ def run(
     watch: Annotated[
         bool, typer.Option("--watch", help="Stay, and run what is new whenever a file changes.")
     ] = False,
+    on: Annotated[
+        On, typer.Option("--on", help="This machine, or the cluster of a kubeconfig.")
+    ] = On.WORKSTATION,
+    namespace: Namespace = None,
+    context: Context = None,
 ) -> None:
-    """Run sweeps on this machine.
+    """Run sweeps on this machine, or on a cluster as if it were this machine.
 
-    Finished runs are kept: after Ctrl-C or a crash the same command goes on where it was.
+    Finished runs are kept: after Ctrl-C or a crash the same command goes on where it was. What runs on a
+    cluster goes on there after Ctrl-C.
 
     Example: slamhive run sweep.yaml -j 2
     """
+    if on is On.CLUSTER:
+        if rerun or retry_failed or watch:
+            raise InputError("--on cluster: --rerun, --retry-failed and --watch are for this machine alone")
+        with cluster_client():
+            from slamhive.cli import cluster_run, cluster_work  # noqa: PLC0415
+        place = cluster_work.Place(context, namespace)
+        raise typer.Exit(cluster_run.run_on_cluster(files, place, parallelism))
+    if namespace is not None or context is not None:
+        raise InputError("--namespace and --context say where on a cluster: they need --on cluster")
     home = Home.from_environment()
     with home.exclusive():
         seen = _state(files)

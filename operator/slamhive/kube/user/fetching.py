@@ -35,6 +35,7 @@ class Fetched:
     """What came of a Sweep or a run.
 
     Attributes:
+        kind: its kind.
         name: its name in the cluster.
         stored: the sweep that its runs belong to in the archive here.
         runs: runs that were copied.
@@ -43,6 +44,7 @@ class Fetched:
         elsewhere: finished runs whose objects the cluster no longer holds.
     """
 
+    kind: Kind
     name: str
     stored: str
     runs: int
@@ -90,6 +92,7 @@ class Fetcher:
         done = status.get("succeeded", 0) + status.get("failed", 0)
         total = status.get("total", len(runs))
         return Fetched(
+            kind=Kind.SWEEP,
             name=name,
             stored=stored,
             runs=len(finished),
@@ -112,7 +115,7 @@ class Fetcher:
         if finished:
             self._keep([body], stored)
         waiting = int(finished and not is_over(Kind.MAPPING_RUN, body))
-        return Fetched(name, stored, int(finished), waiting, int(not finished))
+        return Fetched(Kind.MAPPING_RUN, name, stored, int(finished), waiting, int(not finished))
 
     def _place(self, sweep: str, uid: str) -> str:
         """Return the name for a Sweep's runs here: another one where other runs have its own.

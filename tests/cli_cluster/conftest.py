@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command on a real control plane, with an operator in the test and nodes that are played."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "cluster"))
+
+from testcluster.fixtures import *  # noqa: F403
+from testcluster.kwok import Play
+from testcluster.lab import Lab, algorithm, dataset, volumes
+
+from slamhive.archive import Archive
+from slamhive.cli import main
+from slamhive.local.home import Home
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from testcluster.access import Cluster
+    from testcluster.kwok import Kwok, Pool
+
+
+@pytest.fixture(scope="session")
+def plays(kwok: Kwok) -> Iterator[Callable[[Play], Pool]]:
+    """Pools of played nodes by how their pods end, kept for the session."""
+    pools: dict[str, Pool] = {}
+    with ExitStack() as stack:
+
+        def play(how: Play) -> Pool:
+            key = repr(how)
+            if key not in pools:
+                pools[key] = stack.enter_context(kwok.play(how, pool=f"cli{len(pools)}"))
+            return pools[key]
+
+        yield play
+
+
+@pytest.fixture
+def make_lab(crds: Cluster, namespace: str, plays: Callable[[Play], Pool]) -> Iterator[Callable[..., Lab]]:
+    """A function that gives the test's namespace a catalog, and pods that end in a given way."""
+    crds.apply(*volumes(namespace))
+
+    def make(*, catalog: bool = True, **play: Any) -> Lab:
+        lab = Lab(crds, namespace, plays(Play(**play)))
+        if catalog:
+            lab.apply(algorithm(), dataset())
+        return lab
+
+    yield make
+    names = [f"{namespace}-{claim}" for claim in ("results", "data")]
+    crds.kubectl("delete", "pv", *names, "--wait=false", "--ignore-not-found")
+
+
+@pytest.fixture
+def lab(make_lab: Callable[..., Lab]) -> Lab:
+    """A namespace with catalog whose pods end well at once."""
+    return make_lab()
+
+
+@dataclass
+class Said:
+    """What a command did.
+
+    Attributes:
+        code: its exit code.
+        out: its standard output.
+        err: its standard error.
+    """
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def text(self) -> str:
+        """All that it said, white space made one."""
+        return " ".join(f"{self.out} {self.err}".split())
+
+
+class Desk:
+    """A user's folder and home, and the command as that user types it."""
+
+    def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        self.folder = folder
+        self._capsys = capsys
+
+    @property
+    def archive(self) -> Archive:
+        """The archive of the home."""
+        return Archive.open(Home.at(self.folder / "home").archive_url)
+
+    def write(self, *objects: dict[str, Any], name: str = "study.yaml") -> str:
+        """Write objects into a file and return its path."""
+        path = self.folder / name
+        path.write_text("---\n".join(yaml.safe_dump(item, sort_keys=False) for item in objects))
+        return str(path)
+
+    def type(self, *words: str) -> Said:
+        """Run the command in this process."""
+        self._capsys.readouterr()
+        code = 0
+        sys.argv[:] = ["slamhive", *words]
+        try:
+            main.main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        return Said(code, *self._capsys.readouterr())
+
+    async def types(self, *words: str) -> Said:
+        """Run the command beside an operator of the test."""
+        return await asyncio.to_thread(self.type, *words)
+
+
+@pytest.fixture
+def bare_desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Desk:
+    """A desk that knows no cluster."""
+    (tmp_path / "home").mkdir()
+    monkeypatch.setattr("sys.argv", ["slamhive"])
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("KUBECONFIG", str(tmp_path / "kubeconfig"))
+    monkeypatch.delenv("SLAMHIVE_ARCHIVE", raising=False)
+    monkeypatch.chdir(tmp_path)
+    return Desk(tmp_path, capsys)
+
+
+@pytest.fixture
+def desk(bare_desk: Desk, crds: Cluster, namespace: str) -> Desk:
+    """A desk whose kubeconfig leads to the test's namespace, with its own catalog there and here."""
+    config = yaml.safe_load(crds.kubeconfig.read_text())
+    for context in config["contexts"]:
+        context["context"]["namespace"] = namespace
+    (bare_desk.folder / "kubeconfig").write_text(yaml.safe_dump(config))
+    return bare_desk
