@@ -19,6 +19,8 @@ from slamhive.kube.reports import (
     read_report,
     tail,
 )
+from slamhive.model.results import Reason
+from slamhive.playback.outcome import Played
 
 TRAJECTORY = {"poses": 3, "durationSeconds": 1.5, "sha256": "a" * 64, "path": "output/trajectory.txt"}
 
@@ -109,3 +111,21 @@ def test_nothing_raises_and_everything_can_be_written(told: dict[str, Any], nois
         read_failure(text)
         read_description(text)
         json.dumps(read_object(text), allow_nan=False, ensure_ascii=False).encode()
+
+
+@pytest.mark.parametrize(
+    ("told", "played"),
+    [
+        ({"completed": True, "reason": None, "message": None}, Played(True)),
+        (
+            {"completed": False, "reason": "AlgorithmFailed", "message": "it did not subscribe"},
+            Played(False, Reason.ALGORITHM_FAILED, "it did not subscribe"),
+        ),
+        ({"completed": "yes", "reason": "NodeLost"}, Played(False)),
+        ("Ended", None),
+    ],
+)
+def test_how_playing_ended_is_told(told: object, played: Played | None) -> None:
+    report = read_report(json.dumps({"v": 1, "played": told}))
+    assert report is not None
+    assert report.played == played

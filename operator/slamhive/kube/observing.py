@@ -35,6 +35,7 @@ from slamhive.kube.pods import (
 )
 from slamhive.kube.reports import Report, clean, last_line, read_description, read_failure, read_report
 from slamhive.model.results import Reason
+from slamhive.playback.judging import judge
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -225,7 +226,11 @@ def _before_start(pod: Object) -> str:
 
 
 def _judged(ending: Ending, report: Report | None) -> AttemptEnd:
-    """Return how an attempt ended, from what the kubelet and the monitor saw."""
+    """Return how an attempt ended, from what the kubelet, the monitor and the player saw."""
+    return judge(_watched(ending, report), report.played if report else None)
+
+
+def _watched(ending: Ending, report: Report | None) -> AttemptEnd:
     seen = AttemptEnd(exit_code=ending.exit_code, signal=ending.signal)
     if report is not None and report.reason is not None:
         return replace(seen, reason=report.reason, message=report.message or ending.sentence)

@@ -23,6 +23,7 @@ from pydantic import ValidationError
 from slamhive.kube.description import Description
 from slamhive.model.base import Model
 from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
+from slamhive.playback.outcome import Played
 
 MESSAGE_BYTES = 16 * 1024
 DESCRIPTION_BYTES = 1 << 20
@@ -41,6 +42,7 @@ _MONITORS = frozenset(
     }
 )
 """Reasons that a monitor may give: an algorithm can't have itself repeated for ever by forging another."""
+_PLAYERS = frozenset({Reason.ALGORITHM_FAILED, Reason.SYSTEM_FAULT})
 _JOBS = frozenset(
     {Reason.DATASET_MISSING, Reason.INVALID_PARAMETERS, Reason.PREPARATION_FAILED, Reason.SYSTEM_FAULT}
 )
@@ -61,6 +63,7 @@ class Report:
         trajectory_missing: whether there is none.
         frames: frames as the algorithm counted them.
         cpu_model: the processor.
+        played: how playing to it ended, for a ROS 1 node.
     """
 
     reason: Reason | None = None
@@ -73,6 +76,7 @@ class Report:
     trajectory_missing: bool = False
     frames: Frames | None = None
     cpu_model: str | None = None
+    played: Played | None = None
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,15 @@ def read_report(text: object) -> Report | None:
         trajectory_missing=missing,
         frames=_model(Frames, found.get("frames")),
         cpu_model=_text(found.get("cpuModel"), 200),
+        played=_played(found.get("played")),
     )
+
+
+def _played(value: object) -> Played | None:
+    if not isinstance(value, dict):
+        return None
+    reason = _reason(value.get("reason"), _PLAYERS)
+    return Played(value.get("completed") is True, reason, _text(value.get("message")))
 
 
 def read_failure(text: object) -> Failure | None:

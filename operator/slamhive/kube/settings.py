@@ -97,6 +97,7 @@ class Settings(Model):
     namespaces: list[NamespaceName] = Field(min_length=1)
     image: str = Field(min_length=1)
     evaluator_image: str | None = None
+    player_image: str | None = None
     image_pull_policy: PullPolicy = PullPolicy.IF_NOT_PRESENT
     volumes: Volumes
     archive_url_file: Path | None = None

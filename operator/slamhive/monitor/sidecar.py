@@ -15,7 +15,8 @@ import os
 import sys
 import time
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.monitor.accounting import Accounting
@@ -24,6 +25,7 @@ from slamhive.monitor.machine import cpu_model, process_start
 from slamhive.monitor.metrics import frame_counts, plain_values, read_metrics, reader_report
 from slamhive.monitor.orphans import write_atomically
 from slamhive.monitor.outcome import out_of_memory
+from slamhive.monitor.playing import played_mean_cores
 from slamhive.monitor.processes import read_file
 from slamhive.monitor.sidecarstate import SidecarState
 from slamhive.monitor.signals import Signals
@@ -31,7 +33,8 @@ from slamhive.monitor.spec import TERMINATION_MESSAGE, SidecarSpec, SpecError
 from slamhive.monitor.summary import Reason, Summary
 from slamhive.monitor.termination import VERSION, termination_message, write_message
 from slamhive.monitor.trajectory import check_trajectory
-from slamhive.monitor.watching import STATE, UNENDED, Watch
+from slamhive.monitor.watching import STATE, UNENDED, USAGE, Watch
+from slamhive.playback.outcome import read_report
 
 if TYPE_CHECKING:
     from slamhive.monitor.accounting import Usage
@@ -153,6 +156,10 @@ class Sidecar:
         usage = self._usage(state, metrics) if state.accounting else None
         if usage is None:
             state.note(_UNSEEN)
+        else:
+            mean = played_mean_cores(output, self._path(USAGE), state.started_at)
+            if mean is not None:
+                usage = replace(usage, cpu=replace(usage.cpu, mean_cores=mean))
         stop = state.stop or (out_of_memory(spec.memory_limit_bytes) if state.oom_kills else None)
         summary = Summary(
             exit_code=None,
@@ -169,6 +176,7 @@ class Sidecar:
         return {
             **summary.as_json(),
             **_trajectory(output),
+            **_played(output),
             "frames": frame_counts(metrics),
             "metrics": plain_values(metrics),
             "node": os.environ.get("NODE_NAME") or None,
@@ -225,6 +233,12 @@ def _trajectory(output: str) -> dict[str, Any]:
     info = asdict(found.info)
     info["durationSeconds"] = info.pop("duration_seconds")
     return {"trajectory": info}
+
+
+def _played(output: str) -> dict[str, Any]:
+    """Return what the player says of a run that it played to."""
+    found = read_report(Path(output))
+    return {} if found is None else {"played": found._asdict()}
 
 
 def _say(text: str) -> None:

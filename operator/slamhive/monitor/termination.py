@@ -25,10 +25,11 @@ _TAKEN_OVER = (
     "trajectoryProblem",
     "trajectoryMissing",
     "frames",
+    "played",
     "cpuModel",
 )
 # Of these, in this order, as much goes as must; what can't be shortened goes altogether.
-_GIVEN_UP = ("message", "trajectoryProblem", "cpuModel", "frames", "trajectory", "usage")
+_GIVEN_UP = ("message", "trajectoryProblem", "cpuModel", "frames", "played", "trajectory", "usage")
 _SHORTEST_TEXT = 40
 
 

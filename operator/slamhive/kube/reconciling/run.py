@@ -21,6 +21,7 @@ from slamhive.engine import (
     decide_run,
 )
 from slamhive.kube.builders import configuration, read_job, run_job
+from slamhive.kube.builders.player import player
 from slamhive.kube.errors import AlreadyExists, Forbidden
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of, reference
 from slamhive.kube.observing import Attempted, observe_attempt, observe_read
@@ -238,14 +239,24 @@ class RunReconciler:
 
     async def _start(self, op: Operator, facts: RunFacts, attempt: int) -> float | None:
         description = facts.variant.description or {}
+        told = configuration(facts.key.name, facts.spec, facts.dataset, description)
+        companion = player(
+            run=facts.body,
+            algorithm=facts.algorithm,
+            configuration=told,
+            description=description,
+            settings=op.settings,
+            image=op.settings.player_image,
+        )
         body = run_job(
             run=_typed(facts.body),
             spec=facts.spec,
             algorithm=facts.algorithm,
-            configuration=configuration(facts.key.name, facts.spec, facts.dataset, description),
+            configuration=told,
             description=description,
             attempt=attempt,
             settings=op.settings,
+            companion=companion,
         )
         try:
             await op.create(Kind.JOB, body)
