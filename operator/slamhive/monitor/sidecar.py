@@ -16,7 +16,6 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.monitor.accounting import Accounting
@@ -237,7 +236,7 @@ def _trajectory(output: str) -> dict[str, Any]:
 
 def _played(output: str) -> dict[str, Any]:
     """Return what the player says of a run that it played to."""
-    found = read_report(Path(output))
+    found = read_report(output)
     return {} if found is None else {"played": found._asdict()}
 
 

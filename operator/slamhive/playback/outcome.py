@@ -32,10 +32,12 @@ class Played(NamedTuple):
     message: str | None = None
 
 
-def read_report(output: Path) -> Played | None:
+def read_report(output: Path | str) -> Played | None:
     """Read the player's report from an output folder, None if there is none that makes sense."""
     try:
-        descriptor = os.open(output / REPORT_FILE, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        descriptor = os.open(
+            f"{output}/{REPORT_FILE}", os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        )
         with open(descriptor, "rb") as file:  # noqa: PTH123
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 return None
