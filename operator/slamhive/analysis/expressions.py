@@ -18,17 +18,29 @@ numbers. Nothing is ever evaluated as a program.
 
 from __future__ import annotations
 
-import operator
 import re
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
+from slamhive.analysis.conditions import (
+    ORDERS,
+    All,
+    AnyOf,
+    Comparison,
+    Literal,
+    Membership,
+    Name,
+    Negation,
+    NullTest,
+    Truth,
+)
 from slamhive.model.errors import InputError, suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
+    from slamhive.analysis.conditions import Node, Operand
+
     Condition = Callable[[Mapping[str, Any]], bool]
-    Operand = Callable[[Mapping[str, Any]], Any]
 
 MAX_LENGTH = 10_000
 MAX_DEPTH = 50
@@ -43,12 +55,6 @@ _TOKEN = re.compile(
     )""",
     re.VERBOSE,
 )
-_COMPARE: dict[str, Callable[[Any, Any], Any]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
 _EQUAL = {"==": True, "=": True, "!=": False, "<>": False}
 _CONSTANTS = {"true": True, "false": False, "null": None, "none": None}
 _WORDS = {"and", "or", "not", "in", "is"}
@@ -89,6 +95,11 @@ def compile_where(text: str, columns: Collection[str]) -> Condition:
     Raises:
         ExpressionError: with the place, and the nearest known column for an unknown one.
     """
+    return parse_where(text, columns).holds
+
+
+def parse_where(text: str, columns: Collection[str]) -> Node:
+    """Return a condition as a tree; arguments and errors as ``compile_where``."""
     if len(text) > MAX_LENGTH:
         raise ExpressionError(text[:100], 0, f"a condition may have {MAX_LENGTH} characters")
     return _Parser(text, columns).parse()
@@ -102,7 +113,7 @@ class _Parser:
         self._next = 0
         self._depth = 0
 
-    def parse(self) -> Condition:
+    def parse(self) -> Node:
         condition = self._any()
         if self._token.kind != "end":
             self._fail(f"expected 'and', 'or' or the end, found {self._token.value!r}")
@@ -128,26 +139,25 @@ class _Parser:
             found = "the end" if self._token.kind == "end" else repr(self._token.value)
             self._fail(f"expected {value!r}, found {found}")
 
-    def _any(self) -> Condition:
+    def _any(self) -> Node:
         parts = [self._all()]
         while self._take("or"):
             parts.append(self._all())
-        return parts[0] if len(parts) == 1 else lambda row: any(part(row) for part in parts)
+        return parts[0] if len(parts) == 1 else AnyOf(tuple(parts))
 
-    def _all(self) -> Condition:
+    def _all(self) -> Node:
         parts = [self._not()]
         while self._take("and"):
             parts.append(self._not())
-        return parts[0] if len(parts) == 1 else lambda row: all(part(row) for part in parts)
+        return parts[0] if len(parts) == 1 else All(tuple(parts))
 
-    def _not(self) -> Condition:
+    def _not(self) -> Node:
         self._depth += 1
         if self._depth > MAX_DEPTH:
             self._fail(f"nested more than {MAX_DEPTH} deep")
         try:
             if self._take("not"):
-                inner = self._not()
-                return lambda row: not inner(row)
+                return Negation(self._not())
             if self._take("("):
                 condition = self._any()
                 self._expect(")")
@@ -156,26 +166,26 @@ class _Parser:
         finally:
             self._depth -= 1
 
-    def _comparison(self) -> Condition:
+    def _comparison(self) -> Node:
         left = self._operand()
         if self._take("is"):
             wanted = not self._take("not")
             self._expect_null()
-            return lambda row: (left(row) is None) == wanted
+            return NullTest(left, wanted)
         negated = bool(self._take("not"))
         if self._take("in"):
-            values = self._list()
-            return lambda row: any(_equal(left(row), value) for value in values) != negated
+            return Membership(left, tuple(self._list()), negated)
         if negated:
             self._fail("expected 'in' after 'not'")
-        parts = []
-        while symbol := self._take(*_COMPARE, *_EQUAL):
+        parts: list[Node] = []
+        while symbol := self._take(*ORDERS, *_EQUAL):
             right = self._operand()
-            parts.append(_compare(symbol, left, right))
+            found = Comparison("==" if symbol in _EQUAL else symbol, left, right)
+            parts.append(found if _EQUAL.get(symbol, True) else Negation(found))
             left = right
         if not parts:
-            return lambda row: bool(left(row))
-        return parts[0] if len(parts) == 1 else lambda row: all(part(row) for part in parts)
+            return Truth(left)
+        return parts[0] if len(parts) == 1 else All(tuple(parts))
 
     def _expect_null(self) -> None:
         token = self._token
@@ -200,9 +210,8 @@ class _Parser:
             name = token.value
             if name not in self._columns:
                 self._fail(f"unknown column {name!r}{self._hint(name)}", token.position)
-            return lambda row: row.get(name)
-        value = self._literal()
-        return lambda _: value
+            return Name(name)
+        return Literal(self._literal())
 
     def _hint(self, name: str) -> str:
         hint = suggestion(name, self._columns)
@@ -256,42 +265,3 @@ def _strange(character: str) -> str:
     if character.isdigit():
         return "not a number; a column whose name begins with a digit or holds signs stands in `backquotes`"
     return f"unexpected {character!r}; a column whose name holds other signs stands in `backquotes`"
-
-
-def _compare(symbol: str, left: Operand, right: Operand) -> Condition:
-    if symbol in _EQUAL:
-        wanted = _EQUAL[symbol]
-        return lambda row: _equal(left(row), right(row)) == wanted
-    compare = _COMPARE[symbol]
-    return lambda row: _ordered(compare, left(row), right(row))
-
-
-def _equal(left: Any, right: Any) -> bool:
-    left, right = _alike(left, right)
-    return bool(left == right)
-
-
-def _ordered(compare: Callable[[Any, Any], Any], left: Any, right: Any) -> bool:
-    if left is None or right is None:
-        return False
-    left, right = _alike(left, right)
-    try:
-        return bool(compare(left, right))
-    except TypeError:
-        return False
-
-
-def _alike(left: Any, right: Any) -> tuple[Any, Any]:
-    """Read a text as a number where it meets one."""
-    if isinstance(left, str) and isinstance(right, int | float):
-        return _as_number(left), right
-    if isinstance(right, str) and isinstance(left, int | float):
-        return left, _as_number(right)
-    return left, right
-
-
-def _as_number(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text

@@ -71,7 +71,7 @@ def _of_run(record: RunRecord) -> Row:
     row: Row = dict.fromkeys(CORE_COLUMNS)
     spec = record.spec
     row |= {
-        "run": _number(record.labels["run"]) if "run" in record.labels else record.name,
+        "run": number_or_text(record.labels["run"]) if "run" in record.labels else record.name,
         "name": record.name,
         "uid": record.uid,
         "sweep": record.sweep,
@@ -134,7 +134,8 @@ def _join(prefix: str, name: str) -> str:
     return sys.intern(f"{prefix}.{name}")
 
 
-def _number(text: str) -> int | float | str:
+def number_or_text(text: str) -> int | float | str:
+    """Return a text that looks like a number as one."""
     if not _NUMBER.fullmatch(text):
         return text
     return int(text) if text.lstrip("+-").isdecimal() else float(text)

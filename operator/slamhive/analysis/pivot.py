@@ -33,13 +33,17 @@ FACETS = (
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
 """Columns that say nothing where a run shared its cores with other work or was throttled."""
 
-_MAX_CONTENDED = 0.1
-_MAX_THROTTLED = 0.01
+MAX_CONTENDED = 0.1
+MAX_THROTTLED = 0.01
 """Shares of the wall time from which a run counts as disturbed."""
 
-_CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
+CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
+"""What the names of settings begin with."""
+
+SUBJECT = ("algorithm", "sensors", "dataset")
+"""What a setting is compared within."""
+
 _MOST_NAMES = 6
-_SUBJECT = ("algorithm", "sensors", "dataset")
 
 
 class Outcomes(Choice):
@@ -137,7 +141,7 @@ def table(
     """
     rows = _with_facets(rows)
     changing = varying(rows)
-    asked = [*_SUBJECT, *changing] if by is None else list(by)
+    asked = [*SUBJECT, *changing] if by is None else list(by)
     asked = [name for name in dict.fromkeys(asked) if name not in across]
     facets = [name for name in FACETS if name not in {*asked, *across} and _varies(rows, name)]
     if "evaluation" in facets and "alignment" in facets and _determines(rows, "evaluation", "alignment"):
@@ -173,7 +177,7 @@ def disturbed(row: Row) -> bool:
     if not wall:
         return False
     contended, throttled = row.get("usage.contendedSeconds") or 0.0, row.get("usage.throttledSeconds") or 0.0
-    return bool(contended > _MAX_CONTENDED * wall or throttled > _MAX_THROTTLED * wall)
+    return bool(contended > MAX_CONTENDED * wall or throttled > MAX_THROTTLED * wall)
 
 
 def varying(rows: Sequence[Row]) -> list[str]:
@@ -183,11 +187,11 @@ def varying(rows: Sequence[Row]) -> list[str]:
     present: Counter[tuple[tuple[Any, ...], str]] = Counter()
     found: set[str] = set()
     for row in rows:
-        subject = tuple(row.get(name) for name in _SUBJECT)
+        subject = tuple(row.get(name) for name in SUBJECT)
         first = seen.setdefault(subject, {})
         counts[subject] += 1
         for name, value in row.items():
-            if name.startswith(_CONFIGURATION) and name not in found:
+            if name.startswith(CONFIGURATION) and name not in found:
                 present[subject, name] += 1
                 if first.setdefault(name, value) != value:
                     found.add(name)

@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Columns of many rows as arrays: 80,000 runs with a hundred columns in some 60 MB.
+
+A column holds numbers, in which NaN is what is missing, or codes that stand for values, -1 for what is
+missing. Nothing in here is ever changed after it was made, so that columns can be shared.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.ordering import sort_key
+from slamhive.model.base import Choice
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    import numpy.typing as npt
+
+    Floats = npt.NDArray[np.float64]
+    Integers = npt.NDArray[np.int32]
+    Indices = npt.NDArray[np.intp]
+    Mask = npt.NDArray[np.bool_]
+
+_EXACT = 2.0**53
+_PLAIN = {int, float, type(None)}
+
+
+class ColumnKind(Choice):
+    """What the values of a column are."""
+
+    NUMBER = "number"
+    INTEGER = "integer"
+    BOOLEAN = "boolean"
+    TIME = "time"
+    TEXT = "text"
+    OTHER = "other"
+
+    @property
+    def is_numeric(self) -> bool:
+        """Tell whether the column holds numbers and not codes."""
+        return self not in {ColumnKind.TEXT, ColumnKind.OTHER}
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """The values of one name in all rows.
+
+    Attributes:
+        kind: what they are.
+        numbers: (n,) for numeric kinds, NaN where missing; s since 1970 for times, 0 and 1 for booleans.
+        codes: (n,) for the others, places in ``values``, -1 where missing.
+        values: what codes stand for, each once, none of them None.
+    """
+
+    kind: ColumnKind
+    numbers: Floats
+    codes: Integers
+    values: tuple[Any, ...] = ()
+
+    @classmethod
+    def of_numbers(cls, numbers: npt.ArrayLike, kind: ColumnKind = ColumnKind.NUMBER) -> Column:
+        """Return a numeric column; infinite numbers become missing ones."""
+        found = np.array(numbers, dtype=np.float64)
+        found[~np.isfinite(found)] = np.nan
+        return cls(kind, found, _NO_CODES)
+
+    @classmethod
+    def of_codes(cls, codes: npt.ArrayLike, values: Iterable[Any]) -> Column:
+        """Return a column of values by their codes."""
+        kept = tuple(values)
+        kind = ColumnKind.TEXT if all(isinstance(value, str) for value in kept) else ColumnKind.OTHER
+        return cls(kind, _NO_NUMBERS, np.asarray(codes, dtype=np.int32), kept)
+
+    @classmethod
+    def of(cls, values: Sequence[Any]) -> Column:
+        """Return the column of plain JSON values."""
+        types = set(map(type, values))
+        if types <= _PLAIN:
+            found = cls.of_numbers(values)  # numpy reads None as NaN
+            whole = float not in types and int in types
+            if not whole or not (np.abs(found.numbers) > _EXACT).any():
+                return cls(ColumnKind.INTEGER, found.numbers, _NO_CODES) if whole else found
+        if types <= {bool, type(None)}:
+            return cls.of_numbers(values, ColumnKind.BOOLEAN)
+        if types <= {str, type(None)}:
+            return cls._coded(values, values)
+        return cls._coded(values, [None if value is None else _identity(value) for value in values])
+
+    @classmethod
+    def missing(cls, length: int) -> Column:
+        """Return a column of nothing."""
+        return cls(ColumnKind.NUMBER, np.full(length, np.nan), _NO_CODES)
+
+    @classmethod
+    def concatenate(cls, columns: Sequence[Column]) -> Column:
+        """Return columns one below the other."""
+        filled = [column for column in columns if not column.is_empty]
+        if len(columns) == 1:
+            return columns[0]
+        kinds = {column.kind for column in filled}
+        if all(kind.is_numeric for kind in kinds):
+            plain = kinds <= {ColumnKind.NUMBER, ColumnKind.INTEGER}
+            if len(kinds) <= 1 or plain:
+                kind = kinds.pop() if len(kinds) == 1 else ColumnKind.NUMBER
+                parts = [
+                    column.numbers if column.kind.is_numeric else np.full(len(column), np.nan)
+                    for column in columns
+                ]
+                return cls(kind, np.concatenate(parts), _NO_CODES)
+        elif not any(kind.is_numeric for kind in kinds):
+            return cls._merged(columns)
+        return cls.of([value for column in columns for value in column.tolist()])
+
+    @classmethod
+    def _coded(cls, values: Sequence[Any], keys: Sequence[Any]) -> Column:
+        places: dict[Any, int] = {None: -1}
+        kept: list[Any] = []
+        codes = np.empty(len(values), dtype=np.int32)
+        for row, key in enumerate(keys):
+            place = places.get(key)
+            if place is None:
+                place = places[key] = len(kept)
+                kept.append(values[row])
+            codes[row] = place
+        return cls.of_codes(codes, kept)
+
+    @classmethod
+    def _merged(cls, columns: Sequence[Column]) -> Column:
+        places: dict[Any, int] = {}
+        kept: list[Any] = []
+        parts = []
+        for column in columns:
+            if column.kind.is_numeric:
+                parts.append(np.full(len(column), -1, dtype=np.int32))
+                continue
+            translation = np.empty(len(column.values) + 1, dtype=np.int32)
+            translation[-1] = -1
+            for code, value in enumerate(column.values):
+                key = value if isinstance(value, str) else _identity(value)
+                place = places.setdefault(key, len(kept))
+                if place == len(kept):
+                    kept.append(value)
+                translation[code] = place
+            parts.append(translation[column.codes])
+        return cls.of_codes(np.concatenate(parts), kept)
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.numbers) if self.kind.is_numeric else len(self.codes)
+
+    @cached_property
+    def present(self) -> Mask:
+        """Where there is a value, (n,)."""
+        return ~np.isnan(self.numbers) if self.kind.is_numeric else self.codes >= 0
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no row has a value."""
+        return not self.present.any()
+
+    def take(self, rows: Indices | Mask) -> Column:
+        """Return the column of some rows."""
+        if self.kind.is_numeric:
+            return Column(self.kind, self.numbers[rows], _NO_CODES)
+        return Column(self.kind, _NO_NUMBERS, self.codes[rows], self.values)
+
+    def tolist(self) -> list[Any]:
+        """Return the values as plain ones, None where missing, times as ISO 8601 texts."""
+        if not self.kind.is_numeric:
+            lookup = [*self.values, None]
+            return [lookup[code] for code in self.codes.tolist()]
+        return [None if value != value else self.plain(value) for value in self.numbers.tolist()]  # noqa: PLR0124
+
+    def plain(self, number: float) -> Any:
+        """Return a number of this column as the value that it stands for."""
+        match self.kind:
+            case ColumnKind.INTEGER:
+                return int(number)
+            case ColumnKind.BOOLEAN:
+                return bool(number)
+            case ColumnKind.TIME:
+                return datetime.fromtimestamp(number, UTC).isoformat()
+            case _:
+                return number
+
+    def floats(self) -> Floats:
+        """Return the values as numbers, (n,), NaN for those that are none."""
+        if self.kind.is_numeric:
+            return self.numbers
+        lookup = [
+            float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+            for value in self.values
+        ]
+        return np.array([*lookup, math.nan])[self.codes]
+
+    def factorized(self) -> tuple[Integers, list[Any]]:
+        """Return (codes, values): values in their order, each used, None last where one is missing."""
+        if self.kind.is_numeric:
+            uniques, codes = np.unique(self.numbers, return_inverse=True)
+            values = [None if value != value else self.plain(value) for value in uniques.tolist()]  # noqa: PLR0124
+            return codes.astype(np.int32), values
+        used, codes = np.unique(self.codes, return_inverse=True)
+        lookup = [*self.values, None]
+        values = [lookup[code] for code in used.tolist()]
+        order = sorted(range(len(values)), key=lambda place: sort_key(values[place]))
+        ranks = np.empty(len(values), dtype=np.int32)
+        ranks[order] = np.arange(len(values), dtype=np.int32)
+        return ranks[codes], [values[place] for place in order]
+
+    def ranks(self) -> Floats:
+        """Return numbers, (n,), in the order of ``sort_key``; +inf where missing."""
+        if self.kind.is_numeric:
+            return np.where(self.present, self.numbers, np.inf)
+        order = sorted(range(len(self.values)), key=lambda code: sort_key(self.values[code]))
+        ranks = np.empty(len(self.values) + 1)
+        ranks[order] = np.arange(len(self.values), dtype=np.float64)
+        ranks[-1] = np.inf
+        return ranks[self.codes]
+
+
+_NO_NUMBERS = np.empty(0)
+_NO_CODES = np.empty(0, dtype=np.int32)
+
+
+def _identity(value: Any) -> Any:
+    """Return what tells values apart of which 1, 1.0 and true are three."""
+    if isinstance(value, list | dict):
+        return json.dumps(value, sort_keys=True)
+    return type(value), value
+
+
+def times(values: Sequence[Any]) -> Column:
+    """Return a column of times from datetimes or ISO 8601 texts in UTC, None where missing."""
+    plain = [
+        value.astimezone(UTC).replace(tzinfo=None) if isinstance(value, datetime) and value.tzinfo else value
+        for value in values
+    ]
+    stamps = np.array(plain, dtype="datetime64[us]")
+    numbers = stamps.astype(np.int64) / 1e6
+    numbers[np.isnat(stamps)] = np.nan
+    return Column(ColumnKind.TIME, numbers, _NO_CODES)

@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conditions as trees, which are tried on one row or on all rows of a table at once.
+
+The meaning is that of ``holds``; ``mask`` gives the same for each row, and is there because a table of
+80,000 runs is filtered while somebody waits.
+"""
+
+from __future__ import annotations
+
+import operator
+from dataclasses import dataclass
+from functools import reduce
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from slamhive.analysis.columns import Column, ColumnKind
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from slamhive.analysis.columns import Mask
+    from slamhive.analysis.frame import Frame
+
+    Row = Mapping[str, Any]
+
+ORDERS: dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+_TURNED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "=="}
+
+
+class Node(Protocol):
+    """A condition or a part of one."""
+
+    def holds(self, row: Row) -> bool:
+        """Tell whether a row meets it."""
+
+    def mask(self, frame: Frame) -> Mask:
+        """Tell for each row of a table whether it meets it, (n,)."""
+
+
+class Operand(Protocol):
+    """One side of a comparison."""
+
+    def value(self, row: Row) -> Any:
+        """Return its value in a row."""
+
+    def column(self, frame: Frame) -> Column | None:
+        """Return its values in all rows; None for a literal."""
+
+
+@dataclass(frozen=True)
+class Name:
+    """A column."""
+
+    name: str
+
+    def value(self, row: Row) -> Any:
+        """Return the row's value."""
+        return row.get(self.name)
+
+    def column(self, frame: Frame) -> Column:
+        """Return the table's column."""
+        return frame.column(self.name)
+
+
+@dataclass(frozen=True)
+class Literal:
+    """A number, text, true, false or null."""
+
+    literal: Any
+
+    def value(self, row: Row) -> Any:  # noqa: ARG002
+        """Return itself."""
+        return self.literal
+
+    def column(self, frame: Frame) -> None:
+        """Return None: it has none."""
+
+
+@dataclass(frozen=True)
+class AnyOf:
+    """At least one of several."""
+
+    parts: tuple[Node, ...]
+
+    def holds(self, row: Row) -> bool:
+        """Tell whether a row meets one."""
+        return any(part.holds(row) for part in self.parts)
+
+    def mask(self, frame: Frame) -> Mask:
+        """Tell for each row."""
+        return reduce(np.logical_or, (part.mask(frame) for part in self.parts))
+
+
+@dataclass(frozen=True)
+class All:
+    """Each of several."""
+
+    parts: tuple[Node, ...]
+
+    def holds(self, row: Row) -> bool:
+        """Tell whether a row meets all."""
+        return all(part.holds(row) for part in self.parts)
+
+    def mask(self, frame: Frame) -> Mask:
+        """Tell for each row."""
+        return reduce(np.logical_and, (part.mask(frame) for part in self.parts))
+
+
+@dataclass(frozen=True)
+class Negation:
+    """The opposite."""
+
+    part: Node
+
+    def holds(self, row: Row) -> bool:
+        """Tell whether a row doesn't meet it."""
+        return not self.part.holds(row)
+
+    def mask(self, frame: Frame) -> Mask:
+        """Tell for each row."""
+        return ~self.part.mask(frame)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A value that is neither missing, false, 0 nor empty."""
+
+    operand: Operand
+
+    def holds(self, row: Row) -> bool:
+        """Tell for one row."""
+        return bool(self.operand.value(row))
+
+    def mask(self, frame: Frame) -> Mask:
+        """Tell for each row."""
+        return _by_value(self.operand, frame, bool)
+
+
+@dataclass(frozen=True)
+class NullTest:
+    """Whether a value is missing."""
+
+    operand: Operand
+    wanted: bool
+
+    def holds(self, row: Row) -> bool:
+        """Tell for one row."""
+        return (self.operand.value(row) is None) == self.wanted
+
+    def mask(self, frame: Frame) -> Mask:
+        """Tell for each row."""
+        return _by_value(self.operand, frame, lambda value: (value is None) == self.wanted)
+
+
+@dataclass(frozen=True)
+class Membership:
+    """Whether a value equals one of several."""
+
+    operand: Operand
+    values: tuple[Any, ...]
+    negated: bool
+
+    def holds(self, row: Row) -> bool:
+        """Tell for one row."""
+        return self._test(self.operand.value(row))
+
+    def mask(self, frame: Frame) -> Mask:
+        """Tell for each row."""
+        return _by_value(self.operand, frame, self._test)
+
+    def _test(self, found: Any) -> bool:
+        return any(equal(found, value) for value in self.values) != self.negated
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """``==`` or an order between two operands."""
+
+    symbol: str
+    left: Operand
+    right: Operand
+
+    def holds(self, row: Row) -> bool:
+        """Tell for one row."""
+        return _compare(self.symbol, self.left.value(row), self.right.value(row))
+
+    def mask(self, frame: Frame) -> Mask:
+        """Tell for each row."""
+        left, right = self.left.column(frame), self.right.column(frame)
+        if left is None and right is None:
+            return np.full(len(frame), self.holds({}))
+        if left is None or right is None:
+            operand, other = (self.right, self.left) if left is None else (self.left, self.right)
+            symbol = _TURNED[self.symbol] if left is None else self.symbol
+            literal = other.value({})
+            column = right if left is None else left
+            if column is not None and _is_plain(column) and _is_number(literal):
+                return _compare_numbers(symbol, column.numbers, np.float64(literal))
+            return _by_value(operand, frame, lambda value: _compare(symbol, value, literal))
+        if _is_plain(left) and _is_plain(right):
+            same = _compare_numbers(self.symbol, left.numbers, right.numbers)
+            return same | ~(left.present | right.present) if self.symbol == "==" else same
+        pairs = zip(left.tolist(), right.tolist(), strict=True)
+        return np.array([_compare(self.symbol, *pair) for pair in pairs], dtype=bool)
+
+
+def equal(left: Any, right: Any) -> bool:
+    """Tell whether two values mean the same; a text is read as a number where it meets one."""
+    left, right = _alike(left, right)
+    return bool(left == right)
+
+
+def _is_plain(column: Column) -> bool:
+    return column.kind.is_numeric and column.kind is not ColumnKind.TIME
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and abs(value) < 2**53
+
+
+def _compare_numbers(symbol: str, left: Any, right: Any) -> Mask:
+    compare: Callable[[Any, Any], Any] = ORDERS.get(symbol, operator.eq)
+    with np.errstate(invalid="ignore"):
+        found: Mask = compare(left, right)
+    return found
+
+
+def _by_value(operand: Operand, frame: Frame, test: Callable[[Any], bool]) -> Mask:
+    """Try each distinct value once."""
+    column = operand.column(frame)
+    if column is None:
+        return np.full(len(frame), test(operand.value({})))
+    if column.kind.is_numeric:
+        codes, values = column.factorized()
+        return np.array([test(value) for value in values], dtype=bool)[codes]
+    verdicts = [test(value) for value in column.values]
+    return np.array([*verdicts, test(None)], dtype=bool)[column.codes]
+
+
+def _compare(symbol: str, left: Any, right: Any) -> bool:
+    if symbol == "==":
+        return equal(left, right)
+    if left is None or right is None:
+        return False
+    left, right = _alike(left, right)
+    try:
+        return bool(ORDERS[symbol](left, right))
+    except TypeError:
+        return False
+
+
+def _alike(left: Any, right: Any) -> tuple[Any, Any]:
+    """Read a text as a number where it meets one."""
+    if isinstance(left, str) and isinstance(right, int | float):
+        return _as_number(left), right
+    if isinstance(right, str) and isinstance(left, int | float):
+        return left, _as_number(right)
+    return left, right
+
+
+def _as_number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Statistics for few and for many repetitions, numpy alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamhive.analysis.pivot import Summary
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy.typing as npt
+
+    Floats = npt.NDArray[np.float64]
+
+LEVEL = 0.95
+"""Confidence of all intervals."""
+
+ENOUGH = 10
+"""Repetitions from which on an interval is given; below, the points themselves say more."""
+
+_MOST_EXACT = 14
+_LONG_SERIES = 400
+_FLIPS = 20_000
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Where a figure lies with 95 % confidence.
+
+    Attributes:
+        low, high: its ends; infinite where failed runs reach into it.
+        method: how it was found.
+    """
+
+    low: float
+    high: float
+    method: str
+
+
+def summarize(values: Floats) -> Summary | None:
+    """Return the ``Summary`` of finite numbers, (n,), as ``Summary.of`` but fast for many."""
+    count = len(values)
+    if not count:
+        return None
+    mean = math.fsum(values.tolist()) / count
+    deviations = values - mean
+    std = math.sqrt(math.fsum((deviations * deviations).tolist()) / (count - 1)) if count > 1 else None
+    ordered = np.sort(values)
+    return Summary(count, mean, std, median_of_sorted(ordered), float(ordered[0]), float(ordered[-1]))
+
+
+def median_of_sorted(ordered: Floats) -> float:
+    """Return the median of sorted numbers, +inf among them or not."""
+    half = len(ordered) // 2
+    if len(ordered) % 2:
+        return float(ordered[half])
+    return float((ordered[half - 1] + ordered[half]) / 2)
+
+
+def mean_interval(summary: Summary) -> Interval | None:
+    """Return Student's interval of a mean; None below 10 numbers."""
+    if summary.n < ENOUGH or summary.std is None:
+        return None
+    half = student_quantile(0.5 + LEVEL / 2, summary.n - 1) * summary.std / math.sqrt(summary.n)
+    return Interval(summary.mean - half, summary.mean + half, "Student's t")
+
+
+def median_interval(ordered: Floats) -> Interval | None:
+    """Return an interval of the median of any distribution by its order statistics; None below 10 numbers.
+
+    The widest binomial tail that still leaves 95 % is cut off on both sides (Conover, Practical
+    Nonparametric Statistics, section 3.2).
+
+    Args:
+        ordered: sorted numbers, (n,), failed runs as +inf.
+    """
+    count = len(ordered)
+    if count < ENOUGH:
+        return None
+    if count > 1000:
+        below = math.floor(count / 2 - 1.959964 * math.sqrt(count) / 2)
+    else:
+        below, tail = -1, 0.0
+        weight = 0.5**count if count < 1000 else math.exp(-count * math.log(2))
+        while tail + weight <= (1 - LEVEL) / 2:
+            tail += weight
+            below += 1
+            weight *= (count - below) / (below + 1)
+    below = max(below, 0)
+    return Interval(float(ordered[below]), float(ordered[count - 1 - below]), "order statistics")
+
+
+def student_quantile(probability: float, degrees: int) -> float:
+    """Return a quantile above the median of Student's t distribution.
+
+    By bisection of the finite series for whole degrees of freedom (Abramowitz and Stegun 26.7.3 and 26.7.4);
+    for more than 400 by the expansion around the normal distribution (26.7.5), to nine digits.
+    """
+    if degrees > _LONG_SERIES:
+        z = _normal_quantile(probability)
+        first = (z**3 + z) / 4
+        second = (5 * z**5 + 16 * z**3 + 3 * z) / 96
+        return z + first / degrees + second / degrees**2
+    low, high = 0.0, math.pi / 2
+    for _ in range(60):
+        middle = (low + high) / 2
+        if _student_within(middle, degrees) < 2 * probability - 1:
+            low = middle
+        else:
+            high = middle
+    return math.sqrt(degrees) * math.tan((low + high) / 2)
+
+
+def _student_within(angle: float, degrees: int) -> float:
+    """Return P(|T| < √degrees · tan(angle))."""
+    sine, cosine = math.sin(angle), math.cos(angle)
+    odd = degrees % 2
+    term, total = (cosine, 0.0) if odd else (1.0, 0.0)
+    for k in range(1 + odd, degrees, 2):
+        total += term
+        term *= cosine * cosine * k / (k + 1)
+    return 2 / math.pi * (angle + sine * total) if odd else sine * total
+
+
+def _normal_quantile(probability: float) -> float:
+    low, high = 0.0, 40.0
+    for _ in range(80):
+        middle = (low + high) / 2
+        if 1 - 0.5 * math.erfc(middle / math.sqrt(2)) < probability:
+            low = middle
+        else:
+            high = middle
+    return (low + high) / 2
+
+
+def resampled_medians(ordered: Floats, draws: int, generator: np.random.Generator) -> Floats:
+    """Return medians of bootstrap samples, (draws,), without drawing the samples.
+
+    The k-th smallest of n uniform numbers has a Beta(k, n + 1 − k) distribution, and a sample with
+    replacement is the data at uniform places: so the cost does not grow with n.
+
+    Args:
+        ordered: sorted numbers, (n,), failed runs as +inf.
+        draws: number of samples.
+        generator: source of randomness.
+    """
+    count = len(ordered)
+    half = (count + 1) // 2
+    lower = generator.beta(half, count + 1 - half, draws)
+    first = ordered[np.minimum((lower * count).astype(np.intp), count - 1)]
+    if count % 2:
+        return first
+    upper = lower + (1 - lower) * generator.beta(1, count - half, draws)
+    second = ordered[np.minimum((upper * count).astype(np.intp), count - 1)]
+    return (first + second) / 2
+
+
+def sign_flip_test(differences: Floats) -> float:
+    """Return the two-sided p value of paired differences having mean 0, by flipping their signs.
+
+    Exact up to 14 pairs: with n pairs it can't be below 2 / 2ⁿ.
+
+    Args:
+        differences: one a pair, (n,).
+    """
+    count = len(differences)
+    if not count or not differences.any():
+        return 1.0
+    seen = abs(differences.sum())
+    if count <= _MOST_EXACT:
+        bits = np.arange(2**count)[:, None] >> np.arange(count) & 1
+        sums = np.abs((1 - 2 * bits) @ differences)
+        return float(np.mean(sums >= seen * (1 - 1e-12)))
+    signs = np.random.default_rng(0).integers(0, 2, (_FLIPS, count)) * 2 - 1
+    sums = np.abs(signs @ differences)
+    return float((np.sum(sums >= seen * (1 - 1e-12)) + 1) / (_FLIPS + 1))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p values corrected for their number (Holm 1979)."""
+    order = sorted(range(len(p_values)), key=lambda place: p_values[place])
+    corrected = [0.0] * len(p_values)
+    highest = 0.0
+    for rank, place in enumerate(order):
+        highest = max(highest, min(1.0, (len(p_values) - rank) * p_values[place]))
+        corrected[place] = highest
+    return corrected
+
+
+def average_ranks(values: Floats) -> Floats:
+    """Return ranks from 1, (n,), equal values sharing the mean of theirs."""
+    uniques, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ends = np.cumsum(counts)
+    means: Floats = (ends - (counts - 1) / 2)[inverse] if len(uniques) else np.empty(0)
+    return means
+
+
+def rank_correlation(first: Floats, second: Floats) -> float | None:
+    """Return Spearman's rank correlation; None where one side does not vary."""
+    a, b = average_ranks(first), average_ranks(second)
+    a, b = a - a.mean(), b - b.mean()
+    scale = math.sqrt(float(a @ a) * float(b @ b))
+    return float(a @ b) / scale if scale else None
+
+
+def edges(codes: npt.NDArray[np.intp], count: int) -> list[tuple[int, int]]:
+    """Return where each of some groups begins and ends among sorted group numbers."""
+    bounds = np.searchsorted(codes, np.arange(count + 1))
+    return list(pairwise(bounds.tolist()))

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive dashboard``: the archive as web pages."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from slamhive.cli.console import out
+from slamhive.local.home import Home
+from slamhive.model.errors import InputError
+
+DEFAULT_PORT = 8323
+
+
+def dashboard(
+    *,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")] = DEFAULT_PORT,
+    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets others in.")] = "127.0.0.1",
+) -> None:
+    """Show the archive in a web browser: leaderboard, charts, runs. It changes nothing; Ctrl-C ends it.
+
+    Example: slamhive dashboard --port 8323
+    """
+    try:
+        from slamhive.dashboard.serving import allowed_hosts, listen, serve  # noqa: PLC0415 - an extra
+        from slamhive.dashboard.sources import Workstation  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"the dashboard needs the package {error.name}; "
+            "install slamhive with its extra: slamhive[dashboard]"
+        ) from None
+    home = Home.from_environment()
+    listening = listen(host, port)
+    shown = f"[{host}]" if ":" in host else host
+    address = f"http://{shown}:{listening.getsockname()[1]}/"
+
+    def announce() -> None:
+        out.print(f"dashboard at {address} (Ctrl-C ends it)", markup=False)
+
+    serve(
+        Workstation(home.archive_url, home.path),
+        listening,
+        hosts=allowed_hosts(host),
+        announce=announce,
+    )

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``/api/v1/runs``: the table of runs, page by page, and its columns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
+
+from slamhive.dashboard import paging
+from slamhive.dashboard.encoding import Body
+from slamhive.dashboard.selecting import columns, names, select
+from slamhive.dashboard.tables import heading, profile
+
+if TYPE_CHECKING:
+    from slamhive.analysis.frame import Frame
+    from slamhive.dashboard.selecting import Pairs
+    from slamhive.dashboard.sources import Snapshot
+
+DEFAULT_COLUMNS = (
+    *("id", "uid", "run", "name", "sweep", "algorithm", "sensors", "dataset", "repetition"),
+    *("phase", "status", "reason", "evaluation", "alignment", "outcome", "coverage"),
+    *("ate.rmse", "rpe[0].rmse", "scale", "usage.cpu.meanCores", "usage.cpu.secondsPerDataSecond"),
+    *("usage.memory.peakBytes", "usage.wallSeconds", "input.pace", "provenance.cpuModel", "finished"),
+)
+DEFAULT_LIMIT = 100
+MAX_LIMIT = 1000
+RESERVED = ("sort", "columns", "limit", "after", "format")
+
+
+def runs_page(
+    snapshot: Snapshot,
+    pairs: Pairs,
+    *,
+    path: str,
+    sort: str | None,
+    wanted: str | None,
+    limit: int,
+    after: str | None,
+) -> Body:
+    """Return a page of the table of runs.
+
+    Args:
+        snapshot: the data.
+        pairs: the query string.
+        path: address without it, for the next page's.
+        sort: list of columns, a dash before one turns it round; default: the order of storing.
+        wanted: list of columns; default: DEFAULT_COLUMNS.
+        limit: rows at most.
+        after: token of the page.
+    """
+    frame = select(snapshot.frame, pairs, RESERVED)
+    order = columns(snapshot.frame, sort, "sort")
+    shown = columns(snapshot.frame, wanted, "columns", DEFAULT_COLUMNS)
+    question = _question(pairs)
+    total = len(frame)
+    if after is not None:
+        place = paging.read_token(after, question, paging.token_length(order))
+        frame = frame.select(paging.rows_behind(frame, order, place))
+    left = len(frame)
+    frame = frame.select(paging.order_rows(frame, order)[:limit])
+    link = None
+    if left > limit:
+        token = paging.token(question, paging.last_values(frame, len(frame) - 1, order))
+        kept = [(name, value) for name, value in pairs if name != "after"]
+        link = f"{path}?{urlencode([*kept, ('after', token)])}"
+    return _table(snapshot, frame, shown, {"total": total, "next": link}, link)
+
+
+def whole_table(snapshot: Snapshot, pairs: Pairs, *, sort: str | None, wanted: str | None) -> Body:
+    """Return all rows that the filters mean, as one file."""
+    frame = select(snapshot.frame, pairs, RESERVED)
+    order = columns(snapshot.frame, sort, "sort")
+    shown = columns(snapshot.frame, wanted, "columns", DEFAULT_COLUMNS)
+    frame = frame.select(paging.order_rows(frame, order))
+    return _table(snapshot, frame, shown, {"total": len(frame), "next": None}, None)
+
+
+def _table(
+    snapshot: Snapshot, frame: Frame, shown: list[str], more: dict[str, Any], link: str | None
+) -> Body:
+    def content() -> dict[str, list[Any]]:
+        return {name: frame.column(name).tolist() for name in shown}
+
+    return Body(
+        {
+            "revision": snapshot.revision,
+            **more,
+            "columns": [heading(frame, name) for name in shown],
+            "items": frame.records(shown) if len(frame) <= MAX_LIMIT else [],
+        },
+        content,
+        link,
+    )
+
+
+def _question(pairs: Pairs) -> str:
+    """Return what a page belongs to: everything but which page it is and how it is shown."""
+    kept = [(name, value) for name, value in pairs if name not in {"after", "limit", "columns", "format"}]
+    return urlencode(sorted(kept))
+
+
+def columns_list(snapshot: Snapshot, pairs: Pairs, wanted: str | None) -> Body:
+    """Return what is to know of the columns: kinds, ranges, and values where they are few.
+
+    Args:
+        snapshot: the data.
+        pairs: the query string: filters.
+        wanted: list of columns; default: all that hold something.
+    """
+    frame = select(snapshot.frame, pairs, ("columns", "format"))
+    columns(snapshot.frame, wanted, "columns")
+    listed = names(wanted) or [
+        name for name in snapshot.frame.names if not snapshot.frame.column(name).is_empty
+    ]
+    items = [profile(frame, name) for name in listed]
+    flat = {
+        key: [item.get(key) for item in items]
+        for key in ("name", "kind", "title", "unit", "group", "count", "distinct", "min", "max")
+    }
+    return Body({"revision": snapshot.revision, "rows": len(frame), "items": items}, lambda: flat)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The dashboard as an ASGI application."""
+
+from __future__ import annotations
+
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+
+from slamhive import __version__
+from slamhive.dashboard.encoding import encode_json
+from slamhive.dashboard.pages import Pages
+from slamhive.dashboard.problems import Problem
+from slamhive.dashboard.routes import router
+from slamhive.dashboard.service import Service
+from slamhive.dashboard.shield import Shield
+from slamhive.model.errors import InputError, SystemFault
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Collection
+
+    from slamhive.dashboard.sources import Source
+
+
+def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastAPI:
+    """Return the application.
+
+    Args:
+        source: where the data come from.
+        hosts: names that it may be called by; None for any.
+    """
+    service = Service(source)
+
+    @asynccontextmanager
+    async def life(_: FastAPI) -> AsyncIterator[None]:
+        await service.start()
+        try:
+            yield
+        finally:
+            await service.stop()
+
+    app = FastAPI(
+        title="SLAM Hive",
+        version=__version__,
+        description="Runs, sweeps and analyses, read-only.",
+        openapi_url="/api/v1/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+        lifespan=life,
+    )
+    app.state.service = service
+    app.include_router(router(service))
+    pages = Pages()
+
+    @app.get("/{path:path}", include_in_schema=False)
+    async def page(request: Request, path: str) -> Response:  # noqa: ARG001
+        return pages.answer(request)
+
+    _answer_problems(app)
+    app.add_middleware(Shield, hosts=hosts)
+    return app
+
+
+def _answer_problems(app: FastAPI) -> None:
+    @app.exception_handler(Problem)
+    async def problem(_: Request, error: Problem) -> Response:
+        return _json(error.body(), error.status)
+
+    @app.exception_handler(InputError)
+    async def wrong_input(_: Request, error: InputError) -> Response:
+        return _json({"error": str(error), "field": None}, 400)
+
+    @app.exception_handler(SystemFault)
+    async def fault(_: Request, error: SystemFault) -> Response:
+        return _json({"error": str(error), "field": None}, 503)
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(_: Request, error: RequestValidationError) -> Response:
+        first = error.errors()[0]
+        field = str(first["loc"][-1])
+        sentence = f"{field}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+        return _json({"error": sentence, "field": field}, 400)
+
+    @app.exception_handler(HTTPException)
+    async def other(request: Request, error: HTTPException) -> Response:
+        sentence = str(error.detail)
+        if error.status_code == 404:
+            sentence = f"there is nothing at {request.url.path[:200]}"
+        return _json({"error": sentence, "field": None}, error.status_code)
+
+
+def _json(content: Any, status: int) -> Response:
+    return Response(
+        encode_json(content),
+        status_code=status,
+        media_type="application/json",
+        headers={"Cache-Control": "no-store"},
+    )

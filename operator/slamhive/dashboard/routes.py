@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The addresses under /api/v1 and what they take; ``Service`` answers, the modules ``api_*`` compute."""
+
+# FastAPI reads the annotations of these functions, so they are no mere texts here.
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+
+from slamhive.dashboard import api_analysis, api_runs
+from slamhive.dashboard.encoding import Format, choose_format
+from slamhive.dashboard.service import Service
+
+LongText = Annotated[str | None, Query(max_length=10_000)]
+Where = Annotated[
+    str | None,
+    Query(
+        max_length=10_000,
+        description="Condition, as in: run in (126, 141) or scale < 1",
+        examples=["coverage >= 0.9"],
+    ),
+]
+Names = Annotated[str | None, Query(max_length=10_000, description="Columns, separated by commas.")]
+FormatName = Annotated[str | None, Query(max_length=100, description="json, csv or parquet.")]
+Which = Annotated[str, Query(max_length=100, description="Runs that count: tracked or all.")]
+ColumnName = Annotated[str | None, Query(max_length=10_000, description="A column.")]
+
+
+def pairs(request: Request) -> list[tuple[str, str]]:
+    """Return the names and values of the query string."""
+    return request.query_params.multi_items()
+
+
+def router(service: Service) -> APIRouter:
+    """Return the routes of the tables and analyses."""
+    routes = APIRouter(prefix="/api/v1")
+
+    @routes.get("/runs", summary="Runs, one item a run and evaluation, page by page")
+    async def runs(
+        request: Request,
+        *,
+        where: Where = None,  # noqa: ARG001 - read with all other filters
+        sort: Names = None,
+        columns: Names = None,
+        limit: Annotated[int | None, Query(ge=1, le=api_runs.MAX_LIMIT)] = None,
+        after: Annotated[str | None, Query(max_length=10_000, description="Token of a page.")] = None,
+        format: FormatName = None,  # noqa: A002
+    ) -> Response:
+        """Any other parameter is a column with a value it must have, as in `algorithm=orb-slam3`.
+
+        Several values of one column are alternatives. Orders are written `coverage>=0.9`. CSV and Parquet
+        without a limit hold all rows.
+        """
+        form = choose_format(format, request.headers.get("accept", ""))
+        asked = pairs(request)
+        if form is not Format.JSON and limit is None and after is None:
+            return await service.answer(
+                request, lambda data: api_runs.whole_table(data, asked, sort=sort, wanted=columns)
+            )
+        return await service.answer(
+            request,
+            lambda data: api_runs.runs_page(
+                data,
+                asked,
+                path=request.url.path,
+                sort=sort,
+                wanted=columns,
+                limit=limit or api_runs.DEFAULT_LIMIT,
+                after=after,
+            ),
+        )
+
+    @routes.get("/columns", summary="Columns that there are, with their ranges and values")
+    async def columns_(
+        request: Request,
+        *,
+        where: Where = None,  # noqa: ARG001
+        columns: Names = None,
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Describe columns over the rows that the filters mean."""
+        asked = pairs(request)
+        return await service.answer(request, lambda data: api_runs.columns_list(data, asked, columns))
+
+    @routes.get("/analysis/points", summary="One point a run for a chart, as columns")
+    async def points(
+        request: Request,
+        *,
+        x: Annotated[str, Query(max_length=10_000, description="A column.")],
+        y: Annotated[str, Query(max_length=10_000, description="A column.")],
+        colour: ColumnName = None,
+        size: ColumnName = None,
+        facet: ColumnName = None,
+        digits: Annotated[int | None, Query(ge=2, le=17, description="Significant digits.")] = None,
+        where: Where = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Runs without a value stay in: they are drawn as failed."""
+        axes = {"x": x, "y": y, "colour": colour, "size": size, "facet": facet}
+        asked = pairs(request)
+        return await service.answer(request, lambda data: api_analysis.points(data, asked, axes, digits))
+
+    @routes.get("/analysis/aggregate", summary="Figures over groups of runs")
+    async def aggregate(
+        request: Request,
+        *,
+        by: Names = None,
+        metrics: Names = None,
+        outcomes: Which = "tracked",
+        where: Where = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """What must not be pooled becomes a key by itself."""
+        asked = pairs(request)
+        return await service.answer(
+            request, lambda data: api_analysis.aggregated(data, asked, by, metrics, outcomes)
+        )
+
+    @routes.get("/analysis/leaderboard", summary="Ranks over datasets, with their uncertainty")
+    async def leaderboard(
+        request: Request,
+        *,
+        metric: Annotated[str, Query(max_length=10_000)] = "ate.rmse",
+        by: Names = None,
+        outcomes: Which = "tracked",
+        where: Where = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """One board for each combination of evaluation, alignment and pace."""
+        asked = pairs(request)
+        return await service.answer(
+            request, lambda data: api_analysis.ranked(data, asked, metric, by, outcomes)
+        )
+
+    return routes

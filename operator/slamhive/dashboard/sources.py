@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the dashboard's data come from, and how they are kept fresh."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from sqlalchemy import event
+
+from slamhive.analysis.frame import Frame
+from slamhive.archive import Archive
+from slamhive.archive.connection import connect, reading
+from slamhive.dashboard.loading import Loaded, change_mark, load
+from slamhive.dashboard.problems import Unavailable
+from slamhive.model.errors import SlamHiveError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from concurrent.futures import Executor
+
+    from sqlalchemy import Connection, Engine
+
+    from slamhive.archive.records import CatalogEntry, SweepRecord
+    from slamhive.model.results import RunRecord
+
+LOOK_SECONDS = 0.5
+"""How often the database is asked at most whether anything was written."""
+
+_REST = 4.0
+"""A look that found changes is followed by a rest of so many times its own length."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The data at one moment; an answer is made of one snapshot alone.
+
+    Attributes:
+        frame: one row a run and evaluation.
+        revision: differs whenever anything differs.
+        problems: sentences on what does not answer at present.
+        sweeps: live sweeps of the cluster: their status by name.
+    """
+
+    frame: Frame = field(default_factory=lambda: Frame({}, 0))
+    revision: str = "0"
+    problems: tuple[str, ...] = ()
+    sweeps: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+class Source(Protocol):
+    """What the API asks for data; all methods but ``fresh`` may block and are called from threads."""
+
+    async def start(self, executor: Executor) -> None:
+        """Begin to look after the data."""
+
+    async def stop(self) -> None:
+        """Let go of everything."""
+
+    async def fresh(self) -> Snapshot:
+        """Return the data as they are now, or as they were when they last could be read."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether there are data."""
+
+    def describe(self) -> dict[str, Any]:
+        """Say what the data come from."""
+
+    def record(self, uid: str) -> RunRecord | None:
+        """Return a run by its UID."""
+
+    def sweeps(self) -> list[SweepRecord]:
+        """Return the sweeps that were asked for."""
+
+    def catalog(self, kind: str) -> list[CatalogEntry]:
+        """Return Algorithms or Datasets, versions of a name in the order of storing."""
+
+    def run_folder(self, record: RunRecord) -> Path | None:
+        """Return the folder that holds a run's files, if it is there."""
+
+    def root(self) -> Path | None:
+        """Return the folder that no path of an artifact leaves."""
+
+
+class ArchiveData:
+    """An archive's runs as a snapshot that follows the database; never writes to it.
+
+    Args:
+        url: the database's URL.
+        clock: monotonic time, s.
+    """
+
+    def __init__(self, url: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._url = url
+        self._clock = clock
+        self._engine: Engine | None = None
+        self._held: Connection | None = None
+        self._mark: object = None
+        self._nonce = secrets.token_hex(4)
+        self._count = 0
+        self._next_look = 0.0
+        self._loaded = Loaded()
+        self._lock = threading.Lock()
+        self.problem: str | None = None
+        self.loaded_once = False
+
+    @property
+    def revision(self) -> str:
+        """What differs after each change."""
+        return f"{self._nonce}-{self._count}"
+
+    @property
+    def frame(self) -> Frame:
+        """The rows as they were last read."""
+        return self._loaded.frame
+
+    def look(self) -> None:
+        """Read again what changed, if it is time for that; a database that is away is remembered."""
+        with self._lock:
+            begun = self._clock()
+            if begun < self._next_look:
+                return
+            try:
+                changed = self._refresh()
+                self.problem = None
+            except SlamHiveError as error:
+                changed = self.problem is None
+                self.problem = str(error)
+                self._close()
+            if changed:
+                self._count += 1
+            took = self._clock() - begun
+            self._next_look = begun + took + max(LOOK_SECONDS, _REST * took if changed else 0.0)
+
+    def archive(self) -> Archive:
+        """Return the archive's own reading methods.
+
+        Raises:
+            Unavailable: the database does not answer.
+        """
+        engine = self._engine
+        if engine is None:
+            raise Unavailable(self.problem or "the archive is not there yet")
+        return Archive(engine)
+
+    def close(self) -> None:
+        """Let go of the database."""
+        with self._lock:
+            self._close()
+
+    def _refresh(self) -> bool:
+        if self._engine is None:
+            if _is_missing(self._url):
+                changed = not self.loaded_once
+                self.loaded_once = True
+                return changed
+            self._engine = connect(self._url)
+            _make_read_only(self._engine)
+            self._held = self._engine.connect()
+            self._mark = None
+        if self._held is None:
+            raise Unavailable("the archive was closed")
+        with reading(self._engine):
+            mark = change_mark(self._engine, self._held)
+        if mark == self._mark and self.loaded_once:
+            return self.problem is not None
+        self._loaded = load(self._engine, self._loaded)
+        self._mark = mark
+        self.loaded_once = True
+        return True
+
+    def _close(self) -> None:
+        with suppress(Exception):
+            if self._held is not None:
+                self._held.close()
+        self._held = None
+        if self._engine is not None:
+            self._engine.dispose()
+        self._engine = None
+
+
+class Workstation:
+    """The archive and the run folders of one home.
+
+    Args:
+        url: the archive's database URL.
+        home: folder that holds the runs' folders; None for none.
+    """
+
+    def __init__(self, url: str, home: Path | None = None) -> None:
+        self._data = ArchiveData(url)
+        self._home = home
+        self._url = url
+        self._executor: Executor | None = None
+
+    async def start(self, executor: Executor) -> None:
+        """Read the archive for the first time."""
+        self._executor = executor
+
+    async def stop(self) -> None:
+        """Let go of the archive."""
+        self._data.close()
+
+    async def fresh(self) -> Snapshot:
+        """Return the archive as it is now."""
+        await asyncio.get_running_loop().run_in_executor(self._executor, self._data.look)
+        problems = (self._data.problem,) if self._data.problem else ()
+        return Snapshot(self._data.frame, self._data.revision, problems)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the archive was read."""
+        return self._data.loaded_once
+
+    def describe(self) -> dict[str, Any]:
+        """Say that this is a workstation."""
+        return {"kind": "workstation"}
+
+    def record(self, uid: str) -> RunRecord | None:
+        """Return a run by its UID."""
+        return self._data.archive().get(uid)
+
+    def sweeps(self) -> list[SweepRecord]:
+        """Return the sweeps in the archive."""
+        return self._data.archive().sweeps()
+
+    def catalog(self, kind: str) -> list[CatalogEntry]:
+        """Return the catalog as runs used it."""
+        return self._data.archive().catalog(kind)
+
+    def run_folder(self, record: RunRecord) -> Path | None:
+        """Return the folder of a run in the home."""
+        if not record.folder or self._home is None:
+            return None
+        folder = Path(record.folder)
+        # The home may have moved since: a folder of a run is RUNS/SWEEP/RUN.
+        for place in (folder, self._home.joinpath("runs", *folder.parts[-2:])):
+            if place.is_dir():
+                return place
+        return None
+
+    def root(self) -> Path | None:
+        """Return the home's folder of runs."""
+        return self._home / "runs" if self._home else None
+
+
+def _is_missing(url: str) -> bool:
+    path = url.removeprefix("sqlite:///")
+    return path != url and ":memory:" not in path and not Path(path).exists()
+
+
+def _make_read_only(engine: Engine) -> None:
+    statement = (
+        "PRAGMA query_only = ON"
+        if engine.dialect.name == "sqlite"
+        else "SET SESSION CHARACTERISTICS AS TRANSACTION READ ONLY"
+    )
+
+    def prepare(connection: Any, _record: Any) -> None:
+        cursor = connection.cursor()
+        cursor.execute(statement)
+        cursor.close()
+        if engine.dialect.name != "sqlite":
+            connection.commit()
+
+    event.listen(engine, "connect", prepare)
+    engine.dispose()
