@@ -129,6 +129,8 @@ def bare_desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("KUBECONFIG", str(tmp_path / "kubeconfig"))
     monkeypatch.delenv("SLAMHIVE_ARCHIVE", raising=False)
+    monkeypatch.setattr("slamhive.cli.cluster_status.LOOK_SECONDS", 0.2)
+    monkeypatch.setattr("slamhive.cli.cluster_run.LOOK_SECONDS", 0.2)
     monkeypatch.chdir(tmp_path)
     return Desk(tmp_path, capsys)
 

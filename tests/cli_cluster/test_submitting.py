@@ -6,7 +6,6 @@ from __future__ import annotations
 import io
 from typing import TYPE_CHECKING, Any
 
-import pytest
 import yaml
 from testcluster.lab import algorithm, dataset, manifest, run, sweep
 
@@ -15,6 +14,7 @@ from slamhive.local.catalog import bundled
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import pytest
     from testcluster.access import Cluster
     from testcluster.lab import Lab
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Object = dict[str, Any]
 
-_LOOK_SECONDS = 1.0
+LOOK_SECONDS = 1.0
 _LIST_SECONDS = 5.0
 _NOTICE_SECONDS = 30.0
 _WATCHED = (Kind.SWEEP, Kind.MAPPING_RUN, Kind.EVALUATION)
@@ -151,7 +151,7 @@ async def _wait(cluster: Cluster, items: Sequence[_Watched]) -> None:
                 return
             if not warned and loop.time() - begun > _NOTICE_SECONDS:
                 warned = _warn(items)
-            await asyncio.sleep(_LOOK_SECONDS)
+            await asyncio.sleep(LOOK_SECONDS)
 
 
 async def _look(cluster: Cluster, item: _Watched, now: float) -> None:

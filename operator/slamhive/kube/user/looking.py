@@ -147,11 +147,13 @@ def troubles(kind: Kind, body: Mapping[str, Any], now: float) -> list[str]:
     age = now - (moment(body["metadata"].get("creationTimestamp")) or now)
     if not conditions and age > _UNNOTICED_SECONDS:
         return ["no operator has taken notice of it; is one installed for this namespace?"]
-    over = kind is Kind.MAPPING_RUN and phase_of(status).is_finished
+    ended = kind is Kind.MAPPING_RUN and phase_of(status).is_finished
+    passed = {"Accepted", "Scheduled"} if ended else set()
+    passed |= {"LiveUsage"} if is_over(kind, body) else set()
     told = []
     for item in conditions:
         bad, words = _BAD.get(item["type"], ("", ""))
-        if item["status"] != bad or (over and item["type"] in {"Accepted", "Scheduled"}):
+        if item["status"] != bad or item["type"] in passed:
             continue
         message = item.get("message") or ""
         told.append(f"{words}: {message}" if message else words)
