@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from typing import TYPE_CHECKING, Any
 
@@ -151,3 +152,16 @@ async def test_a_container_that_a_run_has_not_is_told(make_lab: Callable[..., La
         said = await desk.types("logs", "one", "-c", "player")
     assert said.code == 2
     assert "it has monitor, algorithm" in said.text
+
+
+async def test_what_is_deleted_while_it_is_watched_is_told(make_lab: Callable[..., Lab], desk: Desk) -> None:
+    lab = make_lab(hold=True)
+    async with lab.operator() as op:
+        lab.apply(run())
+        await status_of(op, Kind.MAPPING_RUN, "one", lambda found: found.get("phase") == "Running")
+        watching = asyncio.create_task(desk.types("status", "one", "--watch"))
+        await asyncio.sleep(0)
+        lab.delete("mappingrun", "one")
+        said = await watching
+    assert said.code in {1, 2}  # 2 where it was gone before the first look
+    assert "Traceback" not in said.text

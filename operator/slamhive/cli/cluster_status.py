@@ -27,6 +27,7 @@ from slamhive.kube.user.looking import (
     status_of,
     troubles,
 )
+from slamhive.model.errors import SlamHiveError, UnknownNameError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -67,6 +68,8 @@ async def _next(cluster: Cluster, names: Sequence[str], before: Picture) -> Pict
     await asyncio.sleep(LOOK_SECONDS)
     try:
         return await _look(cluster, names, before)
+    except UnknownNameError:
+        raise SlamHiveError("what is watched was deleted meanwhile") from None
     except ApiError as error:
         if not error.retryable:
             raise
@@ -74,10 +77,10 @@ async def _next(cluster: Cluster, names: Sequence[str], before: Picture) -> Pict
 
 
 async def _live(cluster: Cluster, names: Sequence[str], picture: Picture) -> None:
-    with Live(render(cluster, picture), console=out, auto_refresh=False) as live:
+    with Live(render(cluster, picture, width=out.width), console=out, auto_refresh=False) as live:
         while not (names and picture.is_over):
             picture = await _next(cluster, names, picture)
-            live.update(render(cluster, picture), refresh=True)
+            live.update(render(cluster, picture, width=out.width), refresh=True)
 
 
 async def _lines(cluster: Cluster, names: Sequence[str], picture: Picture, *, as_json: bool) -> None:
@@ -113,7 +116,9 @@ def _print(cluster: Cluster, picture: Picture, *, as_json: bool, named: bool) ->
     if as_json:
         typer.echo(json.dumps(as_plain(picture), indent=2, ensure_ascii=False))
         return
-    wide = out if out.is_terminal else Console(file=out.file, width=_WIDEST, highlight=False)
+    # A name or number is better wrapped by the terminal than cut.
+    terminal = out.is_terminal or None
+    wide = Console(file=out.file, width=_WIDEST, highlight=False, force_terminal=terminal)
     if named:
         for number, part in enumerate(details(picture)):
             if number:

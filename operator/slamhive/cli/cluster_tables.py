@@ -19,7 +19,7 @@ from slamhive.kube.status import metres, moment, phase_of
 from slamhive.kube.user.looking import Picture, name_of, status_of, troubles
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Container, Iterable, Mapping, Sequence
 
     from slamhive.kube.user.connecting import Cluster
 
@@ -33,23 +33,30 @@ _GOOD = {"Succeeded": "green", "Complete": "green", "Failed": "red", "TooManyFai
 _FIGURES = ("ate", "cpu", "memory")
 _SWEEP = ("sweep", "phase", "", "done", "running", "failed", "evaluated", "best", "ATE", "age")
 _RUN = ("run", "phase", "algorithm", "dataset", "outcome", "ATE", "cores", "memory", "age")
+_ROOMY = 120
+_SPARED = frozenset({"best", "evaluated", "age", "dataset", "memory"})
+"""Columns that a narrow terminal does without while it watches."""
 _EVALUATION = ("evaluation", "evaluated", "failed", "age")
 
 
-def render(cluster: Cluster, picture: Picture, most: int | None = _RUNS) -> RenderableType:
+def render(
+    cluster: Cluster, picture: Picture, most: int | None = _RUNS, width: int | None = None
+) -> RenderableType:
     """Return tables of what there is, with sentences about what is wrong.
 
     Args:
         cluster: where it is.
         picture: what there is.
         most: runs to show at most.
+        width: characters that there is room for; None: as many as it takes.
     """
     parts: list[RenderableType] = []
+    spared = _SPARED if width is not None and width < _ROOMY else frozenset()
     if picture.sweeps:
-        parts.append(_table(_SWEEP, map(_sweep_line, picture.sweeps)))
+        parts.append(_table(_SWEEP, map(_sweep_line, picture.sweeps), spared))
     if picture.runs:
         recent = picture.runs[-most:] if most else picture.runs
-        parts.append(_table(_RUN, map(_run_line, recent)))
+        parts.append(_table(_RUN, map(_run_line, recent), spared))
         if len(recent) < len(picture.runs):
             parts.append(Text(f"… and {plural(len(picture.runs) - len(recent), 'earlier run')}"))
     if picture.evaluations:
@@ -217,12 +224,15 @@ def _first(text: str) -> str:
     return line if len(line) <= _CONDITION else line[: _CONDITION - 1] + "…"
 
 
-def _table(headings: Sequence[str], lines: Iterable[Sequence[RenderableType]]) -> Table:
+def _table(
+    headings: Sequence[str], lines: Iterable[Sequence[RenderableType]], spared: Container[str] = ()
+) -> Table:
     table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
     for heading in headings:
-        table.add_column(heading, no_wrap=heading != "message")
+        if heading not in spared:
+            table.add_column(heading, no_wrap=heading != "message")
     for line in lines:
-        table.add_row(*line)
+        table.add_row(*(cell for heading, cell in zip(headings, line, strict=True) if heading not in spared))
     return table
 
 

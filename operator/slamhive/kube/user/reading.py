@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.builders.common import label_value
-from slamhive.kube.errors import ApiError, Forbidden
+from slamhive.kube.errors import ApiError, Forbidden, NotFound
 from slamhive.kube.kinds import Kind, Label, Role
 from slamhive.kube.status import phase_of
 from slamhive.kube.user.looking import find, name_of, status_of
@@ -83,7 +83,11 @@ async def read_log(
         if not follow or over:
             break
         await asyncio.sleep(_PAUSE_SECONDS)
-        [(_, run)] = await find(cluster, [name], [Kind.MAPPING_RUN])
+        try:
+            run = await cluster.api.get(cluster.key(Kind.MAPPING_RUN, name))
+        except NotFound:
+            yield Part.REMARK, f"{name} was deleted"
+            return
     if reader.problem:
         yield Part.REMARK, reader.problem
     for part in _kept(run, seen, container):
