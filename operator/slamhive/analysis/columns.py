@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,7 +77,7 @@ class Column:
     def of_codes(cls, codes: npt.ArrayLike, values: Iterable[Any]) -> Column:
         """Return a column of values by their codes."""
         kept = tuple(values)
-        kind = ColumnKind.TEXT if all(isinstance(value, str) for value in kept) else ColumnKind.OTHER
+        kind = ColumnKind.TEXT if set(map(type, kept)) <= {str} else ColumnKind.OTHER
         return cls(kind, _NO_NUMBERS, np.asarray(codes, dtype=np.int32), kept)
 
     @classmethod
@@ -121,35 +122,33 @@ class Column:
 
     @classmethod
     def _coded(cls, values: Sequence[Any], keys: Sequence[Any]) -> Column:
-        places: dict[Any, int] = {None: -1}
-        kept: list[Any] = []
-        codes = np.empty(len(values), dtype=np.int32)
-        for row, key in enumerate(keys):
-            place = places.get(key)
-            if place is None:
-                place = places[key] = len(kept)
-                kept.append(values[row])
-            codes[row] = place
-        return cls.of_codes(codes, kept)
+        places = dict.fromkeys(keys)
+        places.pop(None, None)
+        places.update(zip(places, range(len(places)), strict=True))
+        kept = list(places)
+        if keys is not values:
+            # The first value of a key stands for all of them.
+            firsts = dict(zip(reversed(keys), reversed(values), strict=True))
+            kept = [firsts[key] for key in places]
+        places[None] = -1
+        return cls.of_codes(np.fromiter(map(places.__getitem__, keys), np.int32, len(keys)), kept)
 
     @classmethod
     def _merged(cls, columns: Sequence[Column]) -> Column:
-        places: dict[Any, int] = {}
-        kept: list[Any] = []
+        texts = all(column.kind is ColumnKind.TEXT for column in columns if not column.kind.is_numeric)
+        keyed = [column.values if texts else tuple(map(_identity, column.values)) for column in columns]
+        places: dict[Any, int] = {key: place for place, key in enumerate(dict.fromkeys(chain(*keyed)))}
+        kept = list(places)
+        if not texts:
+            values = dict(zip(chain(*keyed), chain(*(column.values for column in columns)), strict=True))
+            kept = [values[key] for key in places]
         parts = []
-        for column in columns:
+        for column, keys in zip(columns, keyed, strict=True):
             if column.kind.is_numeric:
                 parts.append(np.full(len(column), -1, dtype=np.int32))
                 continue
-            translation = np.empty(len(column.values) + 1, dtype=np.int32)
-            translation[-1] = -1
-            for code, value in enumerate(column.values):
-                key = value if isinstance(value, str) else _identity(value)
-                place = places.setdefault(key, len(kept))
-                if place == len(kept):
-                    kept.append(value)
-                translation[code] = place
-            parts.append(translation[column.codes])
+            translation = np.fromiter(map(places.__getitem__, keys), np.int32, len(keys))
+            parts.append(np.append(translation, np.int32(-1))[column.codes])
         return cls.of_codes(np.concatenate(parts), kept)
 
     def __len__(self) -> int:

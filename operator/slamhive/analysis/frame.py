@@ -9,6 +9,7 @@ The columns have the names that ``flatten`` gives them; both are tested against 
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -121,18 +122,22 @@ class Frame:
         values = [self.column(name).tolist() for name in names]
         return [dict(zip(names, row, strict=True)) for row in zip(*values, strict=True)]
 
-    @classmethod
-    def concatenate(cls, frames: Sequence[Frame]) -> Frame:
-        """Return tables one below the other."""
-        filled = [frame for frame in frames if len(frame)]
-        if len(filled) == 1:
-            return filled[0]
-        names = dict.fromkeys(name for frame in filled for name in frame.stored)
-        columns = {name: Column.concatenate([frame.column(name) for frame in filled]) for name in names}
-        return cls(columns, sum(map(len, filled)))
+
+def stack(parts: list[tuple[dict[str, Column], int]]) -> tuple[dict[str, Column], int]:
+    """Return columns one below the other, with their length; takes the parts to pieces to save memory.
+
+    Args:
+        parts: columns by name and their length.
+    """
+    length = sum(count for _, count in parts)
+    stacked: dict[str, Column] = {}
+    for name in dict.fromkeys(name for columns, _ in parts for name in columns):
+        pieces = [columns.pop(name) if name in columns else Column.missing(count) for columns, count in parts]
+        stacked[name] = Column.concatenate(pieces)
+    return stacked, length
 
 
-def spread(found: dict[str, list[Any]], prefix: str, documents: Sequence[Document | None]) -> None:
+def spread(found: dict[str, Sequence[Any]], prefix: str, documents: Sequence[Document | None]) -> None:
     """Write nested documents, one a row, as lists of values by joined names.
 
     Args:
@@ -140,21 +145,26 @@ def spread(found: dict[str, list[Any]], prefix: str, documents: Sequence[Documen
         prefix: put in front of the names.
         documents: JSON objects; None where a row has none.
     """
-    filled = [document or _EMPTY for document in documents]
-    names: dict[str, None] = {}
-    for shape in dict.fromkeys(map(tuple, filled)):
-        names.update(dict.fromkeys(shape))
-    for name in names:
+    shapes = {tuple(document) for document in documents if document}
+    if len(shapes) == 1:
+        # Nearly always: the documents are turned round without a look-up for each value.
+        (names,) = shapes
+        nothing = (None,) * len(names)
+        turned = zip(*[document.values() if document else nothing for document in documents], strict=True)
+        values_by_name: dict[str, Sequence[Any]] = dict(zip(names, turned, strict=True))
+    else:
+        filled = [document or _EMPTY for document in documents]
+        names = tuple(dict.fromkeys(chain(*sorted(shapes))))
+        values_by_name = {name: [document.get(name) for document in filled] for name in names}
+    for name, values in values_by_name.items():
         if not prefix and name in LEFT_OUT:
             continue
         if len(found) >= MAX_COLUMNS:
             return
-        _spread_values(
-            found, f"{prefix}.{name}" if prefix else name, [document.get(name) for document in filled]
-        )
+        _spread_values(found, f"{prefix}.{name}" if prefix else name, values)
 
 
-def _spread_values(found: dict[str, list[Any]], name: str, values: list[Any]) -> None:
+def _spread_values(found: dict[str, Sequence[Any]], name: str, values: Sequence[Any]) -> None:
     types = set(map(type, values))
     if dict in types:
         spread(found, name, [value if type(value) is dict else None for value in values])
@@ -162,24 +172,26 @@ def _spread_values(found: dict[str, list[Any]], name: str, values: list[Any]) ->
             return
         values = [None if type(value) is dict else value for value in values]
     if list in types:
-        lists = [value if type(value) is list else () for value in values]
-        records = [items if items and all(type(item) is dict for item in items) else () for items in lists]
-        for number in range(min(max(map(len, records)), _MAX_ITEMS)):
-            spread(
-                found,
-                f"{name}[{number}]",
-                [items[number] if number < len(items) else None for items in records],
-            )
-        values = [None if records[row] or value == [] else value for row, value in enumerate(values)]
-    if any(map(_is_something, values)):
-        earlier = found.get(name)
-        if earlier is not None:
-            values = [old if new is None else new for old, new in zip(earlier, values, strict=True)]
-        found[name] = values
+        values = _spread_lists(found, name, values)
+        types = set(map(type, values))
+    if types <= {type(None)}:
+        return
+    earlier = found.get(name)
+    if earlier is not None:
+        values = [old if new is None else new for old, new in zip(earlier, values, strict=True)]
+    found[name] = values
 
 
-def _is_something(value: Any) -> bool:
-    return value is not None
+def _spread_lists(found: dict[str, Sequence[Any]], name: str, values: Sequence[Any]) -> list[Any]:
+    """Write lists of records item by item; return what is no such list."""
+    records = [
+        value if type(value) is list and value and all(type(item) is dict for item in value) else ()
+        for value in values
+    ]
+    for number in range(min(max(map(len, records)), _MAX_ITEMS)):
+        items = [held[number] if number < len(held) else None for held in records]
+        spread(found, f"{name}[{number}]", items)
+    return [None if held or value == [] else value for held, value in zip(records, values, strict=True)]
 
 
 def with_derived(columns: dict[str, Column], length: int) -> Frame:
@@ -198,24 +210,23 @@ def _status(frame: Frame) -> Column:
     names = ("outcome", "phase", "reason")
     parts = [frame.column(name) for name in names]
     nothing = np.full(len(frame), -1)
-    codes = [(nothing if part.kind.is_numeric else part.codes).tolist() for part in parts]
-    words: dict[tuple[int, ...], int] = {}
-    kept: list[str] = []
-    result = np.empty(len(frame), dtype=np.int32)
-    for row, key in enumerate(zip(*codes, strict=True)):
-        place = words.get(key)
-        if place is None:
-            outcome, phase, reason = (
-                part.values[code] if code >= 0 else None for part, code in zip(parts, key, strict=True)
-            )
-            if not outcome and phase == Phase.SUCCEEDED.value:
-                outcome = "NotEvaluated"
-            word = str(outcome or reason or phase)
-            if word not in kept:
-                kept.append(word)
-            place = words[key] = kept.index(word)
-        result[row] = place
-    return Column.of_codes(result, kept)
+    codes = [nothing if part.kind.is_numeric else part.codes for part in parts]
+    combined = np.zeros(len(frame), dtype=np.int64)
+    for part, code in zip(parts, codes, strict=True):
+        combined = combined * (len(part.values) + 1) + code + 1
+    _, firsts, places = np.unique(combined, return_index=True, return_inverse=True)
+    words = []
+    for row in firsts.tolist():
+        outcome, phase, reason = (
+            part.values[code[row]] if code[row] >= 0 else None
+            for part, code in zip(parts, codes, strict=True)
+        )
+        if not outcome and phase == Phase.SUCCEEDED.value:
+            outcome = "NotEvaluated"
+        words.append(str(outcome or reason or phase))
+    kept = sorted(set(words))
+    lookup = np.array([kept.index(word) for word in words], dtype=np.int32)
+    return Column.of_codes(lookup[places], kept)
 
 
 def _disturbed(frame: Frame) -> Column:

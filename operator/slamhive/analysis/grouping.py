@@ -153,11 +153,8 @@ def aggregate(
     asked = list(dict.fromkeys([*SUBJECT, *changing] if by is None else by))
     facets = varying_facets(frame, asked)
     groups = Groups(frame, [*facets, *asked])
-    counted = counting(frame, outcomes)
-    cells = [
-        _cell(frame, rows, keys, metrics, counted)
-        for rows, keys in zip(groups.members(), groups.keys, strict=True)
-    ]
+    material = _Material(frame, metrics, counting(frame, outcomes))
+    cells = [material.cell(rows, keys) for rows, keys in zip(groups.members(), groups.keys, strict=True)]
     pooled = [name for name in changing if name not in groups.names]
     notes = [*pooling_notes(pooled), *disturbance_notes(frame, metrics)]
     return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, tuple(notes))
@@ -278,43 +275,59 @@ def _alignments(frame: Frame) -> Column:
     return Column.of_codes(codes, alignment.values)
 
 
-def _cell(frame: Frame, rows: Indices, keys: dict[str, Any], metrics: Sequence[str], counted: Mask) -> Cell:
-    inside = counted[rows]
-    words, counts = np.unique(frame.column("status").codes[rows], return_counts=True)
-    status = frame.column("status").values
-    failures = {
-        status[word]: int(count)
-        for word, count in zip(words, counts, strict=True)
-        if status[word] != Outcome.TRACKED.value
-    }
-    coverage = frame.column("coverage").floats()[rows]
-    return Cell(
-        keys=keys,
-        runs=len(rows),
-        n=int(inside.sum()),
-        failures=dict(sorted(failures.items())),
-        coverage=summarize(coverage[~np.isnan(coverage)]),
-        figures={name: _figure(frame, rows, inside, name) for name in metrics},
-    )
+class _Material:
+    """What cells are made of: arrays over all rows, taken out of their columns once.
 
+    Args:
+        frame: the rows.
+        metrics: what to summarise.
+        counted: which rows enter the figures, (n,).
+    """
 
-def _figure(frame: Frame, rows: Indices, inside: Mask, name: str) -> Figure:
-    numbers = frame.column(name).floats()[rows]
-    values = numbers[inside & sound(frame, name)[rows] & ~np.isnan(numbers)]
-    summary = summarize(values)
-    if not name.startswith(ERRORS):
-        interval = mean_interval(summary) if summary else None
+    def __init__(self, frame: Frame, metrics: Sequence[str], counted: Mask) -> None:
+        status = frame.column("status")
+        self._words = status.values
+        self._status = status.codes
+        self._counted = counted
+        self._coverage = frame.column("coverage").floats()
+        self._metrics = {
+            name: (frame.column(name).floats(), counted & sound(frame, name), name.startswith(ERRORS))
+            for name in metrics
+        }
+
+    def cell(self, rows: Indices, keys: dict[str, Any]) -> Cell:
+        """Return what the runs of some rows came to."""
+        coverage = self._coverage[rows]
+        return Cell(
+            keys=keys,
+            runs=len(rows),
+            n=int(np.count_nonzero(self._counted[rows])),
+            failures=failures_of(self._words, self._status[rows]),
+            coverage=summarize(coverage[~np.isnan(coverage)]),
+            figures={name: self._figure(rows, name) for name in self._metrics},
+        )
+
+    def _figure(self, rows: Indices, name: str) -> Figure:
+        everywhere, counting_, is_error = self._metrics[name]
+        numbers, inside = everywhere[rows], counting_[rows]
+        inside &= ~np.isnan(numbers)
+        values = numbers[inside]
+        summary = summarize(values)
         points = tuple(values.tolist()) if len(values) < ENOUGH else ()
-        return Figure(summary, points, interval, median_interval(np.sort(values)))
-    ranked = ranked_errors(numbers, inside)
-    return Figure(
-        summary,
-        tuple(values.tolist()) if len(values) < ENOUGH else (),
-        mean_interval(summary) if summary else None,
-        median_interval(ranked),
-        int(np.isinf(ranked).sum()),
-        median_of_sorted(ranked) if len(ranked) else None,
-    )
+        interval = mean_interval(summary) if summary else None
+        if not is_error:
+            return Figure(summary, points, interval, median_interval(np.sort(values)))
+        ranked = ranked_errors(numbers, inside)
+        failed = len(rows) - len(values)
+        return Figure(summary, points, interval, median_interval(ranked), failed, median_of_sorted(ranked))
+
+
+def failures_of(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:
+    """Return how many runs failed, by what became of them; tracked ones did not."""
+    counts = np.bincount(codes, minlength=len(words)).tolist()
+    found = {word: count for word, count in zip(words, counts, strict=True) if count}
+    found.pop(Outcome.TRACKED.value, None)
+    return dict(sorted(found.items()))
 
 
 def ranked_errors(numbers: Floats, inside: Mask) -> Floats:

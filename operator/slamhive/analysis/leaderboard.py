@@ -18,6 +18,7 @@ from slamhive.analysis.grouping import (
     Groups,
     counting,
     disturbance_notes,
+    failures_of,
     pooling_notes,
     ranked_errors,
     sound,
@@ -34,7 +35,6 @@ from slamhive.analysis.statistics import (
     resampled_medians,
     summarize,
 )
-from slamhive.model.results import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -185,13 +185,11 @@ def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
     links[competitors.of_row, datasets.of_row] = True
     left, parts = np.ones(competitors.count, dtype=bool), []
     while left.any():
-        reached: Mask = np.zeros(competitors.count, dtype=bool)
+        reached = np.zeros(competitors.count, dtype=bool)
         reached[int(np.argmax(left))] = True
-        while True:
-            wider: Mask = links[:, links[reached].any(axis=0)].any(axis=1)
-            if (wider == reached).all():
-                break
-            reached = wider
+        size = 0
+        while size < (size := int(reached.sum())):
+            reached = np.any(links[:, np.any(links[reached], axis=0)], axis=1)
         left[reached] = False
         parts.append(reached[competitors.of_row])
     return parts
@@ -259,16 +257,13 @@ def _standing(
     numbers, counted = figures[0][rows], figures[1][rows]
     values = numbers[counted & ~np.isnan(numbers)]
     status = frame.column("status")
-    words, counts = np.unique(status.codes[rows], return_counts=True)
-    failures = {status.values[word]: int(count) for word, count in zip(words, counts, strict=True)}
-    failures.pop(Outcome.TRACKED.value, None)
     coverage = frame.column("coverage").floats()[rows]
     coverage = coverage[~np.isnan(coverage)]
     return Standing(
         dataset=dataset,
         runs=len(rows),
         n=len(values),
-        failures=dict(sorted(failures.items())),
+        failures=failures_of(status.values, status.codes[rows]),
         median=found[0],
         rank=found[1],
         summary=summarize(values),

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import Text, cast, select, text, type_coerce
+from sqlalchemy import DateTime, String, Text, cast, select, text, type_coerce
 
 from slamhive.analysis.columns import Column, times
-from slamhive.analysis.frame import Frame, spread, with_derived
+from slamhive.analysis.frame import Frame, spread, stack, with_derived
 from slamhive.archive import schema
 from slamhive.archive.connection import reading
 from slamhive.dashboard.rows import PREFIXES, label_of_run
@@ -34,15 +34,23 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Indices
 
-BATCH = 4000
+    Part = tuple[dict[str, Column], int]
+
+BATCH = 2000
 """Runs read at a time: their documents are what loading needs memory for."""
 
-_RUN = ("id", "uid", "name", "sweep", "point", "algorithm", "dataset", "sensors", "repetition", "seed")
-_RUN_MORE = ("phase", "reason", "message", "attempts", "created", "started", "finished")
+_SOME = 500
+_CHANGES = ("phase", "reason", "attempts", "sweep", "started", "finished", "cpu_seconds", "wall_seconds")
+_RESULT_CHANGES = (
+    *("run_id", "evaluation", "outcome", "coverage", "alignment", "ate_rmse", "rpe_rmse", "scale"),
+)
+_MORE = (
+    *("uid", "name", "point", "algorithm", "dataset", "sensors", "repetition", "seed", "message", "created"),
+)
+_RUN = ("id", *_CHANGES, *_MORE)
+_SHOWN = tuple(name for name in _RUN if name not in {"cpu_seconds", "wall_seconds"})
 _DOCUMENTS = ("spec", "attributes", "labels", "metrics", "usage", "frames", "trajectory", "provenance")
 _TIMES = frozenset({"created", "started", "finished"})
-_CHANGES = ("phase", "reason", "attempts", "sweep", "started", "finished", "cpu_seconds", "wall_seconds")
-_RESULT_CHANGES = ("run_id", "evaluation", "outcome", "coverage", "alignment", "ate_rmse", "rpe_rmse")
 
 
 class Results(NamedTuple):
@@ -99,46 +107,69 @@ def load(engine: Engine, before: Loaded | None = None) -> Loaded:
     """
     before = before or Loaded()
     with reading(engine) as connection, _no_collections():
-        marks = _marks(connection)
-        changed = [run for run, mark in marks.items() if before.marks.get(run) != mark]
-        if not changed and len(marks) == len(before.marks):
+        known = before.marks
+        marks = _marks(connection) if known else None
+        if marks is not None and marks == known:
             return before
-        fresh = [_read(connection, batch) for batch in _batches(connection, changed)]
-    return Loaded(_merge(before.frame, set(changed), marks, fresh), marks)
+        changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
+        fresh, found = [], {} if marks is None else marks
+        for rows in _batches(connection, changed):
+            results = _results(connection, [row.id for row in rows])
+            found |= _marks_of(rows, results)
+            fresh.append(_read(rows, results))
+    return Loaded(_merge(before.frame, set(changed or ()), found, fresh), found)
 
 
 def _marks(connection: Connection) -> dict[int, int]:
+    """Return what each run looks like in short, by its id."""
     runs, results = schema.runs.c, schema.results.c
-    query = select(runs.id, *(runs[name] for name in _CHANGES)).order_by(runs.id)
-    marks = {row[0]: hash(tuple(row)) for row in connection.execute(query)}
-    size = "octet_length" if connection.dialect.name == "postgresql" else "length"
-    sized = text(f"{size}(CAST({_quoted(connection)} AS TEXT))")
-    measured = select(*(results[name] for name in _RESULT_CHANGES), sized)
-    for row in connection.execute(measured):
+    query = select(*(_cheap(connection, runs[name]) for name in ("id", *_CHANGES))).order_by(runs.id)
+    measured = select(*(results[name] for name in _RESULT_CHANGES))
+    return _marks_of(connection.execute(query).all(), connection.execute(measured).all())
+
+
+def _marks_of(runs: Sequence[Row[Any]], results: Sequence[Row[Any]]) -> dict[int, int]:
+    """Return the same from rows that hold more."""
+    marks = {row[0]: hash(row[: len(_CHANGES) + 1]) for row in runs}
+    for row in results:
         if row[0] in marks:
             # A sum, as results come in no order.
-            marks[row[0]] += hash(tuple(row))
+            marks[row[0]] += hash(row[: len(_RESULT_CHANGES)])
     return marks
 
 
-def _quoted(connection: Connection) -> str:
-    return connection.dialect.identifier_preparer.quote(schema.results.c["values"].name)
-
-
-def _batches(connection: Connection, changed: Sequence[int]) -> Iterator[list[Row[Any]]]:
+def _batches(connection: Connection, changed: Sequence[int] | None) -> Iterator[Sequence[Row[Any]]]:
+    """Go through runs by their ids, or through all of them."""
     runs = schema.runs.c
     columns = [
-        *(runs[name] for name in (*_RUN, *_RUN_MORE)),
+        *(_cheap(connection, runs[name]) for name in _RUN),
         *(_raw(connection, runs[name]) for name in _DOCUMENTS),
     ]
-    for start in range(0, len(changed), BATCH):
-        wanted = changed[start : start + BATCH]
-        first, last = wanted[0], wanted[-1]
-        query = select(*columns).where(runs.id.between(first, last)).order_by(runs.id)
-        if last - first >= 2 * len(wanted):
-            query = select(*columns).where(runs.id.in_(wanted)).order_by(runs.id)
-        kept = set(wanted)
-        yield [row for row in connection.execute(query) if row[0] in kept]
+    if changed is not None:
+        for start in range(0, len(changed), _SOME):
+            wanted = changed[start : start + _SOME]
+            yield connection.execute(select(*columns).where(runs.id.in_(wanted)).order_by(runs.id)).all()
+        return
+    last = 0
+    while rows := connection.execute(
+        select(*columns).where(runs.id > last).order_by(runs.id).limit(BATCH)
+    ).all():
+        yield rows
+        last = rows[-1].id
+
+
+def _results(connection: Connection, ids: Sequence[int]) -> Sequence[Any]:
+    results = schema.results.c
+    wanted = results.run_id.between(ids[0], ids[-1]) if len(ids) > _SOME else results.run_id.in_(ids)
+    query = select(*(results[name] for name in _RESULT_CHANGES), _raw(connection, results["values"]))
+    return connection.execute(query.where(wanted).order_by(results.run_id, results.evaluation)).all()
+
+
+def _cheap(connection: Connection, column: ColumnElement[Any]) -> ColumnElement[Any]:
+    """Return a time as the database holds it, without SQLAlchemy reading it."""
+    if column.name not in _TIMES:
+        return column
+    return type_coerce(column, String if connection.dialect.name == "sqlite" else DateTime)
 
 
 def _raw(connection: Connection, column: ColumnElement[Any]) -> ColumnElement[str]:
@@ -146,57 +177,35 @@ def _raw(connection: Connection, column: ColumnElement[Any]) -> ColumnElement[st
     return cast(column, Text) if connection.dialect.name == "postgresql" else type_coerce(column, Text)
 
 
-def _read(connection: Connection, rows: Sequence[Row[Any]]) -> Frame:
+def _read(rows: Sequence[Row[Any]], results: Sequence[Row[Any]]) -> Part:
     """Return the rows of some runs, with those of their results."""
-    names = (*_RUN, *_RUN_MORE, *_DOCUMENTS)
-    whole = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(names, ())
+    whole = dict(zip((*_RUN, *_DOCUMENTS), zip(*rows, strict=True), strict=True))
     documents = {name: _parsed(whole[name]) for name in _DOCUMENTS}
-    found: dict[str, list[Any]] = {}
+    found: dict[str, Sequence[Any]] = {}
     for prefix, document, key in PREFIXES:
         held = documents[document]
         spread(found, prefix, [item and item.get(key) for item in held] if key else held)
     columns = {name: Column.of(values) for name, values in found.items()}
-    for name in (*_RUN, *_RUN_MORE):
-        values = list(whole[name])
+    for name in _SHOWN:
+        values = whole[name]
         columns["index" if name == "point" else name] = times(values) if name in _TIMES else Column.of(values)
     columns["run"] = Column.of(
         [label_of_run(labels, name) for labels, name in zip(documents["labels"], whole["name"], strict=True)]
     )
-    return _with_results(connection, columns, list(whole["id"]))
-
-
-def _with_results(connection: Connection, columns: dict[str, Column], ids: list[int]) -> Frame:
-    results = schema.results.c
-    wanted = results.run_id.between(ids[0], ids[-1]) if len(ids) > 500 else results.run_id.in_(ids)
-    query = (
-        select(
-            *(results.run_id, results.evaluation, results.outcome, results.coverage),
-            _raw(connection, results["values"]),
-        )
-        .where(wanted)
-        .order_by(results.run_id, results.evaluation)
-    )
-    places = {run: place for place, run in enumerate(ids)}
-    rows = [row for row in connection.execute(query) if row[0] in places]
-    have = np.array([places[row[0]] for row in rows], dtype=np.intp)
-    without = np.setdiff1d(np.arange(len(ids)), have)
-    return join_results(
-        columns,
-        np.concatenate([have, without]),
-        Results(
-            [row[1] for row in rows],
-            [row[2] for row in rows],
-            [row[3] for row in rows],
-            _parsed([row[4] for row in rows]),
-        ),
-    )
+    places = {run: place for place, run in enumerate(whole["id"])}
+    kept = [row for row in results if row[0] in places]
+    have = np.array([places[row[0]] for row in kept], dtype=np.intp)
+    without = np.setdiff1d(np.arange(len(rows)), have)
+    turned = [list(column) for column in zip(*kept, strict=True)] or [[] for _ in range(5)]
+    values = Results(turned[1], turned[2], turned[3], _parsed(turned[-1]))
+    return join_results(columns, np.concatenate([have, without]), values)
 
 
 def join_results(
     columns: dict[str, Column],
     places: Indices,
     results: Results,
-) -> Frame:
+) -> Part:
     """Return rows of runs beside those of their results.
 
     Args:
@@ -207,7 +216,7 @@ def join_results(
     evaluations, outcomes, coverages, values = results
     left = len(places) - len(evaluations)
     padding = [None] * left
-    found: dict[str, list[Any]] = {}
+    found: dict[str, Sequence[Any]] = {}
     spread(found, "", values)
     joined = {name: column.take(places) for name, column in columns.items()}
     messages = [item or None for item in found.pop("message", ())]
@@ -222,7 +231,7 @@ def join_results(
     joined["outcome"] = Column.of([*outcomes, *padding])
     joined["coverage"] = Column.of([*coverages, *padding])
     order = np.argsort(places, kind="stable")
-    return Frame({name: column.take(order) for name, column in joined.items()}, len(places))
+    return {name: column.take(order) for name, column in joined.items()}, len(places)
 
 
 _KEPT = frozenset({"id", "uid", "name", "evaluation", "outcome", "coverage"})
@@ -237,18 +246,20 @@ def _first(column: Column, other: Column) -> Column:
     return Column.of([second if first is None else first for first, second in pairs])
 
 
-def _merge(before: Frame, changed: set[int], marks: dict[int, int], fresh: list[Frame]) -> Frame:
-    parts = []
+def _merge(before: Frame, changed: set[int], marks: dict[int, int], fresh: list[Part]) -> Frame:
+    parts = list(fresh)
     if len(before):
         ids = before.column("id").numbers
-        now = np.fromiter(marks.keys() - changed, dtype=np.float64)
-        parts.append(before.select(np.isin(ids, now)))
-    frame = Frame.concatenate([*parts, *fresh])
-    if not len(frame):
+        stays = np.fromiter(marks.keys() - changed, dtype=np.float64)
+        kept = before.select(np.isin(ids, stays))
+        parts.insert(0, ({name: kept.column(name) for name in kept.stored}, len(kept)))
+    columns, length = stack([part for part in parts if part[1]])
+    if not length:
         return Frame({}, 0)
-    if parts and len(parts[0]):
-        frame = frame.select(np.argsort(frame.column("id").numbers, kind="stable"))
-    return with_derived({name: frame.column(name) for name in frame.stored}, len(frame))
+    if len(before):
+        order = np.argsort(columns["id"].numbers, kind="stable")
+        columns = {name: column.take(order) for name, column in columns.items()}
+    return with_derived(columns, length)
 
 
 def _parsed(texts: Sequence[str | None]) -> list[Any]:

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+/** The address of a page is the saved analysis: what is shown follows from it, and changes go through it. */
+import { createContext, useContext } from './ui.js';
+
+/** Names that are settings of a page; every other one is a filter and goes to the API as it is. */
+const OWN = new Set([
+  'kind', 'x', 'y', 'colour', 'size', 'facet', 'outcomes', 'figure', 'xlog', 'ylog', 'embed', 'sort', 'columns',
+  'limit', 'after', 'by', 'metric', 'metrics', 'uid', 'plane', 'title', 'axes',
+]);
+
+const decode = (text) => {
+  try {
+    return decodeURIComponent(text.replaceAll('+', ' '));
+  } catch {
+    return text;
+  }
+};
+
+/** A query string that keeps the order, the repetitions and the signs of its parameters. */
+export class Query {
+  /** @param {Array<[string, string|null]>} pairs names and values; null where there was no equals sign */
+  constructor(pairs = []) {
+    this.pairs = pairs;
+  }
+
+  /** @param {string} search with or without its question mark */
+  static parse(search) {
+    const parts = search.replace(/^\?/, '').split('&').filter(Boolean);
+    return new Query(parts.map((part) => {
+      const at = part.indexOf('=');
+      return at < 0 ? [decode(part), null] : [decode(part.slice(0, at)), decode(part.slice(at + 1))];
+    }));
+  }
+
+  /** Return the first value of a name. */
+  get(name, otherwise = '') {
+    return this.pairs.find(([key]) => key === name)?.[1] ?? otherwise;
+  }
+
+  /** Return all values of a name. */
+  all(name) {
+    return this.pairs.filter(([key]) => key === name).map(([, value]) => value);
+  }
+
+  /** Return a query with some names set anew; null, '' and [] leave a name out. */
+  with(changes) {
+    const kept = this.pairs.filter(([key]) => !(key in changes));
+    const added = Object.entries(changes).flatMap(([key, value]) =>
+      (Array.isArray(value) ? value : [value]).filter((one) => one !== null && one !== undefined && one !== '')
+        .map((one) => [key, String(one)]));
+    return new Query([...kept, ...added]);
+  }
+
+  /** Return a query with one more filter. */
+  and(name, value) {
+    return new Query([...this.pairs, [name, value]]);
+  }
+
+  /** Return a query without the pair at a position. */
+  without(pair) {
+    return new Query(this.pairs.filter((one) => one !== pair));
+  }
+
+  /** Return only what filters rows. */
+  filters() {
+    return new Query(this.pairs.filter(([key]) => !OWN.has(key)));
+  }
+
+  toString() {
+    return this.pairs.map(([key, value]) =>
+      encodeURIComponent(key) + (value === null ? '' : `=${encodeURIComponent(value)}`)).join('&');
+  }
+}
+
+/** Return an address of a path and a query. */
+export const address = (path, query) => {
+  const text = query instanceof Query ? query.toString() : new Query().with(query ?? {}).toString();
+  return text ? `${path}?${text}` : path;
+};
+
+/** Go to an address of these pages. */
+export const go = (href, { replace = false } = {}) => {
+  history[replace ? 'replaceState' : 'pushState'](null, '', href);
+  dispatchEvent(new Event('addresschange'));
+};
+
+/** What the pages know of the address: path (decoded parts), query. */
+export const Address = createContext(null);
+
+/** Return the address and a function that changes settings in it. */
+export const useAddress = () => {
+  const here = useContext(Address);
+  return {
+    ...here,
+    change: (changes, replace = false) => go(address(location.pathname, here.query.with(changes)), { replace }),
+    follow: (query) => go(address(location.pathname, query)),
+  };
+};
+
+/** Read the browser's address. */
+export const readAddress = () => ({
+  path: location.pathname.split('/').filter(Boolean).map(decode),
+  query: Query.parse(location.search),
+});

@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Reading the API. The browser keeps answers and asks with their ETag; a new revision asks again. */
+import { createContext, useContext, useEffect, useState } from './ui.js';
+
+/** An answer that says what was wrong: `field` is the parameter that it was about. */
+export class ApiError extends Error {
+  constructor(message, status, field = null) {
+    super(message);
+    this.status = status;
+    this.field = field;
+  }
+}
+
+/** Return the JSON at an address of the API. @param {string} url @param {AbortSignal} [signal] */
+export async function fetchJson(url, signal) {
+  let answer;
+  try {
+    answer = await fetch(url, { signal, headers: { Accept: 'application/json' } });
+  } catch (error) {
+    if (error.name === 'AbortError') throw error;
+    throw new ApiError('The dashboard does not answer. It is tried again by itself.', 0);
+  }
+  const body = await answer.json().catch(() => null);
+  if (!answer.ok) throw new ApiError(body?.error ?? `The dashboard answered ${answer.status}.`, answer.status, body?.field ?? null);
+  return body;
+}
+
+/** The state of what is known: revision, counts, problems, whether the server answers. */
+export const Live = createContext({ revision: null, connected: true, problems: [] });
+
+/** Fetch an address, again at each new revision; the last answer stays until the next one is there.
+ * @param {string|null} url null fetches nothing
+ * @returns {{data: any, error: ApiError|null, loading: boolean}} */
+export function useData(url) {
+  const { revision, connected } = useContext(Live);
+  const [state, setState] = useState({ url: null, data: null, error: null, loading: true });
+  useEffect(() => {
+    if (url === null) return undefined;
+    const abort = new AbortController();
+    setState((last) => ({ ...last, loading: true }));
+    fetchJson(url, abort.signal).then(
+      (data) => setState({ url, data, error: null, loading: false }),
+      (error) => error.name === 'AbortError' || setState((last) => ({ url, data: error.status === 0 ? last.data : null, error, loading: false })),
+    );
+    return () => abort.abort();
+  }, [url, revision, connected]);
+  return url === null ? { data: null, error: null, loading: false } : state;
+}
+
+/** Add `format=csv` to an address of the API: the table behind it. */
+export const csvOf = (url) => `${url}${url.includes('?') ? '&' : '?'}format=csv`;
+
+/** Tell of each new revision: server-sent events, or asking every 5 s where they don't come.
+ * @param {(live: object) => void} tell @returns {() => void} ends it */
+export function follow(tell) {
+  let timer = null;
+  let last = {};
+  const say = (changes) => {
+    last = { ...last, ...changes };
+    tell(last);
+  };
+  const poll = () => fetchJson('/api/v1').then(
+    (index) => say({ connected: true, revision: index.revision, counts: index.counts, problems: index.problems ?? [] }),
+    (error) => say({ connected: error.status !== 0 }),
+  );
+  const source = new EventSource('/api/v1/events');
+  const startPolling = () => {
+    timer ??= setInterval(poll, 5000);
+  };
+  source.addEventListener('revision', (event) => {
+    clearInterval(timer);
+    timer = null;
+    say({ connected: true, problems: [], ...JSON.parse(event.data) });
+  });
+  source.addEventListener('error', () => {
+    poll();
+    startPolling();
+  });
+  return () => {
+    source.close();
+    clearInterval(timer);
+  };
+}

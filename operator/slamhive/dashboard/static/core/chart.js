@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+/** A chart with what belongs to it: its table, its CSV, its picture. */
+import { Link, Table } from './parts.js';
+import { html, useEffect, useLayoutEffect, useRef, useState } from './ui.js';
+
+/** Okabe and Ito's colours, distinguishable to the colour-blind; black is left out for the dark theme. */
+export const COLOURS = ['#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6bb1', '#a6761d', '#7f7f7f', '#b3b300'];
+
+let loading = null;
+const load = () => (loading ??= import('/vendor/echarts.mjs'));
+
+const isDark = () => {
+  const chosen = document.documentElement.dataset.theme;
+  return chosen ? chosen === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
+};
+
+const inks = (dark) => (dark
+  ? { text: '#d9dde3', faint: '#9aa3ad', line: '#3a424c', back: '#171b21' }
+  : { text: '#22272e', faint: '#5b6570', line: '#d9dee4', back: '#ffffff' });
+
+function dressed(option, dark) {
+  const ink = inks(dark);
+  const axis = (one) => ({
+    nameTextStyle: { color: ink.text }, nameLocation: 'middle', ...one,
+    axisLabel: { color: ink.faint, hideOverlap: true, ...one.axisLabel },
+    axisLine: { lineStyle: { color: ink.faint }, ...one.axisLine },
+    splitLine: { lineStyle: { color: ink.line }, ...one.splitLine },
+  });
+  const axes = (all) => (Array.isArray(all) ? all.map(axis) : all && axis(all));
+  const base = {
+    color: COLOURS, animation: false, backgroundColor: ink.back, textStyle: { color: ink.text, fontFamily: 'system-ui, sans-serif' },
+    aria: { enabled: true },
+  };
+  const out = { ...base, ...option, xAxis: axes(option.xAxis), yAxis: axes(option.yAxis) };
+  if (option.tooltip) {
+    out.tooltip = { renderMode: 'richText', confine: true, backgroundColor: ink.back, borderColor: ink.line, textStyle: { color: ink.text }, ...option.tooltip };
+  }
+  if (option.legend) out.legend = { type: 'scroll', top: 0, textStyle: { color: ink.text }, inactiveColor: ink.line, pageTextStyle: { color: ink.text }, pageIconColor: ink.text, ...option.legend };
+  if (option.visualMap) out.visualMap = { textStyle: { color: ink.text }, ...option.visualMap };
+  if (option.parallel) {
+    out.parallelAxis = option.parallelAxis.map((one) => ({ ...one, nameTextStyle: { color: ink.text }, axisLabel: { color: ink.faint, width: 80, overflow: 'truncate' }, axisLine: { lineStyle: { color: ink.faint } } }));
+  }
+  for (const key of ['xAxis', 'yAxis']) if (out[key] === undefined) delete out[key];
+  return out;
+}
+
+const save = (href, name) => {
+  const link = document.createElement('a');
+  link.href = href;
+  link.download = name;
+  link.click();
+};
+
+const fileName = (title, ending) => `${title.replaceAll(/[^\w.-]+/g, '-').slice(0, 80) || 'chart'}.${ending}`;
+
+/** A chart.
+ * @param {{option: object, title: string, height?: number, csv?: string, table?: {columns: object[], rows: object[]},
+ *   onClick?: (event: object) => void, onBrush?: (event: object) => void, link?: string, summary?: string}} props
+ *   option: of ECharts, without colours; csv: address of the table behind it; link: the page that shows it in full. */
+export function Chart({ option, title, height = 380, csv, table, onClick, events, link, summary }) {
+  const box = useRef(null);
+  const chart = useRef(null);
+  const current = useRef({});
+  const [failed, setFailed] = useState(null);
+  const [open, setOpen] = useState(false);
+  current.current = { option, onClick, events };
+
+  useLayoutEffect(() => {
+    let ended = false;
+    let watcher = null;
+    const draw = () => chart.current?.setOption(dressed(current.current.option, isDark()), { notMerge: true });
+    load().then((echarts) => {
+      if (ended) return;
+      chart.current = echarts.init(box.current, null, { renderer: 'canvas' });
+      chart.current.on('click', (event) => current.current.onClick?.(event));
+      for (const name of Object.keys(current.current.events ?? {})) {
+        chart.current.on(name, (event) => current.current.events[name]?.(event, chart.current));
+      }
+      draw();
+      box.current.dataset.drawn = 'yes';
+      watcher = new ResizeObserver(() => chart.current?.resize());
+      watcher.observe(box.current);
+    }, () => setFailed('The chart library could not be loaded; the table below has the numbers.'));
+    addEventListener('themechange', draw);
+    return () => {
+      ended = true;
+      removeEventListener('themechange', draw);
+      watcher?.disconnect();
+      chart.current?.dispose();
+      chart.current = null;
+    };
+  }, []);
+  useEffect(() => {
+    chart.current?.setOption(dressed(option, isDark()), { notMerge: true });
+  }, [option]);
+
+  const png = () => save(chart.current.getDataURL({ type: 'png', pixelRatio: 2, backgroundColor: inks(isDark()).back }), fileName(title, 'png'));
+  const svg = async () => {
+    const echarts = await load();
+    const paper = echarts.init(null, null, { renderer: 'svg', ssr: true, width: box.current.clientWidth, height });
+    paper.setOption(dressed(current.current.option, false));
+    const url = URL.createObjectURL(new Blob([paper.renderToSVGString()], { type: 'image/svg+xml' }));
+    save(url, fileName(title, 'svg'));
+    URL.revokeObjectURL(url);
+    paper.dispose();
+  };
+
+  return html`<figure class="chart"><figcaption><strong>${link ? html`<${Link} href=${link}>${title}</${Link}>` : title}</strong>
+      <span class="tools">${table && html`<button type="button" aria-expanded=${String(open)} onClick=${() => setOpen(!open)}>Table</button>`}
+        ${csv && html`<a href=${csv} download>CSV</a>`}
+        <button type="button" onClick=${png}>PNG</button><button type="button" onClick=${svg}>SVG</button></span></figcaption>
+    ${failed && html`<p class="fault" role="alert">${failed}</p>`}
+    <div class="canvas" ref=${box} role="img" aria-label=${summary ?? title} style=${{ height: `${height}px` }}></div>
+    ${open && html`<${Table} columns=${table.columns} rows=${table.rows.slice(0, 1000)} caption=${`Table of ${title}`} />
+      ${table.rows.length > 1000 && html`<p class="quiet">The first 1000 of ${table.rows.length} rows; the CSV has all.</p>`}`}
+  </figure>`;
+}
