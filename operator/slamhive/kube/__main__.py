@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gc
 import logging
 import signal
 import sys
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from slamhive.kube.operator import Reconcile
 
 _LONGEST_END_SECONDS = 5.0
+_OBJECTS_BETWEEN_COLLECTIONS = 20_000
 
 _log = logging.getLogger("slamhive.operator")
 
@@ -78,6 +80,7 @@ async def run(
     try:
         await _listen(op, health)
         await op.start()
+        _collect_seldom()
         _log.info("watching %s", ", ".join(settings.namespaces))
         await _watch(op)
         _log.info("ending")
@@ -89,6 +92,13 @@ async def run(
         await api.close()
         if archive is not None:
             archive.close()
+
+
+def _collect_seldom() -> None:
+    """Keep Python's search for cycles from walking all modules again for each few events."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS, 20, 20)
 
 
 async def _watch(op: Operator) -> None:

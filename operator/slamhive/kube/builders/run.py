@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from slamhive.model.configuration import RunConfiguration
     from slamhive.model.dataset import Dataset
 
+_Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times as fast where libyaml is there
+
 ALGORITHM = "algorithm"
 MONITOR = "monitor"
 
@@ -160,7 +162,7 @@ def run_job(
     }
     if settings.pods.runtime_class_name:
         pod["runtimeClassName"] = settings.pods.runtime_class_name
-    text = yaml.safe_dump(configuration.as_json(), sort_keys=False, allow_unicode=True)
+    text = yaml.dump(configuration.as_json(), Dumper=_Dumper, sort_keys=False, allow_unicode=True)
     return job(
         metadata["namespace"],
         job_name(metadata["name"], attempt),
