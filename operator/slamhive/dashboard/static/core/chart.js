@@ -44,6 +44,8 @@ function dressed(option, dark) {
   return out;
 }
 
+const take = (chart, on) => chart?.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption: { brushType: on ? 'rect' : false, brushMode: 'single' } });
+
 const save = (href, name) => {
   const link = document.createElement('a');
   link.href = href;
@@ -56,14 +58,15 @@ const fileName = (title, ending) => `${title.replaceAll(/[^\w.-]+/g, '-').slice(
 /** A chart.
  * @param {{option: object, title: string, height?: number, csv?: string, table?: {columns: object[], rows: object[]},
  *   onClick?: (event: object) => void, onBrush?: (event: object) => void, link?: string, summary?: string}} props
- *   option: of ECharts, without colours; csv: address of the table behind it; link: the page that shows it in full. */
-export function Chart({ option, title, height = 380, csv, table, onClick, events, link, summary }) {
+ *   option: of ECharts, without colours; csv: address of the table behind it; link: the page that shows it in full;
+ *   brushing: dragging selects, where the option has a brush. */
+export function Chart({ option, title, height = 380, csv, table, onClick, events, link, summary, brushing = false }) {
   const box = useRef(null);
   const chart = useRef(null);
   const current = useRef({});
   const [failed, setFailed] = useState(null);
   const [open, setOpen] = useState(false);
-  current.current = { option, onClick, events };
+  current.current = { option, onClick, events, brushing };
 
   useLayoutEffect(() => {
     let ended = false;
@@ -77,6 +80,7 @@ export function Chart({ option, title, height = 380, csv, table, onClick, events
         chart.current.on(name, (event) => current.current.events[name]?.(event, chart.current));
       }
       draw();
+      if (current.current.option.brush) take(chart.current, current.current.brushing);
       box.current.dataset.drawn = 'yes';
       watcher = new ResizeObserver(() => chart.current?.resize());
       watcher.observe(box.current);
@@ -92,7 +96,8 @@ export function Chart({ option, title, height = 380, csv, table, onClick, events
   }, []);
   useEffect(() => {
     chart.current?.setOption(dressed(option, isDark()), { notMerge: true });
-  }, [option]);
+    if (option.brush) take(chart.current, brushing);
+  }, [option, brushing]);
 
   const png = () => save(chart.current.getDataURL({ type: 'png', pixelRatio: 2, backgroundColor: inks(isDark()).back }), fileName(title, 'png'));
   const svg = async () => {

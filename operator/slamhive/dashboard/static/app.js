@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+/** The frame around all pages: which page an address means, navigation, theme, what the server says. */
+import { Address, readAddress } from './core/address.js';
+import { follow, Live } from './core/api.js';
+import { Link, Notes } from './core/parts.js';
+import { html, render, useEffect, useState } from './core/ui.js';
+
+/** Pages are loaded when they are first shown. */
+const PAGES = {
+  '': () => import('./pages/overview.js'),
+  explore: () => import('./pages/explore.js'),
+};
+const MENU = [['/', 'Overview'], ['/explore', 'Explore']];
+
+const remembered = () => {
+  try {
+    return localStorage.getItem('theme');
+  } catch {
+    return null;
+  }
+};
+
+function setTheme(theme) {
+  document.documentElement.dataset.theme = theme;
+  try {
+    localStorage.setItem('theme', theme);
+  } catch { /* a browser that keeps nothing: the theme lasts until the page is left */ }
+  dispatchEvent(new Event('themechange'));
+}
+
+function Theme() {
+  const [dark, setDark] = useState(() => (document.documentElement.dataset.theme ?? (matchMedia('(prefers-color-scheme: dark)').matches ? 'dark' : 'light')) === 'dark');
+  return html`<button type="button" class="plain" aria-pressed=${String(dark)} onClick=${() => {
+    setTheme(dark ? 'light' : 'dark');
+    setDark(!dark);
+  }}>${dark ? 'Light' : 'Dark'}</button>`;
+}
+
+function Page({ name }) {
+  const [page, setPage] = useState(null);
+  useEffect(() => {
+    let ended = false;
+    const load = Object.hasOwn(PAGES, name) ? PAGES[name] : null;
+    if (!load) setPage({ Shown: Nowhere });
+    else load().then((module) => ended || setPage({ Shown: module.default }), () => ended || setPage({ Shown: Broken }));
+    return () => {
+      ended = true;
+    };
+  }, [name]);
+  return page && html`<${page.Shown} />`;
+}
+
+const Nowhere = () => html`<h1>There is no such page</h1><p><${Link} href="/">To the overview</${Link}></p>`;
+const Broken = () => html`<h1>This page could not be loaded</h1><p>The dashboard may have been ended. Load the page again once it is there.</p>`;
+
+function App() {
+  const [here, setHere] = useState(readAddress());
+  const [live, setLive] = useState({ revision: null, connected: true, problems: [] });
+  useEffect(() => {
+    const read = () => setHere(readAddress());
+    addEventListener('popstate', read);
+    addEventListener('addresschange', read);
+    const end = follow(setLive);
+    return () => {
+      removeEventListener('popstate', read);
+      removeEventListener('addresschange', read);
+      end();
+    };
+  }, []);
+  const embedded = here.query.get('embed') === '1';
+  const name = here.path[0] ?? '';
+  return html`<${Address.Provider} value=${here}><${Live.Provider} value=${live}>
+    ${!embedded && html`<a class="skip" href="#main">To the content</a>
+    <header><${Link} class="brand" href="/"><img src="/icon.svg" alt="" width="26" height="26" />SLAM Hive</${Link}>
+      <nav aria-label="Pages">${MENU.map(([href, text]) => html`<${Link} href=${href} aria-current=${href.slice(1) === name ? 'page' : null}>${text}</${Link}>`)}</nav>
+      <${Theme} /></header>`}
+    ${!live.connected && html`<p class="banner" role="alert">The dashboard does not answer; what is shown is its last state. It is asked again by itself.</p>`}
+    <main id="main" tabindex="-1"><${Notes} notes=${live.problems} /><${Page} key=${name} name=${name} /></main>
+  </${Live.Provider}></${Address.Provider}>`;
+}
+
+if (['light', 'dark'].includes(remembered())) document.documentElement.dataset.theme = remembered();
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => dispatchEvent(new Event('themechange')));
+render(html`<${App} />`, document.getElementById('app'));

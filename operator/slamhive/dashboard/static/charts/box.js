@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Boxes of quartiles with every run drawn over them; fewer than five runs get no box. */
+import { clip, number } from '../core/format.js';
+import { asCategories, axisOption, quantile, readAxis } from './points.js';
+
+const MOST_POINTS = 2000;
+
+/** Return the option of a box chart; null where x has too many values.
+ * @param {object} data answer of analysis/points @param {number[]} indices which of its points
+ * @param {{ylog: boolean, tracked: boolean}} settings tracked: only tracked runs count */
+export function box(data, indices, { ylog, tracked }) {
+  const x = asCategories(readAxis(data.axes.x), data.count);
+  if (!x) return null;
+  const y = readAxis(data.axes.y);
+  const status = readAxis(data.status);
+  const colour = data.axes.colour ? asCategories(readAxis(data.axes.colour), data.count, 12) : null;
+  const names = colour?.categories ?? ['runs'];
+  const counted = indices.filter((index) => x.at(index) !== null && y.at(index) !== null && (!tracked || status.text(index) === 'Tracked'));
+  const series = names.flatMap((name, group) => {
+    const members = colour ? counted.filter((index) => colour.at(index) === group) : counted;
+    const cells = x.categories.map((_, place) => members.filter((index) => x.at(index) === place));
+    const boxes = cells.map((cell) => (cell.length < 5 ? ['-'] : five(cell.map(y.at))));
+    const dots = members.length <= MOST_POINTS ? members.map((index) => [x.at(index), y.at(index), index]) : [];
+    return [
+      { type: 'boxplot', name: clip(name, 40), data: boxes, boxWidth: [6, 46], itemStyle: { color: 'transparent', borderWidth: 1.5 }, id: `box${group}` },
+      { type: 'scatter', name: clip(name, 40), data: dots, symbolSize: 6, symbolOffset: [names.length > 1 ? (group - (names.length - 1) / 2) * 12 : 0, 0], itemStyle: { opacity: 0.65 }, id: `dot${group}` },
+    ].map((one) => ({ ...one, colorBy: 'series', ...tint(group, one.itemStyle) }));
+  });
+  return {
+    grid: { left: 72, right: 24, top: colour ? 40 : 16, bottom: 72 },
+    legend: colour ? { data: names.map((name) => clip(name, 40)) } : undefined,
+    tooltip: {
+      trigger: 'item',
+      formatter: (item) => (item.seriesType === 'scatter'
+        ? `run ${data.run?.[item.value[2]] ?? ''}\n${clip(y.heading.title, 40)}: ${y.text(item.value[2])}\n${status.text(item.value[2])}`
+        : ['least', 'lower quartile', 'median', 'upper quartile', 'largest'].map((what, at) => `${what}: ${number(item.value[at + 1])}`).join('\n')),
+    },
+    xAxis: axisOption(x),
+    yAxis: axisOption(y, { log: ylog, vertical: true }),
+    series,
+  };
+}
+
+const PALETTE = ['#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6bb1', '#a6761d', '#7f7f7f', '#b3b300', '#1b9e77', '#7570b3'];
+const tint = (group, style) => ({ itemStyle: { ...style, borderColor: PALETTE[group], ...(style.color ? {} : { color: PALETTE[group] }) }, color: PALETTE[group] });
+
+function five(values) {
+  const sorted = [...values].sort((a, b) => a - b);
+  return [sorted[0], quantile(sorted, 0.25), quantile(sorted, 0.5), quantile(sorted, 0.75), sorted.at(-1)];
+}

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Points, one a run; what failed is drawn above all others, as in the original SLAM Hive. */
+import { clip } from '../core/format.js';
+import { asCategories, axisOption, readAxis } from './points.js';
+
+const SHAPES = { Tracked: 'circle', Partial: 'emptyCircle', Lost: 'emptyTriangle', Diverged: 'emptyDiamond' };
+const MANY = 3000;
+
+/** Return the option of a scatter chart.
+ * @param {object} data answer of analysis/points @param {number[]} indices which of its points
+ * @param {{xlog: boolean, ylog: boolean, top: number|null}} settings top: where points without y are drawn */
+export function scatter(data, indices, { xlog, ylog, top }) {
+  const x = readAxis(data.axes.x);
+  const y = readAxis(data.axes.y);
+  const status = data.status ? readAxis(data.status) : null;
+  const colour = data.axes.colour ? readAxis(data.axes.colour) : null;
+  const groups = colour && asCategories(colour, data.count, 20);
+  const continuous = colour && !groups;
+  const place = (index) => [x.at(index), y.at(index) ?? top, index, ...(continuous ? [colour.at(index)] : [])];
+  const large = indices.length > MANY;
+  const dress = (point) => {
+    const value = place(point);
+    if (large) return value;
+    const state = status?.text(point) ?? 'Tracked';
+    return { value, symbol: y.at(point) === null ? 'path://M0 0L10 10M10 0L0 10' : SHAPES[state] ?? 'emptyRect' };
+  };
+  const kept = indices.filter((index) => x.at(index) !== null && place(index)[1] !== null);
+  const shared = { type: 'scatter', symbolSize: large ? 3 : 9, large, largeThreshold: MANY, itemStyle: { opacity: large ? 0.5 : 0.85 }, progressive: 0 };
+  const named = groups ? [...groups.categories, '–'] : ['runs'];
+  const parts = new Map(named.map((name) => [name, []]));
+  for (const index of kept) parts.get(groups ? named[groups.at(index) ?? named.length - 1] : 'runs').push(index);
+  const series = [...parts].map(([name, members], number) => ({ ...shared, name: clip(name, 40), data: members.map(dress), colorBy: 'series', id: String(number) }));
+  const tell = (item) => {
+    const index = item.value[2];
+    return [`run ${data.run?.[index] ?? data.id?.[index] ?? ''}`, `${clip(x.heading.title, 40)}: ${clip(x.text(index), 40)}`, `${clip(y.heading.title, 40)}: ${clip(y.text(index), 40)}`,
+      ...(colour ? [`${clip(colour.heading.title, 40)}: ${clip(colour.text(index), 40)}`] : []), status?.text(index) ?? ''].join('\n');
+  };
+  return {
+    grid: { left: 72, right: continuous ? 90 : 24, top: groups ? 40 : 16, bottom: 64 },
+    legend: groups ? { data: series.filter((one) => one.data.length).map((one) => one.name) } : undefined,
+    tooltip: { trigger: 'item', formatter: tell },
+    visualMap: continuous ? range(kept.map(colour.at), colour.heading.title) : undefined,
+    xAxis: axisOption(x, { log: xlog }),
+    yAxis: axisOption(y, { log: ylog, vertical: true }),
+    brush: { xAxisIndex: 0, yAxisIndex: 0, brushMode: 'single', outOfBrush: { colorAlpha: 0.25 }, throttleType: 'debounce', throttleDelay: 150 },
+    toolbox: { show: false },
+    series,
+  };
+}
+
+function range(values, title) {
+  const known = values.filter((value) => value !== null);
+  return {
+    type: 'continuous', dimension: 3, min: known.reduce((a, b) => Math.min(a, b), Infinity), max: known.reduce((a, b) => Math.max(a, b), -Infinity), text: [clip(title, 16), ''], right: 0, top: 'middle',
+    inRange: { color: ['#440154', '#31688e', '#35b779', '#d8b000'] },
+  };
+}

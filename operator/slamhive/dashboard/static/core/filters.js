@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Which runs are meant: chips for what is chosen, a choice of column and value, a condition in words. */
+import { useAddress } from './address.js';
+import { cell, clip } from './format.js';
+import { Fault } from './parts.js';
+import { html, useEffect, useState } from './ui.js';
+
+const GROUPS = ['run', 'result', 'errors', 'usage', 'parameters', 'input', 'resources', 'dataset', 'labels', 'metrics', 'frames', 'provenance', 'trajectory'];
+
+/** Return options for a choice of columns, in groups; those that never vary are left out.
+ * @param {object[]} columns headings @param {(column: object) => boolean} [fits] */
+export function columnOptions(columns, fits = () => true) {
+  const usable = (columns ?? []).filter((one) => one.kind !== 'other' && one.distinct !== 1 && fits(one));
+  const groups = [...new Set([...GROUPS, ...usable.map((one) => one.group)])];
+  return groups.map((group) => ({
+    label: group,
+    options: usable.filter((one) => one.group === group).map((one) => [one.name, one.title]),
+  })).filter((group) => group.options.length);
+}
+
+/** True for columns of numbers and times. */
+export const isNumeric = (column) => ['number', 'integer', 'time'].includes(column.kind);
+
+const text = (pair) => (pair[1] === null ? pair[0] : /[<>!]$/.test(pair[0]) ? `${pair[0]}=${pair[1]}` : `${pair[0]} = ${pair[1]}`);
+
+/** The filters of a page. @param {{columns: object[], error?: import('./api.js').ApiError}} props */
+export function Filters({ columns, error }) {
+  const { query, follow, change } = useAddress();
+  const [column, setColumn] = useState('');
+  const where = query.get('where');
+  const [draft, setDraft] = useState(where);
+  useEffect(() => setDraft(where), [where]);
+  const chosen = query.filters().pairs.filter(([name]) => name !== 'where');
+  const heading = columns?.find((one) => one.name === column);
+  const add = (value) => {
+    if (value !== '') follow(query.and(column, value));
+    setColumn('');
+  };
+  const wrongChip = (pair) => error?.field && pair[0].startsWith(error.field);
+  return html`<section class="filters" aria-label="Filters">
+    <div class="row">
+      ${chosen.map((pair) => html`<span class=${`chip ${wrongChip(pair) ? 'wrong' : ''}`}>${clip(text(pair), 60)}
+        <button type="button" aria-label=${`Remove the filter ${clip(text(pair), 80)}`} onClick=${() => follow(query.without(pair))}>×</button></span>`)}
+      <label class="field"><span>Filter by</span><select value=${column} onChange=${(event) => setColumn(event.target.value)}>
+        <option value="">column…</option>
+        ${columnOptions(columns).map((group) => html`<optgroup label=${group.label}>${group.options.map(([name, title]) => html`<option value=${name}>${clip(title, 60)}</option>`)}</optgroup>`)}
+      </select></label>
+      ${heading && (heading.values
+        ? html`<label class="field"><span>is</span><select value="" onChange=${(event) => add(event.target.value)}><option value="">value…</option>
+            ${heading.values.map((one) => html`<option value=${String(one.value)}>${clip(cell(one.value, heading), 60)} (${one.count})</option>`)}</select></label>`
+        : html`<label class="field"><span>is</span><input type="text" placeholder="value, then Enter" onChange=${(event) => add(event.target.value)} /></label>`)}
+      <label class=${`field wide ${error?.field === 'where' ? 'wrong' : ''}`}><span>Condition</span>
+        <input type="text" spellcheck="false" maxlength="8000" placeholder="coverage >= 0.9 and run not in (53, 103)" value=${draft} aria-invalid=${error?.field === 'where' ? 'true' : null}
+          onInput=${(event) => setDraft(event.target.value)} onChange=${(event) => change({ where: event.target.value.trim() })} /></label>
+    </div>
+    ${error && (error.field === 'where' || chosen.some(wrongChip)) && html`<${Fault} error=${error} />`}
+  </section>`;
+}
+
+/** True where the filters themselves show an error. */
+export const shownByFilters = (error, query) => Boolean(error?.field)
+  && (error.field === 'where' || query.filters().pairs.some(([name]) => name.startsWith(error.field)));

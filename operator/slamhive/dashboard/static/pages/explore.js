@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Explore: one chart over all runs, made of columns that the reader chooses. */
+import { box } from '../charts/box.js';
+import { line } from '../charts/line.js';
+import { facets, readAxis } from '../charts/points.js';
+import { scatter } from '../charts/scatter.js';
+import { address, go, Query, useAddress } from '../core/address.js';
+import { csvOf, fetchJson, useData } from '../core/api.js';
+import { Chart } from '../core/chart.js';
+import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
+import { clip } from '../core/format.js';
+import { Choice, Fault, Link, NothingFits, Notes, Tick, useTitle, Waiting } from '../core/parts.js';
+import { html, useMemo, useState } from '../core/ui.js';
+import { groupTable, GroupTable } from './groups.js';
+import { RunRows } from './runrows.js';
+
+export const KINDS = [['scatter', 'points'], ['line', 'lines'], ['box', 'boxes']];
+const FIELDS = ['x', 'y', 'colour', 'facet'];
+
+/** Return the settings of an address, with what is shown where it names nothing. */
+function settingsOf(query, columns) {
+  const varied = columns.filter((one) => one.distinct > 1);
+  const guess = varied.find((one) => one.group === 'parameters' && isNumeric(one)) ?? varied.find((one) => one.name === 'usage.cpu.meanCores') ?? varied.find(isNumeric);
+  const at = (name, otherwise) => query.get(name, otherwise);
+  return {
+    kind: KINDS.some(([kind]) => kind === at('kind')) ? at('kind') : 'scatter', x: at('x', guess?.name ?? 'algorithm'), y: at('y', 'ate.rmse'),
+    colour: at('colour'), facet: at('facet'), outcomes: at('outcomes', 'tracked') === 'all' ? 'all' : 'tracked',
+    figure: at('figure') === 'mean' ? 'mean' : 'median', xlog: at('xlog') === '1', ylog: at('ylog') === '1',
+  };
+}
+
+export default function Explore() {
+  const { query } = useAddress();
+  const columns = useData('/api/v1/columns');
+  useTitle(query.get('title') || 'Explore');
+  if (columns.error) return html`<h1>Explore</h1><${Fault} error=${columns.error} />`;
+  if (!columns.data) return html`<${Waiting} />`;
+  if (columns.data.items.length === 0) return html`<h1>Explore</h1><${NothingFits} />`;
+  return html`<${Explored} columns=${columns.data.items} />`;
+}
+
+function Explored({ columns }) {
+  const { query, change } = useAddress();
+  const set = settingsOf(query, columns);
+  const embedded = query.get('embed') === '1';
+  const filters = query.filters();
+  const drawn = set.kind === 'line'
+    ? address('/api/v1/analysis/aggregate', filters.with({ by: [set.x, set.colour, set.facet].filter(Boolean).join(','), metrics: set.y, outcomes: set.outcomes }))
+    : address('/api/v1/analysis/points', filters.with({ x: set.x, y: set.y, colour: set.colour, facet: set.facet }));
+  const state = useData(drawn);
+  const title = query.get('title') || `${titleOf(columns, set.y)} over ${titleOf(columns, set.x)}`;
+  const field = state.error?.field;
+  const at = { by: 'x', metrics: 'y', metric: 'y' }[field] ?? field;
+  const atFilters = shownByFilters(state.error, query);
+  return html`<h1>${clip(title, 120)}</h1>
+    ${!embedded && html`<${Controls} columns=${columns} set=${set} change=${(changes) => change({ title: null, ...changes })} error=${state.error} field=${at} />
+      <${Filters} columns=${columns} error=${state.error} />`}
+    ${(embedded || (!atFilters && !FIELDS.includes(at))) && html`<${Fault} error=${state.error} />`}
+    ${state.data ? html`<${Drawing} key=${set.kind} set=${set} data=${state.data} title=${title} csv=${csvOf(drawn)} />` : !state.error && html`<${Waiting} />`}
+    ${!embedded && state.data && html`<${GroupTable} columns=${columns} set=${set} filters=${filters} />`}
+    ${!embedded && !state.error && set.kind !== 'scatter' && html`<${RunRows} filters=${filters} extra=${[set.x, set.y, set.colour]} />`}`;
+}
+
+const titleOf = (columns, name) => columns.find((one) => one.name === name)?.title ?? name;
+
+function Controls({ columns, set, change, error, field }) {
+  const wrong = (name) => (field === name ? error : null);
+  const any = columnOptions(columns);
+  const numbers = columnOptions(columns, isNumeric);
+  return html`<section class="controls" aria-label="What is drawn"><div class="row">
+    <${Choice} label="Draw" value=${set.kind} options=${KINDS} onChange=${(kind) => change({ kind })} />
+    <${Choice} label="x" value=${set.x} options=${any} error=${wrong('x')} onChange=${(x) => change({ x })} />
+    <${Choice} label="y" value=${set.y} options=${numbers} error=${wrong('y')} onChange=${(y) => change({ y })} />
+    <${Choice} label="Colour" value=${set.colour} options=${any} none="none" error=${wrong('colour')} onChange=${(colour) => change({ colour })} />
+    <${Choice} label="One chart each" value=${set.facet} options=${any} none="all in one" error=${wrong('facet')} onChange=${(facet) => change({ facet })} />
+    ${set.kind !== 'scatter' && html`<${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} onChange=${(outcomes) => change({ outcomes })} />`}
+    ${set.kind === 'line' && html`<${Choice} label="Figure" value=${set.figure} options=${['median', 'mean']} onChange=${(figure) => change({ figure })} />`}
+    <${Tick} label="log x" checked=${set.xlog} onChange=${(on) => change({ xlog: on ? 1 : null })} />
+    <${Tick} label="log y" checked=${set.ylog} onChange=${(on) => change({ ylog: on ? 1 : null })} />
+  </div></section>`;
+}
+
+function Drawing({ set, data, title, csv }) {
+  const { query } = useAddress();
+  const [area, setArea] = useState(null);
+  const [brushing, setBrushing] = useState(false);
+  const parts = useMemo(() => (set.kind === 'line' ? lineParts(data, set) : pointParts(data, set)), [data, JSON.stringify(set)]);
+  if (parts === null) return html`<p class="fault" role="alert">${clip(set.facet, 60)} has too many values for one chart each; choose another column.</p>`;
+  if ((data.count ?? data.groups?.length) === 0) return html`<${NothingFits} />`;
+  const sentences = [...new Set([...(data.mixed ?? []).map((one) => one.sentence), ...(data.notes ?? [])])];
+  const open = (event) => openRun(data, event);
+  const many = parts.length > 1;
+  return html`${set.kind === 'scatter' && html`<p class="row"><${Tick} label="Select by dragging" checked=${brushing} onChange=${setBrushing} />
+      ${area && html`<button type="button" onClick=${() => setArea(null)}>All runs again</button>`}<span class="quiet">A click on a point opens its run. Crosses have no value: they are drawn above the others.</span></p>`}
+    <div class=${many ? 'facets' : ''}>${parts.map((part) => (part.option
+      ? html`<${Chart} key=${part.name} option=${part.option} height=${many ? 320 : 440} brushing=${brushing} onClick=${open} events=${{ brushEnd: (event) => setArea(ranges(event, data)) }}
+          title=${part.name ? `${title}: ${part.name}` : title} csv=${csv} table=${part.table} summary=${`${title}; the table has its numbers`} />`
+      : html`<p class="fault" role="alert">${clip(set.x, 60)} has too many values for boxes; choose another column or draw points.</p>`))}</div>
+    <${Notes} notes=${sentences} />
+    ${set.kind === 'scatter' && query.get('embed') !== '1' && html`<${RunRows} filters=${new Query([...query.filters().pairs, ...(area ?? [])])} extra=${[set.x, set.y, set.colour]} selected=${area !== null} />`}`;
+}
+
+function lineParts(data, set) {
+  const values = set.facet ? [...new Set(data.groups.map((group) => String(group.keys[set.facet])))] : [null];
+  if (values.length > 24) return null;
+  return values.map((value) => ({
+    name: value, option: line(data, { ...set, facetValue: value }),
+    table: groupTable(set.facet ? { ...data, groups: data.groups.filter((group) => String(group.keys[set.facet]) === value) } : data),
+  }));
+}
+
+function pointParts(data, set) {
+  const parts = facets(data);
+  if (parts === null) return null;
+  const y = readAxis(data.axes.y);
+  const largest = parts.flatMap((part) => part.indices).reduce((top, index) => Math.max(top, y.at(index) ?? -Infinity), -Infinity);
+  const top = Number.isFinite(largest) && !y.categories ? largest * 1.1 : null;
+  return parts.map(({ name, indices }) => ({
+    name, table: pointTable(data, indices),
+    option: set.kind === 'box' ? box(data, indices, { ylog: set.ylog, tracked: set.outcomes === 'tracked' }) : scatter(data, indices, { ...set, top }),
+  }));
+}
+
+function pointTable(data, indices) {
+  const axes = Object.values(data.axes).map(readAxis);
+  const status = readAxis(data.status);
+  return {
+    columns: [{ name: 'run', title: 'run' }, ...axes.map((axis) => ({ name: axis.heading.name, title: axis.heading.title, show: (value) => clip(value, 48) })), { name: 'status', title: 'status' }],
+    rows: indices.slice(0, 1001).map((index) => ({ run: data.run?.[index] ?? data.id[index], ...Object.fromEntries(axes.map((axis) => [axis.heading.name, axis.text(index)])), status: status.text(index) })),
+  };
+}
+
+async function openRun(data, event) {
+  const index = event.value?.[2];
+  if (event.seriesType !== 'scatter' || index === undefined) return;
+  const uid = data.uid?.[index] ?? (await fetchJson(address('/api/v1/runs', { id: data.id[index], columns: 'uid' }))).items[0]?.uid;
+  if (uid) go(`/runs/${encodeURIComponent(uid)}`);
+}
+
+/** Turn a dragged rectangle into filters of the API, in stored units. */
+function ranges(event, data) {
+  const area = event.areas?.[0]?.coordRange;
+  if (!area) return null;
+  return ['x', 'y'].flatMap((name, at) => {
+    const axis = readAxis(data.axes[name]);
+    const [low, high] = area[at];
+    if (axis.categories) return axis.categories.slice(Math.max(0, Math.ceil(low)), Math.floor(high) + 1).map((value) => [axis.heading.name, value]);
+    if (axis.heading.kind === 'time') return [];
+    const factor = axis.heading.factor ?? 1;
+    return [[`${axis.heading.name}>`, String(low / factor)], [`${axis.heading.name}<`, String(high / factor)]];
+  });
+}

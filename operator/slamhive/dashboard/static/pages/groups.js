@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+/** What stands beside a chart so that nobody is misled: n, failures, coverage of each group. */
+import { address } from '../core/address.js';
+import { csvOf, useData } from '../core/api.js';
+import { clip, number } from '../core/format.js';
+import { Fault, Notes, Table } from '../core/parts.js';
+import { html } from '../core/ui.js';
+
+/** Return the columns and rows of a table of groups. @param {object} data answer of analysis/aggregate */
+export function groupTable(data) {
+  const varied = data.keys.filter((key) => data.groups.length < 2 || new Set(data.groups.map((group) => String(group.keys[key.name]))).size > 1);
+  const figures = data.metrics.flatMap((metric) => ['median', 'mean', 'std', 'min', 'max'].map((which) => ({ ...metric, kind: 'number', name: `${metric.name} ${which}`, title: `${metric.title} ${which}` })));
+  return {
+    columns: [...varied, { name: 'n', kind: 'integer', title: 'n' }, { name: 'runs', kind: 'integer', title: 'runs' }, { name: 'failures', title: 'failures' }, { name: 'coverage', kind: 'number', title: 'coverage' }, ...figures],
+    rows: data.groups.map((group) => ({
+      ...group.keys, n: group.n, runs: group.runs, coverage: group.coverage?.mean ?? null, failures: failureText(group.failures),
+      ...Object.fromEntries(data.metrics.flatMap((metric) => Object.entries(group.figures[metric.name] ?? {}).map(([which, value]) => [`${metric.name} ${which}`, value]))),
+    })),
+  };
+}
+
+/** Return failures as words: "4 Partial, 1 Lost". */
+export const failureText = (failures) => Object.entries(failures ?? {}).map(([what, count]) => `${number(count)} ${what}`).join(', ') || 'none';
+
+/** The groups of what a chart shows, with their n, failures and coverage. */
+export function GroupTable({ columns, set, filters }) {
+  const few = (name) => name && (columns.find((one) => one.name === name)?.distinct ?? 1e9) <= 40;
+  const by = [...new Set([set.x, set.colour, set.facet].filter(few))];
+  const url = by.length ? address('/api/v1/analysis/aggregate', filters.with({ by: by.join(','), metrics: set.y, outcomes: set.outcomes })) : null;
+  const state = useData(url);
+  if (!url) return null;
+  const shown = state.data && groupTable(state.data);
+  return html`<section><h2>Behind it <a class="small" href=${csvOf(url)} download>CSV</a></h2>
+    <p class="quiet">Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs; coverage over all evaluated ones.</p>
+    <${Fault} error=${state.error} />
+    ${shown && html`<${Table} columns=${shown.columns} rows=${shown.rows.slice(0, 200)} caption=${`Groups by ${clip(by.join(', '), 100)}`} />`}
+    <${Notes} notes=${state.data?.notes} /></section>`;
+}
