@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from slamhive_eval.report import report_html
     from slamhive_eval.result_tables import csv_table, latex_table
     from slamhive_eval.robust import align_robustly
+    from slamhive_eval.segments import Piece, number_poses, read_segments
     from slamhive_eval.support import (
         Gap,
         SegmentedEvaluation,
@@ -82,6 +83,7 @@ _MODULES = {
     "repeated": ("Repeated", "summarize"),
     "report": ("report_html",),
     "result_tables": ("csv_table", "latex_table"),
+    "segments": ("Piece", "number_poses", "read_segments"),
     "support": (
         "Gap",
         "SegmentedEvaluation",
@@ -156,6 +158,9 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "evaluate_segments",
     "segment_numbers",
     "SegmentedEvaluation",
+    "read_segments",
+    "number_poses",
+    "Piece",
     "summarize",
     "Repeated",
     "read_cloud",

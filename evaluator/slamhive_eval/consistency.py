@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from slamhive_eval.rotation import FloatArray
     from slamhive_eval.trajectory import Trajectory
 
+Part = Literal["position", "rotation"]
+
 SIGMAS = (1.0, 2.0, 3.0)
 CHI_SQUARE_95 = {3: 7.814727903251179, 6: 12.591587243743977}
 """Limits that chi-square of 3 and of 6 degrees of freedom stays below in 95 %."""
@@ -33,8 +35,8 @@ class Consistency:
     """Errors beside what the covariances promise.
 
     Attributes:
-        dimensions: 3 for positions, 6 for poses.
-        errors: Position error in m and, of poses, rotation vector in rad, reference world, shape (n, d).
+        dimensions: 3 for positions or rotations alone, 6 for poses.
+        errors: Position error in m, rotation vector in rad, or both, reference world, shape (n, d).
         sigmas: Standard deviations promised for each, shape (n, d).
         nees: eᵀ·P⁻¹·e, shape (k,), of the k poses whose covariance has an inverse.
         used: Which poses these are, shape (n,).
@@ -60,6 +62,7 @@ class Consistency:
             "dimensions": self.dimensions,
             "count": len(self.nees),
             "withoutCovariance": int(np.count_nonzero(~self.used)),
+            "anees": statistics.mean / self.dimensions if statistics else None,
             "nees": statistics.as_dict() if statistics else None,
             "neesExpected": float(self.dimensions),
             "neesWithin95": float(np.mean(inside)) if len(inside) else None,
@@ -76,6 +79,8 @@ def measure_consistency(
     covariances: FloatArray,
     turn: FloatArray | None = None,
     scale: float = 1.0,
+    *,
+    part: Part | None = None,
 ) -> Consistency:
     """Compare the errors of associated, aligned trajectories with the estimate's covariances.
 
@@ -91,15 +96,19 @@ def measure_consistency(
         turn: R of the alignment, shape (3, 3), which turns the covariances into the reference's world; None
             where the estimate wasn't turned.
         scale: s of the alignment, which covariances of positions follow by s².
+        part: Compare the ``position`` or the ``rotation`` alone, as OpenVINS does; None for all there is.
 
     Returns:
         The comparison.
 
     Raises:
-        OptionError: Unequal numbers of poses or covariances of another shape.
+        OptionError: Unequal numbers of poses or covariances of another shape, or of positions only for a
+            rotation.
     """
     n = len(reference)
     d = covariances.shape[-1]
+    if part == "rotation" and d == 3:
+        raise OptionError("the covariances are of positions only")
     if len(estimate) != n or d not in (3, 6) or covariances.shape != (n, d, d):
         raise OptionError(
             f"consistency needs {n} estimated poses with covariances ({n}, 3, 3) or ({n}, 6, 6), "
@@ -113,6 +122,10 @@ def measure_consistency(
     into_world[:3, :3] = scale * (np.eye(3) if turn is None else turn)
     if d == 6:
         into_world[3:, 3:] = into_world[:3, :3] / scale
+    if part is not None and d == 6:
+        chosen = slice(0, 3) if part == "position" else slice(3, 6)
+        errors, covariances, d = errors[:, chosen], covariances[:, chosen, chosen], 3
+        into_world = into_world[chosen, chosen]
     finite = np.logical_and.reduce(np.isfinite(covariances), axis=(1, 2))
     turned = into_world @ np.where(finite[:, np.newaxis, np.newaxis], covariances, 0.0) @ into_world.T
     turned = (turned + turned.transpose(0, 2, 1)) / 2.0

@@ -1,18 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories in files: TUM, EuRoC ground truth, KITTI and tables, plain or compressed, and recordings.
-
-numpy's C reader takes the whole file at once; only when it refuses, or a value turns out wrong, is the
-text gone through line by line to name the line.
-"""
+"""Trajectories in files: TUM, EuRoC ground truth, KITTI and tables, plain or compressed, and recordings."""
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import io
-import itertools
-import warnings
-import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -20,11 +10,10 @@ import numpy as np
 
 from slamhive_eval import bags, rotation, tables
 from slamhive_eval.errors import FileError, OptionError, TrajectoryError
+from slamhive_eval.textfiles import data_lines, decode, fault_in_row, head, is_number, parse_table, read_bytes
 from slamhive_eval.trajectory import LARGEST_METRES, Trajectory, find_fault
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from slamhive_eval.rotation import FloatArray
 
 Format = Literal["tum", "euroc", "kitti", "csv", "bag"]
@@ -41,9 +30,6 @@ _COLUMNS: dict[str, tuple[int, str]] = {
 _TUM_ORDER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _EUROC_ORDER = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 _FIRST_NANOSECOND_STAMP = 1e14
-_BLOCK = 1 << 24
-"""Characters that are turned into numbers at once."""
-_GZIP, _BZIP2 = b"\x1f\x8b", b"BZh"
 
 
 def read_trajectory(
@@ -81,21 +67,22 @@ def read_trajectory(
         return bags.read_bag(path, topic, sort=unsorted == "sort")
     if topic is not None:
         raise FileError(path, f"is no recording; only those have topics such as {topic!r}")
-    text = read_text(path)
+    data = read_bytes(path)
     header = None
     if file_format is None:
-        file_format, header = ("kitti", None) if times is not None else _detect(path, text)
+        file_format, header = ("kitti", None) if times is not None else _detect(path, head(data))
     if file_format == "csv":
-        return _from_table(path, text, header or tables.find_header(path, text), unsorted)
-    table = parse_table(path, text, *_COLUMNS[file_format], extra=file_format == "euroc")
+        return _from_table(path, data, header or tables.find_header(path, head(data)), unsorted)
+    table = parse_table(path, data, *_COLUMNS[file_format], extra=file_format == "euroc")
     if file_format == "kitti":
-        return _from_kitti(path, text, table, times)
+        return _from_kitti(path, data, table, times)
     if file_format == "euroc":
         # float64 nanoseconds divided by 1e9, as evo does: a stamp then equals evo's to the last bit.
         stamps, quaternions = table[:, 0] / 1e9, table[:, [5, 6, 7, 4]]
     else:
         stamps, quaternions = table[:, 0], table[:, 4:8]
-    return _checked(path, text, (stamps, table[:, 1:4], quaternions), unsorted)
+    rows = tables.Rows(stamps, table[:, 1:4], quaternions, oriented=True, covariances=None)
+    return _checked(path, data, rows, unsorted)
 
 
 def detect_format(path: str | Path) -> Format:
@@ -105,7 +92,7 @@ def detect_format(path: str | Path) -> Format:
         FileError: It can't be read, or its first line is of no known format.
     """
     path, _ = _split_topic(path, None)
-    return "bag" if bags.is_bag(path) else _detect(path, read_text(path))[0]
+    return "bag" if bags.is_bag(path) else _detect(path, head(read_bytes(path)))[0]
 
 
 def read_transform(path: str | Path) -> FloatArray:
@@ -118,7 +105,7 @@ def read_transform(path: str | Path) -> FloatArray:
         FileError: The file can't be read or holds other than so many numbers.
     """
     words = read_text(path).translate(str.maketrans("[](),;", "      ")).split()
-    if len(words) not in (7, 12, 16) or not all(map(_is_number, words)):
+    if len(words) not in (7, 12, 16) or not all(map(is_number, words)):
         raise FileError(
             path, "a transform has 16 or 12 numbers of a matrix row by row, or 7: x y z qx qy qz qw"
         )
@@ -173,123 +160,16 @@ def read_text(path: str | Path) -> str:
     Raises:
         FileError: The file can't be read, its compressed data is broken, or it holds no text.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise FileError(path, f"can't be read: {error.strerror or error}") from error
-    try:
-        if data.startswith(_GZIP):
-            data = gzip.decompress(data)
-        elif data.startswith(_BZIP2):
-            data = bz2.decompress(data)
-    except (OSError, EOFError, ValueError, zlib.error) as error:
-        raise FileError(path, f"the compressed data is broken or cut off ({error})") from error
-    if b"\0" in data:
-        raise FileError(path, "is no text file (it holds zero bytes)")
-    text = data.decode("utf-8-sig", errors="replace")
-    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
-
-
-def parse_table(
-    path: str | Path, text: str, columns: int, meaning: str, *, extra: bool = False
-) -> FloatArray:
-    """Numbers of a text, one row a line; commas count as white space, ``#`` begins a comment.
-
-    Args:
-        path: Named in errors.
-        text: The whole text.
-        columns: Numbers a line must hold.
-        meaning: What they are, for errors.
-        extra: Whether further columns may follow.
-
-    Returns:
-        The numbers, shape (n, columns), n ≥ 1; NaN and infinity pass.
-
-    Raises:
-        FileError: No line with numbers, a line of another length, or something that is no number.
-    """
-    first = next(_data_lines(text), None)
-    if first is None:
-        raise FileError(path, "holds no poses: every line is empty or a comment")
-    try:
-        table = _numbers(text, commas="," in first[1])
-    except ValueError:
-        table = np.empty((0, 0))
-    if not len(table) or table.shape[1] < columns or (table.shape[1] > columns and not extra):
-        _raise_bad_line(path, text, columns, meaning, extra=extra)
-        raise FileError(path, f"can't be read as lines of {columns} numbers: {meaning}")
-    return table[:, :columns]
-
-
-def _numbers(text: str, *, commas: bool) -> FloatArray:
-    """All numbers of a text, block by block, for a buffer of all of it is as large as the text again.
-
-    Raises:
-        ValueError: Something is no number, or lines differ in length.
-    """
-    rows = np.empty((0, 0))
-    count = start = 0
-    while start < len(text):
-        end = text.find("\n", start + _BLOCK) + 1 or len(text)
-        block = text[start:end]
-        start = end
-        data = io.BytesIO((block.replace(",", " ") if commas else block).encode())
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a block without numbers
-            found = np.loadtxt(io.TextIOWrapper(data, encoding="utf-8"), dtype=np.float64, ndmin=2)
-        if not len(found):
-            continue
-        if start >= len(text) and not count:
-            return found
-        if not count:
-            rows = np.empty((text.count("\n") + 1, found.shape[1]))
-        if found.shape[1] != rows.shape[1]:
-            raise ValueError("lines of different lengths")
-        rows[count : count + len(found)] = found
-        count += len(found)
-    return rows[:count]
-
-
-def fault_in_row(path: str | Path, text: str, row: int, message: str, skipped: int = 0) -> FileError:
-    """The error for data row ``row`` (from 0) below some lines, naming the line of the text it stands on."""
-    lines = (number for number, _ in _data_lines(text) if number > skipped)
-    return FileError(path, message, next(itertools.islice(lines, row, None), None))
-
-
-def _data_lines(text: str) -> Iterator[tuple[int, str]]:
-    """Lines that hold something, without comments, numbered from 1."""
-    for number, line in enumerate(tables.lines_of(text), start=1):
-        content = line.split("#", 1)[0].strip()
-        if content:
-            yield number, content
-
-
-def _raise_bad_line(path: str | Path, text: str, columns: int, meaning: str, *, extra: bool) -> None:
-    for number, content in _data_lines(text):
-        words = content.replace(",", " ").split()
-        if len(words) < columns or (len(words) > columns and not extra):
-            raise FileError(path, f"found {len(words)} of {columns} values; expected {meaning}", number)
-        for word in words:
-            if not _is_number(word):
-                shown = word if len(word) <= 30 else word[:30] + "…"
-                raise FileError(path, f"{shown!r} is no number; expected {meaning}", number)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return "_" not in word
+    return decode(read_bytes(path))
 
 
 def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
-    first = next(_data_lines(text), None)
+    first = next(data_lines(text), None)
     if first is None:
         raise FileError(path, "holds no poses: every line is empty or a comment")
     number, content = first
     words = content.replace(",", " ").split()
-    numeric = any(map(_is_number, words))
+    numeric = any(map(is_number, words))
     header = tables.find_header(path, text)
     if header is not None and numeric and header.count != len(words):
         header = None
@@ -297,8 +177,9 @@ def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
     if numeric and (header is None or header.order in (_TUM_ORDER, _EUROC_ORDER)):
         if len(words) == 12 and "," not in content:
             return "kitti", None
-        if len(words) == 8 or (len(words) > 8 and "," in content):
-            nanoseconds = _is_number(words[0]) and abs(float(words[0])) > _FIRST_NANOSECOND_STAMP
+        covariances = header is not None and header.covariance
+        if len(words) == 8 or (len(words) > 8 and "," in content and not covariances):
+            nanoseconds = is_number(words[0]) and abs(float(words[0])) > _FIRST_NANOSECOND_STAMP
             return "euroc" if nanoseconds and "," in content else "tum", None
     if header is not None:
         return "csv", header
@@ -311,57 +192,53 @@ def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
     )
 
 
-def _from_table(path: str | Path, text: str, header: tables.Header | None, unsorted: Unsorted) -> Trajectory:
+def _from_table(
+    path: str | Path, data: bytes, header: tables.Header | None, unsorted: Unsorted
+) -> Trajectory:
     if header is None:
         raise FileError(
             path, "the first line names no time and position, as timestamp,x,y,z,qx,qy,qz,qw does", 1
         )
-    stamps, positions, quaternions, oriented = tables.read_table(path, text, header)
-    return _checked(path, text, (stamps, positions, quaternions), unsorted, header.line, oriented=oriented)
+    return _checked(path, data, tables.read_table(path, decode(data), header), unsorted, header.line)
 
 
 def _checked(
-    path: str | Path,
-    text: str,
-    poses: tuple[FloatArray, FloatArray, FloatArray],
-    unsorted: Unsorted,
-    skipped: int = 0,
-    *,
-    oriented: bool = True,
+    path: str | Path, data: bytes, rows: tables.Rows, unsorted: Unsorted, skipped: int = 0
 ) -> Trajectory:
-    stamps, positions, quaternions = poses
+    stamps, positions, quaternions, oriented, covariances = rows
     order = np.arange(len(stamps))
     if unsorted == "sort" and (np.diff(stamps) < 0).any():
         order = np.argsort(stamps, kind="stable")
         stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
+        covariances = None if covariances is None else covariances[order]
     try:
-        return Trajectory(stamps, positions, quaternions, oriented=oriented)
+        return Trajectory(stamps, positions, quaternions, oriented=oriented, covariances=covariances)
     except TrajectoryError as error:
         fault = find_fault(stamps, positions, quaternions)
         if fault is None:
             raise FileError(path, str(error)) from None
-        raise fault_in_row(path, text, int(order[fault.row]), fault.message, skipped) from None
+        raise fault_in_row(path, data, int(order[fault.row]), fault.message, skipped) from None
 
 
-def _from_kitti(path: str | Path, text: str, table: FloatArray, times: str | Path | None) -> Trajectory:
+def _from_kitti(path: str | Path, data: bytes, table: FloatArray, times: str | Path | None) -> Trajectory:
     matrices = table.reshape(-1, 3, 4)
     bad = np.flatnonzero(~(np.abs(table) <= LARGEST_METRES).all(axis=1))
     if bad.size:
-        raise fault_in_row(path, text, int(bad[0]), "every value must be a finite number")
+        raise fault_in_row(path, data, int(bad[0]), "every value must be a finite number")
     rotations = np.clip(matrices[:, :, :3], -2.0, 2.0)  # far from a rotation either way, but no overflow
     gram = np.einsum("nij,nkj->nik", rotations, rotations)
     wrong = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > 1e-2) | (np.linalg.det(rotations) < 0)
     bad = np.flatnonzero(wrong)
     if bad.size:
         message = "the left 3×3 part is no rotation (orthonormal, determinant 1)"
-        raise fault_in_row(path, text, int(bad[0]), message)
+        raise fault_in_row(path, data, int(bad[0]), message)
     stamps = np.arange(len(table), dtype=np.float64)
     if times is not None:
-        times_text = read_text(times)
-        stamps = parse_table(times, times_text, 1, "one time stamp in seconds")[:, 0]
+        times_data = read_bytes(times)
+        stamps = parse_table(times, times_data, 1, "one time stamp in seconds")[:, 0]
         if len(stamps) != len(table):
             raise FileError(times, f"has {len(stamps)} stamps for the {len(table)} poses of {path}")
         fault = find_fault(stamps, matrices[:, :, 3], np.ones((len(stamps), 4)))
         if fault is not None:
-            raise fault_in_row(times, times_text, fault.row, fault.message)
+            raise fault_in_row(times, times_data, fault.row, fault.message)
     return Trajectory(stamps, matrices[:, :, 3], rotation.from_matrix(rotations), rotations=rotations)

@@ -75,12 +75,15 @@ READERS: dict[str, Callable[[Any], list[Row]]] = {
 }
 """What makes rows of a message, by its type; of a NavSatFix degrees and metres above the ellipsoid."""
 
+WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry")
+
 
 def read_poses(messages: Iterable[Any], kind: str, *, sort: bool = False) -> Trajectory:
     """The trajectory in the messages of a topic, by their header stamps.
 
     Of paths the last one with poses counts. Fixes become east, north, up in m from the first one (WGS 84);
-    messages without a fix are left out. Points and fixes have no orientation.
+    messages without a fix are left out. Points and fixes have no orientation. Covariances that are
+    all zero say nothing and are left out too.
 
     Args:
         messages: Decoded messages.
@@ -94,12 +97,15 @@ def read_poses(messages: Iterable[Any], kind: str, *, sort: bool = False) -> Tra
         TrajectoryError: There are no poses, they carry no stamps, or they are no trajectory.
     """
     reader = READERS[kind]
-    if kind == PATH:
-        rows: list[Row] = []
-        for message in messages:
+    rows: list[Row] = []
+    covariances: list[FloatArray] = []
+    for message in messages:
+        if kind == PATH:
             rows = reader(message) or rows
-    else:
-        rows = [row for message in messages for row in reader(message)]
+            continue
+        rows += reader(message)
+        if kind in WITH_COVARIANCE:
+            covariances.append(message.pose.covariance)
     table = np.array(rows, dtype=np.float64).reshape(-1, 8)
     if kind == FIX:
         table = table[np.isfinite(table).all(axis=1)]
@@ -107,10 +113,18 @@ def read_poses(messages: Iterable[Any], kind: str, *, sort: bool = False) -> Tra
         raise TrajectoryError(f"no message of type {kind} holds a {'fix' if kind == FIX else 'pose'}")
     if len(table) > 1 and not np.ptp(table[:, 0]):
         raise TrajectoryError(f"the {len(table)} poses carry no stamps: all are {table[0, 0]:g} s")
+    known = np.array(covariances, dtype=np.float64).reshape(-1, 6, 6)
     if sort:
-        table = table[np.argsort(table[:, 0], kind="stable")]
+        order = np.argsort(table[:, 0], kind="stable")
+        table, known = table[order], known[order if len(known) else slice(0)]
     positions = east_north_up(table[:, 1:4]) if kind == FIX else table[:, 1:4]
-    return Trajectory(table[:, 0], positions, table[:, 4:], oriented=kind not in (FIX, POINT))
+    return Trajectory(
+        table[:, 0],
+        positions,
+        table[:, 4:],
+        oriented=kind not in (FIX, POINT),
+        covariances=known if known.any() else None,
+    )
 
 
 def add_transforms(frames: Frames, message: Any, topic: str) -> None:

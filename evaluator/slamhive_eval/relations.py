@@ -16,8 +16,8 @@ import numpy as np
 from slamhive_eval import rotation
 from slamhive_eval.association import interpolate, nearest
 from slamhive_eval.errors import OptionError, TrajectoryError
-from slamhive_eval.files import fault_in_row, parse_table, read_text
 from slamhive_eval.metrics import Statistics
+from slamhive_eval.textfiles import fault_in_row, parse_table, read_bytes
 from slamhive_eval.trajectory import LARGEST_METRES, check_rigid
 
 if TYPE_CHECKING:
@@ -141,11 +141,11 @@ def read_relations(path: str | Path) -> Relations:
     Raises:
         FileError: The file is missing, empty, no text, or wrong in the line named.
     """
-    text = read_text(path)
-    table = parse_table(path, text, 8, "t1 t2 x y z roll pitch yaw")
+    data = read_bytes(path)
+    table = parse_table(path, data, 8, "t1 t2 x y z roll pitch yaw")
     bad = np.flatnonzero(~(np.abs(table) <= LARGEST_METRES).all(axis=1))
     if bad.size:
-        raise fault_in_row(path, text, int(bad[0]), "every value must be a finite number")
+        raise fault_in_row(path, data, int(bad[0]), "every value must be a finite number")
     return Relations(table[:, 0], table[:, 1], table[:, 2:5], rotation.from_roll_pitch_yaw(table[:, 5:8]))
 
 

@@ -8,6 +8,7 @@ evaluation takes.
 from __future__ import annotations
 
 import argparse
+import gc
 import importlib
 import sys
 from typing import TYPE_CHECKING, NoReturn
@@ -20,6 +21,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "rpe": ("slamhive_eval.commands.rpe", "relative pose error"),
     "kitti": ("slamhive_eval.commands.kitti", "errors over KITTI's segments"),
     "drift": ("slamhive_eval.commands.drift", "errors over sub-trajectories, scale drift, gaps"),
+    "consistency": ("slamhive_eval.commands.consistency", "covariances against errors: NEES, sigma bounds"),
+    "segments": ("slamhive_eval.commands.segments", "an estimate that started again, piece by piece"),
     "repeated": ("slamhive_eval.commands.repeated", "several runs of one configuration together"),
     "report": ("slamhive_eval.commands.report", "a page or figure that shows estimates"),
     "map": ("slamhive_eval.commands.map", "a map against a reference, or its sharpness"),
@@ -45,6 +48,9 @@ def run(arguments: Sequence[str] | None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     asked = parser(words[0] if words else None).parse_args(words)
+    if not gc.isenabled():  # what was imported stays; garbage comes from here on
+        gc.freeze()
+        gc.enable()
     code: int = asked.run(asked)
     return code
 

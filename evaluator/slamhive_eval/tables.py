@@ -12,16 +12,16 @@ import csv
 import itertools
 import re
 import warnings
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from slamhive_eval import rotation
+from slamhive_eval import covariances, rotation
 from slamhive_eval.errors import FileError
+from slamhive_eval.textfiles import lines_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from slamhive_eval.rotation import FloatArray
@@ -57,6 +57,24 @@ _UNITS = {
 _LARGEST_UNNAMED_ANGLE = 6.5
 
 
+class Rows(NamedTuple):
+    """What a table holds, unchecked.
+
+    Attributes:
+        stamps: In s, shape (n,).
+        positions: In m, shape (n, 3).
+        quaternions: xyzw, shape (n, 4); 0 0 0 1 where there are no orientations.
+        oriented: Whether there are.
+        covariances: As in Trajectory; None without columns of them.
+    """
+
+    stamps: FloatArray
+    positions: FloatArray
+    quaternions: FloatArray
+    oriented: bool
+    covariances: FloatArray | None
+
+
 @dataclass(frozen=True)
 class Header:
     """The line that names a table's columns.
@@ -68,6 +86,8 @@ class Header:
             yaw.
         units: Of time and of angles where the names state them.
         count: Number of all columns.
+        covariance: Column of each known entry of the covariance.
+        covariance_of_body: Whether those of the rotation are about the body's axes.
     """
 
     line: int
@@ -75,6 +95,8 @@ class Header:
     columns: dict[str, int]
     units: dict[str, str]
     count: int
+    covariance: dict[covariances.Entry, int] = field(default_factory=dict)
+    covariance_of_body: bool = False
 
     @property
     def is_trajectory(self) -> bool:
@@ -87,16 +109,6 @@ class Header:
         fields = {k: name for name, k in self.columns.items()}
         found = tuple(fields.get(k, "") for k in range(8))
         return found if all(found) else ()
-
-
-def lines_of(text: str) -> Iterator[str]:
-    """Lines of a text one by one; StringIO would copy all of it first, in four bytes a character."""
-    start = 0
-    while start < len(text):
-        end = text.find("\n", start)
-        end = len(text) if end < 0 else end
-        yield text[start:end]
-        start = end + 1
 
 
 def find_header(path: str | Path, text: str) -> Header | None:
@@ -114,29 +126,24 @@ def find_header(path: str | Path, text: str) -> Header | None:
     delimiter = next((one for one in ",;\t" if one in content), None)
     names = next(csv.reader([content], delimiter=delimiter)) if delimiter else content.split()
     columns, units, clash = _columns(names)
+    entries, of_body = covariances.find_columns(names)
     if clash and line.startswith("#"):
         return None  # a remark, not the names of columns
     if clash:
         raise FileError(path, clash, number)
-    header = Header(number, delimiter, columns, units, len(names))
+    header = Header(number, delimiter, columns, units, len(names), entries, of_body)
     return header if header.is_trajectory else None
 
 
-def read_table(
-    path: str | Path, text: str, header: Header
-) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+def read_table(path: str | Path, text: str, header: Header) -> Rows:
     """Numbers of the columns that a header names.
-
-    Returns:
-        Stamps in s, shape (n,); positions in m, shape (n, 3); quaternions xyzw, shape (n, 4), and whether
-        there was an orientation at all. Values aren't checked.
 
     Raises:
         FileError: No lines, one with too few columns or no number in one, some but not all parts of a
             quaternion, or angles whose unit isn't known.
     """
     fields = list(header.columns)
-    index = [header.columns[name] for name in fields]
+    index = [header.columns[name] for name in fields] + list(header.covariance.values())
     lines = list(itertools.islice(lines_of(text), header.line, None))
     try:
         with warnings.catch_warnings():
@@ -145,17 +152,22 @@ def read_table(
                 lines, delimiter=header.delimiter, usecols=index, ndmin=2, quotechar='"'
             )
     except ValueError:
-        numbers = _line_by_line(path, lines, header, fields)
+        shown = [*fields, *(f"covariance {row + 1}, {column + 1}" for row, column in header.covariance)]
+        numbers = _line_by_line(path, lines, header, dict(zip(shown, index, strict=True)))
     if not len(numbers):
         raise FileError(path, "holds no poses: there is nothing below the names of the columns")
-    table = dict(zip(fields, numbers.T, strict=True))
+    table = dict(zip(fields, numbers.T, strict=False))
     zero = np.zeros(len(numbers))
     positions = np.column_stack((table["x"], table["y"], table.get("z", zero)))
     quaternions = _quaternions(path, header, table, len(numbers))
+    known = None
+    if header.covariance:
+        entries = dict(zip(header.covariance, numbers.T[len(fields) :], strict=True))
+        known = covariances.assemble(entries, quaternions, of_body=header.covariance_of_body)
     oriented = quaternions is not None
     if quaternions is None:
         quaternions = np.tile((0.0, 0.0, 0.0, 1.0), (len(numbers), 1))
-    return _stamps(table, header), positions, quaternions, oriented
+    return Rows(_stamps(table, header), positions, quaternions, oriented, known)
 
 
 def _columns(names: list[str]) -> tuple[dict[str, int], dict[str, str], str]:
@@ -250,7 +262,7 @@ def _quaternions(path: str | Path, header: Header, table: dict[str, FloatArray],
     return rotation.from_roll_pitch_yaw(rpy)
 
 
-def _line_by_line(path: str | Path, lines: list[str], header: Header, fields: list[str]) -> FloatArray:
+def _line_by_line(path: str | Path, lines: list[str], header: Header, columns: dict[str, int]) -> FloatArray:
     rows = []
     for number, line in enumerate(lines, start=header.line + 1):
         content = line.split("#", 1)[0].strip()
@@ -260,14 +272,14 @@ def _line_by_line(path: str | Path, lines: list[str], header: Header, fields: li
             next(csv.reader([content], delimiter=header.delimiter)) if header.delimiter else content.split()
         )
         row = []
-        for name in fields:
-            if header.columns[name] >= len(words):
+        for name, column in columns.items():
+            if column >= len(words):
                 raise FileError(path, f"found {len(words)} of {header.count} columns", number)
-            word = words[header.columns[name]].strip()
+            word = words[column].strip()
             try:
                 row.append(float(word))
             except ValueError:
                 shown = word if len(word) <= 30 else word[:30] + "…"
                 raise FileError(path, f"{shown!r} in the column of {name} is no number", number) from None
         rows.append(row)
-    return np.array(rows, dtype=np.float64).reshape(-1, len(fields))
+    return np.array(rows, dtype=np.float64).reshape(-1, len(columns))

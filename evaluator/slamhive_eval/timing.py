@@ -17,12 +17,12 @@ import numpy as np
 from slamhive_eval import rotation
 from slamhive_eval.association import interpolate
 from slamhive_eval.errors import AssociationError
-from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive_eval.rotation import FloatArray
+    from slamhive_eval.trajectory import Trajectory
 
 SMALLEST_CORRELATION = 0.5
 """Below this the two don't turn alike."""
@@ -53,13 +53,7 @@ class TimeOffset:
 
     def apply(self, estimate: Trajectory) -> Trajectory:
         """The estimate with stamps of the reference's clock."""
-        return Trajectory(
-            self.corrected(estimate.stamps),
-            estimate.positions,
-            estimate.quaternions,
-            rotations=estimate.rotations,
-            oriented=estimate.oriented,
-        )
+        return estimate.at(self.corrected(estimate.stamps))
 
     def corrected(self, stamps: FloatArray) -> FloatArray:
         """Stamps of the estimate's clock, in s, by the reference's."""

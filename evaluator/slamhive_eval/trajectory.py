@@ -51,6 +51,9 @@ class Trajectory:
             leaves them orthonormal to 1e-6 only, and errors that evo takes from them have that in them.
             None where the quaternions are what was given.
         oriented: Whether there were orientations; False for bare positions, with quaternions 0 0 0 1.
+        covariances: How wrong the estimator takes the poses to be: of positions in m², shape (n, 3, 3), or of
+            x, y, z in m and the rotation about the world's fixed x, y, z in rad (as PoseWithCovariance),
+            shape (n, 6, 6), in the world frame. None where it said nothing. Values aren't checked.
 
     Raises:
         TrajectoryError: No poses, arrays of unequal length, a value that isn't finite, a decreasing
@@ -62,6 +65,7 @@ class Trajectory:
     quaternions: FloatArray
     rotations: FloatArray | None = None
     oriented: bool = True
+    covariances: FloatArray | None = None
 
     def __post_init__(self) -> None:
         stamps = np.array(self.stamps, dtype=np.float64)
@@ -82,7 +86,12 @@ class Trajectory:
         rotations = None if self.rotations is None else np.array(self.rotations, dtype=np.float64)
         if rotations is not None and (rotations.shape != (n, 3, 3) or not np.isfinite(rotations).all()):
             raise TrajectoryError(f"rotations must be finite, ({n}, 3, 3), not of shape {rotations.shape}")
-        self._set(stamps, positions, quaternions, rotations)
+        covariances = None if self.covariances is None else np.array(self.covariances, dtype=np.float64)
+        if covariances is not None and covariances.shape not in ((n, 3, 3), (n, 6, 6)):
+            raise TrajectoryError(
+                f"covariances must be ({n}, 3, 3) or ({n}, 6, 6), not of shape {covariances.shape}"
+            )
+        self._set(stamps, positions, quaternions, rotations, covariances)
 
     def _derived(
         self,
@@ -90,10 +99,11 @@ class Trajectory:
         quaternions: FloatArray,
         rotations: FloatArray | None,
         stamps: FloatArray | None = None,
+        covariances: FloatArray | None = None,
     ) -> Trajectory:
         """One made from this, which alignment may carry beyond the limits of a file."""
         made = object.__new__(type(self))
-        made._set(self.stamps if stamps is None else stamps, positions, quaternions, rotations)
+        made._set(self.stamps if stamps is None else stamps, positions, quaternions, rotations, covariances)
         object.__setattr__(made, "oriented", self.oriented)
         return made
 
@@ -103,11 +113,13 @@ class Trajectory:
         positions: FloatArray,
         quaternions: FloatArray,
         rotations: FloatArray | None,
+        covariances: FloatArray | None,
     ) -> None:
         arrays = {"stamps": stamps, "positions": positions, "quaternions": quaternions}
-        if rotations is not None:
-            arrays["rotations"] = rotations
-        object.__setattr__(self, "rotations", None)
+        for name, given in (("rotations", rotations), ("covariances", covariances)):
+            object.__setattr__(self, name, None)
+            if given is not None:
+                arrays[name] = given
         for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -133,19 +145,22 @@ class Trajectory:
     def select(self, index: npt.NDArray[np.intp] | slice) -> Trajectory:
         """The poses at the given indices, which must not decrease; repetitions are allowed."""
         rotations = None if self.rotations is None else self.rotations[index]
+        covariances = None if self.covariances is None else self.covariances[index]
         return self._derived(
-            self.positions[index], self.quaternions[index], rotations, stamps=self.stamps[index]
+            self.positions[index], self.quaternions[index], rotations, self.stamps[index], covariances
         )
 
     def orthonormal(self) -> Trajectory:
         """The same with the rotations of the quaternions, which are orthonormal to the last bit."""
-        return self._derived(self.positions, self.quaternions, None)
+        return self._derived(self.positions, self.quaternions, None, covariances=self.covariances)
 
     def shifted(self, offset_seconds: float) -> Trajectory:
         """The same poses with so many seconds added to their stamps."""
-        return self._derived(
-            self.positions, self.quaternions, self.rotations, stamps=self.stamps + offset_seconds
-        )
+        return self.at(self.stamps + offset_seconds)
+
+    def at(self, stamps: FloatArray) -> Trajectory:
+        """The same poses with other stamps, which must not decrease, shape (n,)."""
+        return self._derived(self.positions, self.quaternions, self.rotations, stamps, self.covariances)
 
     def transformed(self, matrix: FloatArray, translation: FloatArray, scale: float = 1.0) -> Trajectory:
         """The same path in another world frame: p' = R·(s·p) + t and R' = R·R_pose.
@@ -161,10 +176,13 @@ class Trajectory:
         positions = rotation.apply_matrix(matrix, scale * self.positions) + translation
         turned = rotation.multiply(rotation.from_matrix(matrix), self.quaternions)
         rotations = None if self.rotations is None else matrix @ self.rotations
-        return self._derived(positions, rotation.normalize(turned), rotations)
+        covariances = None if self.covariances is None else _turned(self.covariances, matrix, scale)
+        return self._derived(positions, rotation.normalize(turned), rotations, covariances=covariances)
 
     def moved(self, extrinsic: FloatArray) -> Trajectory:
         """The path of another frame fixed to the body: T_world_sensor = T_world_body · T_body_sensor.
+
+        It has no covariances: a lever arm turns those of the rotation into some of the position.
 
         Args:
             extrinsic: T_body_sensor, the pose of the sensor in the body frame, shape (4, 4).
@@ -182,6 +200,16 @@ class Trajectory:
             return self._derived(positions, turned, self.rotations @ matrix[:3, :3])
         lever = np.broadcast_to(matrix[:3, 3], self.positions.shape)
         return self._derived(self.positions + rotation.rotate(self.quaternions, lever), turned, None)
+
+
+def _turned(covariances: FloatArray, matrix: FloatArray, scale: float) -> FloatArray:
+    """Covariances in a world that is turned by R, shape (3, 3), and where lengths are s times as long."""
+    both = np.zeros(covariances.shape[1:])
+    both[:3, :3] = scale * matrix
+    if len(both) == 6:
+        both[3:, 3:] = matrix
+    turned: FloatArray = both @ covariances @ both.T
+    return turned
 
 
 def _largest(rows: FloatArray) -> FloatArray:

@@ -20,7 +20,6 @@ from slamhive_eval import (
     TrajectoryError,
     associate,
     evaluate,
-    files,
     find_pairs,
     read_euroc,
     read_kitti,
@@ -28,6 +27,7 @@ from slamhive_eval import (
     read_trajectory,
     read_tum,
     rpe_errors,
+    textfiles,
     write_tum,
 )
 
@@ -302,7 +302,7 @@ def test_relations_file(tmp_path: Path) -> None:
 
 def test_files_of_many_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Text is turned into numbers block by block; nothing of that shows."""
-    monkeypatch.setattr(files, "_BLOCK", 40)
+    monkeypatch.setattr(textfiles, "_BLOCK", 40)
     lines = [f"{k}.5 {k} 2 3 0 0 0 1{' # odd' * (k % 2)}" for k in range(50)]
     file = tmp_path / "t.txt"
     file.write_text("# c\n" * 30 + "\n".join(lines[:30]) + "\n" * 60 + "\n".join(lines[30:]))

@@ -9,7 +9,6 @@ from slamhive_eval import motion, relative, support
 from slamhive_eval.commands import measuring, output
 from slamhive_eval.metrics import Statistics
 from slamhive_eval.preparing import prepare
-from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import argparse
@@ -46,7 +45,7 @@ def run(asked: argparse.Namespace) -> int:
     if prepared.clock is not None:
         whole = prepared.clock.apply(whole)
     elif how.offset_seconds:
-        whole = Trajectory(whole.stamps + how.offset_seconds, whole.positions, whole.quaternions)
+        whole = whole.shifted(how.offset_seconds)
     lengths = tuple(asked.lengths) if asked.lengths else None
     velocity = Statistics.of(motion.velocity_errors(truth, aligned))
     result = {

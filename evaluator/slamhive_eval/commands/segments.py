@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive-eval segments``: an estimate that started again or holds several maps, piece by piece."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive_eval import evaluation, segments, support
+from slamhive_eval.commands import inputs, measuring, output
+from slamhive_eval.errors import OptionError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from slamhive_eval.rotation import IndexArray
+    from slamhive_eval.trajectory import Trajectory
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    parser.description = (
+        "An estimate that started again or holds several maps: the map over the longest path is aligned and "
+        "stands for it, the others are aligned alone and measured in the first one's frame too."
+    )
+    parser.epilog = "Example: slamhive-eval segments groundtruth.txt trajectory.txt --segments segments.csv"
+    inputs.add_inputs(parser)
+    inputs.add_alignment(parser)
+    parts = parser.add_mutually_exclusive_group()
+    parts.add_argument(
+        "--segments",
+        metavar="FILE",
+        help="start, end, map and reason of each piece (default: segments.csv beside EST)",
+    )
+    parts.add_argument(
+        "--restarts", type=float, nargs="+", metavar="S", help="times at which a map began [s]"
+    )
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Measure and print."""
+    options = evaluation.Options(
+        alignment=asked.align,
+        max_difference_seconds=asked.max_diff,
+        offset_seconds=asked.offset,
+        has_scale=asked.align not in ("sim3", "scale"),
+    )
+    reference = measuring.read_reference(asked)
+    results = []
+    for name in asked.estimates:
+        estimate = measuring.read_estimate(asked, name)
+        numbers, maps, reasons = _parts(asked, name, estimate)
+        outside = int(np.count_nonzero(numbers == segments.OUTSIDE))
+        kept = np.flatnonzero(numbers != segments.OUTSIDE)
+        found = support.evaluate_segments(reference, estimate.select(kept), numbers[kept], options).as_dict()
+        for one in found["segments"]:
+            one |= {"map": maps[one["segment"]], "reason": reasons[one["segment"]]}
+        results.append({**found, "posesOutside": outside, "estimate": name})
+    result = results[0] if len(results) == 1 else {"results": results}
+    output.emit(asked, result, lambda _: "\n\n".join(map(_show, results)))
+    return 0
+
+
+def _parts(
+    asked: argparse.Namespace, name: str, estimate: Trajectory
+) -> tuple[IndexArray, list[str], list[str]]:
+    """Number of each pose's map, and name of the maps and why they began by number."""
+    if asked.restarts:
+        if not (np.isfinite(asked.restarts).all() and (np.diff(asked.restarts) > 0).all()):
+            raise OptionError("the times of --restarts must be finite and ascend")
+        maps = [str(k) for k in range(len(asked.restarts) + 1)]
+        return support.segment_numbers(estimate, asked.restarts), maps, [""] * len(maps)
+    path = asked.segments or segments.beside(name.split(":", 1)[0])
+    if path is None:
+        raise OptionError(f"{name}: there is no {segments.NAME} beside it; name --segments or --restarts")
+    pieces = segments.read_segments(path)
+    numbers, maps = segments.number_poses(estimate, pieces)
+    reasons = {piece.map: piece.reason for piece in reversed(pieces)}
+    return numbers, maps, [reasons[one] for one in maps]
+
+
+def _show(result: dict[str, Any]) -> str:
+    main = result["mainSegment"]
+    count = len(result["segments"])
+    lines = [
+        f"{result['estimate']}: {result['outcome']}, alignment {result['alignment']}",
+        f"the longest of {count} maps (*) covers {result['coverage']:.1%}",
+        f"{'map':>10}  {'poses':>6}  {'path [m]':>9}  {'ATE [m]':>9}  {'scale':>8}  {'in * [m]':>9}  reason",
+    ]
+    for one in result["segments"]:
+        ate, shared = (f"{one[key]['rmse']:.5f}" if one[key] else "–" for key in ("ate", "ateInMainFrame"))
+        scale = "–" if one["scale"] is None else f"{one['scale']:.5f}"
+        name = f"{'*' if one['segment'] == main else ''}{one['map']}"
+        lines.append(
+            f"{name:>10}  {one['poses']:>6}  {one['metres']:>9.3f}  {ate:>9}  {scale:>8}  {shared:>9}  "
+            f"{one['reason']}".rstrip()
+        )
+    if result["posesOutside"]:
+        lines.append(f"{result['posesOutside']} poses are in none of them")
+    return "\n".join(lines)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Text files of numbers: what is in them, plain or compressed, and on which line it is wrong.
+
+numpy's C reader takes the bytes of the whole file at once; only when it refuses, or a value turns out wrong,
+is the text gone through line by line to name the line.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import io
+import itertools
+import warnings
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamhive_eval.errors import FileError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from slamhive_eval.rotation import FloatArray
+
+_BLOCK = 1 << 24
+"""Bytes that are turned into numbers at once."""
+_HEAD = 1 << 14
+_GZIP, _BZIP2 = b"\x1f\x8b", b"BZh"
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """The UTF-8 text of a file, uncompressed, with lines ending in a newline only.
+
+    Raises:
+        FileError: The file can't be read, its compressed data is broken, or it holds no text.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise FileError(path, f"can't be read: {error.strerror or error}") from error
+    try:
+        if data.startswith(_GZIP):
+            data = gzip.decompress(data)
+        elif data.startswith(_BZIP2):
+            data = bz2.decompress(data)
+    except (OSError, EOFError, ValueError, zlib.error) as error:
+        raise FileError(path, f"the compressed data is broken or cut off ({error})") from error
+    if b"\0" in data:
+        raise FileError(path, "is no text file (it holds zero bytes)")
+    data = data.removeprefix(_BYTE_ORDER_MARK)
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
+
+
+def decode(data: bytes) -> str:
+    """The text; what is no UTF-8 becomes question marks, for a comment may hold anything."""
+    return data.decode("utf-8", errors="replace")
+
+
+def head(data: bytes) -> str:
+    """The beginning of a text, up to a line with data at least."""
+    end = data.rfind(b"\n", 0, _HEAD) + 1
+    text = decode(data[:end])
+    return text if next(data_lines(text), None) else decode(data)
+
+
+def lines_of(text: str) -> Iterator[str]:
+    """Lines of a text one by one; StringIO would copy all of it first, in four bytes a character."""
+    start = 0
+    while start < len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        yield text[start:end]
+        start = end + 1
+
+
+def data_lines(text: str) -> Iterator[tuple[int, str]]:
+    """Lines that hold something, without comments, numbered from 1."""
+    for number, line in enumerate(lines_of(text), start=1):
+        content = line.split("#", 1)[0].strip()
+        if content:
+            yield number, content
+
+
+def parse_table(
+    path: str | Path, data: bytes, columns: int, meaning: str, *, extra: bool = False
+) -> FloatArray:
+    """Numbers of a text, one row a line; commas count as white space, ``#`` begins a comment.
+
+    Args:
+        path: Named in errors.
+        data: The whole text, see read_bytes.
+        columns: Numbers a line must hold.
+        meaning: What they are, for errors.
+        extra: Whether further columns may follow.
+
+    Returns:
+        The numbers, shape (n, columns), n ≥ 1; NaN and infinity pass.
+
+    Raises:
+        FileError: No line with numbers, a line of another length, or something that is no number.
+    """
+    first = next(data_lines(head(data)), None)
+    if first is None:
+        raise FileError(path, "holds no poses: every line is empty or a comment")
+    try:
+        table = _numbers(data, commas="," in first[1])
+    except ValueError:
+        table = np.empty((0, 0))
+    if not len(table) or table.shape[1] < columns or (table.shape[1] > columns and not extra):
+        _raise_bad_line(path, decode(data), columns, meaning, extra=extra)
+        raise FileError(path, f"can't be read as lines of {columns} numbers: {meaning}")
+    return table[:, :columns]
+
+
+def _numbers(data: bytes, *, commas: bool) -> FloatArray:
+    """All numbers of a text, block by block, for a buffer of all of it is as large as the text again.
+
+    Raises:
+        ValueError: Something is no number, or lines differ in length.
+    """
+    rows = np.empty((0, 0))
+    count = start = 0
+    while start < len(data):
+        end = data.find(b"\n", start + _BLOCK) + 1 or len(data)
+        block = data[start:end]
+        start = end
+        stream = io.BytesIO(block.replace(b",", b" ") if commas else block)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a block without numbers
+            text = io.TextIOWrapper(stream, encoding="utf-8", errors="replace")
+            found = np.loadtxt(text, dtype=np.float64, ndmin=2)
+        if not len(found):
+            continue
+        if start >= len(data) and not count:
+            return found
+        if not count:
+            rows = np.empty((data.count(b"\n") + 1, found.shape[1]))
+        if found.shape[1] != rows.shape[1]:
+            raise ValueError("lines of different lengths")
+        rows[count : count + len(found)] = found
+        count += len(found)
+    return rows[:count]
+
+
+def fault_in_row(path: str | Path, data: bytes, row: int, message: str, skipped: int = 0) -> FileError:
+    """The error for data row ``row`` (from 0) below some lines, naming the line of the text it stands on."""
+    lines = (number for number, _ in data_lines(decode(data)) if number > skipped)
+    return FileError(path, message, next(itertools.islice(lines, row, None), None))
+
+
+def is_number(word: str) -> bool:
+    """Whether a word is what numpy and C take for a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return "_" not in word
+
+
+def _raise_bad_line(path: str | Path, text: str, columns: int, meaning: str, *, extra: bool) -> None:
+    for number, content in data_lines(text):
+        words = content.replace(",", " ").split()
+        if len(words) < columns or (len(words) > columns and not extra):
+            raise FileError(path, f"found {len(words)} of {columns} values; expected {meaning}", number)
+        for word in words:
+            if not is_number(word):
+                shown = word if len(word) <= 30 else word[:30] + "…"
+                raise FileError(path, f"{shown!r} is no number; expected {meaning}", number)
