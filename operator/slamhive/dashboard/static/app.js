@@ -9,8 +9,12 @@ import { html, render, useEffect, useState } from './core/ui.js';
 const PAGES = {
   '': () => import('./pages/overview.js'),
   explore: () => import('./pages/explore.js'),
+  leaderboard: () => import('./pages/leaderboard.js'),
+  table: () => import('./pages/table.js'),
+  runs: () => import('./pages/runs.js'),
+  compare: () => import('./pages/compare.js'),
 };
-const MENU = [['/', 'Overview'], ['/explore', 'Explore']];
+const MENU = [['/', 'Overview'], ['/runs', 'Runs'], ['/explore', 'Explore'], ['/leaderboard', 'Leaderboard'], ['/table', 'Table'], ['/compare', 'Compare']];
 
 const remembered = () => {
   try {

@@ -47,6 +47,21 @@ export function useData(url) {
   return url === null ? { data: null, error: null, loading: false } : state;
 }
 
+/** Fetch several addresses; one that fails gives its error in its place.
+ * @param {string[]} urls @returns {Array<{data: any, error: ApiError|null}>|null} null until all are there */
+export function useAll(urls) {
+  const { revision } = useContext(Live);
+  const key = urls.join(' ');
+  const [state, setState] = useState(null);
+  useEffect(() => {
+    const abort = new AbortController();
+    Promise.all(urls.map((url) => fetchJson(url, abort.signal).then((data) => ({ data, error: null }), (error) => ({ data: null, error }))))
+      .then((answers) => abort.signal.aborted || setState({ key, answers }));
+    return () => abort.abort();
+  }, [key, revision]);
+  return state?.key === key ? state.answers : null;
+}
+
 /** Add `format=csv` to an address of the API: the table behind it. */
 export const csvOf = (url) => `${url}${url.includes('?') ? '&' : '?'}format=csv`;
 

@@ -44,6 +44,8 @@ function dressed(option, dark) {
   return out;
 }
 
+const sized = (option, box) => (typeof option === 'function' ? option({ width: box.clientWidth, height: box.clientHeight }) : option);
+
 const take = (chart, on) => chart?.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption: { brushType: on ? 'rect' : false, brushMode: 'single' } });
 
 const save = (href, name) => {
@@ -58,23 +60,27 @@ const fileName = (title, ending) => `${title.replaceAll(/[^\w.-]+/g, '-').slice(
 /** A chart.
  * @param {{option: object, title: string, height?: number, csv?: string, table?: {columns: object[], rows: object[]},
  *   onClick?: (event: object) => void, onBrush?: (event: object) => void, link?: string, summary?: string}} props
- *   option: of ECharts, without colours; csv: address of the table behind it; link: the page that shows it in full;
- *   brushing: dragging selects, where the option has a brush. */
-export function Chart({ option, title, height = 380, csv, table, onClick, events, link, summary, brushing = false }) {
+ *   option: of ECharts, without colours, or a function of {width, height} that gives it; csv: address of the table behind it; link: the page that shows it in full;
+ *   brushing: dragging selects, where the option has a brush; group: charts of one group share their cursor. */
+export function Chart({ option, title, height = 380, csv, table, onClick, events, link, summary, brushing = false, group }) {
   const box = useRef(null);
   const chart = useRef(null);
   const current = useRef({});
   const [failed, setFailed] = useState(null);
   const [open, setOpen] = useState(false);
-  current.current = { option, onClick, events, brushing };
+  current.current = { option, onClick, events, brushing, group };
 
   useLayoutEffect(() => {
     let ended = false;
     let watcher = null;
-    const draw = () => chart.current?.setOption(dressed(current.current.option, isDark()), { notMerge: true });
+    const draw = () => chart.current?.setOption(dressed(sized(current.current.option, box.current), isDark()), { notMerge: true });
     load().then((echarts) => {
       if (ended) return;
       chart.current = echarts.init(box.current, null, { renderer: 'canvas' });
+      if (current.current.group) {
+        chart.current.group = current.current.group;
+        echarts.connect(current.current.group);
+      }
       chart.current.on('click', (event) => current.current.onClick?.(event));
       for (const name of Object.keys(current.current.events ?? {})) {
         chart.current.on(name, (event) => current.current.events[name]?.(event, chart.current));
@@ -82,7 +88,10 @@ export function Chart({ option, title, height = 380, csv, table, onClick, events
       draw();
       if (current.current.option.brush) take(chart.current, current.current.brushing);
       box.current.dataset.drawn = 'yes';
-      watcher = new ResizeObserver(() => chart.current?.resize());
+      watcher = new ResizeObserver(() => {
+        chart.current?.resize();
+        if (typeof current.current.option === 'function') draw();
+      });
       watcher.observe(box.current);
     }, () => setFailed('The chart library could not be loaded; the table below has the numbers.'));
     addEventListener('themechange', draw);
@@ -95,7 +104,7 @@ export function Chart({ option, title, height = 380, csv, table, onClick, events
     };
   }, []);
   useEffect(() => {
-    chart.current?.setOption(dressed(option, isDark()), { notMerge: true });
+    chart.current?.setOption(dressed(sized(option, box.current), isDark()), { notMerge: true });
     if (option.brush) take(chart.current, brushing);
   }, [option, brushing]);
 
@@ -103,7 +112,7 @@ export function Chart({ option, title, height = 380, csv, table, onClick, events
   const svg = async () => {
     const echarts = await load();
     const paper = echarts.init(null, null, { renderer: 'svg', ssr: true, width: box.current.clientWidth, height });
-    paper.setOption(dressed(current.current.option, false));
+    paper.setOption(dressed(sized(current.current.option, box.current), false));
     const url = URL.createObjectURL(new Blob([paper.renderToSVGString()], { type: 'image/svg+xml' }));
     save(url, fileName(title, 'svg'));
     URL.revokeObjectURL(url);

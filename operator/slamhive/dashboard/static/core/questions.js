@@ -13,7 +13,7 @@ export function questions(columns) {
   const ask = (title, needs, settings) => ({ title, needs, settings });
   const when = (holds, settings) => (holds ? settings : null);
   const features = first(columns, /^parameters\..*(n|num|max)_?features?$/i, ['parameters']) ?? 'parameters.nFeatures';
-  const onFeatures = (y) => when(varies(columns, features), { kind: 'line', x: features, y, outcomes: 'all', where: `${quoted(features)} is not null` });
+  const onFeatures = (y) => when(varies(columns, features), { kind: 'line', x: features, y, ...(varies(columns, 'dataset') ? { facet: 'dataset' } : {}), where: `${quoted(features)} is not null` });
   const loops = first(columns, /loop/i, ['metrics', 'parameters']);
   const camera = first(columns, /camera(position|side|name)?$/i, ['labels', 'dataset']);
   return [

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+/** One run: how it was set, what it cost, what was measured, and how to run it again. */
+import { overTime, plane, PLANES, since } from '../charts/trajectory.js';
+import { useAddress } from '../core/address.js';
+import { csvOf, useData } from '../core/api.js';
+import { Chart } from '../core/chart.js';
+import { bytes, cell, clip, number, time } from '../core/format.js';
+import { Choice, Fault, Link, Notes, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import { html, useMemo } from '../core/ui.js';
+
+const LONGEST = 4000;
+
+/** A page of one run. @param {{uid: string}} props */
+export default function RunPage({ uid }) {
+  const base = `/api/v1/runs/${encodeURIComponent(uid)}`;
+  const state = useData(base);
+  const run = state.data;
+  useTitle(run ? `Run ${run.run ?? run.name}` : 'Run');
+  if (!run) return html`<h1>Run</h1>${state.error ? html`<${Fault} error=${state.error} /><p><${Link} href="/runs">To all runs</${Link}></p>` : html`<${Waiting} />`}`;
+  const results = run.results ?? [];
+  return html`<h1>${clip(run.name ?? uid, 160)}</h1>
+    <p class="row"><${Status} value=${results[0]?.outcome ?? run.reason ?? run.phase} />${run.run !== null && run.run !== undefined && html`<span>run ${cell(run.run)}</span>`}
+      ${run.sweep && html`<span>of <${Link} href=${`/runs?sweep=${encodeURIComponent(run.sweep)}`}>${clip(run.sweep, 80)}</${Link}></span>`}
+      <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}><a href=${`${base}/manifest`} download>YAML to run it again</a></p>
+    ${run.message && html`<p class="quiet">${clip(run.message, LONGEST)}</p>`}
+    <${Results} results=${results} />
+    ${results.length > 0 || run.phase === 'Succeeded' ? html`<${Trajectory} base=${base} results=${results} name=${`run ${run.run ?? ''}`} />` : html`<p class="quiet">Nothing was measured: ${clip(run.reason ?? run.phase ?? 'no result', 200)}.</p>`}
+    <${Usage} base=${base} />
+    <div class="cards facts">
+      <${Facts} title="Configuration" value=${run.configuration} />
+      <${Facts} title="How it went" value=${{ phase: run.phase, reason: run.reason, attempts: run.attempts, created: time(run.created), started: time(run.started), finished: time(run.finished) }} />
+      <${Facts} title="Cost" value=${run.usage} /><${Facts} title="Frames" value=${run.frames} /><${Facts} title="Own metrics" value=${run.metrics} />
+      <${Facts} title="Labels" value=${run.labels} /><${Facts} title="Trajectory" value=${run.trajectory} /><${Facts} title="Provenance" value=${run.provenance} />
+    </div>
+    <${Files} base=${base} known=${run.files} />
+    ${run.logTail && html`<h2>End of the log</h2><pre class="text" tabindex="0">${run.logTail}</pre>`}
+    ${run.manifest && html`<details><summary>YAML to run it again</summary><pre class="text" tabindex="0">${run.manifest}</pre></details>`}
+    <${Facts} title="Attributes of the dataset" value=${run.attributes} folded />`;
+}
+
+/** Lay nested values out as "a.b: value". */
+function flat(value, prefix = '') {
+  if (value === null || value === undefined) return [];
+  return Object.entries(value).flatMap(([key, inner]) => {
+    const name = prefix ? `${prefix}.${key}` : key;
+    if (inner === null || inner === undefined || inner === '–') return [];
+    return typeof inner === 'object' && !Array.isArray(inner) ? flat(inner, name) : [[name, inner]];
+  });
+}
+
+const shown = (name, value) => clip(/bytes$/i.test(name) && typeof value === 'number' ? bytes(value) : cell(value), LONGEST);
+
+function Facts({ title, value, folded = false }) {
+  const pairs = flat(value);
+  if (pairs.length === 0) return null;
+  const list = html`<dl class="facts">${pairs.map(([name, one]) => html`<dt>${clip(name, 120)}</dt><dd>${shown(name, one)}</dd>`)}</dl>`;
+  return folded ? html`<details class="card"><summary>${title} (${pairs.length})</summary>${list}</details>` : html`<section class="card"><h3>${title}</h3>${list}</section>`;
+}
+
+function Results({ results }) {
+  if (results.length === 0) return null;
+  const metre = (name, title, of) => ({ name, title, kind: 'number', show: (_, row) => number(of(row)) });
+  const columns = [
+    { name: 'evaluation', title: 'evaluation' }, { name: 'alignment', title: 'alignment' }, { name: 'outcome', title: 'outcome', show: (value) => html`<${Status} value=${value} />` },
+    { name: 'coverage', title: 'coverage', kind: 'number' }, { name: 'scale', title: 'scale', kind: 'number' },
+    ...['rmse', 'mean', 'median', 'std', 'max'].map((which) => metre(`ate.${which}`, `ATE ${which} [m]`, (row) => row.ate?.[which])),
+    metre('rpe', 'RPE rmse [m]', (row) => row.rpe?.[0]?.rmse ?? row.rpe?.[0]?.translation?.rmse),
+  ];
+  return html`<h2>Measured</h2><${Table} columns=${columns} rows=${results} caption="Results by evaluation" />`;
+}
+
+function Trajectory({ base, results, name }) {
+  const { query, change } = useAddress();
+  const evaluation = query.get('evaluation', results[0]?.evaluation ?? '');
+  const url = `${base}/trajectory?points=2000${evaluation ? `&evaluation=${encodeURIComponent(evaluation)}` : ''}`;
+  const { data, error } = useData(url);
+  const charts = useMemo(() => data && PLANES.map(([plain, a, b]) => [plain, plane([{ name, track: data.estimate }], data.reference, a, b)]), [data]);
+  const errors = useMemo(() => data && overTime([{ name: 'error', t: since(data.estimate.t), values: data.estimate.error }], 'error [m]'), [data]);
+  return html`<h2>Trajectory</h2>
+    ${results.length > 1 && html`<${Choice} label="Evaluation" value=${evaluation} options=${results.map((one) => one.evaluation)} onChange=${(value) => change({ evaluation: value })} />`}
+    ${error && html`<p class="quiet">${clip(error.message, 500)}</p>`}
+    ${data && html`<div class="facets">${charts.map(([plain, option]) => html`<${Chart} key=${plain} option=${option} height=${340} csv=${csvOf(url)} title=${`${name} ${plain}, aligned by ${data.alignment ?? 'nothing'}`} />`)}
+      ${data.estimate.error?.some((value) => value !== null) && html`<${Chart} option=${errors} height=${340} csv=${csvOf(url)} title=${`${name}: error over time`} />`}</div>
+      <p class="quiet">${number(data.shown)} of ${number(data.poses)} poses are drawn.</p><${Notes} notes=${data.notes} />`}`;
+}
+
+function Usage({ base }) {
+  const { data, error } = useData(`${base}/usage`);
+  const options = useMemo(() => data && [
+    ['CPU over time', overTime([{ name: 'CPU', t: data.t, values: data.cpu }], 'CPU [cores]')],
+    ['Memory over time', overTime([{ name: 'memory', t: data.t, values: data.memory.map((value) => (value === null ? null : value / 2 ** 20)) }], 'memory [MiB]')],
+  ], [data]);
+  return html`<h2>Load</h2>${error && html`<p class="quiet">${clip(error.message, 500)}</p>`}
+    ${data && html`<div class="facets">${options.map(([title, option]) => html`<${Chart} key=${title} option=${option} height=${240} csv=${csvOf(`${base}/usage`)} title=${title} group=${base} />`)}</div><${Notes} notes=${data.notes} />`}`;
+}
+
+function Files({ base, known }) {
+  const { data } = useData(known === false ? null : `${base}/files`);
+  if (!data?.items?.length) return null;
+  const columns = [
+    { name: 'path', title: 'file', show: (path) => html`<a href=${`${base}/files/${path.split('/').map(encodeURIComponent).join('/')}`} download>${clip(path, 100)}</a>` },
+    { name: 'size', title: 'size', kind: 'number', show: (size) => bytes(size) }, { name: 'modified', title: 'modified', show: (value) => time(value) },
+  ];
+  return html`<h2>Files</h2><${Table} columns=${columns} rows=${data.items} caption="Files of the run" />`;
+}

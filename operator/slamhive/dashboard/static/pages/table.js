@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Groups of runs as a table: what a paper prints. */
+import { address, useAddress } from '../core/address.js';
+import { csvOf, useData } from '../core/api.js';
+import { Filters, shownByFilters } from '../core/filters.js';
+import { clip } from '../core/format.js';
+import { Choice, Fault, NothingFits, Notes, Table, useTitle, Waiting } from '../core/parts.js';
+import { html } from '../core/ui.js';
+import { groupTable } from './groups.js';
+
+export default function Groups() {
+  const { query, change } = useAddress();
+  const title = query.get('title') || 'Table';
+  useTitle(title);
+  const columns = useData('/api/v1/columns');
+  const set = { by: query.get('by'), metrics: query.get('metrics', 'ate.rmse'), outcomes: query.get('outcomes', 'tracked') };
+  const url = address('/api/v1/analysis/aggregate', query.filters().with(set));
+  const state = useData(url);
+  const list = (label, name) => html`<label class=${`field wide ${state.error?.field === name ? 'wrong' : ''}`}><span>${label}</span>
+    <input type="text" value=${set[name]} spellcheck="false" onChange=${(event) => change({ [name]: event.target.value.trim(), title: null })} /></label>`;
+  const shown = state.data && groupTable(state.data);
+  return html`<h1>${clip(title, 120)}</h1>
+    ${query.get('embed') !== '1' && html`<section class="controls" aria-label="What is in the table"><div class="row">${list('Rows tell apart', 'by')}${list('Metrics', 'metrics')}
+      <${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} onChange=${(outcomes) => change({ outcomes })} /></div></section>
+      <${Filters} columns=${columns.data?.items} error=${state.error} />`}
+    ${state.error && !shownByFilters(state.error, query) && html`<${Fault} error=${state.error} />`}
+    ${shown ? html`<p class="quiet">Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs. <a href=${csvOf(url)} download>CSV</a></p>
+      ${shown.rows.length ? html`<${Table} columns=${shown.columns} rows=${shown.rows.slice(0, 1000)} caption=${title} />` : html`<${NothingFits} />`}
+      <${Notes} notes=${state.data.notes} />` : !state.error && html`<${Waiting} />`}`;
+}
