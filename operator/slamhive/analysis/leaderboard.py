@@ -14,24 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.grouping import (
-    Groups,
-    counting,
-    disturbance_notes,
-    failures_of,
-    pooling_notes,
-    ranked_errors,
-    sound,
-    varies,
-    varying,
-    varying_facets,
-    with_facets,
-)
-from slamhive.analysis.pivot import SUBJECT, Outcomes, Summary
+from slamhive.analysis.boards import COMPETITORS, prepare
+from slamhive.analysis.grouping import failures_of
+from slamhive.analysis.pivot import Outcomes, Summary
 from slamhive.analysis.statistics import (
     Interval,
     average_ranks,
-    median_of_sorted,
+    percentiles,
     resampled_medians,
     summarize,
 )
@@ -39,15 +28,11 @@ from slamhive.analysis.statistics import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.analysis.columns import Floats, Indices, Mask
+    from slamhive.analysis.boards import Grid
+    from slamhive.analysis.columns import Floats
     from slamhive.analysis.frame import Frame
 
-COMPETITORS = ("algorithm", "sensors")
-"""What is ranked unless told."""
-
 DRAWS = 1000
-_OF_LOAD = "usage."
-_ONLY_OF_LOAD = ("provenance.cpuModel", "usage.includesReader")
 _SEED = 20230529
 
 
@@ -157,115 +142,57 @@ def leaderboard(
         outcomes: which runs have a figure that counts; all others are ranked last.
         draws: bootstrap samples.
     """
-    frame = with_facets(frame)
-    facets = varying_facets(frame, (*by, *SUBJECT))
-    notes: list[str] = []
-    if not metric.startswith(_OF_LOAD):
-        facets = [name for name in facets if name not in _ONLY_OF_LOAD]
-        if varies(frame, "provenance.cpuModel") and "provenance.cpuModel" not in by:
-            notes.append("runs of different processors are ranked together")
-    pooled = [name for name in varying(frame) if name not in (*by, *facets)]
-    notes += [*pooling_notes(pooled), *disturbance_notes(frame, [metric])]
-    counted = counting(frame, outcomes) & sound(frame, metric)
-    groups = Groups(frame, facets)
-    told = [name for name in by if name not in facets]
-    boards = [
-        _board(frame.select(rows[part]), shared, (metric, told, draws), counted[rows[part]])
-        for rows, shared in zip(groups.members(), groups.keys, strict=True)
-        for part in _comparable(frame.select(rows), told)
-    ]
-    boards.sort(key=lambda board: -sum(entry.runs for entry in board.entries))
-    return Leaderboard(metric, tuple(by), boards, tuple(notes))
+    found = prepare(frame, [metric], by, outcomes)
+    return Leaderboard(metric, tuple(by), [_board(grid, draws) for grid in found.grids], found.notes)
 
 
-def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
-    """Return masks of the rows of competitors that are linked by common datasets, (n,) each."""
-    competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
-    links: Mask = np.zeros((competitors.count, datasets.count), dtype=bool)
-    links[competitors.of_row, datasets.of_row] = True
-    left, parts = np.ones(competitors.count, dtype=bool), []
-    while left.any():
-        reached = np.zeros(competitors.count, dtype=bool)
-        reached[int(np.argmax(left))] = True
-        size = 0
-        while size < (size := int(reached.sum())):
-            reached = np.any(links[:, np.any(links[reached], axis=0)], axis=1)
-        left[reached] = False
-        parts.append(reached[competitors.of_row])
-    return parts
-
-
-def _board(
-    frame: Frame, facets: dict[str, Any], question: tuple[str, Sequence[str], int], counted: Mask
-) -> Board:
-    metric, by, draws = question
-    competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
-    cells = Groups(frame, (*by, "dataset"))
-    numbers = frame.column(metric).floats()
-    shape = (competitors.count, datasets.count)
-    medians = np.full(shape, np.nan)
-    drawn = np.full((draws, *shape), np.nan)
-    members: dict[tuple[int, int], Indices] = {}
+def _board(grid: Grid, draws: int) -> Board:
     generator = np.random.default_rng(_SEED)
-    for rows in cells.members():
-        place = (int(competitors.of_row[rows[0]]), int(datasets.of_row[rows[0]]))
-        members[place] = rows
-        ordered = ranked_errors(numbers[rows], counted[rows])
-        medians[place] = median_of_sorted(ordered)
-        drawn[:, place[0], place[1]] = resampled_medians(ordered, draws, generator)
+    shape = grid.medians.shape
+    drawn = np.full((draws, *shape), np.nan)
+    for number, place in grid.members:
+        ordered = grid.ranked((number, place))
+        drawn[:, number, place] = resampled_medians(ordered, draws, generator)
     chosen = generator.integers(0, shape[1], (draws, shape[1]))
     drawn = np.take_along_axis(drawn, chosen[:, None, :], axis=2)
-    scores, ratios = _scores(medians[None]), _ratios(medians[None])
+    scores, ratios = _scores(grid.medians[None])[0], _ratios(grid.medians[None])[0]
     drawn_ranks = np.apply_along_axis(average_ranks, 1, np.nan_to_num(_scores(drawn), nan=1.0))
     drawn_ratios = _ratios(drawn)
-    ranks = average_ranks(scores[0])
-    within = _dataset_ranks(medians)
-    names = [key["dataset"] for key in datasets.keys]
+    ranks, within = average_ranks(scores), _dataset_ranks(grid.medians)
     entries = [
         Entry(
             keys=key,
             rank=float(ranks[number]),
-            rank_interval=_percentiles(drawn_ranks[:, number]),
-            score=float(scores[0, number]),
-            ratio=float(ratios[0, number]),
-            ratio_interval=_percentiles(drawn_ratios[:, number]),
+            rank_interval=percentiles(drawn_ranks[:, number]),
+            score=float(scores[number]),
+            ratio=float(ratios[number]),
+            ratio_interval=percentiles(drawn_ratios[:, number]),
             standings=[
-                _standing(
-                    frame,
-                    members[number, place],
-                    name,
-                    (numbers, counted),
-                    (float(medians[number, place]), float(within[number, place])),
-                )
-                for place, name in enumerate(names)
-                if (number, place) in members
+                _standing(grid, (number, place), float(within[number, place]))
+                for place in range(shape[1])
+                if (number, place) in grid.members
             ],
         )
-        for number, key in enumerate(competitors.keys)
+        for number, key in enumerate(grid.competitors)
     ]
     entries.sort(key=lambda entry: (entry.rank, entry.ratio))
-    return Board(facets, names, entries)
+    return Board(grid.facets, grid.datasets, entries)
 
 
-def _standing(
-    frame: Frame,
-    rows: Indices,
-    dataset: Any,
-    figures: tuple[Floats, Mask],
-    found: tuple[float, float],
-) -> Standing:
-    numbers, counted = figures[0][rows], figures[1][rows]
+def _standing(grid: Grid, place: tuple[int, int], rank: float) -> Standing:
+    rows = grid.members[place]
+    numbers, counted = grid.numbers[rows], grid.counted[rows]
     values = numbers[counted & ~np.isnan(numbers)]
-    status = frame.column("status")
-    coverage = frame.column("coverage").floats()[rows]
+    status = grid.frame.column("status")
+    coverage = grid.frame.column("coverage").floats()[rows]
     coverage = coverage[~np.isnan(coverage)]
     return Standing(
-        dataset=dataset,
+        dataset=grid.datasets[place[1]],
         runs=len(rows),
         n=len(values),
         failures=failures_of(status.values, status.codes[rows]),
-        median=found[0],
-        rank=found[1],
+        median=float(grid.medians[place]),
+        rank=rank,
         summary=summarize(values),
         coverage=float(coverage.mean()) if len(coverage) else None,
     )
@@ -312,11 +239,3 @@ def _mean(values: Floats) -> Floats:
     sums = np.where(there, values, 0.0).sum(axis=-1)
     found: Floats = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
     return found
-
-
-def _percentiles(values: Floats) -> Interval:
-    known = np.sort(values[~np.isnan(values)])
-    if not len(known):
-        return Interval(np.nan, np.nan, "bootstrap")
-    last = len(known) - 1
-    return Interval(float(known[round(0.025 * last)]), float(known[round(0.975 * last)]), "bootstrap")

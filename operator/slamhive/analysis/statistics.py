@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -97,6 +98,7 @@ def median_interval(ordered: Floats) -> Interval | None:
     return Interval(float(ordered[below]), float(ordered[count - 1 - below]), "order statistics")
 
 
+@cache
 def student_quantile(probability: float, degrees: int) -> float:
     """Return a quantile above the median of Student's t distribution.
 
@@ -160,6 +162,16 @@ def resampled_medians(ordered: Floats, draws: int, generator: np.random.Generato
     upper = lower + (1 - lower) * generator.beta(1, count - half, draws)
     second = ordered[np.minimum((upper * count).astype(np.intp), count - 1)]
     return (first + second) / 2
+
+
+def percentiles(values: Floats) -> Interval:
+    """Return the middle 95 % of bootstrap figures, (draws,)."""
+    known = np.sort(values[~np.isnan(values)])
+    if not len(known):
+        return Interval(math.nan, math.nan, "bootstrap")
+    last = len(known) - 1
+    low, high = known[round((1 - LEVEL) / 2 * last)], known[round((1 + LEVEL) / 2 * last)]
+    return Interval(float(low), float(high), "bootstrap")
 
 
 def sign_flip_test(differences: Floats) -> float:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -18,6 +19,10 @@ def dashboard(
     *,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")] = DEFAULT_PORT,
     host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets others in.")] = "127.0.0.1",
+    ground_truth: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="DATASET.txt (TUM) or .csv (EuRoC) to draw paths over."),
+    ] = None,
 ) -> None:
     """Show the archive in a web browser: leaderboard, charts, runs. It changes nothing; Ctrl-C ends it.
 
@@ -40,7 +45,7 @@ def dashboard(
         out.print(f"dashboard at {address} (Ctrl-C ends it)", markup=False)
 
     serve(
-        Workstation(home.archive_url, home.path),
+        Workstation(home.archive_url, home.path, ground_truth),
         listening,
         hosts=allowed_hosts(host),
         announce=announce,

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import Column
 from slamhive.analysis.grouping import aggregate, varies
-from slamhive.analysis.leaderboard import COMPETITORS, leaderboard
+from slamhive.analysis.leaderboard import leaderboard
 from slamhive.dashboard.encoding import Body, plain
 from slamhive.dashboard.selecting import column, columns, number_column, outcomes, select
 from slamhive.dashboard.tables import (

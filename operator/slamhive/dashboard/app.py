@@ -11,10 +11,12 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
 from slamhive import __version__
+from slamhive.dashboard import routes, routes_catalog, routes_studies
+from slamhive.dashboard.docs import docs_page
 from slamhive.dashboard.encoding import encode_json
+from slamhive.dashboard.events import Events
 from slamhive.dashboard.pages import Pages
 from slamhive.dashboard.problems import Problem
-from slamhive.dashboard.routes import router
 from slamhive.dashboard.service import Service
 from slamhive.dashboard.shield import Shield
 from slamhive.model.errors import InputError, SystemFault
@@ -33,6 +35,7 @@ def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastA
         hosts: names that it may be called by; None for any.
     """
     service = Service(source)
+    events = Events(service)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
@@ -40,6 +43,7 @@ def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastA
         try:
             yield
         finally:
+            await events.stop()
             await service.stop()
 
     app = FastAPI(
@@ -52,7 +56,10 @@ def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastA
         lifespan=life,
     )
     app.state.service = service
-    app.include_router(router(service))
+    for part in (routes.router(service), routes_studies.router(service)):
+        app.include_router(part)
+    app.include_router(routes_catalog.router(service, events))
+    _describe(app, service)
     pages = Pages()
 
     @app.get("/{path:path}", include_in_schema=False)
@@ -62,6 +69,21 @@ def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastA
     _answer_problems(app)
     app.add_middleware(Shield, hosts=hosts)
     return app
+
+
+def _describe(app: FastAPI, service: Service) -> None:
+    @app.get("/api/v1/docs", include_in_schema=False)
+    async def docs() -> Response:
+        return Response(docs_page(app.openapi()), media_type="text/html; charset=utf-8")
+
+    @app.get("/healthz", include_in_schema=False)
+    async def healthy() -> Response:
+        return Response("ok\n", media_type="text/plain")
+
+    @app.get("/readyz", include_in_schema=False)
+    async def ready() -> Response:
+        await service.fresh()
+        return Response("ok\n", media_type="text/plain")
 
 
 def _answer_problems(app: FastAPI) -> None:

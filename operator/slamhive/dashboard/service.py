@@ -27,6 +27,9 @@ T = TypeVar("T")
 REMEMBERED_BYTES = 48 * 2**20
 """What answers are kept for those who ask the same."""
 
+_FAIR = frozenset({"Grid", "Random", "Sobol"})
+"""Ways of searching that don't look at results."""
+
 _SMALL = 1024
 _LEVEL = 4
 _THREADS = 4
@@ -82,6 +85,13 @@ class Service:
         if not self.source.ready:
             raise Unavailable("; ".join(snapshot.problems) or "the data are still being read")
         return snapshot
+
+    async def adaptive_sweeps(self) -> frozenset[str]:
+        """Return the names of the sweeps whose points were chosen by earlier results."""
+        await self.fresh()
+        sweeps = await self.run(self.source.sweeps)
+        methods = {sweep.name: (sweep.spec.get("search") or {}).get("method", "Grid") for sweep in sweeps}
+        return frozenset(name for name, method in methods.items() if method not in _FAIR)
 
     async def run(self, compute: Callable[[], T]) -> T:
         """Compute something in a thread."""

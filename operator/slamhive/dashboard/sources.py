@@ -17,8 +17,11 @@ from sqlalchemy import event
 from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect, reading
+from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.loading import Loaded, change_mark, load
 from slamhive.dashboard.problems import Unavailable
+from slamhive.dashboard.truths import Truths
+from slamhive.data import slamhive1
 from slamhive.model.errors import SlamHiveError
 
 if TYPE_CHECKING:
@@ -28,7 +31,11 @@ if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine
 
     from slamhive.archive.records import CatalogEntry, SweepRecord
+    from slamhive.dashboard.truths import Truth
     from slamhive.model.results import RunRecord
+
+_IMPORTED = frozenset({"traj.txt", "profiling.csv", "config.yaml"})
+"""What may be read of a folder that was imported from elsewhere."""
 
 LOOK_SECONDS = 0.5
 """How often the database is asked at most whether anything was written."""
@@ -82,11 +89,14 @@ class Source(Protocol):
     def catalog(self, kind: str) -> list[CatalogEntry]:
         """Return Algorithms or Datasets, versions of a name in the order of storing."""
 
-    def run_folder(self, record: RunRecord) -> Path | None:
+    def place(self, record: RunRecord) -> Place | None:
         """Return the folder that holds a run's files, if it is there."""
 
-    def root(self) -> Path | None:
-        """Return the folder that no path of an artifact leaves."""
+    def truth(self, dataset: str, label: str | None) -> Truth | None:
+        """Return the ground truth of a dataset, if it is at hand."""
+
+    def live_runs(self) -> int:
+        """Return the number of runs that have not finished."""
 
 
 class ArchiveData:
@@ -192,12 +202,13 @@ class Workstation:
     Args:
         url: the archive's database URL.
         home: folder that holds the runs' folders; None for none.
+        ground_truth: folder of files named after datasets, for plots.
     """
 
-    def __init__(self, url: str, home: Path | None = None) -> None:
+    def __init__(self, url: str, home: Path | None = None, ground_truth: Path | None = None) -> None:
         self._data = ArchiveData(url)
         self._home = home
-        self._url = url
+        self._truths = Truths(ground_truth, home)
         self._executor: Executor | None = None
 
     async def start(self, executor: Executor) -> None:
@@ -235,20 +246,27 @@ class Workstation:
         """Return the catalog as runs used it."""
         return self._data.archive().catalog(kind)
 
-    def run_folder(self, record: RunRecord) -> Path | None:
-        """Return the folder of a run in the home."""
-        if not record.folder or self._home is None:
+    def place(self, record: RunRecord) -> Place | None:
+        """Return the folder of a run in the home, or the one that it was imported from."""
+        if not record.folder:
             return None
         folder = Path(record.folder)
+        if record.labels.get("source") == slamhive1.SOURCE:
+            return Place(folder, allowed=_IMPORTED) if folder.is_dir() else None
         # The home may have moved since: a folder of a run is RUNS/SWEEP/RUN.
-        for place in (folder, self._home.joinpath("runs", *folder.parts[-2:])):
-            if place.is_dir():
-                return place
-        return None
+        parts = folder.parts[-2:]
+        if self._home is None or len(parts) < 2 or any(part in {"/", ".", ".."} for part in parts):
+            return None
+        runs = self._home / "runs"
+        return Place(runs, parts) if runs.joinpath(*parts).is_dir() else None
 
-    def root(self) -> Path | None:
-        """Return the home's folder of runs."""
-        return self._home / "runs" if self._home else None
+    def truth(self, dataset: str, label: str | None) -> Truth | None:
+        """Return the ground truth of a dataset, if it is at hand."""
+        return self._truths.find(dataset, label)
+
+    def live_runs(self) -> int:
+        """Return 0: an archive holds finished runs."""
+        return 0
 
 
 def _is_missing(url: str) -> bool:

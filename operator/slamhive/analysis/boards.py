@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Medians of competitors on datasets: what leaderboard, comparison and Pareto front begin with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.grouping import (
+    Groups,
+    counting,
+    disturbance_notes,
+    pooling_notes,
+    ranked_errors,
+    sound,
+    varies,
+    varying,
+    varying_facets,
+    with_facets,
+)
+from slamhive.analysis.pivot import SUBJECT
+from slamhive.analysis.statistics import median_of_sorted
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.analysis.columns import Floats, Indices, Mask
+    from slamhive.analysis.frame import Frame
+    from slamhive.analysis.pivot import Outcomes
+
+COMPETITORS = ("algorithm", "sensors")
+"""What is compared unless told."""
+
+_OF_LOAD = "usage."
+_ONLY_OF_LOAD = ("provenance.cpuModel", "usage.includesReader")
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Competitors that can be compared on their datasets.
+
+    Attributes:
+        facets: the values that all runs share, of columns that vary between grids.
+        frame: the runs.
+        competitors: what each is, by column, (c,).
+        datasets: names, (d,).
+        members: rows of the runs of a competitor on a dataset.
+        numbers: the metric of each row, (n,).
+        counted: rows with a figure that counts, (n,).
+        medians: (c, d), failed runs last: infinite for a failed one, NaN where there is no run.
+    """
+
+    facets: dict[str, Any]
+    frame: Frame
+    competitors: list[dict[str, Any]]
+    datasets: list[Any]
+    members: dict[tuple[int, int], Indices]
+    numbers: Floats
+    counted: Mask
+    medians: Floats
+
+    def ranked(self, place: tuple[int, int]) -> Floats:
+        """Return the sorted figures of a competitor on a dataset, failed runs last."""
+        rows = self.members[place]
+        return ranked_errors(self.numbers[rows], self.counted[rows])
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Grids of one question, with sentences on what is pooled in them."""
+
+    grids: list[Grid]
+    notes: tuple[str, ...]
+
+
+def prepare(
+    frame: Frame, metrics: Sequence[str], by: Sequence[str], outcomes: Outcomes, *, apart: bool = False
+) -> Prepared:
+    """Split runs into grids of what can be compared.
+
+    Figures on errors are compared over processors, which is said; those on load never are.
+
+    Args:
+        frame: one row a run and evaluation.
+        metrics: columns of numbers; the grids hold the first.
+        by: columns that tell competitors apart.
+        outcomes: which runs have a figure that counts.
+        apart: whether each dataset is a grid of its own.
+    """
+    frame = with_facets(frame)
+    facets = varying_facets(frame, (*by, *SUBJECT))
+    notes: list[str] = []
+    if not any(metric.startswith(_OF_LOAD) for metric in metrics):
+        facets = [name for name in facets if name not in _ONLY_OF_LOAD]
+        if varies(frame, "provenance.cpuModel") and "provenance.cpuModel" not in by:
+            notes.append("runs of different processors are compared with each other")
+    pooled = [name for name in varying(frame) if name not in (*by, *facets)]
+    notes += [*pooling_notes(pooled), *disturbance_notes(frame, metrics)]
+    if apart:
+        facets = [*facets, "dataset"]
+    counted = counting(frame, outcomes) & sound(frame, metrics[0])
+    groups = Groups(frame, facets)
+    told = [name for name in by if name not in facets]
+    grids = []
+    for rows, shared in zip(groups.members(), groups.keys, strict=True):
+        inside = frame.select(rows)
+        for part in _comparable(inside, told):
+            grids.append(_grid(inside.select(part), shared, metrics[0], told, counted[rows][part]))  # noqa: PERF401
+    grids.sort(key=lambda grid: -len(grid.frame))
+    return Prepared(grids, tuple(notes))
+
+
+def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
+    """Return masks of the rows of competitors that are linked by common datasets, (n,) each."""
+    competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
+    links: Mask = np.zeros((competitors.count, datasets.count), dtype=bool)
+    links[competitors.of_row, datasets.of_row] = True
+    left, parts = np.ones(competitors.count, dtype=bool), []
+    while left.any():
+        reached = np.zeros(competitors.count, dtype=bool)
+        reached[int(np.argmax(left))] = True
+        size = 0
+        while size < (size := int(reached.sum())):
+            reached = np.any(links[:, np.any(links[reached], axis=0)], axis=1)
+        left[reached] = False
+        parts.append(reached[competitors.of_row])
+    return parts
+
+
+def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], counted: Mask) -> Grid:
+    competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
+    numbers = frame.column(metric).floats()
+    medians = np.full((competitors.count, datasets.count), np.nan)
+    members: dict[tuple[int, int], Indices] = {}
+    for rows in Groups(frame, (*by, "dataset")).members():
+        place = (int(competitors.of_row[rows[0]]), int(datasets.of_row[rows[0]]))
+        members[place] = rows
+        medians[place] = median_of_sorted(ranked_errors(numbers[rows], counted[rows]))
+    names = [key["dataset"] for key in datasets.keys]
+    return Grid(facets, frame, competitors.keys, names, members, numbers, counted, medians)

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which settings matter: how much of a figure's variance each explains, within one subject.
+
+A subject is an algorithm with its sensors on a dataset, under one set of facets. The variance is that of the
+logarithm, as errors are multiplied by settings, not added to. A setting's share is η², the sum of squares
+between its values over that of all; an interaction is what a pair of settings explains beyond both alone.
+η² favours settings with many values: ε² (Kelley 1935) is corrected for that, and what is shown. Samples that
+a search chose by their result are left out, as they are no fair picture.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.grouping import (
+    Groups,
+    counting,
+    disturbance_notes,
+    sound,
+    varying,
+    varying_facets,
+    with_facets,
+)
+from slamhive.analysis.pivot import SUBJECT, Outcomes
+from slamhive.analysis.statistics import rank_correlation
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    import numpy.typing as npt
+
+    from slamhive.analysis.columns import Floats, Indices
+    from slamhive.analysis.frame import Frame
+
+LEAST_RUNS = 8
+MAX_PARAMETERS = 60
+MAX_INTERACTIONS = 10
+MAX_SUBJECTS = 200
+
+
+@dataclass(frozen=True)
+class Influence:
+    """What one setting does.
+
+    Attributes:
+        name: its column.
+        distinct: number of its values.
+        variance: share of the variance of the logarithm that it explains alone, 0 … 1.
+        rank_correlation: Spearman's, −1 … 1; None where its values have no order.
+        failures: share of the variance of failing or not that it explains.
+    """
+
+    name: str
+    distinct: int
+    variance: float
+    rank_correlation: float | None
+    failures: float
+
+
+@dataclass(frozen=True)
+class Interaction:
+    """What two settings explain together beyond what each does."""
+
+    a: str
+    b: str
+    variance: float
+
+
+@dataclass(frozen=True)
+class Influences:
+    """What matters for one subject.
+
+    Attributes:
+        keys: the subject.
+        runs, n: runs, and those with a figure that counts.
+        influences: the strongest first.
+        interactions: of the strongest settings, the strongest first.
+        unexplained: share that no shown setting and interaction explains: other ones and repetition.
+    """
+
+    keys: dict[str, Any]
+    runs: int
+    n: int
+    influences: list[Influence]
+    interactions: list[Interaction]
+    unexplained: float
+
+
+def importance(
+    frame: Frame, metric: str = "ate.rmse", adaptive: Collection[str] = ()
+) -> tuple[list[Influences], list[str]]:
+    """Return what matters for each subject, and notes.
+
+    Args:
+        frame: one row a run and evaluation.
+        metric: a column of numbers.
+        adaptive: names of sweeps whose points were chosen by earlier results.
+    """
+    frame, notes = _without(with_facets(frame), adaptive)
+    names = [name for name in varying(frame) if not name.startswith("dataset.")][:MAX_PARAMETERS]
+    groups = Groups(frame, [*varying_facets(frame, SUBJECT), *SUBJECT])
+    counted = counting(frame, Outcomes.TRACKED) & sound(frame, metric)
+    numbers = frame.column(metric).floats()
+    logarithms = np.full(len(frame), np.nan)
+    positive = counted & (numbers > 0)
+    logarithms[positive] = np.log(numbers[positive])
+    subjects: list[Influences] = []
+    small = 0
+    for rows, keys in zip(groups.members(), groups.keys, strict=True):
+        if int((~np.isnan(logarithms[rows])).sum()) < LEAST_RUNS:
+            small += 1
+        elif len(subjects) < MAX_SUBJECTS:
+            subjects.append(_subject(frame, rows, keys, names, logarithms))
+    if small:
+        notes.append(f"{small} subjects with fewer than {LEAST_RUNS} tracked runs are left out")
+    return subjects, [*notes, *disturbance_notes(frame, [metric])]
+
+
+def _without(frame: Frame, sweeps: Collection[str]) -> tuple[Frame, list[str]]:
+    column = frame.column("sweep")
+    chosen = [code for code, name in enumerate(column.values) if name in set(sweeps)]
+    left_out = np.isin(column.codes, chosen) if chosen else np.zeros(len(frame), dtype=bool)
+    count = int(left_out.sum())
+    if not count:
+        return frame, []
+    return frame.select(~left_out), [f"{count} runs of adaptive searches are left out"]
+
+
+def _subject(
+    frame: Frame, rows: Indices, keys: dict[str, Any], names: list[str], logarithms: Floats
+) -> Influences:
+    known = ~np.isnan(logarithms[rows])
+    values = logarithms[rows][known]
+    failed = (~known).astype(np.float64)
+    inside = frame.select(rows)
+    codes: dict[str, npt.NDArray[np.int32]] = {}
+    influences = []
+    for name in names:
+        column = inside.column(name)
+        places, distinct = column.factorized()
+        if len(distinct) < 2:
+            continue
+        codes[name] = places[known]
+        order = column.floats()[known]
+        ordered = len(values) > 2 and not np.isnan(order).any()
+        influences.append(
+            Influence(
+                name,
+                len(distinct),
+                explained(places[known], values),
+                rank_correlation(order, values) if ordered else None,
+                explained(places, failed),
+            )
+        )
+    influences.sort(key=lambda influence: -influence.variance)
+    strongest = [influence.name for influence in influences[:5]]
+    shares = {influence.name: influence.variance for influence in influences}
+    interactions = [
+        Interaction(a, b, max(0.0, together - shares[a] - shares[b]))
+        for a, b in combinations(strongest, 2)
+        if (together := explained(_crossed(codes[a], codes[b]), values)) > 0
+    ]
+    interactions.sort(key=lambda interaction: -interaction.variance)
+    told = sum(shares.values()) + sum(interaction.variance for interaction in interactions)
+    return Influences(
+        keys, len(rows), len(values), influences, interactions[:MAX_INTERACTIONS], max(0.0, 1.0 - told)
+    )
+
+
+def _crossed(a: npt.NDArray[np.int32], b: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+    return a * (int(b.max(initial=0)) + 1) + b
+
+
+def explained(codes: npt.NDArray[np.integer[Any]], values: Floats) -> float:
+    """Return the share of the variance of values, (n,), between groups, corrected for chance (ε²), 0 … 1."""
+    _, places, counts = np.unique(codes, return_inverse=True, return_counts=True)
+    total = float(((values - values.mean()) ** 2).sum()) if len(values) else 0.0
+    groups, count = len(counts), len(values)
+    if groups < 2 or count <= groups or total <= 1e-24 * max(1.0, float((values**2).sum())):
+        return 0.0
+    means = np.bincount(places, values) / counts
+    within = float(((values - means[places]) ** 2).sum())
+    share = 1 - within / (count - groups) / (total / (count - 1))
+    return min(1.0, max(0.0, share)) if math.isfinite(share) else 0.0

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does the same come out again? Repetitions of a configuration, and scales that are wrong by equal parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.grouping import (
+    Cell,
+    Groups,
+    aggregate,
+    pooling_notes,
+    varying,
+    varying_facets,
+    with_facets,
+)
+from slamhive.analysis.pivot import SUBJECT, Outcomes
+
+if TYPE_CHECKING:
+    from slamhive.analysis.columns import Floats
+    from slamhive.analysis.frame import Frame
+
+LEAST_OFF = 0.01
+"""How far from 1 a scale must be to be suspect."""
+
+MOST_SPREAD = 0.25
+"""Spread over deviation up to which scales count as equal: noise would scatter around 1."""
+
+LEAST_RUNS = 3
+_SAME = 0.01
+
+
+@dataclass(frozen=True)
+class Repetitions:
+    """The runs of one configuration.
+
+    Attributes:
+        cell: what they came to.
+        distinct: number of different trajectories, equal ones counted once; 0 when none is known.
+        figures: numbers of different trajectories alone, (k,).
+        relative_spread: standard deviation over mean of those; None below 2.
+    """
+
+    cell: Cell
+    distinct: int
+    figures: tuple[float, ...]
+    relative_spread: float | None
+
+    @property
+    def verdict(self) -> str:
+        """What it means, in a sentence."""
+        if self.cell.runs < 2:
+            return "a single run says nothing of repeatability"
+        if self.distinct == 1 and not self.cell.failures:
+            return f"the same trajectory {self.cell.n} times: deterministic so far, and one sample alone"
+        parts = []
+        if self.relative_spread is not None:
+            word = "repeatable" if self.relative_spread <= _SAME else "varies"
+            parts.append(f"{word}: {100 * self.relative_spread:.2g} % around the mean")
+        if self.cell.failures:
+            parts.append(f"{sum(self.cell.failures.values())} of {self.cell.runs} runs failed")
+        return "; ".join(parts) or "no figure"
+
+
+def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetitions], list[str]]:
+    """Return the configurations, those with most runs first, and notes.
+
+    Args:
+        frame: one row a run and evaluation.
+        metric: a column of numbers.
+    """
+    frame = with_facets(frame)
+    settings = [name for name in varying(frame) if not name.startswith("dataset.attributes.")]
+    found = aggregate(frame, [metric], [*SUBJECT, *settings])
+    groups = Groups(frame, found.keys)
+    numbers = frame.column(metric).floats()
+    trajectories = frame.column("trajectory.sha256")
+    counted = frame.column("status")
+    repetitions = []
+    for cell, rows in zip(found.cells, groups.members(), strict=True):
+        tracked = np.array([counted.values[code] == "Tracked" for code in counted.codes[rows]], dtype=bool)
+        inside = rows[tracked & ~np.isnan(numbers[rows])]
+        hashes = np.full(len(inside), -1) if trajectories.kind.is_numeric else trajectories.codes[inside]
+        _, firsts = np.unique(hashes, return_index=True)
+        unknown = np.flatnonzero(hashes < 0)
+        kept = np.union1d(firsts[hashes[firsts] >= 0], unknown).astype(np.intp)
+        values = numbers[inside[kept]]
+        spread = float(values.std(ddof=1) / values.mean()) if len(values) > 1 and values.mean() else None
+        distinct = int((hashes[firsts] >= 0).sum())
+        repetitions.append(Repetitions(cell, distinct, tuple(values.tolist()), spread))
+    repetitions.sort(key=lambda one: -one.cell.runs)
+    pooled = [name for name in varying(frame) if name not in found.keys]
+    return repetitions, pooling_notes(pooled)
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """Runs whose scale is wrong by equal parts.
+
+    Attributes:
+        keys: algorithm, sensors, dataset and the facets that vary.
+        scale: median scale of the alignment.
+        spread: standard deviation.
+        n: number of runs.
+    """
+
+    keys: dict[str, Any]
+    scale: float
+    spread: float
+    n: int
+
+    @property
+    def sentence(self) -> str:
+        """What it means."""
+        return (
+            f"calibration suspect: in {self.n} runs the scale is {self.scale:.4g} ± {self.spread:.2g}; an "
+            "algorithm's own error would vary, a wrong calibration or depth factor doesn't"
+        )
+
+
+def suspects(frame: Frame) -> list[Suspect]:
+    """Return the subjects whose scale, of a kind that has one, is off 1 by the same factor in all runs."""
+    scale = frame.column("scale").floats()
+    alignment, sensors = frame.column("alignment"), frame.column("sensors")
+    if alignment.kind.is_numeric or sensors.kind.is_numeric:
+        return []
+    scaled = np.array([value != "mono" for value in (*sensors.values, None)], dtype=bool)[sensors.codes]
+    free = np.array([value == "sim3" for value in (*alignment.values, None)], dtype=bool)[alignment.codes]
+    status = frame.column("status")
+    good = np.array([value == "Tracked" for value in (*status.values, None)], dtype=bool)[status.codes]
+    inside = frame.select(scaled & free & good & ~np.isnan(scale))
+    if not len(inside):
+        return []
+    numbers = inside.column("scale").floats()
+    facets = [name for name in varying_facets(inside, SUBJECT) if name == "evaluation"]
+    alone = _suspects_by(inside, numbers, [*SUBJECT, *facets])
+    known = {(item.keys["algorithm"], item.keys["sensors"]) for item in alone}
+    # With few runs a dataset, all datasets together may tell.
+    together = _suspects_by(inside, numbers, ["algorithm", "sensors", *facets])
+    found = [*alone, *(s for s in together if (s.keys["algorithm"], s.keys["sensors"]) not in known)]
+    return sorted(found, key=lambda suspect: -abs(suspect.scale - 1))
+
+
+def _suspects_by(inside: Frame, numbers: Floats, keys_by: list[str]) -> list[Suspect]:
+    groups = Groups(inside, keys_by)
+    found = []
+    for rows, keys in zip(groups.members(), groups.keys, strict=True):
+        values = numbers[rows]
+        middle, spread = float(np.median(values)), float(values.std(ddof=1)) if len(values) > 1 else np.inf
+        off = abs(middle - 1)
+        if len(values) >= LEAST_RUNS and off >= LEAST_OFF and spread <= MOST_SPREAD * off:
+            found.append(Suspect(keys, middle, spread, len(values)))
+    return found
+
+
+__all__ = ["Outcomes", "Repetitions", "Suspect", "repeatability", "suspects"]

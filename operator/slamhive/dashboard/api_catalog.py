@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``/api/v1``: what there is: sweeps, evaluations, algorithms, datasets."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from slamhive import __version__
+from slamhive.dashboard.encoding import Body
+from slamhive.dashboard.problems import Missing
+from slamhive.dashboard.tables import as_columns
+from slamhive.model.base import API_VERSION
+from slamhive.model.errors import SlamHiveError, suggestion
+from slamhive.model.sweep import Sweep
+from slamhive.plan import FixedCatalog, Plan
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from slamhive.analysis.columns import Column, Mask
+    from slamhive.analysis.frame import Frame
+    from slamhive.archive.records import CatalogEntry, SweepRecord
+    from slamhive.dashboard.sources import Snapshot, Source
+
+_MAX_NAMES = 200
+_LIVE = frozenset({"Pending", "Preparing", "Running"})
+
+
+def index(snapshot: Snapshot, source: Source) -> Body:
+    """Return what there is in numbers."""
+    return Body(state(snapshot, source) | {"version": __version__, "source": source.describe()})
+
+
+def state(snapshot: Snapshot, source: Source) -> dict[str, Any]:
+    """Return the state of the data in short."""
+    runs = single(snapshot.frame)
+    counts = {
+        name: len(_names(runs.column(column)))
+        for name, column in (("sweeps", "sweep"), ("algorithms", "algorithm"), ("datasets", "dataset"))
+    }
+    counts["evaluations"] = len(_names(snapshot.frame.column("evaluation")))
+    return {
+        "revision": snapshot.revision,
+        "counts": {"runs": len(runs), "rows": len(snapshot.frame), **counts, "live": source.live_runs()},
+        "statuses": tally(snapshot.frame.column("status")),
+        "phases": tally(runs.column("phase")),
+        "problems": list(snapshot.problems),
+    }
+
+
+def single(frame: Frame) -> Frame:
+    """Return one row a run."""
+    _, firsts = np.unique(frame.column("id").floats(), return_index=True)
+    return frame.select(np.sort(firsts))
+
+
+def tally(column: Column) -> dict[str, int]:
+    """Return how often each value of a column of texts occurs."""
+    if column.kind.is_numeric:
+        return {}
+    counts = np.bincount(column.codes[column.present], minlength=len(column.values)).tolist()
+    pairs = zip(map(str, column.values), counts, strict=True)
+    return dict(sorted((pair for pair in pairs if pair[1]), key=lambda pair: (-pair[1], pair[0])))
+
+
+def _names(column: Column) -> list[Any]:
+    return list(tally(column))
+
+
+def _where(frame: Frame, name: str, value: str) -> Mask:
+    column = frame.column(name)
+    if column.kind.is_numeric or value not in column.values:
+        return np.zeros(len(frame), dtype=bool)
+    mask: Mask = column.codes == column.values.index(value)
+    return mask
+
+
+def sweeps(snapshot: Snapshot, source: Source) -> Body:
+    """Return the sweeps, the latest first."""
+    runs = single(snapshot.frame)
+    known = {sweep.name: sweep for sweep in source.sweeps()}
+    names = dict.fromkeys([*reversed(known), *snapshot.sweeps, *_names(runs.column("sweep"))])
+    items = [_sweep(snapshot, runs, name, known.get(name)) for name in names]
+    items.sort(key=lambda item: (not item["live"], -_moment(item["created"] or item["finished"])))
+    flat = ("name", "uid", "created", "live", "total", "runs", "started", "finished")
+    return Body(
+        {"revision": snapshot.revision, "items": items},
+        lambda: {name: [item[name] for item in items] for name in flat},
+    )
+
+
+def _moment(text: str | None) -> float:
+    return (
+        np.datetime64(text.partition("+")[0].rstrip("Z")).astype("datetime64[us]").astype(float)
+        if text
+        else 0.0
+    )
+
+
+def _sweep(snapshot: Snapshot, runs: Frame, name: str, record: SweepRecord | None) -> dict[str, Any]:
+    inside = runs.select(_where(runs, "sweep", name))
+    rows = snapshot.frame.select(_where(snapshot.frame, "sweep", name))
+    live = snapshot.sweeps.get(name) or {}
+    phases = tally(inside.column("phase"))
+    total = live.get("total")
+    created = live.get("created") or (record.created.isoformat() if record and record.created else None)
+    return {
+        "name": name,
+        "uid": live.get("uid") or (record.uid if record else None),
+        "created": created,
+        "live": bool(live.get("live")) or bool(_LIVE & phases.keys()),
+        "total": total if total is not None else _total(record),
+        "runs": len(inside),
+        "phases": phases | dict(live.get("phases") or {}),
+        "statuses": tally(rows.column("status")),
+        "algorithms": _names(inside.column("algorithm"))[:_MAX_NAMES],
+        "datasets": _names(inside.column("dataset"))[:_MAX_NAMES],
+        "started": _end(inside, "started", np.nanmin),
+        "finished": _end(inside, "finished", np.nanmax),
+        "axes": _axes(live.get("spec") or (record.spec if record else {})),
+        "best": list(live.get("best") or ()),
+    }
+
+
+def _end(frame: Frame, name: str, choose: Any) -> str | None:
+    column = frame.column(name)
+    return str(column.plain(float(choose(column.floats())))) if not column.is_empty else None
+
+
+def _total(record: SweepRecord | None) -> int | None:
+    if record is None or not record.spec:
+        return None
+    try:
+        body = {"apiVersion": API_VERSION, "kind": "Sweep", "metadata": {"name": record.name}}
+        sweep = Sweep.model_validate(body | {"spec": record.spec})
+        return len(Plan(sweep, FixedCatalog(), strict=False))
+    except (SlamHiveError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _axes(spec: Mapping[str, Any]) -> list[dict[str, Any]]:
+    axes = spec.get("matrix")
+    if not isinstance(axes, list):
+        return []
+    found = []
+    for axis in axes:
+        if isinstance(axis, dict):
+            values = axis.get("values") or axis.get("points")
+            count = len(values) if isinstance(values, list | dict) else (axis.get("range") or {}).get("count")
+            found.append({"name": axis.get("name") or axis.get("path"), "count": count})
+    return found
+
+
+def sweep(snapshot: Snapshot, source: Source, name: str) -> Body:
+    """Return one sweep with its spec."""
+    runs = single(snapshot.frame)
+    record = next((item for item in reversed(source.sweeps()) if item.name == name), None)
+    live = snapshot.sweeps.get(name)
+    if record is None and live is None and not _where(runs, "sweep", name).any():
+        known = [*_names(runs.column("sweep")), *snapshot.sweeps]
+        raise Missing(f"unknown sweep {name[:100]!r}{suggestion(name[:100], known)}", "name")
+    spec = (live or {}).get("spec") or (record.spec if record else {})
+    return Body(
+        _sweep(snapshot, runs, name, record)
+        | {
+            "revision": snapshot.revision,
+            "spec": spec,
+            "manifest": _manifest("Sweep", name, record.labels if record else {}, spec) if spec else None,
+            "evaluation": record.evaluation if record else None,
+            "conditions": list((live or {}).get("conditions") or ()),
+        }
+    )
+
+
+def _manifest(kind: str, name: str, labels: Mapping[str, str], spec: Mapping[str, Any]) -> str:
+    metadata: dict[str, Any] = {"name": name} | ({"labels": dict(labels)} if labels else {})
+    body = {"apiVersion": API_VERSION, "kind": kind, "metadata": metadata, "spec": dict(spec)}
+    return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
+
+
+def evaluations(snapshot: Snapshot) -> Body:
+    """Return the evaluations that there are results of."""
+    frame = snapshot.frame
+    items = []
+    for name in _names(frame.column("evaluation")):
+        rows = frame.select(_where(frame, "evaluation", name))
+        items.append(
+            {
+                "name": name,
+                "alignments": _names(rows.column("alignment")),
+                "settings": _names(rows.column("settings")),
+                "rows": len(rows),
+                "outcomes": tally(rows.column("outcome")),
+            }
+        )
+    return Body({"revision": snapshot.revision, "items": items}, lambda: as_columns(items))
+
+
+def catalog(snapshot: Snapshot, source: Source, kind: str) -> Body:
+    """Return the Algorithms or Datasets that runs used, with what became of those runs."""
+    entries = {entry.name: entry for entry in source.catalog(kind)}
+    column = kind.lower()
+    names = dict.fromkeys([*_names(single(snapshot.frame).column(column)), *entries])
+    items = [_entry(snapshot, column, name, entries.get(name)) for name in names]
+    flat = ("name", "description", "runs", "labels", "attributes", "statuses")
+    return Body(
+        {"revision": snapshot.revision, "items": items},
+        lambda: {name: [item[name] for item in items] for name in flat},
+    )
+
+
+def _entry(snapshot: Snapshot, column: str, name: str, entry: CatalogEntry | None) -> dict[str, Any]:
+    rows = snapshot.frame.select(_where(snapshot.frame, column, name))
+    runs = single(rows)
+    spec = entry.spec if entry else {}
+    return {
+        "name": name,
+        "description": spec.get("description"),
+        "labels": entry.labels if entry else {},
+        "attributes": (entry.attributes if entry else {}) or _attributes(runs),
+        "runs": len(runs),
+        "statuses": tally(rows.column("status")),
+        "modes": _names(runs.column("sensors")),
+        ("datasets" if column == "algorithm" else "algorithms"): _names(
+            runs.column("dataset" if column == "algorithm" else "algorithm")
+        )[:_MAX_NAMES],
+        "spec": spec,
+    }
+
+
+def _attributes(runs: Frame) -> dict[str, Any]:
+    """Return the dataset's attributes as its runs recorded them, where they agree."""
+    found = {}
+    for name in runs.stored:
+        if name.startswith("dataset.attributes."):
+            values = runs.column(name).factorized()[1]
+            if len(values) == 1 and values[0] is not None:
+                found[name.removeprefix("dataset.attributes.")] = values[0]
+    return found
+
+
+def catalog_entry(snapshot: Snapshot, source: Source, kind: str, name: str) -> Body:
+    """Return one Algorithm or Dataset with its manifest."""
+    entries: Sequence[CatalogEntry] = [entry for entry in source.catalog(kind) if entry.name == name]
+    column = kind.lower()
+    if not entries and not _where(snapshot.frame, column, name).any():
+        known = _names(snapshot.frame.column(column))
+        raise Missing(f"unknown {column} {name[:100]!r}{suggestion(name[:100], known)}", "name")
+    entry = entries[-1] if entries else None
+    content = _entry(snapshot, column, name, entry)
+    content["manifest"] = _manifest(kind, name, entry.labels, entry.spec) if entry else None
+    content["versions"] = len(entries)
+    if column == "algorithm":
+        content["parameters"] = content["spec"].get("parameters") or {}
+    else:
+        content["sensors"] = content["spec"].get("sensors") or {}
+    return Body({"revision": snapshot.revision, **content})

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``/api/v1/runs/UID``: all that is known of one run, and its files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from slamhive.dashboard.encoding import Body
+from slamhive.dashboard.problems import BadRequest, Missing
+from slamhive.dashboard.trajectories import (
+    TRAJECTORIES,
+    USAGES,
+    drawn,
+    extrinsic_of,
+    first_of,
+    read_poses,
+    usage_columns,
+)
+from slamhive.model.base import API_VERSION
+from slamhive.model.errors import suggestion
+
+if TYPE_CHECKING:
+    from slamhive.dashboard.artifacts import Place
+    from slamhive.dashboard.sources import Snapshot, Source
+    from slamhive.model.results import Result, RunRecord
+
+_PARTS = ("usage", "frames", "trajectory")
+
+
+def find(source: Source, uid: str) -> RunRecord:
+    """Return a run.
+
+    Raises:
+        Missing: there is none of this UID.
+    """
+    record = source.record(uid) if len(uid) <= 253 else None
+    if record is None:
+        raise Missing(f"there is no run with the UID {uid[:100]!r}", "uid")
+    return record
+
+
+def place_of(source: Source, record: RunRecord) -> Place:
+    """Return the folder of a run.
+
+    Raises:
+        Missing: it is not here.
+    """
+    place = source.place(record)
+    if place is None:
+        where = (
+            "its result was taken over from an equal run" if record.provenance.reused_from else "none is here"
+        )
+        raise Missing(f"the run {record.name} has no files: {where}", "uid")
+    return place
+
+
+def detail(snapshot: Snapshot, source: Source, uid: str) -> Body:
+    """Return a run with its configuration, provenance, usage, results and log."""
+    record = find(source, uid)
+    spec = record.spec
+    plain = record.as_json()
+    content: dict[str, Any] = {
+        "revision": snapshot.revision,
+        "uid": record.uid,
+        "name": record.name,
+        "run": record.labels.get("run", record.name),
+        "sweep": record.sweep,
+        "index": record.index,
+        **{name: plain.get(name) for name in ("phase", "reason", "message", "attempts")},
+        **{name: plain.get(name) for name in ("created", "started", "finished")},
+        "configuration": {
+            "algorithm": (spec.get("algorithmRef") or {}).get("name"),
+            "dataset": (spec.get("datasetRef") or {}).get("name"),
+            **{name: spec.get(name) for name in ("sensors", "repetition", "seed")},
+            **{name: spec.get(name) or {} for name in ("parameters", "input", "resources")},
+        },
+        "attributes": record.attributes,
+        "labels": record.labels,
+        "metrics": record.metrics,
+        **{name: plain.get(name) for name in _PARTS},
+        "provenance": plain.get("provenance") or {},
+        "results": [_result_json(result) for result in record.results],
+        "logTail": record.log_tail,
+        "manifest": manifest(record),
+        "files": source.place(record) is not None,
+        "links": {
+            name: f"/api/v1/runs/{record.uid}/{name}" for name in ("manifest", "files", "trajectory", "usage")
+        },
+    }
+    return Body(content)
+
+
+def _result_json(result: Result) -> dict[str, Any]:
+    return result.values | {
+        "evaluation": result.evaluation,
+        "outcome": result.outcome.value,
+        "coverage": result.coverage,
+    }
+
+
+def manifest(record: RunRecord) -> str:
+    """Return the YAML that runs it again."""
+    spec = {name: value for name, value in record.spec.items() if value not in (None, {}, [])}
+    body = {
+        "apiVersion": API_VERSION,
+        "kind": "MappingRun",
+        "metadata": {"name": record.name},
+        "spec": spec,
+    }
+    return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
+
+
+def files(snapshot: Snapshot, source: Source, uid: str) -> Body:
+    """Return the list of a run's files."""
+    items = place_of(source, find(source, uid)).list()
+    names = ("path", "size", "modified")
+    return Body(
+        {"revision": snapshot.revision, "items": items},
+        lambda: {name: [item[name] for item in items] for name in names},
+    )
+
+
+def trajectory(snapshot: Snapshot, source: Source, uid: str, evaluation: str | None, most: int) -> Body:
+    """Return a run's aligned path over its ground truth, thinned, with errors."""
+    record = find(source, uid)
+    place = place_of(source, record)
+    result = _chosen(record, evaluation)
+    name, content = first_of(place, TRAJECTORIES)
+    dataset = str((record.spec.get("datasetRef") or {}).get("name"))
+    truth = source.truth(dataset, record.labels.get("dataset"))
+    extrinsic = extrinsic_of(record, place, source.catalog("Algorithm"), truth)
+    found = drawn(read_poses(content, name), result, truth, extrinsic, most)
+    return Body({"revision": snapshot.revision, **found}, lambda: found["estimate"])
+
+
+def _chosen(record: RunRecord, evaluation: str | None) -> Result | None:
+    if evaluation is None:
+        return record.results[0] if record.results else None
+    for result in record.results:
+        if result.evaluation == evaluation:
+            return result
+    names = [result.evaluation for result in record.results]
+    raise BadRequest(
+        f"unknown evaluation {evaluation[:100]!r}{suggestion(evaluation[:100], names)}", "evaluation"
+    )
+
+
+def usage(snapshot: Snapshot, source: Source, uid: str, most: int) -> Body:
+    """Return CPU and memory over time, thinned."""
+    name, content = first_of(place_of(source, find(source, uid)), USAGES)
+    found = usage_columns(content, name, most)
+    columns = {key: found[key] for key in ("t", "cpu", "memory", "anonymous") if found[key] is not None}
+    return Body({"revision": snapshot.revision, **found}, lambda: columns)

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Addresses of what there is: sweeps, evaluations, the catalog, single runs and their files, live events."""
+
+# FastAPI reads the annotations of these functions, so they are no mere texts here.
+import os
+from collections.abc import Iterator
+from typing import Annotated
+from urllib.parse import quote
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from starlette.responses import StreamingResponse
+
+from slamhive.dashboard import api_catalog, api_run
+from slamhive.dashboard.events import MAX_LISTENERS, Events
+from slamhive.dashboard.problems import Unavailable
+from slamhive.dashboard.routes import FormatName
+from slamhive.dashboard.service import Service
+
+Name = Annotated[str, Path(max_length=10_000)]
+Most = Annotated[int, Query(ge=10, le=20_000, description="Points at most.")]
+_CHUNK = 2**18
+
+
+def router(service: Service, events: Events) -> APIRouter:
+    """Return the routes."""
+    routes = APIRouter(prefix="/api/v1")
+    source = service.source
+
+    @routes.get("", summary="What there is, in numbers")
+    async def index(request: Request) -> Response:
+        """Return counts, the source and what does not answer at present."""
+        return await service.answer(request, lambda data: api_catalog.index(data, source))
+
+    @routes.get("/sweeps", summary="Sweeps, the live ones first")
+    async def sweeps(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+        """Return each sweep with its progress."""
+        return await service.answer(request, lambda data: api_catalog.sweeps(data, source))
+
+    @routes.get("/sweeps/{name}", summary="One sweep with its spec")
+    async def sweep(request: Request, name: Name) -> Response:
+        """Return a sweep."""
+        return await service.answer(request, lambda data: api_catalog.sweep(data, source, name))
+
+    @routes.get("/evaluations", summary="Evaluations that there are results of")
+    async def evaluations(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+        """Return each with its outcomes."""
+        return await service.answer(request, api_catalog.evaluations)
+
+    @routes.get("/algorithms", summary="Algorithms that runs used")
+    async def algorithms(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+        """Return each with what became of its runs."""
+        return await service.answer(request, lambda data: api_catalog.catalog(data, source, "Algorithm"))
+
+    @routes.get("/algorithms/{name}", summary="One algorithm")
+    async def algorithm(request: Request, name: Name) -> Response:
+        """Return it with its manifest and parameters."""
+        return await service.answer(
+            request, lambda data: api_catalog.catalog_entry(data, source, "Algorithm", name)
+        )
+
+    @routes.get("/datasets", summary="Datasets that runs used")
+    async def datasets(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+        """Return each with its attributes."""
+        return await service.answer(request, lambda data: api_catalog.catalog(data, source, "Dataset"))
+
+    @routes.get("/datasets/{name}", summary="One dataset")
+    async def dataset(request: Request, name: Name) -> Response:
+        """Return it with its manifest and sensors."""
+        return await service.answer(
+            request, lambda data: api_catalog.catalog_entry(data, source, "Dataset", name)
+        )
+
+    @routes.get("/runs/{uid}", summary="All that is known of one run")
+    async def run(request: Request, uid: Name) -> Response:
+        """Return configuration, provenance, usage, results, log and the YAML to run it again."""
+        return await service.answer(request, lambda data: api_run.detail(data, source, uid))
+
+    @routes.get("/runs/{uid}/manifest", summary="The YAML that runs it again")
+    async def manifest(uid: Name) -> Response:
+        """Return a MappingRun."""
+        await service.fresh()
+        record = await service.run(lambda: api_run.find(source, uid))
+        headers = {"Content-Disposition": _attachment(f"{record.name}.yaml")}
+        return Response(api_run.manifest(record), media_type="application/yaml", headers=headers)
+
+    @routes.get("/runs/{uid}/trajectory", summary="Aligned path over its ground truth, with errors")
+    async def trajectory(
+        request: Request,
+        uid: Name,
+        *,
+        evaluation: Annotated[str | None, Query(max_length=10_000)] = None,
+        points: Most = 2000,
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """The pose with the largest error is always among those shown."""
+        return await service.answer(
+            request, lambda data: api_run.trajectory(data, source, uid, evaluation, points)
+        )
+
+    @routes.get("/runs/{uid}/usage", summary="CPU and memory over time")
+    async def usage(
+        request: Request,
+        uid: Name,
+        *,
+        points: Most = 2000,
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Of each stretch the mean load and the largest memory."""
+        return await service.answer(request, lambda data: api_run.usage(data, source, uid, points))
+
+    @routes.get("/runs/{uid}/files", summary="Files of a run")
+    async def files(request: Request, uid: Name, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+        """At most 1,000 of them."""
+        return await service.answer(request, lambda data: api_run.files(data, source, uid))
+
+    @routes.get("/runs/{uid}/files/{path:path}", summary="One file of a run")
+    async def file(uid: Name, path: Name) -> Response:
+        """Links are not followed."""
+        await service.fresh()
+        return await service.run(lambda: _download(service, uid, path))
+
+    @routes.get("/events", summary="Changes, as server-sent events", response_class=StreamingResponse)
+    async def changes() -> StreamingResponse:
+        """One event `revision` at once, and one whenever something changed."""
+        if events.listeners >= MAX_LISTENERS:
+            raise Unavailable(f"{MAX_LISTENERS} pages are listening already; ask /api/v1 every few seconds")
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        return StreamingResponse(events.stream(), media_type="text/event-stream", headers=headers)
+
+    return routes
+
+
+def _download(service: Service, uid: str, path: str) -> Response:
+    place = api_run.place_of(service.source, api_run.find(service.source, uid))
+    with place.open(path) as opened:
+        descriptor = os.dup(opened)
+    size = os.fstat(descriptor).st_size
+
+    def chunks() -> Iterator[bytes]:
+        left = size
+        with os.fdopen(descriptor, "rb") as stream:
+            while left > 0 and (chunk := stream.read(min(_CHUNK, left))):
+                left -= len(chunk)
+                yield chunk
+
+    headers = {
+        "Content-Disposition": _attachment(path.rpartition("/")[2]),
+        "Cache-Control": "no-cache",
+        "Content-Length": str(size),
+    }
+    return StreamingResponse(chunks(), media_type="application/octet-stream", headers=headers)
+
+
+def _attachment(name: str) -> str:
+    return f"attachment; filename*=UTF-8''{quote(name, safe='')}"

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Addresses of comparisons, fronts, influences, repetitions and suspicions."""
+
+# FastAPI reads the annotations of these functions, so they are no mere texts here.
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+
+from slamhive.dashboard import api_studies
+from slamhive.dashboard.routes import FormatName, Names, Where, Which, pairs
+from slamhive.dashboard.service import Service
+
+Metric = Annotated[str, Query(max_length=10_000, description="A column of numbers, small is good.")]
+ERROR = "ate.rmse"
+
+
+def router(service: Service) -> APIRouter:
+    """Return the routes."""
+    routes = APIRouter(prefix="/api/v1/analysis")
+
+    @routes.get("/compare", summary="Competitors two by two, with a paired test over datasets")
+    async def compare(
+        request: Request,
+        *,
+        metric: Metric = ERROR,
+        by: Names = None,
+        outcomes: Which = "tracked",
+        where: Where = None,  # noqa: ARG001 - read with all other filters
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """The p values are exact up to 14 datasets and corrected after Holm."""
+        asked = pairs(request)
+        return await service.answer(
+            request, lambda data: api_studies.compared(data, asked, metric, by, outcomes)
+        )
+
+    @routes.get("/pareto", summary="Error against cost: who is beaten by nobody in both")
+    async def pareto(
+        request: Request,
+        *,
+        x: Metric = "usage.cpu.secondsPerDataSecond",
+        y: Metric = ERROR,
+        by: Names = None,
+        outcomes: Which = "tracked",
+        where: Where = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """One front a dataset, evaluation, pace and processor."""
+        asked = pairs(request)
+        return await service.answer(
+            request, lambda data: api_studies.fronts(data, asked, (x, y), by, outcomes)
+        )
+
+    @routes.get("/importance", summary="Which settings matter")
+    async def importance(
+        request: Request,
+        *,
+        metric: Metric = ERROR,
+        where: Where = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Share of the variance of the logarithm that each setting explains; adaptive searches left out."""
+        asked = pairs(request)
+        adaptive = await service.adaptive_sweeps()
+        return await service.answer(
+            request, lambda data: api_studies.influences(data, asked, metric, adaptive)
+        )
+
+    @routes.get("/repeatability", summary="Repetitions of each configuration")
+    async def repeatability(
+        request: Request,
+        *,
+        metric: Metric = ERROR,
+        where: Where = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Equal trajectories count once."""
+        asked = pairs(request)
+        return await service.answer(request, lambda data: api_studies.repeated(data, asked, metric))
+
+    @routes.get("/suspects", summary="Scales that are off by the same factor in all runs")
+    async def suspects(
+        request: Request,
+        *,
+        where: Where = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Such a scale is the calibration's, not the algorithm's."""
+        asked = pairs(request)
+        return await service.answer(request, lambda data: api_studies.suspicions(data, asked))
+
+    return routes

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories and usage over time, thinned for plots."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from slamhive.dashboard.artifacts import Place, TooLarge
+from slamhive.dashboard.problems import Missing
+from slamhive.model.algorithm import AlgorithmSpec
+from slamhive.model.errors import SlamHiveError
+from slamhive.model.sensors import SensorMode
+from slamhive_eval import Trajectory, associate
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from slamhive.analysis.columns import Floats, Indices
+    from slamhive.archive.records import CatalogEntry
+    from slamhive.dashboard.truths import Truth
+    from slamhive.model.results import Result, RunRecord
+
+    Matrix = npt.NDArray[np.float64]
+
+TRAJECTORIES = ("output/trajectory.txt", "run/output/trajectory.txt", "traj.txt")
+USAGES = ("usage.csv", "run/output/usage.csv", "run/usage.csv", "output/usage.csv", "profiling.csv")
+CONFIGURATIONS = ("config.yaml", "run/config.yaml")
+_MAX_DIFFERENCE = 0.01
+_MAX_CONFIGURATION = 2**20
+_CLOSE = 1e-3
+
+
+def first_of(place: Place, names: tuple[str, ...]) -> tuple[str, bytes]:
+    """Return the first of some files that is there, with its name.
+
+    Raises:
+        Missing: none is.
+    """
+    for name in names:
+        try:
+            return name, place.read(name)
+        except Missing:
+            continue
+    raise Missing(f"the run has no {names[0].rpartition('/')[2]} here")
+
+
+def read_poses(content: bytes, name: str) -> Trajectory:
+    """Return the trajectory in a TUM file; lines that can't be read are left out.
+
+    Raises:
+        Missing: no line can be read.
+    """
+    rows = []
+    for line in content.splitlines():
+        parts = line.split(b"#")[0].replace(b",", b" ").split()
+        if len(parts) < 4:
+            continue
+        try:
+            numbers = [float(part) for part in parts[:8]]
+        except ValueError:
+            continue
+        rows.append([*numbers, *(0.0, 0.0, 0.0, 1.0)[len(numbers) - 4 :]])
+    table = np.array([row for row in rows if len(row) == 8], dtype=np.float64).reshape(-1, 8)
+    table = table[np.isfinite(table).all(axis=1)]
+    if not len(table):
+        raise Missing(f"{name}: no pose in it can be read")
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    norms = np.linalg.norm(table[:, 4:], axis=1)
+    table[norms == 0, 4:] = (0.0, 0.0, 0.0, 1.0)
+    table[:, 4:] /= np.linalg.norm(table[:, 4:], axis=1)[:, None]
+    return Trajectory(table[:, 0], table[:, 1:4], table[:, 4:])
+
+
+def drawn(
+    poses: Trajectory, result: Result | None, truth: Truth | None, extrinsic: Matrix | None, most: int
+) -> dict[str, Any]:
+    """Return a run's path over its ground truth, thinned, with the error of each pose.
+
+    Args:
+        poses: what the algorithm wrote.
+        result: the evaluation whose alignment is taken; None to leave the path as it is.
+        truth: ground truth of the dataset.
+        extrinsic: T_truth_estimate, (4, 4); None when unknown.
+        most: poses shown at most.
+    """
+    notes: list[str] = []
+    transform = _transform(result)
+    path = poses.positions
+    if transform is not None:
+        path = path @ transform[:3, :3].T + transform[:3, 3]
+    else:
+        notes.append("the evaluation has no alignment: the path is drawn as the algorithm wrote it")
+    errors = np.full(len(poses), np.nan)
+    reference = None
+    if truth is None:
+        notes.append("the ground truth of this dataset is not at hand here")
+    else:
+        reference = truth.poses
+        if transform is not None:
+            reference, errors = _against(poses, path, truth, extrinsic, _rmse(result), notes)
+    shown = _thinned(errors, len(poses), most)
+    estimate = _columns(poses.stamps[shown], path[shown]) | {"error": errors[shown]}
+    return {
+        "evaluation": result.evaluation if result else None,
+        "alignment": result.values.get("alignment") if result else None,
+        "poses": len(poses),
+        "shown": len(shown),
+        "estimate": estimate,
+        "reference": _reference(reference, poses, most),
+        "notes": notes,
+    }
+
+
+def _against(
+    poses: Trajectory,
+    path: Floats,
+    truth: Truth,
+    extrinsic: Matrix | None,
+    expected: float | None,
+    notes: list[str],
+) -> tuple[Trajectory, Floats]:
+    """Return the ground truth in the estimate's frame, and errors: as the evaluation had them, if it can."""
+    best: tuple[float, Trajectory, Floats] | None = None
+    for matrix in (extrinsic, None) if extrinsic is not None else (None,):
+        reference = truth.poses if matrix is None else truth.poses.moved(matrix)
+        pairs = associate(reference, poses, _MAX_DIFFERENCE)
+        errors = np.full(len(poses), np.nan)
+        differences = reference.positions[pairs.reference] - path[pairs.estimate]
+        errors[pairs.estimate] = np.linalg.norm(differences, axis=1)
+        rmse = float(np.sqrt(np.mean(differences**2) * 3)) if len(pairs) else np.nan
+        off = abs(rmse / expected - 1) if expected else 0.0
+        if best is None or off < best[0]:
+            best = (off, reference, errors)
+    if best is None:
+        raise AssertionError("unreachable")
+    if not best[0] <= _CLOSE:
+        notes.append(
+            "these errors are not quite those of the evaluation: it used another ground truth, frame or "
+            "tolerance than what is at hand here"
+        )
+    return best[1], best[2]
+
+
+def _transform(result: Result | None) -> Matrix | None:
+    given = result.values.get("transform") if result else None
+    try:
+        matrix = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return matrix if matrix.shape == (4, 4) and np.isfinite(matrix).all() else None
+
+
+def _rmse(result: Result | None) -> float | None:
+    error = (result.values.get("ate") or {}) if result else {}
+    value = error.get("rmse") if isinstance(error, dict) else None
+    return float(value) if isinstance(value, int | float) and value > 0 else None
+
+
+def _thinned(errors: Floats, count: int, most: int) -> Indices:
+    """Return places of evenly spaced poses and of the one with the largest error."""
+    if count <= most:
+        return np.arange(count)
+    shown = np.linspace(0, count - 1, most - 1).round().astype(np.intp)
+    known = np.flatnonzero(~np.isnan(errors))
+    worst = known[np.argmax(errors[known])][None] if len(known) else np.empty(0, dtype=np.intp)
+    return np.union1d(shown, worst)
+
+
+def _columns(stamps: Floats, positions: Floats) -> dict[str, Any]:
+    x, y, z = (np.ascontiguousarray(positions[:, axis]) for axis in range(3))
+    return {"t": np.ascontiguousarray(stamps), "x": x, "y": y, "z": z}
+
+
+def _reference(reference: Trajectory | None, poses: Trajectory, most: int) -> dict[str, Any] | None:
+    if reference is None:
+        return None
+    inside = np.flatnonzero(
+        (reference.stamps >= poses.stamps[0] - 1) & (reference.stamps <= poses.stamps[-1] + 1)
+    )
+    if not len(inside):
+        return None
+    shown = inside[_thinned(np.full(len(inside), np.nan), len(inside), most)]
+    return _columns(reference.stamps[shown], reference.positions[shown])
+
+
+def extrinsic_of(
+    record: RunRecord, place: Place, algorithms: list[CatalogEntry], truth: Truth | None
+) -> Matrix | None:
+    """Return T_truth_estimate of a run, (4, 4), from its configuration and its Algorithm; None if unknown."""
+    name = (record.spec.get("algorithmRef") or {}).get("name")
+    entries = [entry for entry in algorithms if entry.name == name]
+    if truth is None or not entries:
+        return None
+    try:
+        _, content = first_of(place, CONFIGURATIONS)
+        if len(content) > _MAX_CONFIGURATION:
+            return None
+        configuration = yaml.safe_load(content)
+        spec = AlgorithmSpec.model_validate(entries[-1].spec)
+        output = spec.output_of(spec.mode(SensorMode(configuration["mode"])))
+        pose = np.eye(4)
+        if output.frame != "body":
+            pose = np.array(configuration["sensors"][output.frame]["T_body_sensor"], dtype=np.float64)
+    except (SlamHiveError, TooLarge, yaml.YAMLError, ValueError, KeyError, TypeError):
+        return None
+    return np.linalg.inv(truth.T_body_frame) @ pose if pose.shape == (4, 4) else None
+
+
+def usage_columns(content: bytes, name: str, most: int) -> dict[str, Any]:
+    """Return CPU and memory over time from usage.csv, or the original system's profiling.csv, thinned.
+
+    Raises:
+        Missing: no line can be read.
+    """
+    rows = []
+    for line in io.BytesIO(content).read().splitlines()[1:]:
+        try:
+            numbers = [float(part) for part in line.split(b",")[:4]]
+        except ValueError:
+            continue
+        if len(numbers) >= 3:
+            rows.append([*numbers, np.nan][:4])
+    if not rows:
+        raise Missing(f"{name}: no sample in it can be read")
+    table = np.array(rows, dtype=np.float64)
+    edges = np.linspace(0, len(table), min(most, len(table)) + 1).round().astype(np.intp)
+    begins = edges[:-1]
+    # A plot of fewer points must not lose the peak: of each stretch the largest memory, the mean load.
+    counts = np.diff(edges)
+    return {
+        "t": np.ascontiguousarray(table[begins, 0]),
+        "cpu": np.add.reduceat(table[:, 1], begins) / counts,
+        "memory": np.maximum.reduceat(table[:, 2], begins),
+        "anonymous": None if np.isnan(table[:, 3]).all() else np.fmax.reduceat(table[:, 3], begins),
+        "samples": len(table),
+    }

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ground truth for plots: found where it is at hand, never made or fetched."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamhive.data.entries import DatasetEntry
+from slamhive.data.groundtruth import ground_truth
+from slamhive.data.slamhive1 import GroundTruthFolder
+from slamhive.local.catalog import load_workshop
+from slamhive.local.home import Home
+from slamhive.model.errors import SlamHiveError
+from slamhive_eval import EvaluationError, Trajectory, read_tum
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy.typing as npt
+
+_KEPT = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Ground truth of a dataset.
+
+    Attributes:
+        poses: over time.
+        T_body_frame: pose in the body of the frame that they are poses of, (4, 4).
+    """
+
+    poses: Trajectory
+    T_body_frame: npt.NDArray[np.float64]
+
+
+class Truths:
+    """Looks for ground truth in a folder of files named after datasets, then in a home.
+
+    Args:
+        folder: with DATASET.txt (TUM) or DATASET.csv (EuRoC); None for none.
+        home: a workstation's home; None for none.
+    """
+
+    def __init__(self, folder: Path | None = None, home: Path | None = None) -> None:
+        self._folders = [place for place in (folder, home and home / "groundtruth") if place is not None]
+        self._home = home
+        self._kept: OrderedDict[str, Truth | None] = OrderedDict()
+
+    def find(self, dataset: str, label: str | None = None) -> Truth | None:
+        """Return the ground truth of a dataset; None where there is none here, or none of poses.
+
+        Args:
+            dataset: its name.
+            label: another name that files may have.
+        """
+        if dataset in self._kept:
+            return self._kept[dataset]
+        found = self._in_folders(dataset, label) or self._in_home(dataset)
+        self._kept[dataset] = found
+        while len(self._kept) > _KEPT:
+            self._kept.popitem(last=False)
+        return found
+
+    def _in_folders(self, dataset: str, label: str | None) -> Truth | None:
+        for folder in self._folders:
+            for name in dict.fromkeys((dataset, label)):
+                if name is None or "/" in name or name.startswith("."):
+                    continue
+                try:
+                    return Truth(GroundTruthFolder(folder).read(name), np.eye(4))
+                except (SlamHiveError, EvaluationError, OSError):
+                    continue
+        return None
+
+    def _in_home(self, dataset: str) -> Truth | None:
+        if self._home is None:
+            return None
+        try:
+            place = load_workshop(Home.at(self._home)).dataset_places.get(dataset)
+            if place is None:
+                return None
+            if place.dataset.spec.recording.synthetic is not None:
+                made = sorted(self._home.glob(f"datasets/{dataset}-*/groundtruth.txt"))
+                return Truth(read_tum(made[-1]), np.eye(4)) if made else None
+            truth = place.dataset.spec.ground_truth
+            if truth is None or truth.file is None or not (place.folder / truth.file).is_file():
+                return None
+            found = ground_truth(DatasetEntry(place.dataset, place.folder))
+        except (SlamHiveError, EvaluationError, OSError):
+            return None
+        if found is None or not isinstance(found.poses, Trajectory):
+            return None
+        return Truth(found.poses, found.T_body_frame)
