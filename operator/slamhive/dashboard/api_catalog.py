@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -93,11 +94,7 @@ def sweeps(snapshot: Snapshot, source: Source) -> Body:
 
 
 def _moment(text: str | None) -> float:
-    return (
-        np.datetime64(text.partition("+")[0].rstrip("Z")).astype("datetime64[us]").astype(float)
-        if text
-        else 0.0
-    )
+    return datetime.fromisoformat(text).timestamp() if text else 0.0
 
 
 def _sweep(snapshot: Snapshot, runs: Frame, name: str, record: SweepRecord | None) -> dict[str, Any]:

@@ -49,9 +49,8 @@ def place_of(source: Source, record: RunRecord) -> Place:
     """
     place = source.place(record)
     if place is None:
-        where = (
-            "its result was taken over from an equal run" if record.provenance.reused_from else "none is here"
-        )
+        reused = record.provenance.reused_from
+        where = "its result was taken over from an equal run" if reused else "none is here"
         raise Missing(f"the run {record.name} has no files: {where}", "uid")
     return place
 
@@ -114,7 +113,7 @@ def manifest(record: RunRecord) -> str:
 
 def files(snapshot: Snapshot, source: Source, uid: str) -> Body:
     """Return the list of a run's files."""
-    items = place_of(source, find(source, uid)).list()
+    items = place_of(source, find(source, uid)).files()
     names = ("path", "size", "modified")
     return Body(
         {"revision": snapshot.revision, "items": items},

@@ -139,7 +139,8 @@ def _spot_json(spot: Spot) -> dict[str, Any]:
 
 
 def _flat(item: dict[str, Any]) -> dict[str, Any]:
-    return item.pop("keys") | item
+    keys: dict[str, Any] = item.pop("keys")
+    return keys | item
 
 
 def influences(snapshot: Snapshot, pairs: Pairs, metric: str, adaptive: Collection[str]) -> Body:

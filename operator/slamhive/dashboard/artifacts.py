@@ -42,7 +42,7 @@ class Place:
     parts: tuple[str, ...] = ()
     allowed: Collection[str] | None = None
 
-    def list(self) -> list[dict[str, Any]]:
+    def files(self) -> list[dict[str, Any]]:
         """Return the regular files below it, sorted, at most 1,000."""
         found: list[dict[str, Any]] = []
         with suppress(Missing), self._folder() as folder:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from functools import partial
 from typing import TYPE_CHECKING
 
 from slamhive.dashboard.api_catalog import state
@@ -77,7 +78,7 @@ class Events:
             begun = time.monotonic()
             snapshot = await self._service.source.fresh()
             if snapshot.revision != self._latest[0]:
-                data = await self._service.run(lambda taken=snapshot: self._event(taken))
+                data = await self._service.run(partial(self._event, snapshot))
                 async with self._changed:
                     self._latest = (snapshot.revision, data)
                     self._changed.notify_all()

@@ -24,6 +24,23 @@ _CHUNK = 2**18
 def router(service: Service, events: Events) -> APIRouter:
     """Return the routes."""
     routes = APIRouter(prefix="/api/v1")
+    _add_lists(routes, service)
+    _add_catalog(routes, service)
+    _add_run(routes, service)
+    _add_files(routes, service)
+
+    @routes.get("/events", summary="Changes, as server-sent events", response_class=StreamingResponse)
+    async def changes() -> StreamingResponse:
+        """One event `revision` at once, and one whenever something changed."""
+        if events.listeners >= MAX_LISTENERS:
+            raise Unavailable(f"{MAX_LISTENERS} pages are listening already; ask /api/v1 every few seconds")
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        return StreamingResponse(events.stream(), media_type="text/event-stream", headers=headers)
+
+    return routes
+
+
+def _add_lists(routes: APIRouter, service: Service) -> None:
     source = service.source
 
     @routes.get("", summary="What there is, in numbers")
@@ -45,6 +62,10 @@ def router(service: Service, events: Events) -> APIRouter:
     async def evaluations(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
         """Return each with its outcomes."""
         return await service.answer(request, api_catalog.evaluations)
+
+
+def _add_catalog(routes: APIRouter, service: Service) -> None:
+    source = service.source
 
     @routes.get("/algorithms", summary="Algorithms that runs used")
     async def algorithms(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
@@ -69,6 +90,10 @@ def router(service: Service, events: Events) -> APIRouter:
         return await service.answer(
             request, lambda data: api_catalog.catalog_entry(data, source, "Dataset", name)
         )
+
+
+def _add_run(routes: APIRouter, service: Service) -> None:
+    source = service.source
 
     @routes.get("/runs/{uid}", summary="All that is known of one run")
     async def run(request: Request, uid: Name) -> Response:
@@ -108,6 +133,10 @@ def router(service: Service, events: Events) -> APIRouter:
         """Of each stretch the mean load and the largest memory."""
         return await service.answer(request, lambda data: api_run.usage(data, source, uid, points))
 
+
+def _add_files(routes: APIRouter, service: Service) -> None:
+    source = service.source
+
     @routes.get("/runs/{uid}/files", summary="Files of a run")
     async def files(request: Request, uid: Name, format: FormatName = None) -> Response:  # noqa: A002, ARG001
         """At most 1,000 of them."""
@@ -118,16 +147,6 @@ def router(service: Service, events: Events) -> APIRouter:
         """Links are not followed."""
         await service.fresh()
         return await service.run(lambda: _download(service, uid, path))
-
-    @routes.get("/events", summary="Changes, as server-sent events", response_class=StreamingResponse)
-    async def changes() -> StreamingResponse:
-        """One event `revision` at once, and one whenever something changed."""
-        if events.listeners >= MAX_LISTENERS:
-            raise Unavailable(f"{MAX_LISTENERS} pages are listening already; ask /api/v1 every few seconds")
-        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-        return StreamingResponse(events.stream(), media_type="text/event-stream", headers=headers)
-
-    return routes
 
 
 def _download(service: Service, uid: str, path: str) -> Response:

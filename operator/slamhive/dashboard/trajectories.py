@@ -32,6 +32,10 @@ CONFIGURATIONS = ("config.yaml", "run/config.yaml")
 _MAX_DIFFERENCE = 0.01
 _MAX_CONFIGURATION = 2**20
 _CLOSE = 1e-3
+_UNLIKE = (
+    "these errors are not quite those of the evaluation: it used another ground truth, frame or tolerance "
+    "than what is at hand here"
+)
 
 
 def first_of(place: Place, names: tuple[str, ...]) -> tuple[str, bytes]:
@@ -98,10 +102,12 @@ def drawn(
     reference = None
     if truth is None:
         notes.append("the ground truth of this dataset is not at hand here")
-    else:
+    elif transform is None:
         reference = truth.poses
-        if transform is not None:
-            reference, errors = _against(poses, path, truth, extrinsic, _rmse(result), notes)
+    else:
+        reference, errors, off = _against(poses, path, (truth, extrinsic), _rmse(result))
+        if not off <= _CLOSE:
+            notes.append(_UNLIKE)
     shown = _thinned(errors, len(poses), most)
     estimate = _columns(poses.stamps[shown], path[shown]) | {"error": errors[shown]}
     return {
@@ -116,15 +122,14 @@ def drawn(
 
 
 def _against(
-    poses: Trajectory,
-    path: Floats,
-    truth: Truth,
-    extrinsic: Matrix | None,
-    expected: float | None,
-    notes: list[str],
-) -> tuple[Trajectory, Floats]:
-    """Return the ground truth in the estimate's frame, and errors: as the evaluation had them, if it can."""
-    best: tuple[float, Trajectory, Floats] | None = None
+    poses: Trajectory, path: Floats, given: tuple[Truth, Matrix | None], expected: float | None
+) -> tuple[Trajectory, Floats, float]:
+    """Return the ground truth in the estimate's frame, errors, and how far their RMSE is from the expected.
+
+    The evaluation may have left the ground truth in its own frame: what fits its RMSE better is taken.
+    """
+    truth, extrinsic = given
+    tried = []
     for matrix in (extrinsic, None) if extrinsic is not None else (None,):
         reference = truth.poses if matrix is None else truth.poses.moved(matrix)
         pairs = associate(reference, poses, _MAX_DIFFERENCE)
@@ -133,16 +138,8 @@ def _against(
         errors[pairs.estimate] = np.linalg.norm(differences, axis=1)
         rmse = float(np.sqrt(np.mean(differences**2) * 3)) if len(pairs) else np.nan
         off = abs(rmse / expected - 1) if expected else 0.0
-        if best is None or off < best[0]:
-            best = (off, reference, errors)
-    if best is None:
-        raise AssertionError("unreachable")
-    if not best[0] <= _CLOSE:
-        notes.append(
-            "these errors are not quite those of the evaluation: it used another ground truth, frame or "
-            "tolerance than what is at hand here"
-        )
-    return best[1], best[2]
+        tried.append((reference, errors, off))
+    return min(tried, key=lambda one: np.inf if np.isnan(one[2]) else one[2])
 
 
 def _transform(result: Result | None) -> Matrix | None:

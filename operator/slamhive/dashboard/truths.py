@@ -81,18 +81,22 @@ class Truths:
         if self._home is None:
             return None
         try:
-            place = load_workshop(Home.at(self._home)).dataset_places.get(dataset)
-            if place is None:
-                return None
-            if place.dataset.spec.recording.synthetic is not None:
-                made = sorted(self._home.glob(f"datasets/{dataset}-*/groundtruth.txt"))
-                return Truth(read_tum(made[-1]), np.eye(4)) if made else None
-            truth = place.dataset.spec.ground_truth
-            if truth is None or truth.file is None or not (place.folder / truth.file).is_file():
-                return None
-            found = ground_truth(DatasetEntry(place.dataset, place.folder))
+            return _of_home(self._home, dataset)
         except (SlamHiveError, EvaluationError, OSError):
             return None
-        if found is None or not isinstance(found.poses, Trajectory):
-            return None
-        return Truth(found.poses, found.T_body_frame)
+
+
+def _of_home(home: Path, dataset: str) -> Truth | None:
+    place = load_workshop(Home.at(home)).dataset_places.get(dataset)
+    if place is None:
+        return None
+    if place.dataset.spec.recording.synthetic is not None:
+        made = sorted(home.glob(f"datasets/{dataset}-*/groundtruth.txt"))
+        return Truth(read_tum(made[-1]), np.eye(4)) if made else None
+    truth = place.dataset.spec.ground_truth
+    if truth is None or truth.file is None or not (place.folder / truth.file).is_file():
+        return None
+    found = ground_truth(DatasetEntry(place.dataset, place.folder))
+    if found is None or not isinstance(found.poses, Trajectory):
+        return None
+    return Truth(found.poses, found.T_body_frame)
