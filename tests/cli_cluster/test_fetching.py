@@ -126,7 +126,10 @@ async def test_a_single_run_is_a_sweep_of_one(lab: Lab, desk: Desk) -> None:
     said = await desk.types("fetch", "one", member["metadata"]["name"])
     assert said.code == 0
     assert [record.name for record in records(desk, "one")] == ["one"]
-    assert [record.index for record in records(desk)] == [1]
+    assert [record.name for record in records(desk)] == [member["metadata"]["name"]]
+    assert [str(record.index) for record in records(desk)] == [
+        member["metadata"]["labels"]["slamhive.io/point"]
+    ]
 
 
 async def test_run_on_a_cluster_ends_like_a_run_here(lab: Lab, desk: Desk) -> None:
