@@ -341,8 +341,8 @@ class Operator:
 
     def _failed(self, key: Key, error: SlamHiveError) -> None:
         self.metrics.count_error(str(key.kind), error.reason)
-        if isinstance(error, Conflict):
-            # Ordinary: someone else wrote first, and the watch is about to tell.
+        if isinstance(error, Conflict | NotFound):
+            # Ordinary: someone else wrote or deleted first, and the watch is about to tell.
             delay = self.queue.retry(key)
             _log.debug("%s: %s; again in %.1f s", key, error, delay)
             return

@@ -61,8 +61,6 @@ class Retirement:
                 await op.delete(run_key, uid=meta["uid"], resource_version=meta["resourceVersion"])
             except Conflict:  # someone wrote to it: the archive gets the newer state next time
                 await op.refresh(run_key)
-                continue
-            memory.archived.add(run)
         return [op.settings.sweep_write_seconds] if len(going) < surplus else []
 
     def _records(

@@ -190,6 +190,8 @@ class Evaluations:
             try:
                 decoder.add(await op.api.logs(group.key.namespace, seen.pod, seen.container))
             except ApiError as error:
+                if error.retryable:  # it says nothing about the evaluator
+                    raise
                 problem = problem or str(error)
         limit = asyncio.Semaphore(_AT_ONCE)
 
@@ -238,10 +240,10 @@ class Evaluations:
         )
 
     async def _give_up(self, op: Operator, group: Group, run: Object, problem: str) -> None:
-        self._problems[group.hash, run["metadata"]["uid"]] = problem
         if group.name is None:
             fresh = [condition("Evaluated", False, "NotEvaluable", problem)]
             await _update(op, key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"], fresh)
+        self._problems[group.hash, run["metadata"]["uid"]] = problem
 
     async def _write(self, op: Operator, group: Group) -> list[float]:
         body = op.store.get(group.key)

@@ -6,10 +6,6 @@ from __future__ import annotations
 import base64
 import binascii
 
-from slamhive.engine import PointState
-
-_FINISHED = {PointState.SUCCEEDED, PointState.FAILED}
-
 
 def encode(states: bytes | bytearray) -> str:
     """Return states, one a byte, as text; the first point has the lowest bits of the first byte."""
@@ -29,11 +25,3 @@ def decode(text: str | None, total: int) -> bytearray:
         packed = b""
     states = bytearray(value >> shift & 3 for value in packed for shift in (0, 2, 4, 6))
     return states[:total] + bytearray(max(0, total - len(states)))
-
-
-def advanced(known: bytearray, other: bytearray) -> bytearray:
-    """Return the farther state of each point: two operators never take back what one of them wrote."""
-    pairs = zip(known, other, strict=True)
-    return bytearray(
-        mine if mine in _FINISHED or theirs not in _FINISHED else theirs for mine, theirs in pairs
-    )

@@ -22,6 +22,7 @@ from slamhive.engine import (
 )
 from slamhive.kube.builders import configuration, read_job, run_job
 from slamhive.kube.builders.player import player
+from slamhive.kube.builders.run import job_name
 from slamhive.kube.errors import AlreadyExists, Forbidden
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of, reference
 from slamhive.kube.observing import Attempted, observe_attempt, observe_read
@@ -181,6 +182,8 @@ class RunReconciler:
             attempted = attempted.given_up()
             facts = replace(facts, attempted=attempted)
         state = replace(state, attempts=max(state.attempts, attempted.number or 0))
+        if _is_lost(attempted.state, state) and await self._is_there(op, facts, state.attempts):
+            return _TAKEN_SECONDS
         fresh = attempted.state is AttemptState.NONE and state.not_before <= now
         cancel = bool(facts.body["spec"].get("cancel"))
         twin = await self._twins.find(op, facts) if fresh and not cancel else None
@@ -204,8 +207,7 @@ class RunReconciler:
         """Return what the engine is to know."""
         attempted, spec = facts.attempted, facts.spec
         attempt, end, number = attempted.state, attempted.end, attempted.number
-        lost = attempt is AttemptState.NONE and state.phase is Phase.RUNNING
-        if lost and state.attempts > state.judged:
+        if _is_lost(attempt, state):
             attempt, number = AttemptState.ENDED, state.attempts
             end = AttemptEnd(reason=Reason.SYSTEM_FAULT, message="its Job was deleted by someone else")
         return RunObserved(
@@ -219,6 +221,13 @@ class RunReconciler:
             number=number,
             wants_evaluation=spec["evaluate"],
         )
+
+    @staticmethod
+    async def _is_there(op: Operator, facts: RunFacts, attempt: int) -> bool:
+        """Tell whether a Job that is not seen is there: another operator's, of which no watch told yet."""
+        job = await op.refresh(Key(Kind.JOB, facts.key.namespace, job_name(facts.key.name, attempt)))
+        owners = (job["metadata"].get("ownerReferences") or ()) if job else ()
+        return facts.body["metadata"]["uid"] in {owner["uid"] for owner in owners}
 
     async def _act(self, op: Operator, facts: RunFacts, decision: Decision) -> float | None:
         """Do what was decided; returns after how many seconds to try what cannot be done now."""
@@ -384,6 +393,11 @@ class RunReconciler:
         if not image or algorithm is None or algorithm["status"].get("imageID") == image:
             return
         await op.patch(key, {"status": {"imageID": image}}, subresource="status")
+
+
+def _is_lost(attempt: AttemptState, state: RunState) -> bool:
+    """Tell whether the Job of an attempt that was running is not seen any more."""
+    return attempt is AttemptState.NONE and state.phase is Phase.RUNNING and state.attempts > state.judged
 
 
 def _typed(run: dict[str, Any]) -> dict[str, Any]:

@@ -21,11 +21,11 @@ from slamhive.engine import (
     Verdict,
     decide_sweep,
 )
-from slamhive.kube.errors import AlreadyExists, Forbidden
+from slamhive.kube.errors import AlreadyExists, Conflict, Forbidden
 from slamhive.kube.kinds import Key, Kind, Label, key_of
 from slamhive.kube.reconciling.archiving import Retirement
 from slamhive.kube.reconciling.catalogue import parse
-from slamhive.kube.reconciling.points import encode
+from slamhive.kube.reconciling.points import decode, encode
 from slamhive.kube.reconciling.sweep_memory import SweepMemory, remember
 from slamhive.kube.reconciling.sweep_runs import (
     Tally,
@@ -36,7 +36,8 @@ from slamhive.kube.reconciling.sweep_runs import (
     slots_used,
     state_of,
 )
-from slamhive.kube.status import changes, condition, holds, iso, merged, metres
+from slamhive.kube.status import changes, condition, holds, iso, merged, metres, moment
+from slamhive.model.base import seconds
 from slamhive.model.errors import InputError
 from slamhive.model.sweep import Sweep
 
@@ -109,7 +110,11 @@ class SweepReconciler:
         if now - memory.looked_at < _LOOK_SECONDS:
             return _LOOK_SECONDS
         memory.looked_at = now
-        return await self._advance(op, self._see(op, key, body, sweep, memory), now)
+        seen = await self._see(op, key, body, sweep, memory)
+        if _is_outdated(seen):
+            del self._memory[body["metadata"]["uid"]]
+            return _LOOK_SECONDS
+        return await self._advance(op, seen, now)
 
     def _tidy(self, op: Operator) -> None:
         alive = {
@@ -136,6 +141,8 @@ class SweepReconciler:
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(op.store, key.namespace)
             memory = await remember(sweep, body["status"], catalog, live, op.archive, accepted=accepted)
+            made = (moment(run["metadata"].get("creationTimestamp")) for run in _own(op, key, uid))
+            memory.started_at = memory.started_at or min(filter(None, made), default=None)
             most = op.settings.max_runs_without_archive
             if op.archive is None and len(memory.plan) > most:
                 raise InputError(
@@ -145,29 +152,44 @@ class SweepReconciler:
             self._memory[uid] = memory
         return self._memory[uid]
 
-    @staticmethod
-    def _see(op: Operator, key: Key, body: Object, sweep: Sweep, memory: SweepMemory) -> _Picture:
+    async def _see(self, op: Operator, key: Key, body: Object, sweep: Sweep, memory: SweepMemory) -> _Picture:
         runs = {}
+        for run in _own(op, key, body["metadata"]["uid"]):
+            index = point_of(run)
+            if index is not None and index < len(memory.states):
+                runs[index] = run
+        gone = [index for index in memory.finished if index not in runs]
+        for index in gone:
+            memory.archived.add(memory.finished.pop(index))
         tally = Tally(
             memory.archived.reused,
             memory.archived.evaluated,
             memory.archived.cpu_seconds,
             list(memory.archived.best),
         )
-        for run in _own(op, key, body["metadata"]["uid"]):
-            index = point_of(run)
-            if index is None or index >= len(memory.states):
-                continue
-            runs[index] = run
+        await self._look_for_missing(op, key, body["metadata"]["uid"], memory, runs)
+        for index, run in runs.items():
             memory.states[index] = state_of(run)
             if memory.states[index] != PointState.ACTIVE:
+                memory.finished[index] = run
                 tally.add(run)
+        return _Picture(key, body, sweep, memory, runs, tally)
+
+    @staticmethod
+    async def _look_for_missing(
+        op: Operator, key: Key, uid: str, memory: SweepMemory, runs: dict[int, Object]
+    ) -> None:
+        """Find out about points in flight whose runs are not seen: deleted by someone, which cancels them."""
         index = memory.states.find(PointState.ACTIVE)
         while index >= 0:
-            if index not in runs:  # deleted by someone: that cancels it
-                memory.states[index] = PointState.FAILED
+            if index not in runs:
+                # Another operator may have made it a moment ago: what the watch hasn't told yet is asked for.
+                run = await op.refresh(Key(Kind.MAPPING_RUN, key.namespace, memory.plan.point(index).name))
+                if run is not None and _is_of(run, uid):
+                    runs[index] = run
+                else:
+                    memory.states[index] = PointState.FAILED
             index = memory.states.find(PointState.ACTIVE, index + 1)
-        return _Picture(key, body, sweep, memory, runs, tally)
 
     async def _advance(self, op: Operator, seen: _Picture, now: float) -> float | None:
         memory, sweep = seen.memory, seen.sweep
@@ -190,7 +212,7 @@ class SweepReconciler:
                     await self._cancel(op, [seen.runs[index] for index in indices if index in seen.runs])
         delays = [_BLOCKED_SECONDS] if blocked else []
         if sweep.spec.budget.wall_time is not None and decision.verdict is Verdict.RUNNING:
-            delays.append(10.0)
+            delays.append(_budget_left(sweep, memory, now))
         delays += await self._write(op, seen, decision, blocked, now)
         if op.archive is not None:
             delays += await self._retirement.retire(op, seen.key, sweep, memory, seen.runs)
@@ -198,6 +220,8 @@ class SweepReconciler:
 
     async def _start(self, op: Operator, seen: _Picture, indices: tuple[int, ...], now: float) -> str | None:
         """Create the runs of points; returns why some could not be."""
+        if op.archive is not None:
+            await _insist_on_newest(op, seen)
         used = slots_used(seen.runs.values())
         limit = asyncio.Semaphore(_AT_ONCE)
 
@@ -261,6 +285,7 @@ class SweepReconciler:
         wait = memory.written_at + op.settings.sweep_write_seconds - now
         if wait > 0 and not over:
             return [wait]
+        memory.points = status["points"]
         answer = await op.patch(
             seen.key,
             {"metadata": {"resourceVersion": body["metadata"]["resourceVersion"]}, "status": patch},
@@ -295,12 +320,45 @@ class SweepReconciler:
 
 def _own(op: Operator, key: Key, uid: str) -> list[Object]:
     runs = op.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, key.name)
-    return [
-        run
-        for run in runs
-        if any(owner["uid"] == uid for owner in run["metadata"].get("ownerReferences") or ())
-        and not run["metadata"].get("deletionTimestamp")
-    ]
+    return [run for run in runs if _is_of(run, uid)]
+
+
+def _is_of(run: Object, uid: str) -> bool:
+    meta = run["metadata"]
+    owners = meta.get("ownerReferences") or ()
+    return any(owner["uid"] == uid for owner in owners) and not meta.get("deletionTimestamp")
+
+
+def _is_outdated(seen: _Picture) -> bool:
+    """Tell whether another operator wrote of ends that were never seen here, of runs that are archived."""
+    memory, text = seen.memory, seen.body["status"].get("points")
+    if text is None or text == memory.points:
+        return False
+    memory.points = text
+    pairs = enumerate(zip(decode(text, len(memory.states)), memory.states, strict=True))
+    return any(
+        theirs >= PointState.SUCCEEDED and theirs != ours and index not in seen.runs
+        for index, (theirs, ours) in pairs
+    )
+
+
+async def _insist_on_newest(op: Operator, seen: _Picture) -> None:
+    """Make sure that no other operator has done points of which nothing is known here yet.
+
+    An archived run's name is free again: only the Sweep's status says that its point is done.
+
+    Raises:
+        Conflict: the Sweep is newer than what was looked at.
+    """
+    fresh = await op.refresh(seen.key)
+    if fresh is None or fresh["metadata"]["resourceVersion"] != seen.body["metadata"]["resourceVersion"]:
+        raise Conflict(f"{seen.key} has changed since it was looked at", status=409)
+
+
+def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
+    """Return after how many seconds to look at the budget of time again."""
+    end = (memory.started_at or now) + seconds(sweep.spec.budget.wall_time or "0s")
+    return min(max(end - now, _LOOK_SECONDS), 60.0)
 
 
 def _figures(memory: SweepMemory, tally: Tally) -> Object:

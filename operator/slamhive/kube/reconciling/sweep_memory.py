@@ -44,6 +44,8 @@ class SweepMemory:
         started_at: when its first run was started, s since 1970.
         looked_at: when it was last looked at.
         written_at: when its status was last written.
+        finished: its finished runs that were there when it was last looked at.
+        points: the states of its points as they were last written or read.
     """
 
     plan: Plan
@@ -55,7 +57,8 @@ class SweepMemory:
     cursor: int = 0
     looked_at: float = 0.0
     written_at: float = 0.0
-    problems: dict[int, str] = field(default_factory=dict)
+    finished: dict[int, dict[str, Any]] = field(default_factory=dict)
+    points: str | None = None
 
 
 def choose(sweep: Sweep, catalog: FixedCatalog, status: dict[str, Any]) -> list[dict[str, Any]]:
@@ -129,6 +132,7 @@ async def remember(
         selected=selected,
         archived=archived,
         started_at=moment(status.get("startTime")),
+        points=status.get("points"),
     )
 
 

@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many instances of a scenario at once, each with a namespace, operators and an archive of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import os
+import zlib
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, asynccontextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from testcluster.lab import Lab, until, volumes
+
+from faultlab.points import FaultyArchive
+from faultlab.recorder import recording
+from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
+from slamhive.archive import Archive
+from slamhive.jobs.lines import encode_all
+from slamhive.kube.client import Api
+from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.transport import Request
+from slamhive.model.evaluation import EvaluationSettings
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+    from contextlib import AbstractAsyncContextManager
+    from pathlib import Path
+
+    from testcluster.access import Cluster
+    from testcluster.kwok import Play, Pool
+
+    from faultlab.points import Faults
+    from faultlab.recorder import Recorder
+    from faultlab.scenarios import Scenario
+    from slamhive.kube.operator import Operator
+
+Object = dict[str, Any]
+T = TypeVar("T")
+
+SECONDS = 90.0
+AT_ONCE = 8
+QUICK: Object = {
+    "evaluation": {"delaySeconds": 0.1},
+    "sweepWriteSeconds": 0.1,
+    "relistSeconds": 5,
+    "workers": 4,
+}
+_KINDS = {"Algorithm": Kind.ALGORITHM, "Dataset": Kind.DATASET, "MappingRun": Kind.MAPPING_RUN}
+_KINDS |= {"Sweep": Kind.SWEEP, "Evaluation": Kind.EVALUATION}
+_NUMBERS = itertools.count()
+
+
+async def played_logs(api: Api, namespace: str, pod: str, container: str, **_: Any) -> str:
+    """Return what the evaluator of a played pod would have written, in the place of its kubelet.
+
+    Everything else of an evaluation is real. The figures follow from the runs' uids.
+    """
+    path = f"/api/v1/namespaces/{namespace}/pods/{pod}"
+    body = await api.json(Request("get", "pods/log", f"{namespace}/{pod}/{container}", "GET", path))
+    request = json.loads(body["metadata"]["annotations"]["slamhive.io/request"])
+    hashed = settings_hash(EvaluationSettings.model_validate(request["settings"]))
+    records = [
+        {
+            "uid": run["uid"],
+            "name": run["name"],
+            "result": {
+                "evaluation": request["evaluation"] or "SE3",
+                "outcome": "Tracked",
+                "coverage": 1.0,
+                "values": {"ate": {"rmse": error_of(run["uid"])}, SETTINGS_KEY: hashed},
+            },
+        }
+        for run in request["runs"]
+    ]
+    return "".join(encode_all(records))
+
+
+def error_of(uid: str) -> float:
+    """Return the ATE that a run is played to have, m."""
+    return zlib.crc32(uid.encode()) % 1000 / 1000
+
+
+@dataclass
+class Instance:
+    """A namespace in which a scenario is played."""
+
+    arena: Arena
+    scenario: Scenario
+    lab: Lab
+    archive: Archive | None
+
+    @property
+    def namespace(self) -> str:
+        """Return the namespace."""
+        return self.lab.namespace
+
+    def operator(
+        self, faults: Faults | None = None, **settings: Any
+    ) -> AbstractAsyncContextManager[Operator]:
+        """Return a running operator as a context."""
+        archive: Any = self.archive
+        if faults is not None and archive is not None:
+            archive = FaultyArchive(archive, faults)
+        return self.lab.operator(archive, faults, **(QUICK | settings))
+
+    def is_over(self) -> bool:
+        """Tell whether all is done, and all is gone that is to go."""
+        over = self.scenario.is_over(self.arena.seen, self.namespace, self.archive)
+        return over and not self.outcome().orphans
+
+    async def until(self, condition: Callable[[], Any], what: str, seconds: float = SECONDS) -> None:
+        """Wait for a condition.
+
+        Raises:
+            TimeoutError: it does not come.
+        """
+        try:
+            async with asyncio.timeout(seconds):
+                while not condition():
+                    victim = self.scenario.victim(self.arena.seen, self.namespace)
+                    if victim is not None:
+                        self.arena.order(self.arena.admin.delete(victim))
+                    await asyncio.sleep(0.05)
+        except TimeoutError:
+            raise TimeoutError(f"waited {seconds:g} s for {what}; there is {self.outcome()}") from None
+
+    async def finish(self, faults: Faults | None = None, **settings: Any) -> Outcome:
+        """Let an operator bring all to its end, and return what came of it."""
+        async with self.operator(faults, **settings):
+            await self.until(self.is_over, "the end")
+        return self.outcome()
+
+    def outcome(self) -> Outcome:
+        """Return what there is now, in a form that is the same whenever all went the same way."""
+        seen, namespace = self.arena.seen, self.namespace
+        ends = [(_place(run), _end(run)) for run in seen.alive("mappingruns", namespace)]
+        records = list(self.archive.runs()) if self.archive else []
+        for record in records:
+            cpu = record.usage.cpu.seconds if record.usage else None
+            results = tuple(
+                (item.evaluation, item.values["ate"]["rmse"] == error_of(record.uid))
+                for item in record.results
+            )
+            end = (str(record.phase), record.reason, record.attempts, 0, cpu, results)
+            ends.append((str(record.index), end))
+        ends += [("sweep", _standing(obj)) for obj in seen.alive("sweeps", namespace)]
+        return Outcome(
+            ends=tuple(sorted(ends, key=lambda end: end[0])),
+            created=self._created(),
+            archived=len(records),
+            orphans=self._orphans(),
+        )
+
+    def _created(self) -> Object:
+        """Return how many objects there ever were of each sort that may be made once."""
+        seen = self.arena.seen
+        runs = Counter(_place(run) for run in seen.ever["mappingruns", self.namespace].values())
+        jobs: Counter[str] = Counter()
+        for job in seen.ever["jobs", self.namespace].values():
+            labels = job["metadata"]["labels"]
+            if labels[Label.ROLE] == "run":
+                run = seen.ever["mappingruns", self.namespace].get(_owner(job))
+                jobs[f"{_place(run) if run else '?'}-{labels[Label.ATTEMPT]}"] += 1
+            elif labels[Label.ROLE] == "prepare":
+                jobs["prepare"] += 1
+        return {"runs": dict(sorted(runs.items())), "jobs": dict(sorted(jobs.items()))}
+
+    def _orphans(self) -> tuple[str, ...]:
+        seen, namespace = self.arena.seen, self.namespace
+        kinds = ("mappingruns", "sweeps", "jobs", "pods")
+        uids = {obj["metadata"]["uid"] for kind in kinds for obj in seen.alive(kind, namespace)}
+        return tuple(
+            f"{kind} {obj['metadata']['name']}"
+            for kind in ("jobs", "pods")
+            for obj in seen.alive(kind, namespace)
+            if obj["metadata"].get("ownerReferences")
+            and not uids & {owner["uid"] for owner in obj["metadata"]["ownerReferences"]}
+        )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a scenario.
+
+    Attributes:
+        ends: how each run ended with its point, live ones and archived ones, and where the Sweep stands.
+        created: how many objects there were of each point and attempt.
+        archived: rows of the archive; which runs it has depends on which ended first.
+        orphans: Jobs and pods whose owner is gone; they go by themselves after a moment.
+    """
+
+    ends: tuple[tuple[str, tuple[Any, ...]], ...]
+    created: Object
+    archived: int
+    orphans: tuple[str, ...] = field(compare=False)
+
+
+@dataclass
+class Arena:
+    """Where instances are played."""
+
+    cluster: Cluster
+    plays: Callable[[Play], Pool]
+    folder: Path
+    admin: Api
+    seen: Recorder
+    threads: ThreadPoolExecutor
+    loop: asyncio.AbstractEventLoop
+    namespaces: list[str] = field(default_factory=list)
+
+    async def play(self, scenario: Scenario, course: Callable[[Instance], Awaitable[T]]) -> T:
+        """Give a scenario a namespace with its objects in it, and return what a course of events comes to.
+
+        The course runs in a thread and loop of its own: kopf cancels all tasks of a loop that it leaves.
+        """
+        name = f"faults-{os.getpid()}-{next(_NUMBERS)}-{scenario.name}"
+        self.namespaces.append(name)
+        await self.create({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
+        await self._provide_volumes(name)
+        lab = Lab(self.cluster, name, self.plays(scenario.play))
+        loop = asyncio.get_running_loop()
+        with ExitStack() as stack:
+            archive = None
+            if scenario.archived is not None:
+                archive = stack.enter_context(Archive.open(f"sqlite:///{self.folder / name}.sqlite"))
+            instance = Instance(self, scenario, lab, archive)
+            for obj in (*scenario.catalog, *scenario.objects):
+                await self.admin.create(_KINDS[obj["kind"]], obj, name)
+            return await loop.run_in_executor(self.threads, lambda: asyncio.run(course(instance)))
+
+    def order(self, action: Coroutine[Any, Any, T]) -> T:
+        """Carry out a call of the administrator's for an instance, which waits."""
+        return asyncio.run_coroutine_threadsafe(action, self.loop).result(SECONDS)
+
+    async def _provide_volumes(self, namespace: str) -> None:
+        """Make volumes with claims that count as bound: the controller that binds them takes up to 15 s."""
+        disks, claims = [], []
+        for body in volumes(namespace):
+            if body["kind"] == "PersistentVolume":
+                del body["spec"]["claimRef"]
+                disks.append(body)
+            else:
+                body["metadata"]["annotations"] = {"pv.kubernetes.io/bind-completed": "yes"}
+                claims.append(body)
+        await asyncio.gather(*map(self.create, disks))
+        names = {body["metadata"]["name"] for body in disks}
+        await until(lambda: names <= self.seen.available(), "volumes", SECONDS)
+        await asyncio.gather(*map(self.create, claims))
+
+    async def create(self, body: Object) -> None:
+        """Create an object of the core group."""
+        plural, meta = f"{body['kind'].lower()}s", body["metadata"]
+        where = f"/namespaces/{meta['namespace']}" if "namespace" in meta else ""
+        await self.admin.json(
+            Request("create", plural, meta["name"], "POST", f"/api/v1{where}/{plural}", body=body)
+        )
+
+    async def clear(self) -> None:
+        """Have all namespaces and volumes deleted; nothing waits for that."""
+        gone = [f"namespaces/{name}" for name in self.namespaces]
+        gone += [
+            f"persistentvolumes/{body['metadata']['name']}"
+            for name in self.namespaces
+            for body in volumes(name)
+            if "namespace" not in body["metadata"]
+        ]
+        for path in gone:
+            await self.admin.call(Request("delete", "namespaces", path, "DELETE", f"/api/v1/{path}"))
+
+
+@asynccontextmanager
+async def arena_on(cluster: Cluster, plays: Callable[[Play], Pool], folder: Path) -> AsyncIterator[Arena]:
+    """Open an arena on a cluster."""
+    admin = await Api.connect(cluster.kubeconfig)
+    try:
+        async with recording(admin) as seen:
+            with ThreadPoolExecutor(AT_ONCE) as threads:
+                arena = Arena(cluster, plays, folder, admin, seen, threads, asyncio.get_running_loop())
+                try:
+                    yield arena
+                finally:
+                    await arena.clear()
+    finally:
+        await admin.close()
+
+
+def _place(run: Object) -> str:
+    """Return the point of a run, or its name where it has none."""
+    meta = run["metadata"]
+    return str((meta.get("labels") or {}).get(Label.POINT) or meta["name"])
+
+
+def _owner(obj: Object) -> str:
+    return str(obj["metadata"]["ownerReferences"][0]["uid"])
+
+
+def _end(run: Object) -> tuple[Any, ...]:
+    status, uid = run.get("status") or {}, run["metadata"]["uid"]
+    usage = (status.get("usage") or {}).get("cpu") or {}
+    results = tuple(
+        sorted(
+            (item["evaluation"], item["ate"]["rmse"] == error_of(uid)) for item in status.get("results") or ()
+        )
+    )
+    return (
+        status.get("phase"),
+        status.get("reason"),
+        status.get("attempts", 0),
+        status.get("faults", 0),
+        usage.get("seconds"),
+        results,
+    )
+
+
+def _standing(sweep: Object) -> tuple[Any, ...]:
+    status = sweep.get("status") or {}
+    fields = ("phase", "total", "pending", "running", "succeeded", "failed", "reused", "evaluated")
+    figures = tuple(status.get(name) for name in (*fields, "cpuSeconds", "progress", "points"))
+    best = sorted(item["index"] for item in status.get("best") or ())
+    return (*figures, tuple(best), bool(status.get("startTime")), bool(status.get("completionTime")))
