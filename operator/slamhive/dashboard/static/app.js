@@ -13,8 +13,10 @@ const PAGES = {
   table: () => import('./pages/table.js'),
   runs: () => import('./pages/runs.js'),
   compare: () => import('./pages/compare.js'),
+  algorithms: () => import('./pages/catalog.js'),
+  datasets: () => import('./pages/catalog.js'),
 };
-const MENU = [['/', 'Overview'], ['/runs', 'Runs'], ['/explore', 'Explore'], ['/leaderboard', 'Leaderboard'], ['/table', 'Table'], ['/compare', 'Compare']];
+const MENU = [['/', 'Overview'], ['/runs', 'Runs'], ['/explore', 'Explore'], ['/leaderboard', 'Leaderboard'], ['/table', 'Table'], ['/compare', 'Compare'], ['/algorithms', 'Algorithms'], ['/datasets', 'Datasets']];
 
 const remembered = () => {
   try {

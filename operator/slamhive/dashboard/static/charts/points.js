@@ -47,8 +47,9 @@ export function facets(data) {
 /** Return an ECharts axis for a read axis. */
 export function axisOption(axis, { log = false, vertical = false } = {}) {
   const name = clip(axis.heading.title, 50);
-  const gap = vertical ? 52 : 28;
-  if (axis.categories) return { type: 'category', data: axis.categories.map((text) => clip(text, 28)), name, nameGap: gap, axisLabel: { rotate: vertical || axis.categories.length < 5 ? 0 : 25 } };
+  const turned = axis.categories?.length > 4 && !vertical;
+  const gap = vertical ? 52 : turned ? 52 : 28;
+  if (axis.categories) return { type: 'category', data: axis.categories.map((text) => clip(text, 28)), name, nameGap: gap, axisLabel: { rotate: turned ? 25 : 0, interval: axis.categories.length > 20 ? 'auto' : 0 } };
   if (axis.heading.kind === 'time') return { type: 'time', name, nameGap: gap };
   return { type: log ? 'log' : 'value', scale: true, name, nameGap: gap };
 }

@@ -36,7 +36,7 @@ export function scatter(data, indices, { xlog, ylog, top }) {
       ...(colour ? [`${clip(colour.heading.title, 40)}: ${clip(colour.text(index), 40)}`] : []), status?.text(index) ?? ''].join('\n');
   };
   return {
-    grid: { left: 72, right: continuous ? 90 : 24, top: groups ? 40 : 16, bottom: 64 },
+    grid: { left: 72, right: continuous ? 90 : 24, top: groups ? 40 : 16, bottom: x.categories && x.categories.length > 4 ? 76 : 46 },
     legend: groups ? { data: series.filter((one) => one.data.length).map((one) => one.name) } : undefined,
     tooltip: { trigger: 'item', formatter: tell },
     visualMap: continuous ? range(kept.map(colour.at), colour.heading.title) : undefined,

@@ -9,12 +9,16 @@ import { csvOf, fetchJson, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
 import { clip } from '../core/format.js';
-import { Choice, Fault, Link, NothingFits, Notes, Tick, useTitle, Waiting } from '../core/parts.js';
+import { Choice, Fault, NothingFits, Notes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
 import { groupTable, GroupTable } from './groups.js';
+import { Heat } from './heat.js';
+import { Parallel } from './parallel.js';
+import { Pareto } from './pareto.js';
 import { RunRows } from './runrows.js';
 
-export const KINDS = [['scatter', 'points'], ['line', 'lines'], ['box', 'boxes']];
+const KINDS = [['scatter', 'points'], ['line', 'lines'], ['box', 'boxes'], ['heat', 'heat map'], ['parallel', 'parallel axes'], ['pareto', 'Pareto front']];
+const OTHERS = { heat: Heat, parallel: Parallel, pareto: Pareto };
 const FIELDS = ['x', 'y', 'colour', 'facet'];
 
 /** Return the settings of an address, with what is shown where it names nothing. */
@@ -44,21 +48,23 @@ function Explored({ columns }) {
   const set = settingsOf(query, columns);
   const embedded = query.get('embed') === '1';
   const filters = query.filters();
-  const drawn = set.kind === 'line'
+  const Other = OTHERS[set.kind];
+  const drawn = Other ? null : set.kind === 'line'
     ? address('/api/v1/analysis/aggregate', filters.with({ by: [set.x, set.colour, set.facet].filter(Boolean).join(','), metrics: set.y, outcomes: set.outcomes }))
     : address('/api/v1/analysis/points', filters.with({ x: set.x, y: set.y, colour: set.colour, facet: set.facet }));
   const state = useData(drawn);
   const title = query.get('title') || `${titleOf(columns, set.y)} over ${titleOf(columns, set.x)}`;
-  const field = state.error?.field;
-  const at = { by: 'x', metrics: 'y', metric: 'y' }[field] ?? field;
-  const atFilters = shownByFilters(state.error, query);
+    const [otherError, setOtherError] = useState(null);
+  const error = Other ? otherError : state.error;
+  const at = { by: 'x', metrics: 'y', metric: 'y' }[error?.field] ?? error?.field;
+  const atFilters = shownByFilters(error, query);
   return html`<h1>${clip(title, 120)}</h1>
-    ${!embedded && html`<${Controls} columns=${columns} set=${set} change=${(changes) => change({ title: null, ...changes })} error=${state.error} field=${at} />
-      <${Filters} columns=${columns} error=${state.error} />`}
-    ${(embedded || (!atFilters && !FIELDS.includes(at))) && html`<${Fault} error=${state.error} />`}
-    ${state.data ? html`<${Drawing} key=${set.kind} set=${set} data=${state.data} title=${title} csv=${csvOf(drawn)} />` : !state.error && html`<${Waiting} />`}
-    ${!embedded && state.data && html`<${GroupTable} columns=${columns} set=${set} filters=${filters} />`}
-    ${!embedded && !state.error && set.kind !== 'scatter' && html`<${RunRows} filters=${filters} extra=${[set.x, set.y, set.colour]} />`}`;
+    ${!embedded && html`<${Controls} columns=${columns} set=${set} change=${(changes) => change({ title: null, ...changes })} error=${error} field=${at} />
+      <${Filters} columns=${columns} error=${error} />`}
+    ${(embedded || (!atFilters && !FIELDS.includes(at))) && html`<${Fault} error=${error} />`}
+    ${Other ? html`<${Other} key=${set.kind} set=${set} columns=${columns} filters=${filters} title=${title} onError=${setOtherError} />` : state.data ? html`<${Drawing} key=${set.kind} set=${set} data=${state.data} title=${title} csv=${csvOf(drawn)} />` : !state.error && html`<${Waiting} />`}
+    ${!embedded && !Other && state.data && html`<${GroupTable} columns=${columns} set=${set} filters=${filters} />`}
+    ${!embedded && !error && !['scatter', 'parallel'].includes(set.kind) && html`<${RunRows} filters=${filters} extra=${[set.x, set.y, set.colour]} />`}`;
 }
 
 const titleOf = (columns, name) => columns.find((one) => one.name === name)?.title ?? name;
@@ -71,10 +77,10 @@ function Controls({ columns, set, change, error, field }) {
     <${Choice} label="Draw" value=${set.kind} options=${KINDS} onChange=${(kind) => change({ kind })} />
     <${Choice} label="x" value=${set.x} options=${any} error=${wrong('x')} onChange=${(x) => change({ x })} />
     <${Choice} label="y" value=${set.y} options=${numbers} error=${wrong('y')} onChange=${(y) => change({ y })} />
-    <${Choice} label="Colour" value=${set.colour} options=${any} none="none" error=${wrong('colour')} onChange=${(colour) => change({ colour })} />
-    <${Choice} label="One chart each" value=${set.facet} options=${any} none="all in one" error=${wrong('facet')} onChange=${(facet) => change({ facet })} />
-    ${set.kind !== 'scatter' && html`<${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} onChange=${(outcomes) => change({ outcomes })} />`}
-    ${set.kind === 'line' && html`<${Choice} label="Figure" value=${set.figure} options=${['median', 'mean']} onChange=${(figure) => change({ figure })} />`}
+    <${Choice} label=${{ heat: 'Rows', pareto: 'Competitors' }[set.kind] ?? 'Colour'} value=${set.colour} options=${any} none="none" error=${wrong('colour')} onChange=${(colour) => change({ colour })} />
+    ${!OTHERS[set.kind] && html`<${Choice} label="One chart each" value=${set.facet} options=${any} none="all in one" error=${wrong('facet')} onChange=${(facet) => change({ facet })} />`}
+    ${!['scatter', 'parallel', 'pareto'].includes(set.kind) && html`<${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} onChange=${(outcomes) => change({ outcomes })} />`}
+    ${['line', 'heat'].includes(set.kind) && html`<${Choice} label="Figure" value=${set.figure} options=${['median', 'mean']} onChange=${(figure) => change({ figure })} />`}
     <${Tick} label="log x" checked=${set.xlog} onChange=${(on) => change({ xlog: on ? 1 : null })} />
     <${Tick} label="log y" checked=${set.ylog} onChange=${(on) => change({ ylog: on ? 1 : null })} />
   </div></section>`;
@@ -87,7 +93,7 @@ function Drawing({ set, data, title, csv }) {
   const parts = useMemo(() => (set.kind === 'line' ? lineParts(data, set) : pointParts(data, set)), [data, JSON.stringify(set)]);
   if (parts === null) return html`<p class="fault" role="alert">${clip(set.facet, 60)} has too many values for one chart each; choose another column.</p>`;
   if ((data.count ?? data.groups?.length) === 0) return html`<${NothingFits} />`;
-  const sentences = [...new Set([...(data.mixed ?? []).map((one) => one.sentence), ...(data.notes ?? [])])];
+  const sentences = [...new Set([...(data.mixed ?? []).map((one) => one.sentence), ...(data.notes ?? []), ...(parts[0]?.left ? [`${parts[0].left} of the charts would have a single value of ${clip(set.x, 60)}; they are left out, the table has them`] : [])])];
   const open = (event) => openRun(data, event);
   const many = parts.length > 1;
   return html`${set.kind === 'scatter' && html`<p class="row"><${Tick} label="Select by dragging" checked=${brushing} onChange=${setBrushing} />
@@ -103,8 +109,10 @@ function Drawing({ set, data, title, csv }) {
 function lineParts(data, set) {
   const values = set.facet ? [...new Set(data.groups.map((group) => String(group.keys[set.facet])))] : [null];
   if (values.length > 24) return null;
-  return values.map((value) => ({
-    name: value, option: line(data, { ...set, facetValue: value }),
+  const spread = (value) => new Set(data.groups.filter((group) => value === null || String(group.keys[set.facet]) === value).map((group) => String(group.keys[set.x]))).size;
+  const wide = values.filter((value) => spread(value) > 1);
+  return (wide.length ? wide : values).map((value) => ({
+    name: value, left: wide.length ? values.length - wide.length : 0, option: line(data, { ...set, facetValue: value }),
     table: groupTable(set.facet ? { ...data, groups: data.groups.filter((group) => String(group.keys[set.facet]) === value) } : data),
   }));
 }

@@ -39,11 +39,11 @@ export default function Leaderboard() {
     </div></section><${Filters} columns=${all} error=${state.error} />`}
     ${elsewhere && html`<${Fault} error=${state.error} />`}
     ${state.data ? html`<p class="quiet">Ranks are by the median of each dataset; runs that failed count as worse than any that did not. <a href=${csvOf(url)} download>CSV</a></p>
-      ${state.data.boards.map((board) => html`<${Board} board=${board} metric=${state.data.metric} by=${state.data.by} />`)}
+      ${state.data.boards.map((board) => html`<${Board} board=${board} metric=${state.data.metric} by=${state.data.by} csv=${csvOf(url)} />`)}
       ${state.data.boards.length === 0 && html`<${NothingFits} />`}<${Notes} notes=${state.data.notes} />` : !state.error && html`<${Waiting} />`}`;
 }
 
-function Board({ board, metric, by }) {
+function Board({ board, metric, by, csv }) {
   const facets = Object.entries(board.facets).map(([name, value]) => `${name} ${cell(value)}`).join(', ');
   const factor = metric.factor ?? 1;
   const columns = [
@@ -58,16 +58,16 @@ function Board({ board, metric, by }) {
     ...Object.fromEntries(entry.datasets.map((one) => [`dataset ${one.dataset}`, one])),
   }));
   const option = {
-    grid: { left: 72, right: 24, top: 44, bottom: 64 }, legend: {}, tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${item.name}: ${number(item.value)}` },
+    grid: { left: 72, right: 24, top: 44, bottom: 34 }, legend: {}, tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${item.name}: ${number(item.value)}` },
     xAxis: { type: 'category', data: board.datasets.map((name) => clip(name, 28)), name: '' }, yAxis: { type: 'value', name: `${clip(metric.title, 40)}, median`, nameGap: 52 },
-    series: board.entries.map((entry) => ({ type: 'bar', name: clip(keysText(entry.keys), 50), data: board.datasets.map((name) => {
+    series: board.entries.map((entry) => ({ type: 'bar', barMaxWidth: 36, name: clip(keysText(entry.keys), 50), data: board.datasets.map((name) => {
       const median = entry.datasets.find((one) => one.dataset === name)?.median;
       return median === null || median === undefined ? null : median * factor;
     }) })),
   };
   return html`<section><h2>${clip(board.datasets.join(', '), 200)}${facets && html` <span class="quiet">${clip(facets, 200)}</span>`}</h2>
     <${Table} columns=${columns} rows=${rows} caption=${`Leaderboard on ${clip(board.datasets.join(', '), 100)}`} />
-    <p></p><${Chart} option=${option} height=${300} title=${`${metric.title} on ${clip(board.datasets.join(', '), 80)}`} /></section>`;
+    ${board.entries.length > 1 && html`<p></p><${Chart} option=${option} height=${300} csv=${csv} table=${{ columns, rows }} title=${`${metric.title} on ${clip(board.datasets.join(', '), 80)}`} />`}</section>`;
 }
 
 const interval = (range) => (range ? `${number(range.low, 3)} to ${number(range.high, 3)}` : '–');

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+/** A heat map: one figure over two columns. */
+import { address, useAddress } from '../core/address.js';
+import { csvOf, useData } from '../core/api.js';
+import { Chart } from '../core/chart.js';
+import { cell, clip, number } from '../core/format.js';
+import { NothingFits, Notes, Waiting } from '../core/parts.js';
+import { html, useEffect, useMemo } from '../core/ui.js';
+import { failureText, groupTable } from './groups.js';
+
+const MOST = 40;
+
+/** @param {{set: object, filters: import('../core/address.js').Query, title: string, onError: (error: Error|null) => void}} props of explore */
+export function Heat({ set, columns, filters, title, onError }) {
+  const { query } = useAddress();
+  const rows = set.colour || 'algorithm';
+  const url = address('/api/v1/analysis/aggregate', filters.with({ by: [...new Set([set.x, rows])].join(','), metrics: set.y, outcomes: set.outcomes }));
+  const { data, error } = useData(url);
+  useEffect(() => onError(error), [error]);
+  const drawn = useMemo(() => data && parts(data, set, rows), [data, set.figure, rows]);
+  if (!data) return !error && html`<${Waiting} />`;
+  if (data.groups.length === 0) return html`<${NothingFits} />`;
+  return html`<div class=${drawn.length > 1 ? 'facets' : ''}>${drawn.map((part) => html`<${Chart} key=${part.name} title=${part.name ? `${title}: ${clip(part.name, 100)}` : title} option=${part.option} height=${part.height}
+      csv=${csvOf(url)} table=${part.table} />`)}</div>
+    <${Notes} notes=${[...(data.notes ?? []), ...(drawn.length > 24 ? ['More than 24 charts: filter the runs.'] : [])]} />
+    ${query.get('embed') !== '1' && html`<p class="quiet">A cell without runs is empty; one whose runs all failed says so.</p>`}`;
+}
+
+function parts(data, set, rows) {
+  const rest = data.keys.map((key) => key.name).filter((name) => name !== set.x && name !== rows);
+  const found = new Map();
+  for (const group of data.groups) {
+    const name = rest.map((key) => cell(group.keys[key])).join(', ');
+    if (!found.has(name)) found.set(name, []);
+    found.get(name).push(group);
+  }
+  return [...found].slice(0, 24).map(([name, groups]) => ({ name: found.size > 1 ? name : '', ...heat(data, groups, set, rows) }));
+}
+
+function heat(data, groups, set, rows) {
+  const heading = (name) => data.keys.find((key) => key.name === name);
+  const metric = data.metrics[0];
+  const values = (name) => [...new Set(groups.map((group) => group.keys[name]))].sort((a, b) => (typeof a === 'number' && typeof b === 'number' ? a - b : String(a).localeCompare(String(b)))).slice(0, MOST);
+  const [across, down] = [values(set.x), values(rows)];
+  const cells = groups.map((group) => {
+    const figure = group.figures[set.y]?.[set.figure];
+    return { value: [across.indexOf(group.keys[set.x]), down.indexOf(group.keys[rows]), figure === null || figure === undefined ? '-' : figure * (metric.factor ?? 1)], group };
+  }).filter((one) => one.value[0] >= 0 && one.value[1] >= 0);
+  const numbers = cells.map((one) => one.value[2]).filter((value) => value !== '-');
+  const text = (one) => (one.value[2] === '-' ? (one.group.failed ? 'failed' : '') : number(one.value[2], 3));
+  const known = across.length <= 12;
+  return {
+    height: Math.max(220, 120 + down.length * 34), table: groupTable({ ...data, groups }),
+    option: {
+      grid: { left: 130, right: 90, top: 12, bottom: 70 },
+      tooltip: { trigger: 'item', formatter: (item) => (item.data?.group ? `${clip(metric.title, 40)} (${set.figure}): ${text(item.data) || '–'}\nn = ${item.data.group.n} of ${item.data.group.runs}; ${failureText(item.data.group.failures)}` : '') },
+      xAxis: { type: 'category', data: across.map((value) => clip(cell(value, heading(set.x)), 24)), name: clip(heading(set.x).title, 40), nameGap: 46, axisLabel: { rotate: across.length > 6 ? 25 : 0 } },
+      yAxis: { type: 'category', data: down.map((value) => clip(cell(value, heading(rows)), 20)), name: '' },
+      visualMap: { min: Math.min(...numbers, Infinity), max: Math.max(...numbers, -Infinity), precision: 3, right: 0, top: 'middle', itemHeight: 100, inRange: { color: ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'] } },
+      series: [{ type: 'heatmap', data: cells, label: { show: known, formatter: (item) => text(item.data), color: '#111', textBorderColor: '#fff', textBorderWidth: 2 } }],
+    },
+  };
+}
