@@ -131,11 +131,20 @@ class ArchiveData:
         """The rows as they were last read."""
         return self._loaded.frame
 
-    def look(self) -> None:
-        """Read again what changed, if it is time for that; a database that is away is remembered."""
+    @property
+    def is_open(self) -> bool:
+        """Whether the database answered last time."""
+        return self._engine is not None
+
+    def look(self, *, again: bool = False) -> None:
+        """Read again what changed, if it is time for that; a database that is away is remembered.
+
+        Args:
+            again: look even if it is not time yet.
+        """
         with self._lock:
             begun = self._clock()
-            if begun < self._next_look:
+            if begun < self._next_look and not again:
                 return
             try:
                 changed = self._refresh()
@@ -147,7 +156,8 @@ class ArchiveData:
             if changed:
                 self._count += 1
             took = self._clock() - begun
-            self._next_look = begun + took + max(LOOK_SECONDS, _REST * took if changed else 0.0)
+            busy = changed or self.problem is not None
+            self._next_look = begun + took + max(LOOK_SECONDS, _REST * took if busy else 0.0)
 
     def archive(self) -> Archive:
         """Return the archive's own reading methods.

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The data of a cluster: live objects of the Kubernetes API over what the archive holds."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from slamhive.analysis.frame import Frame, stack, with_derived
+from slamhive.dashboard.artifacts import Place
+from slamhive.dashboard.live import (
+    Cluster,
+    catalog_entry,
+    columns_of_runs,
+    narrow_other,
+    narrow_run,
+    sweep_in_short,
+)
+from slamhive.dashboard.sources import ArchiveData, Snapshot
+from slamhive.dashboard.truths import Truths
+from slamhive.dashboard.watching import Follower
+from slamhive.kube.client import Api
+from slamhive.kube.errors import ApiError, NotFound
+from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.reconciling.records import record_of
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+    from concurrent.futures import Executor
+    from pathlib import Path
+
+    from slamhive.archive.records import CatalogEntry, SweepRecord
+    from slamhive.dashboard.truths import Truth
+    from slamhive.model.results import RunRecord
+
+_OTHERS = (Kind.ALGORITHM, Kind.DATASET, Kind.EVALUATION, Kind.SWEEP)
+_REST = 4.0
+_LEAST_REST_SECONDS = 1.0
+_DETAIL_SECONDS = 10.0
+
+
+class ClusterSource:
+    """Live objects of some namespaces, and the archive behind them.
+
+    A run that is in both is shown as it is live. When either does not answer, what was known of it last is
+    shown on, and a sentence says so.
+
+    Args:
+        namespaces: which.
+        archive_url: the archive's database URL; None for none.
+        results: the results volume; None when it isn't mounted.
+        ground_truth: folder of ground truth by dataset; None when it isn't mounted.
+        name: the cluster's name.
+        connect: returns the API.
+    """
+
+    def __init__(
+        self,
+        namespaces: list[str],
+        *,
+        archive_url: str | None = None,
+        results: Path | None = None,
+        ground_truth: Path | None = None,
+        name: str = "",
+        connect: Callable[[], Awaitable[Api]] = Api.connect,
+    ) -> None:
+        self._namespaces = namespaces
+        self._archive = ArchiveData(archive_url) if archive_url else None
+        self._results = results
+        self._truths = Truths(ground_truth)
+        self._name = name
+        self._connect = connect
+        self._cluster = Cluster()
+        self._troubles: dict[tuple[Kind, str], str | None] = {}
+        self._numbers: dict[str, int] = {}
+        self._tasks: list[asyncio.Task[None]] = []
+        self._snapshot = Snapshot()
+        self._built: tuple[Any, ...] = ()
+        self._next_build = 0.0
+        self._lock = asyncio.Lock()
+        self._api: Api | None = None
+        self._executor: Executor | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    async def start(self, executor: Executor) -> None:
+        """Begin to follow the objects.
+
+        Raises:
+            StartError: no cluster is known.
+        """
+        self._executor = executor
+        self._loop = asyncio.get_running_loop()
+        self._api = await self._connect()
+        for namespace in self._namespaces:
+            for kind in (Kind.MAPPING_RUN, *_OTHERS):
+                follower = self._follower(self._api, kind, namespace)
+                self._tasks.append(asyncio.create_task(follower.run(), name=f"follow {kind} {namespace}"))
+
+    async def stop(self) -> None:
+        """End."""
+        for task in self._tasks:
+            task.cancel()
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=5)
+        if self._api is not None:
+            await self._api.close()
+        if self._archive is not None:
+            self._archive.close()
+
+    async def fresh(self) -> Snapshot:
+        """Return the data as they are now."""
+        async with self._lock:
+            loop = asyncio.get_running_loop()
+            removed, self._cluster.removed = self._cluster.removed, False
+            if self._archive is not None:
+                await loop.run_in_executor(self._executor, partial(self._archive.look, again=removed))
+            state = (self._cluster.changes, self._archive.revision if self._archive else "", self._problems())
+            if state != self._built and time.monotonic() >= self._next_build:
+                begun = time.monotonic()
+                taken = (
+                    self._cluster.all_runs(),
+                    {
+                        (obj["metadata"].get("namespace", ""), obj["metadata"]["name"]): obj["spec"].get(
+                            "attributes"
+                        )
+                        or {}
+                        for obj in self._cluster.of(Kind.DATASET)
+                    },
+                )
+                frame = await loop.run_in_executor(self._executor, partial(self._build, *taken))
+                sweeps = {
+                    obj["metadata"]["name"]: sweep_in_short(obj) for obj in self._cluster.of(Kind.SWEEP)
+                }
+                revision = f"{state[1] or 'live'}.{id(self):x}.{state[0]}"
+                self._snapshot = Snapshot(frame, revision, state[2], sweeps)
+                self._built = state
+                took = time.monotonic() - begun
+                self._next_build = begun + max(_LEAST_REST_SECONDS, _REST * took)
+            return self._snapshot
+
+    @property
+    def ready(self) -> bool:
+        """Whether every kind was listed once, and the archive read."""
+        listed = len(self._troubles) == len(self._namespaces) * (len(_OTHERS) + 1)
+        known = listed and len(self._cluster.runs) == len(self._namespaces)
+        return known and (self._archive is None or self._archive.loaded_once or bool(self._archive.problem))
+
+    def describe(self) -> dict[str, Any]:
+        """Say which cluster this is."""
+        return {"kind": "cluster", "name": self._name or None, "namespaces": self._namespaces}
+
+    def record(self, uid: str) -> RunRecord | None:
+        """Return a run: as it is live, else from the archive."""
+        for run in self._cluster.all_runs():
+            if run.uid == uid:
+                obj = self._fetch(Key(Kind.MAPPING_RUN, run.namespace, run.name))
+                if obj is not None and obj["metadata"].get("uid") == uid:
+                    held = self._cluster.others.get((Kind.DATASET, run.namespace), {})
+                    dataset = held.get(run.dataset or "", {"spec": {}})
+                    return record_of(obj, attributes=dataset["spec"].get("attributes"))
+        return self._archive.archive().get(uid) if self._archive is not None else None
+
+    def sweeps(self) -> list[SweepRecord]:
+        """Return the sweeps in the archive."""
+        return self._archive.archive().sweeps() if self._archive and self._archived else []
+
+    def catalog(self, kind: str) -> list[CatalogEntry]:
+        """Return the catalog as archived runs used it, then as it is now."""
+        word: Literal["Algorithm", "Dataset"] = "Algorithm" if kind == "Algorithm" else "Dataset"
+        archived = self._archive.archive().catalog(kind) if self._archive and self._archived else []
+        return [*archived, *(catalog_entry(word, obj) for obj in self._cluster.of(Kind(kind)))]
+
+    def place(self, record: RunRecord) -> Place | None:
+        """Return the folder of a run on the results volume."""
+        parts = tuple((record.folder or "").split("/"))
+        wrong = len(parts) < 2 or parts[0] != "runs" or any(part in {"", ".", ".."} for part in parts)
+        if self._results is None or wrong or not self._results.joinpath(*parts).is_dir():
+            return None
+        return Place(self._results, parts)
+
+    def truth(self, dataset: str, label: str | None) -> Truth | None:
+        """Return the ground truth of a dataset, if its volume is mounted."""
+        return self._truths.find(dataset, label)
+
+    def live_runs(self) -> int:
+        """Return the number of runs that have not finished."""
+        return sum(run.live for run in self._cluster.all_runs())
+
+    @property
+    def _archived(self) -> bool:
+        return self._archive is not None and self._archive.is_open
+
+    def _problems(self) -> tuple[str, ...]:
+        sentences = [sentence for sentence in self._troubles.values() if sentence]
+        if self._archive is not None and self._archive.problem:
+            sentences.append(self._archive.problem)
+        return tuple(dict.fromkeys(sentences[:3]))
+
+    def _build(self, runs: list[Any], attributes: dict[tuple[str, str], dict[str, Any]]) -> Frame:
+        archived = self._archive.frame if self._archive is not None else Frame({}, 0)
+        if not runs:
+            return archived
+        for run in runs:
+            self._numbers.setdefault(run.uid, -1 - len(self._numbers))
+        live = columns_of_runs(runs, self._numbers, attributes)
+        parts = [live]
+        if len(archived):
+            uids = archived.column("uid")
+            names = {run.uid for run in runs}
+            hidden = np.array([value in names for value in (*uids.values, None)], dtype=bool)[uids.codes]
+            kept = archived.select(~hidden)
+            derived = {"status", "disturbed", "ate.extended"}
+            parts.append(
+                ({name: kept.column(name) for name in kept.stored if name not in derived}, len(kept))
+            )
+        columns, length = stack([part for part in parts if part[1]])
+        return with_derived(columns, length)
+
+    def _follower(self, api: Api, kind: Kind, namespace: str) -> Follower:
+        def trouble(sentence: str | None) -> None:
+            self._troubles[kind, namespace] = sentence
+
+        cluster = self._cluster
+        if kind is Kind.MAPPING_RUN:
+            return Follower(
+                api,
+                kind,
+                namespace,
+                reset=partial(cluster.reset_runs, namespace),
+                change=partial(cluster.change_run, namespace),
+                trouble=trouble,
+                narrow=narrow_run,
+            )
+        return Follower(
+            api,
+            kind,
+            namespace,
+            reset=partial(cluster.reset_others, kind, namespace),
+            change=partial(cluster.change_other, kind, namespace),
+            trouble=trouble,
+            narrow=narrow_other,
+        )
+
+    def _fetch(self, key: Key) -> dict[str, Any] | None:
+        """Return an object, asked for from a thread that is not the loop's."""
+        if self._api is None or self._loop is None:
+            return None
+        future = asyncio.run_coroutine_threadsafe(self._api.get(key), self._loop)
+        try:
+            return future.result(_DETAIL_SECONDS)
+        except NotFound:
+            return None
+        except (ApiError, TimeoutError):
+            future.cancel()
+            return None

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Following objects of the Kubernetes API: list, then watch, and again from the list after any break."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import ssl
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
+
+import aiohttp
+
+from slamhive.kube.errors import ApiError
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+
+    from slamhive.kube.client import Api
+    from slamhive.kube.kinds import Kind
+
+Object = dict[str, Any]
+
+WATCH_SECONDS = 240
+"""How long one watch lasts; the server would end it after 30 to 60 min."""
+
+_SILENCE_SECONDS = WATCH_SECONDS + 30
+_FIRST_PAUSE = 0.5
+_LONGEST_PAUSE = 20.0
+_MAX_LINE = 8 * 2**20
+_GONE = 410
+
+
+class Follower:
+    """Follows the objects of one kind in one namespace.
+
+    Args:
+        api: the API.
+        kind: the kind.
+        namespace: where.
+        reset: called with all objects after each list.
+        change: called with (ADDED, MODIFIED or DELETED, the object).
+        trouble: called with a sentence when the API does not answer, with None when it does again.
+        narrow: applied to each object as it comes.
+    """
+
+    def __init__(
+        self,
+        api: Api,
+        kind: Kind,
+        namespace: str,
+        *,
+        reset: Callable[[list[Any]], None],
+        change: Callable[[str, Any], None],
+        trouble: Callable[[str | None], None],
+        narrow: Callable[[Object], Any],
+    ) -> None:
+        self._api = api
+        self._kind = kind
+        self._namespace = namespace
+        self._reset = reset
+        self._change = change
+        self._trouble = trouble
+        self._narrow = narrow
+
+    async def run(self) -> None:
+        """Follow until cancelled."""
+        pause = _FIRST_PAUSE
+        while True:
+            try:
+                version = await self._list()
+                self._trouble(None)
+                pause = _FIRST_PAUSE
+                await self._watch(version)
+            except (ApiError, aiohttp.ClientError, OSError, TimeoutError, ValueError) as error:
+                said = str(error) or type(error).__name__
+                self._trouble(f"the Kubernetes API does not answer for {self._kind.resource}: {said}")
+            await asyncio.sleep(pause * (0.5 + 0.5 * random.random()))  # noqa: S311 - no secret
+            pause = min(2 * pause, _LONGEST_PAUSE)
+
+    async def _list(self) -> str:
+        items, version = await self._api.list(self._kind, self._namespace, narrow=self._narrow)
+        self._reset(items)
+        return version
+
+    async def _watch(self, version: str) -> None:
+        while version:
+            newest = ""
+            async for event in self._events(version):
+                obj = event.get("object") or {}
+                if event.get("type") == "ERROR":
+                    if obj.get("code") == _GONE:
+                        return
+                    raise ValueError(str(obj.get("message") or "the watch broke off"))
+                newest = str(obj.get("metadata", {}).get("resourceVersion") or newest)
+                if event.get("type") in {"ADDED", "MODIFIED", "DELETED"}:
+                    self._change(str(event["type"]), self._narrow(obj))
+            version = newest or version
+
+    async def _events(self, version: str) -> AsyncIterator[Object]:
+        access = await self._api.access()
+        query = {
+            "watch": "1",
+            "resourceVersion": version,
+            "allowWatchBookmarks": "true",
+            "timeoutSeconds": str(WATCH_SECONDS),
+        }
+        address = f"{access.server}{self._kind.path(self._namespace)}?{urlencode(query)}"
+        headers = {"Accept": "application/json", "User-Agent": "slamhive-dashboard"}
+        if access.token:
+            headers["Authorization"] = f"Bearer {access.token}"
+        context = ssl.create_default_context(cafile=access.ca_path)
+        if access.insecure:
+            context.check_hostname = False
+            context.verify_mode = ssl.CERT_NONE
+        if access.certificate_path:
+            context.load_cert_chain(access.certificate_path, access.private_key_path)
+        timeout = aiohttp.ClientTimeout(total=None, connect=10, sock_read=_SILENCE_SECONDS)
+        async with (
+            aiohttp.ClientSession(timeout=timeout, read_bufsize=_MAX_LINE) as session,
+            session.get(address, headers=headers, ssl=context, proxy=access.proxy_url) as answer,
+        ):
+            if answer.status == _GONE:
+                return
+            if answer.status >= 400:
+                raise ValueError(f"HTTP {answer.status} {(await answer.text())[:200]}")
+            async for line in answer.content:
+                if line.strip():
+                    yield json.loads(line)
