@@ -49,7 +49,7 @@ class Evaluations:
 
     def __init__(self, catalogue: Catalogue) -> None:
         self._catalogue = catalogue
-        self._problems: dict[tuple[str, str], str] = {}
+        self._problems: dict[Key, dict[tuple[str, str, str], str]] = {}
         self._failures: dict[Key, int] = {}
         self._written: dict[Key, float] = {}
 
@@ -68,6 +68,7 @@ class Evaluations:
             return None
         if group is None:
             self._failures.pop(key, None)
+            self._problems.pop(key, None)
             return None
         busy: set[str] = set()
         active = 0
@@ -95,7 +96,11 @@ class Evaluations:
         ]
 
     def _is_missing(self, group: Group, run: Object) -> bool:
-        return not group.has_result(run) and (group.hash, run["metadata"]["uid"]) not in self._problems
+        return not group.has_result(run) and self._problem(group, run) is None
+
+    def _problem(self, group: Group, run: Object) -> str | None:
+        """Return why a run can't be measured by this group; another one's evaluator may do better."""
+        return self._problems.get(group.key, {}).get(_case(group, run))
 
     async def _start_missing(self, op: Operator, group: Group, busy: set[str], active: int) -> list[float]:
         missing = [
@@ -243,17 +248,14 @@ class Evaluations:
         if group.name is None:
             fresh = [condition("Evaluated", False, "NotEvaluable", problem)]
             await _update(op, key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"], fresh)
-        self._problems[group.hash, run["metadata"]["uid"]] = problem
+        self._problems.setdefault(group.key, {})[_case(group, run)] = problem
 
     async def _write(self, op: Operator, group: Group) -> list[float]:
         body = op.store.get(group.key)
         if group.name is None or body is None:
             return []
-        problems = {
-            run["metadata"]["name"]: self._problems[group.hash, run["metadata"]["uid"]]
-            for run in group.runs
-            if (group.hash, run["metadata"]["uid"]) in self._problems
-        }
+        found = {run["metadata"]["name"]: self._problem(group, run) for run in group.runs}
+        problems = {name: problem for name, problem in found.items() if problem is not None}
         now = op.clock()
         status = evaluation_status(group, problems)
         generation = body["metadata"].get("generation", 1)
@@ -313,6 +315,10 @@ async def _update(
         else:
             return
     raise Conflict(f"{key}: its status keeps changing", status=409)
+
+
+def _case(group: Group, run: Object) -> tuple[str, str, str]:
+    return str(group.owner["uid"]), group.hash, str(run["metadata"]["uid"])
 
 
 def _names(job: Object) -> set[str]:
