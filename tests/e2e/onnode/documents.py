@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands and files of a document, as a reader would copy them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+ROOT = Path(__file__).resolve().parents[3]
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FILE = re.compile(r"^# ([\w./-]+\.\w+)$")
+
+
+def sections(name: str) -> dict[str, str]:
+    """Return the text below each heading of a document in docs/."""
+    found: dict[str, list[str]] = {"": []}
+    fenced, heading = False, ""
+    for line in (ROOT / "docs" / name).read_text().splitlines(keepends=True):
+        fenced ^= line.startswith("```")
+        if not fenced and line.startswith("#"):
+            heading = line.lstrip("#").strip()
+        found.setdefault(heading, []).append(line)
+    return {name: "".join(lines) for name, lines in found.items()}
+
+
+def scripts(text: str) -> list[str]:
+    """Return the shell blocks of a text."""
+    return [body for language, body in FENCE.findall(text) if language in {"bash", "sh"}]
+
+
+def files(text: str) -> dict[str, str]:
+    """Return the blocks of a text that are files, by the name in their first line."""
+    named = [(FILE.match(body.split("\n", 1)[0]), body) for _, body in FENCE.findall(text)]
+    return {match[1]: body for match, body in named if match}
+
+
+@dataclass(frozen=True)
+class Desk:
+    """A folder that looks like a checkout, and a shell in it.
+
+    Attributes:
+        folder: where commands are run.
+        environment: what they find, among it the cluster.
+    """
+
+    folder: Path
+    environment: Mapping[str, str]
+
+    def lay_out(self) -> None:
+        """Put links to what the documents' commands name into the folder."""
+        self.folder.mkdir()
+        for name in ("helm", "images", "examples", "crds"):
+            (self.folder / name).symlink_to(ROOT / name)
+
+    def run(self, script: str, timeout: float = 900) -> str:
+        """Run a block; all of its commands have to succeed. Returns what they print."""
+        done = subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", script],
+            cwd=self.folder,
+            env=dict(self.environment),
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
+        assert done.returncode == 0, f"{script}\n{done.stdout}{done.stderr}"
+        return done.stdout + done.stderr

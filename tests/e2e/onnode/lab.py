@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A team's namespace with SLAM Hive in it, on a node whose disk the tests can read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import yaml
+from testcluster.access import until
+
+from onnode.documents import ROOT, Desk
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from testcluster.access import Cluster
+
+API_VERSION = "slamhive.io/v1alpha1"
+DATASET = "synthetic-lidar"
+RUNS = "mappingruns.slamhive.io"
+SECONDS = 300.0
+CLASS = {
+    "apiVersion": "storage.k8s.io/v1",
+    "kind": "StorageClass",
+    "metadata": {"name": "disk", "annotations": {"storageclass.kubernetes.io/is-default-class": "true"}},
+    "provisioner": "kubernetes.io/no-provisioner",
+}
+"""What the documents take for granted: claims that name no class get a volume."""
+
+
+def manifest(kind: str, name: str, **spec: Any) -> dict[str, Any]:
+    """Return an object of ours."""
+    return {"apiVersion": API_VERSION, "kind": kind, "metadata": {"name": name}, "spec": spec}
+
+
+def stand_in() -> dict[str, Any]:
+    """Return a shorter and coarser recording under the name of the catalog's."""
+    body: dict[str, Any] = yaml.safe_load((ROOT / "examples" / "datasets" / f"{DATASET}.yaml").read_text())
+    body["spec"]["recording"]["synthetic"] |= {
+        "durationSeconds": 12,
+        "loops": 0.4,
+        "lidar": {"rings": 16, "columns": 720},
+    }
+    del body["spec"]["attributes"]
+    return body
+
+
+def disk(namespace: str, claim: str, folder: Path, size: str) -> dict[str, Any]:
+    """Return a volume for a claim in a folder of the node."""
+    anywhere = {"key": "kubernetes.io/os", "operator": "In", "values": ["linux"]}
+    spec = {
+        "storageClassName": CLASS["metadata"]["name"],
+        "capacity": {"storage": size},
+        "accessModes": ["ReadWriteOnce"],
+        "claimRef": {"namespace": namespace, "name": claim},
+        "local": {"path": str(folder)},
+        "nodeAffinity": {"required": {"nodeSelectorTerms": [{"matchExpressions": [anywhere]}]}},
+    }
+    metadata = {"name": f"{namespace}-{claim}"}
+    return {"apiVersion": "v1", "kind": "PersistentVolume", "metadata": metadata, "spec": spec}
+
+
+@dataclass(frozen=True)
+class Lab:
+    """The namespace.
+
+    Attributes:
+        cluster: where it is.
+        namespace: its name.
+        desk: a shell in a checkout.
+        results: the results volume, as a folder of the node.
+        data: the data volume.
+    """
+
+    cluster: Cluster
+    namespace: str
+    desk: Desk
+    results: Path
+    data: Path
+
+    def kubectl(self, *words: str, timeout: float = 120) -> str:
+        """Run kubectl in the namespace."""
+        return self.cluster.kubectl("-n", self.namespace, *words, timeout=timeout)
+
+    def get(self, *words: str) -> Any:
+        """Return objects of the namespace."""
+        return self.cluster.get("-n", self.namespace, *words)
+
+    def apply(self, *objects: dict[str, Any]) -> None:
+        """Apply objects in the namespace."""
+        self.cluster.apply(*objects, namespace=self.namespace)
+
+    def apply_algorithm(self, folder: Path, **changes: Any) -> None:
+        """Apply an Algorithm of the tests."""
+        body = yaml.safe_load((folder / "algorithm.yaml").read_text())
+        body["spec"] |= changes
+        self.apply(body)
+
+    def run(self, name: str, algorithm: str, **spec: Any) -> dict[str, Any]:
+        """Return a small MappingRun."""
+        base = {
+            "algorithmRef": {"name": algorithm},
+            "datasetRef": {"name": DATASET},
+            "resources": {"cpu": "200m", "memory": "256Mi"},
+            "timeout": "5m",
+        }
+        return manifest("MappingRun", name, **(base | spec))
+
+    def runs(self, sweep: str) -> list[dict[str, Any]]:
+        """Return a Sweep's runs in the order of its points."""
+        items = self.get(RUNS, "-l", f"slamhive.io/sweep={sweep}")["items"]
+        return sorted(items, key=lambda item: int(item["metadata"]["labels"]["slamhive.io/point"]))
+
+    def ended(self, name: str, seconds: float = SECONDS) -> dict[str, Any]:
+        """Wait for the end of a run and return its status."""
+        return self.wait("mappingrun", name, "Complete", seconds)
+
+    def completed(self, name: str, seconds: float = SECONDS) -> dict[str, Any]:
+        """Wait for the end of a Sweep and return its status."""
+        return self.wait("sweep", name, "Complete", seconds)
+
+    def evaluated(self, name: str, seconds: float = SECONDS) -> dict[str, Any]:
+        """Wait for a run's own result and return its status."""
+        return self.wait("mappingrun", name, "Evaluated", seconds)
+
+    def wait(self, kind: str, name: str, condition: str, seconds: float = SECONDS) -> dict[str, Any]:
+        """Wait for a condition of an object and return the status."""
+        kind = f"{kind}s.slamhive.io"
+
+        def wanted() -> Any:
+            status = self.get(kind, name).get("status") or {}
+            held = {item["type"]: item["status"] for item in status.get("conditions") or ()}
+            return status if held.get(condition) == "True" else None
+
+        try:
+            return until(wanted, f"{kind} {name}: {condition}", seconds, 0.5)
+        except Exception:
+            print(json.dumps(self.get(kind, name).get("status"), indent=1))  # noqa: T201 - what failed
+            raise
