@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How fast the operator brings runs through a cluster, and what it takes: played pods on a real control plane.
+
+Beside it the same number of plain Jobs, of one container, made by a loop with as many in flight; both ways
+in turns, on the same control plane. CPU seconds hardly depend on what else the machine does; rates do.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import statistics
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import operating
+from testcluster.kwok import Kwok, Play
+from testcluster.lab import sweep
+
+from slamhive.kube.client import Api
+from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.transport import Request
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from testcluster.access import Cluster
+    from testcluster.kwok import Pool
+
+RUNS = 400
+ROUNDS = 2
+WINDOWS = (32, 64)
+LIVE = 1000
+IDLE_SECONDS = 60.0
+MEMORY_LIMIT_MIB = 200
+LONGEST_SECONDS = 900.0
+SECOND_LIST_SECONDS = 15.0
+NEW_KINDS_SECONDS = 35.0
+"""After that the cluster's garbage collector has noticed our kinds; until then it tries again and again."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What bringing a number of runs or Jobs to their end took, each of them."""
+
+    rate: float
+    server: float
+    cluster: float
+    client: float
+
+
+def measured(access: Cluster, client: Callable[[], float], work: Callable[[], None]) -> Cost:
+    """Return what bringing all runs or Jobs to their end costs."""
+    before, own, started = operating.cpu_by_program(access), client(), time.perf_counter()
+    work()
+    elapsed, own = time.perf_counter() - started, client() - own
+    used = operating.cpu_by_program(access) - before
+    server = used["kube-apiserver"] + used["etcd"]
+    return Cost(RUNS / elapsed, server / RUNS, used.total() / RUNS, own / RUNS)
+
+
+class Bench:
+    """A control plane, its played nodes, and a namespace for runs and for Jobs.
+
+    Args:
+        access: the cluster.
+        pool: played nodes on which pods end at once.
+    """
+
+    def __init__(self, access: Cluster, pool: Pool) -> None:
+        self.access = access
+        self._pool = pool
+        self._pods = operating.played_pods(pool.name)
+        self._number = 0
+        self.where = operating.namespace(access, "bench-runs")
+        self.jobs = operating.namespace(access, "bench-jobs")
+
+    def run_sweep(self, count: int, window: int) -> None:
+        """Bring a Sweep to its end."""
+        self._number += 1
+        name = f"study-{self._number}"
+        body = sweep(name, sizes=count, parallelism=window, cachePolicy="Rerun")
+        asyncio.run(self._sweep(name, body, count))
+
+    async def _sweep(self, name: str, body: dict[str, Any], count: int) -> None:
+        api = await Api.connect(self.access.kubeconfig)
+        deadline = time.monotonic() + LONGEST_SECONDS
+        try:
+            await api.create(Kind.SWEEP, body, self.where)
+            while time.monotonic() < deadline:
+                found = (await api.get(Key(Kind.SWEEP, self.where, name))).get("status") or {}
+                if found.get("completionTime"):
+                    break
+                await asyncio.sleep(0.3)
+            if found.get("succeeded") != count:
+                raise SystemExit(f"of {count} runs {found.get('succeeded')} succeeded: {found}")
+        finally:
+            await api.close()
+
+    def run_jobs(self, count: int, window: int) -> None:
+        """Bring plain Jobs to their end."""
+        self._number += 1
+        asyncio.run(self._loop(f"plain-{self._number}", count, window))
+
+    async def _loop(self, stem: str, count: int, window: int) -> None:
+        api = await Api.connect(self.access.kubeconfig)
+        ends = {f"{stem}-{number}": asyncio.Event() for number in range(count)}
+        room = asyncio.Semaphore(window)
+        watching = asyncio.create_task(self._watch(api, ends))
+
+        async def one(name: str) -> None:
+            async with room:
+                await api.create(Kind.JOB, self._job(name), self.jobs)
+                await ends[name].wait()
+
+        try:
+            async with asyncio.timeout(LONGEST_SECONDS):
+                await asyncio.gather(*map(one, ends))
+        finally:
+            watching.cancel()
+            await api.close()
+
+    async def _watch(self, api: Api, ends: dict[str, asyncio.Event]) -> None:
+        path = Kind.JOB.path(self.jobs)
+        listed = await api.json(Request("list", "jobs", self.jobs, "GET", path, query={"limit": 1}))
+        version = listed["metadata"]["resourceVersion"]
+        address = f"{api._client.configuration.host}{path}?watch=true&resourceVersion={version}"  # noqa: SLF001
+        async with api._client.rest_client.pool_manager.get(address, timeout=None) as answer:  # noqa: SLF001
+            async for line in answer.content:
+                job = json.loads(line)["object"]
+                told = job["status"].get("conditions") or ()
+                name = job["metadata"]["name"]
+                if name in ends and any(item["type"] == "Complete" for item in told):
+                    ends[name].set()
+
+    def _job(self, name: str) -> dict[str, Any]:
+        safe = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
+        container = {
+            "name": "main",
+            "image": "example.test/icp:1",
+            "command": ["true"],
+            "securityContext": safe,
+            "resources": {"requests": {"cpu": "1", "memory": "1Gi"}},
+        }
+        pod = self._pods | {
+            "restartPolicy": "Never",
+            "securityContext": {
+                "runAsNonRoot": True,
+                "runAsUser": 65532,
+                "seccompProfile": {"type": "RuntimeDefault"},
+            },
+            "containers": [container],
+        }
+        return {"metadata": {"name": name}, "spec": {"backoffLimit": 0, "template": {"spec": pod}}}
+
+
+def bench_rates(access: Cluster, pool: Pool) -> None:
+    """Report runs and Jobs per second."""
+    bench = Bench(access, pool)
+    with operating.operator(access, bench.where, operating.played_pods(pool.name)) as process:
+        time.sleep(NEW_KINDS_SECONDS)
+        bench.run_sweep(8, 8)
+        bench.run_jobs(8, 8)
+        for window in WINDOWS:
+            runs, jobs = [], []
+            calls, looks = process.calls(), process.reconciled()
+            for _ in range(ROUNDS):
+                sweep_of, loop = partial(bench.run_sweep, RUNS, window), partial(bench.run_jobs, RUNS, window)
+                runs.append(measured(access, lambda: process.cpu, sweep_of))
+                jobs.append(measured(access, time.process_time, loop))
+            _tell_rates(window, runs, jobs)
+            _tell_counts(process.calls() - calls, process.reconciled() - looks, RUNS * ROUNDS)
+
+
+def _tell_rates(window: int, runs: list[Cost], jobs: list[Cost]) -> None:
+    ours, plain = (statistics.median(cost.rate for cost in costs) for costs in (runs, jobs))
+    operating.report(
+        f"{RUNS} runs of a Sweep, {window} in flight",
+        f"{ours:.1f} runs/s",
+        f"{plain:.1f} plain Jobs/s: {ours / plain:.2f} of that, limit 0.5; {operating.load()}",
+    )
+    for what, field in (
+        ("the control plane and the played node", "cluster"),
+        ("the API server and etcd", "server"),
+        ("the operator (the loop)", "client"),
+    ):
+        mine, theirs = (statistics.median(getattr(cost, field) for cost in costs) for costs in (runs, jobs))
+        operating.report(
+            f"CPU of {what} for each run", f"{mine * 1e3:.1f} ms", f"{theirs * 1e3:.1f} ms a Job"
+        )
+
+
+def _tell_counts(calls: Counter[str], looks: Counter[str], count: int) -> None:
+    told = ", ".join(f"{what} {number / count:.2f}" for what, number in calls.most_common(6))
+    writes = sum(number for what, number in calls.items() if what.split()[0] in {"create", "patch", "delete"})
+    operating.report("API writes of the operator for each run", f"{writes / count:.2f}", f"limit 5 ({told})")
+    told = ", ".join(f"{kind} {number / count:.2f}" for kind, number in looks.most_common())
+    operating.report("objects looked at for each run", f"{looks.total() / count:.2f}", told)
+
+
+def bench_live(access: Cluster, pool: Pool) -> None:
+    """Report the operator's memory and idle CPU while many runs live."""
+    where = operating.namespace(access, "bench-live")
+    pods = operating.played_pods(pool.name)
+    with operating.operator(access, where, pods) as process:
+        access.apply(sweep("study", sizes=LIVE, parallelism=LIVE), namespace=where)
+
+        def running() -> int:
+            return int(access.get("sweep", "study", "-n", where).get("status", {}).get("running") or 0)
+
+        operating.until(lambda: running() == LIVE, f"{LIVE} runs", LONGEST_SECONDS, 1.0)
+        started = operating.until(lambda: _all_started(access, where), "their status", LONGEST_SECONDS, 2.0)
+        operating.settled(lambda: process.reconciled().total())
+        time.sleep(SECOND_LIST_SECONDS)
+        began, cpu = time.monotonic(), process.cpu
+        time.sleep(IDLE_SECONDS)
+        share = (process.cpu - cpu) / (time.monotonic() - began)
+        most = operating.memory_mib(process.pid, "Rss")
+        operating.report(
+            f"the operator's memory with {started} live runs",
+            f"{operating.memory_mib(process.pid, 'Pss'):.0f} MiB (resident {most:.0f} MiB)",
+            f"limit {MEMORY_LIMIT_MIB} MiB",
+        )
+        operating.report(
+            "its share of a core while nothing happens", f"{share:.2%}", f"limit 1%; {operating.load()}"
+        )
+
+
+def _all_started(access: Cluster, where: str) -> int:
+    phases = access.kubectl("get", "mappingruns", "-n", where, "-o", "jsonpath={.items[*].status.phase}")
+    count = phases.split().count("Running")
+    return count if count == LIVE else 0
+
+
+def main() -> None:
+    """Run all benchmarks, or those named: rates, live."""
+    if why := operating.lacking():
+        print(why)
+        return
+    wanted = sys.argv[1:] or ["rates", "live"]
+    with operating.cluster("bench", node=False) as access:
+        kwok = Kwok(access)
+        if "rates" in wanted:
+            with kwok.play(Play(), pool="ended", nodes=4) as pool:
+                bench_rates(access, pool)
+        if "live" in wanted:
+            with kwok.play(Play(hold=True), pool="held", nodes=4) as pool:
+                bench_live(access, pool)
+
+
+if __name__ == "__main__":
+    main()
