@@ -24,7 +24,7 @@ ENDS = {
     "memory": (FAILED, "OutOfMemory", "it needed more memory than its limit"),
     "forks": (FAILED, "DeadlineExceeded", "20 s"),
     "orphans": (SUCCEEDED, None, ""),
-    "log": (FAILED, "AlgorithmFailed", "exit code 4"),
+    "log": (FAILED, "DeadlineExceeded", "20 s"),
     "outside": (FAILED, "AlgorithmFailed", "exit code 5: nothing outside of the output can be written"),
     "not-a-number": (FAILED, "InvalidTrajectory", "line 51: tx is nan"),
     "garbage": (FAILED, "InvalidTrajectory", "output/trajectory.txt"),
@@ -38,8 +38,7 @@ ENDS = {
     "flood": (SUCCEEDED, None, ""),
 }
 """Phase, reason and a part of the message for each way to misbehave."""
-VAST = ("log", "flood")
-LASTING = ("hang", "deaf", "forks", "memory", *VAST)
+LASTING = ("hang", "deaf", "forks", "memory", "log", "flood")
 """What ends within milliseconds may leave no figures."""
 
 
@@ -69,8 +68,8 @@ def misbehaved(lab: Lab) -> dict[str, dict[str, Any]]:
         "misbehaving",
         template={"spec": template},
         matrix=[{"path": "parameters.mode", "values": [*ENDS]}],
-        # What writes gigabytes takes its time.
-        include=[{"parameters.mode": mode, "timeout": "10m", "resources.cpu": "500m"} for mode in VAST],
+        # Writing gigabytes takes its time, as writing that much of log does, which is cut off.
+        include=[{"parameters.mode": "flood", "timeout": "10m", "resources.cpu": "500m"}],
         parallelism=5,
     )
     beside = manifest(
@@ -113,7 +112,7 @@ def test_misbehaving_ends_with_the_right_reason(misbehaved: dict[str, dict[str, 
 PROBE = r"""
 for root in / /proc/[0-9]*/root/; do
     find "$root" \( -path "${root}proc" -o -path "${root}sys" \) -prune -o \
-        \( -iname '*groundtruth*' ! -name '*.py' ! -name '*.pyc' -o -name 'synthetic-lidar*' \
+        \( -iname '*groundtruth*' ! -name '*.py' ! -name '*.pyc' -o -name 'synthetic-lidar.txt' \
         -o -name '*.relations' -o -iname '*serviceaccount*' \) -print 2>/dev/null
 done | sed 's/^/found /'
 cat /proc/[0-9]*/environ 2>/dev/null | tr '\0' '\n' | grep -i -e token -e password | sed 's/^/variable /'
