@@ -21,7 +21,7 @@ export function plane(estimates, reference, a, b) {
     const pairs = (track) => track[a].map((value, index) => [value, track[b][index]]);
     return {
       grid: { ...MARGIN, right }, legend: {}, tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${item.value.map((value) => number(value)).join(', ')} m` },
-      xAxis: { type: 'value', name: `${a} [m]`, nameGap: 26, ...spanA, axisLabel: { formatter: short } }, yAxis: { type: 'value', name: `${b} [m]`, nameGap: 44, ...spanB, axisLabel: { formatter: short } },
+      xAxis: { type: 'value', name: `${a} [m]`, nameGap: 26, ...spanA, ...EDGES }, yAxis: { type: 'value', name: `${b} [m]`, nameGap: 44, ...spanB, ...EDGES },
       visualMap: coloured ? { type: 'continuous', seriesIndex: reference ? 1 : 0, dimension: 2, min: Math.min(...errors), max: Math.max(...errors), text: ['error [m]', ''], precision: 3, right: 0, top: 'middle', itemHeight: 110, inRange: { color: ['#2166ac', '#35b779', '#e6b800', '#d7301f'] } } : undefined,
       series: [
         ...(reference ? [{ type: 'line', name: 'ground truth', data: pairs(reference), showSymbol: false, color: '#8a929b', lineStyle: { width: 1.5 }, z: 1 }] : []),
@@ -32,6 +32,9 @@ export function plane(estimates, reference, a, b) {
     };
   };
 }
+
+/** Axes stay at the edge, and their ends, which are where the data end, have no label. */
+const EDGES = { axisLine: { onZero: false }, axisLabel: { formatter: (value) => short(value), showMinLabel: false, showMaxLabel: false } };
 
 const short = (value) => String(Number(value.toPrecision(3)));
 

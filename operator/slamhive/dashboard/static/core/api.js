@@ -35,7 +35,7 @@ export function useData(url) {
   const { revision, connected } = useContext(Live);
   const [state, setState] = useState({ url: null, data: null, error: null, loading: true });
   useEffect(() => {
-    if (url === null) return undefined;
+    if (url === null || (state.url === url && revision && state.data?.revision === revision)) return undefined;
     const abort = new AbortController();
     setState((last) => ({ ...last, loading: true }));
     fetchJson(url, abort.signal).then(
@@ -48,15 +48,15 @@ export function useData(url) {
 }
 
 /** Fetch several addresses; one that fails gives its error in its place.
- * @param {string[]} urls @returns {Array<{data: any, error: ApiError|null}>|null} null until all are there */
+ * @param {Array<string|null>} urls null gives no data and no error @returns {Array<{data: any, error: ApiError|null}>|null} null until all are there */
 export function useAll(urls) {
   const { revision } = useContext(Live);
-  const key = urls.join(' ');
+  const key = urls.map(String).join(' ');
   const [state, setState] = useState(null);
   useEffect(() => {
     const abort = new AbortController();
-    Promise.all(urls.map((url) => fetchJson(url, abort.signal).then((data) => ({ data, error: null }), (error) => ({ data: null, error }))))
-      .then((answers) => abort.signal.aborted || setState({ key, answers }));
+    Promise.all(urls.map((url) => url !== null && fetchJson(url, abort.signal).then((data) => ({ data, error: null }), (error) => ({ data: null, error }))))
+      .then((answers) => abort.signal.aborted || setState({ key, answers: answers.map((one) => one || { data: null, error: null }) }));
     return () => abort.abort();
   }, [key, revision]);
   return state?.key === key ? state.answers : null;

@@ -17,8 +17,8 @@ export default function Compare() {
   const uids = [...new Set(query.all('uid').filter(Boolean))].slice(0, MOST);
   const base = uids.map((uid) => `/api/v1/runs/${encodeURIComponent(uid)}`);
   const runs = useAll(base);
-  const tracks = useAll(base.map((one) => `${one}/trajectory?points=1500`));
-  const usage = useAll(base.map((one) => `${one}/usage`));
+  const tracks = useAll(base.map((one, at) => (runs?.[at].data?.files ? `${one}/trajectory?points=1500` : null)));
+  const usage = useAll(base.map((one, at) => (runs?.[at].data?.files ? `${one}/usage` : null)));
   const add = async (event) => {
     event.preventDefault();
     if (draft.trim()) change({ uid: [...uids, draft.trim()] });
@@ -44,6 +44,7 @@ function Compared({ runs, tracks, usage }) {
     { name: 'coverage', title: 'coverage', kind: 'number', show: (_, run) => number(run.results?.[0]?.coverage) }, { name: 'alignment', title: 'alignment', show: (_, run) => run.results?.[0]?.alignment ?? '–' },
     { name: 'ate', title: 'ATE [m]', kind: 'number', show: (_, run) => number(run.results?.[0]?.ate?.rmse) },
     { name: 'cpu', title: 'CPU [cores]', kind: 'number', show: (_, run) => number(run.usage?.cpu?.meanCores) }, { name: 'memory', title: 'peak memory', kind: 'number', show: (_, run) => bytes(run.usage?.memory?.peakBytes) },
+    { name: 'csv', title: 'CSV', show: (_, run) => (run.files ? html`<a href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/trajectory?format=csv`} download>trajectory</a> <a href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/usage?format=csv`} download>load</a>` : '–') },
   ];
   return html`<${Table} columns=${columns} rows=${runs.filter((one) => one.data).map((one) => one.data)} caption="The runs compared" />
     <${Notes} notes=${drawn.notes} /><div class="facets">${drawn.charts.map(({ title, option, group }) => html`<${Chart} key=${title} title=${title} option=${option} group=${group} height=${340} />`)}</div>`;

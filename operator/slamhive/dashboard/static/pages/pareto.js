@@ -38,7 +38,7 @@ function pareto(data, front, set) {
       series: [
         { type: 'line', step: 'end', symbol: 'none', data: best.map((point) => [point.sx, point.sy]), lineStyle: { color: COLOURS[1], type: 'dashed' }, silent: true },
         { type: 'scatter', symbolSize: 11, color: COLOURS[0], data: points.map((point) => ({ value: [point.sx, point.sy ?? top], symbol: symbol(point), point })),
-          label: { show: points.length <= 14, position: 'top', fontSize: 11, color: 'inherit', formatter: (item) => clip(keysText(item.data.point.keys), 30) }, labelLayout: { hideOverlap: true } },
+          label: { show: points.length <= 14, position: 'top', fontSize: 11, formatter: (item) => clip(keysText(item.data.point.keys), 30) }, labelLayout: { hideOverlap: true } },
       ],
     },
   };

@@ -24,8 +24,8 @@ export default function RunPage({ uid }) {
       <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}><a href=${`${base}/manifest`} download>YAML to run it again</a></p>
     ${run.message && html`<p class="quiet">${clip(run.message, LONGEST)}</p>`}
     <${Results} results=${results} />
-    ${results.length > 0 || run.phase === 'Succeeded' ? html`<${Trajectory} base=${base} results=${results} name=${`run ${run.run ?? ''}`} />` : html`<p class="quiet">Nothing was measured: ${clip(run.reason ?? run.phase ?? 'no result', 200)}.</p>`}
-    <${Usage} base=${base} />
+    ${results.length === 0 && run.phase !== 'Succeeded' && html`<p class="quiet">Nothing was measured: ${clip(run.reason ?? run.phase ?? 'no result', 200)}.</p>`}
+    ${run.files ? html`<${Trajectory} base=${base} results=${results} name=${`run ${run.run ?? ''}`} /><${Usage} base=${base} />` : html`<p class="quiet">The files of this run are not here: its trajectory and its load over time can't be drawn.</p>`}
     <div class="cards facts">
       <${Facts} title="Configuration" value=${run.configuration} />
       <${Facts} title="How it went" value=${{ phase: run.phase, reason: run.reason, attempts: run.attempts, created: time(run.created), started: time(run.started), finished: time(run.finished) }} />
