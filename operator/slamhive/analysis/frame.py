@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 MAX_COLUMNS = 1500
 """Columns that a table has at most; an evaluator that invents a name for each run fills no memory."""
 
+OWN_COLUMNS = frozenset({"id", "status", "disturbed", "ate.extended"})
+"""Columns beside those of ``flatten``: the run's number, and what follows from others."""
+
 LEFT_OUT = frozenset({"transform", "notes"})
 """Names of results that are no figures."""
 
@@ -60,7 +63,8 @@ class Frame:
     @cached_property
     def names(self) -> list[str]:
         """The names of all columns: the core ones, then the others sorted."""
-        return [*CORE_COLUMNS, *sorted(self._columns.keys() - set(CORE_COLUMNS))]
+        others = (self._columns.keys() | OWN_COLUMNS) - set(CORE_COLUMNS)
+        return [*CORE_COLUMNS, *sorted(others)]
 
     @property
     def stored(self) -> list[str]:
@@ -74,7 +78,7 @@ class Frame:
 
     def has(self, name: str) -> bool:
         """Tell whether there is a column of a name."""
-        return name in self._columns or name in CORE_COLUMNS
+        return name in self._columns or name in CORE_COLUMNS or name in OWN_COLUMNS
 
     def require(self, names: Iterable[str], where: str = "") -> None:
         """Refuse names of no column.

@@ -92,7 +92,9 @@ def change_mark(engine: Engine, held: Connection) -> object:
     if engine.dialect.name == "postgresql":
         with reading(engine) as connection:
             return connection.execute(text("SELECT pg_current_snapshot()::text")).scalar()
-    return held.exec_driver_sql("PRAGMA data_version").scalar()
+    mark = held.exec_driver_sql("PRAGMA data_version").scalar()
+    held.rollback()  # inside a transaction nothing new would ever be seen
+    return mark
 
 
 def load(engine: Engine, before: Loaded | None = None) -> Loaded:

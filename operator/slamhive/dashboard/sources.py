@@ -136,6 +136,11 @@ class ArchiveData:
         """Whether the database answered last time."""
         return self._engine is not None
 
+    @property
+    def is_absent(self) -> bool:
+        """Whether there is no archive yet, which is no fault."""
+        return self._engine is None and self.problem is None
+
     def look(self, *, again: bool = False) -> None:
         """Read again what changed, if it is time for that; a database that is away is remembered.
 
@@ -246,15 +251,15 @@ class Workstation:
 
     def record(self, uid: str) -> RunRecord | None:
         """Return a run by its UID."""
-        return self._data.archive().get(uid)
+        return None if self._data.is_absent else self._data.archive().get(uid)
 
     def sweeps(self) -> list[SweepRecord]:
         """Return the sweeps in the archive."""
-        return self._data.archive().sweeps()
+        return [] if self._data.is_absent else self._data.archive().sweeps()
 
     def catalog(self, kind: str) -> list[CatalogEntry]:
         """Return the catalog as runs used it."""
-        return self._data.archive().catalog(kind)
+        return [] if self._data.is_absent else self._data.archive().catalog(kind)
 
     def place(self, record: RunRecord) -> Place | None:
         """Return the folder of a run in the home, or the one that it was imported from."""

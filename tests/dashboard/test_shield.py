@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nothing is written, nothing foreign runs, nothing is too long."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.archive import Archive
+from slamhive.dashboard.app import create_app
+from slamhive.dashboard.sources import Workstation
+from slamhive.model.errors import SystemFault
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PATHS = ("/", "/api/v1", "/api/v1/runs", "/api/v1/runs/x/files/y", "/api/v1/nothing", "/healthz")
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "FOO"])
+@pytest.mark.parametrize("path", PATHS)
+async def test_every_other_method_is_405(api: Any, method: str, path: str) -> None:
+    answer = await api.raw.request(method, path, content=b"{}" if method == "POST" else None)
+    assert answer.status_code == 405
+    assert answer.headers["allow"] == "GET, HEAD"
+    assert "GET and HEAD" in answer.json()["error"]
+
+
+def test_no_route_takes_anything_but_get(url: str) -> None:
+    document = create_app(Workstation(url)).openapi()
+    assert {method for operations in document["paths"].values() for method in operations} == {"get"}
+
+
+@pytest.mark.parametrize("path", ["/", "/api/v1/runs", "/api/v1/nothing", "/healthz"])
+async def test_head_is_get_without_the_body(api: Any, path: str) -> None:
+    head, get = await api.raw.head(path), await api.raw.get(path)
+    assert head.status_code == get.status_code
+    assert head.content == b""
+    assert head.headers["content-length"] == get.headers["content-length"]
+
+
+@pytest.mark.parametrize("path", [*PATHS, "/app.js", "/runs/x"])
+async def test_every_answer_forbids_what_is_foreign(api: Any, path: str) -> None:
+    headers = (await api.raw.get(path)).headers
+    policy = headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "frame-ancestors 'none'" in policy
+    assert "unsafe" not in policy
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["x-frame-options"] == "DENY"
+
+
+async def test_embedded_pages_may_be_framed(api: Any) -> None:
+    headers = (await api.raw.get("/explore?embed=1")).headers
+    assert "frame-ancestors *" in headers["content-security-policy"]
+    assert "x-frame-options" not in headers
+
+
+async def test_bodies_and_long_queries_are_refused(api: Any) -> None:
+    assert (await api.raw.request("GET", "/api/v1/runs", content=b"x")).status_code == 413
+    assert (await api.raw.get(f"/api/v1/runs?where={'x' * 20_000}")).status_code == 414
+    assert (await api.raw.get(f"/api/v1/runs?where={'x' * 10_001}")).status_code == 400
+    assert (await api.raw.get(f"/{'x' * 5_000}")).status_code == 414
+
+
+@pytest.mark.parametrize(
+    ("host", "status"), [("127.0.0.1:80", 200), ("localhost", 200), ("evil.example", 421)]
+)
+async def test_on_loopback_only_its_own_names_lead_here(
+    assorted: str, open_app: Callable[..., Any], host: str, status: int
+) -> None:
+    async with open_app(Workstation(assorted), hosts={"127.0.0.1", "localhost"}) as client:
+        answer = await client.raw.get("/api/v1/runs?limit=1", headers={"Host": host})
+        assert answer.status_code == status
+
+
+async def test_the_archive_is_opened_for_reading_alone(assorted: str, open_app: Callable[..., Any]) -> None:
+    source = Workstation(assorted)
+    async with open_app(source) as client:
+        await client.get("/runs?limit=1")
+        with pytest.raises(SystemFault, match="readonly"):
+            source._data.archive().remove_run("uid-001")
+    with Archive.open(assorted) as archive:
+        assert archive.get("uid-001") is not None
+
+
+async def test_an_answer_is_remembered_until_the_data_change(api: Any) -> None:
+    first = await api.raw.get("/api/v1/runs?limit=1")
+    tag = first.headers["etag"]
+    again = await api.raw.get("/api/v1/runs?limit=1", headers={"If-None-Match": tag})
+    assert (again.status_code, again.content) == (304, b"")
+    packed = await api.raw.get("/api/v1/runs", headers={"Accept-Encoding": "gzip"})
+    plain = await api.raw.get("/api/v1/runs", headers={"Accept-Encoding": "identity"})
+    assert packed.headers["content-encoding"] == "gzip"
+    assert "content-encoding" not in plain.headers
+    assert packed.json() == plain.json()
+
+
+async def test_the_description_needs_no_network(api: Any) -> None:
+    document = (await api.raw.get("/api/v1/openapi.json")).json()
+    assert "/api/v1/analysis/leaderboard" in document["paths"]
+    page = (await api.raw.get("/api/v1/docs")).text
+    assert "/api/v1/runs/{uid}" in page
+    assert "http" not in page.replace("<!doctype html>", "")
