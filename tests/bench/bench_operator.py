@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the operator brings runs through a cluster, and what it takes: played pods on a real control plane.
+"""How fast the operator brings runs to their end, and what it takes: played pods on a real control plane.
 
 Beside it the same number of plain Jobs, of one container, made by a loop with as many in flight; both ways
 in turns, on the same control plane. CPU seconds hardly depend on what else the machine does; rates do.
@@ -12,7 +12,6 @@ import json
 import statistics
 import sys
 import time
-from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -26,6 +25,7 @@ from slamhive.kube.kinds import Key, Kind
 from slamhive.kube.transport import Request
 
 if TYPE_CHECKING:
+    from collections import Counter
     from collections.abc import Callable
 
     from testcluster.access import Cluster
@@ -128,8 +128,8 @@ class Bench:
         path = Kind.JOB.path(self.jobs)
         listed = await api.json(Request("list", "jobs", self.jobs, "GET", path, query={"limit": 1}))
         version = listed["metadata"]["resourceVersion"]
-        address = f"{api._client.configuration.host}{path}?watch=true&resourceVersion={version}"  # noqa: SLF001
-        async with api._client.rest_client.pool_manager.get(address, timeout=None) as answer:  # noqa: SLF001
+        address = f"{api._client.configuration.host}{path}?watch=true&resourceVersion={version}"
+        async with api._client.rest_client.pool_manager.get(address, timeout=None) as answer:
             async for line in answer.content:
                 job = json.loads(line)["object"]
                 told = job["status"].get("conditions") or ()

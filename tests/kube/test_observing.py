@@ -7,6 +7,7 @@ import base64
 import copy
 import json
 import zlib
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -223,6 +224,10 @@ def test_a_program_that_runs_waits_for_nothing() -> None:
 
 def test_a_job_waits_for_its_pod_or_in_a_queue() -> None:
     assert seen().waiting_reason == "NoPod"
+    young = job()
+    young["metadata"]["creationTimestamp"] = "2026-01-01T00:00:00Z"
+    made = datetime(2026, 1, 1, tzinfo=UTC).timestamp()
+    assert made < observe_attempt(young, []).usual_until < made + 60
     assert observe_attempt(job(suspend=True), []).waiting_reason == "Suspended"
     assert observe_attempt(None, []) == Attempted()
 

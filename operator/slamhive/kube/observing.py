@@ -33,7 +33,15 @@ from slamhive.kube.pods import (
     what_waits,
     why_unable,
 )
-from slamhive.kube.reports import Report, clean, last_line, read_description, read_failure, read_report
+from slamhive.kube.reports import (
+    Report,
+    clean,
+    last_line,
+    moment,
+    read_description,
+    read_failure,
+    read_report,
+)
 from slamhive.model.results import Reason
 from slamhive.playback.judging import judge
 
@@ -45,6 +53,9 @@ if TYPE_CHECKING:
     Object = Mapping[str, Any]
 
 Problem = tuple[Reason, str]
+
+_NO_POD = "NoPod"
+_POD_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
@@ -104,6 +115,13 @@ class Attempted:
             return None
         return (self.waiting.since or 0.0) + (0.0 if self.waiting.hopeless else grace_seconds)
 
+    @property
+    def usual_until(self) -> float:
+        """Return until when nobody need be told of its waiting, s since 1970: a new Job has no pod yet."""
+        if self.waiting is None or self.waiting.reason != _NO_POD:
+            return 0.0
+        return (self.waiting.since or 0.0) + _POD_SECONDS
+
     def given_up(self) -> Attempted:
         """Return the attempt as ended by what it waits for; its Job is still there and is to be deleted."""
         return replace(self, state=AttemptState.ENDED, end=self.waiting.end if self.waiting else None)
@@ -143,7 +161,7 @@ def _without_pod(job: Object) -> Attempted:
     if (job.get("spec") or {}).get("suspend"):
         waiting = Waiting("Suspended", "its Job waits in a queue")
     else:
-        waiting = Waiting("NoPod", "its Job has no pod yet")
+        waiting = Waiting(_NO_POD, "its Job has no pod yet", moment(job["metadata"].get("creationTimestamp")))
     return Attempted(AttemptState.RUNNING, number=number, waiting=waiting)
 
 

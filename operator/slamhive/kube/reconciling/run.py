@@ -194,12 +194,10 @@ class RunReconciler:
             if "subPath" in (attempted.waiting_message or ""):
                 await variants.forget(op, facts.dataset_key, facts.wanted.name)  # its folder is gone
         starts = any(isinstance(action, Start) for action in decision.actions)
-        if not starts:
-            await self._record(op, facts, decision.state, twin)
+        told = None if starts else await self._record(op, facts, decision.state, twin)
         if decision.look_again_at is not None:
             waits_for.append(decision.look_again_at - now)
-        if delay is not None:
-            waits_for.append(delay)
+        waits_for += [seconds for seconds in (delay, told) if seconds is not None]
         return min(waits_for, default=None)
 
     @staticmethod
@@ -313,11 +311,15 @@ class RunReconciler:
         ]
         await self._write(op, run, state_fields(after) | {"completionTime": iso(op.clock())}, fresh)
 
-    async def _record(self, op: Operator, facts: RunFacts, state: RunState, twin: RunRecord | None) -> None:
+    async def _record(
+        self, op: Operator, facts: RunFacts, state: RunState, twin: RunRecord | None
+    ) -> float | None:
+        """Write what there is to tell; returns the seconds after which there may be more."""
         attempted = facts.attempted
-        waits = attempted.waiting_reason is not None
+        usual = attempted.usual_until - op.clock()
+        waits = attempted.waiting_reason is not None and usual <= 0
         if state.phase is Phase.RUNNING and attempted.started is None and not waits:
-            return  # nothing to tell yet; the Job says that it was created
+            return usual if usual > 0 else None  # the Job says that it was created
         fields = state_fields(state) | {"variant": facts.wanted.name}
         fresh = [condition("Accepted", True, "Accepted"), *_scheduling(attempted, state)]
         if state.phase is Phase.RUNNING and attempted.started is None:
@@ -331,6 +333,7 @@ class RunReconciler:
         await self._write(op, facts.body, fields, fresh)
         if state.phase.is_finished:
             await self._after(op, facts)
+        return None
 
     def _finished(
         self, op: Operator, facts: RunFacts, state: RunState, twin: RunRecord | None
