@@ -82,6 +82,8 @@ def lab(node_with_images: Cluster, desk: Desk, tmp_path_factory: pytest.TempPath
     """
     cluster = node_with_images
     volumes = tmp_path_factory.mktemp("volumes")
+    names = [f"{NAMESPACE}-slamhive-{name}" for name in ("results", "data")]
+    clear(cluster, desk, NAMESPACE, names)
     cluster.apply(CLASS)
     for name, size in (("results", "20Gi"), ("data", "50Gi")):
         (volumes / name).mkdir()
@@ -89,7 +91,9 @@ def lab(node_with_images: Cluster, desk: Desk, tmp_path_factory: pytest.TempPath
     (install,) = documents.scripts(documents.sections("kubernetes.md")["Install"])
     kinds, _, rest = install.partition("kubectl create namespace")
     namespace, _, rest = rest.partition("helm install slamhive ")
-    desk.run(kinds)
+    # As the document says for kinds that somebody has applied, as other tests do.
+    known = cluster.run("get", "crd", "mappingruns.slamhive.io").returncode == 0
+    desk.run(kinds.rstrip() + (" --take-ownership" if known else ""))
     desk.run(f"kubectl create namespace{namespace}")
     found = Lab(cluster, NAMESPACE, desk, volumes / "results", volumes / "data")
     found.apply(stand_in())
@@ -97,8 +101,15 @@ def lab(node_with_images: Cluster, desk: Desk, tmp_path_factory: pytest.TempPath
     assert "ok    operator: ready" in told
     yield found
     cluster.kubectl("delete", "namespace", NAMESPACE, "--wait=false")
-    names = [f"{NAMESPACE}-slamhive-{name}" for name in ("results", "data")]
     cluster.kubectl("delete", "persistentvolume", *names, "--wait=false", "--ignore-not-found")
+    cluster.kubectl("delete", "storageclass", CLASS["metadata"]["name"])
+
+
+def clear(cluster: Cluster, desk: Desk, namespace: str, volumes: list[str]) -> None:
+    """Take away what a session that was killed has left; the kinds stay."""
+    desk.run("helm uninstall slamhive-crds --namespace kube-system --ignore-not-found")
+    cluster.kubectl("delete", "namespace", namespace, "--ignore-not-found")
+    cluster.kubectl("delete", "persistentvolume", *volumes, "--ignore-not-found")
 
 
 @pytest.fixture(scope="session")

@@ -52,7 +52,7 @@ def test_an_algorithm_in_shell_alone_gets_a_result(lab: Lab) -> None:
     assert result["ate"]["rmse"] > 0.1
     assert result["poses"] == 120
     folder = lab.results / status["folder"]
-    assert len((folder / "output" / "is missing or not a regular file").read_text().splitlines()) == 120
+    assert len((folder / "output" / "trajectory.txt").read_text().splitlines()) == 120
     assert {path.name for path in folder.iterdir()} >= {"summary.json", "usage.csv"}
 
 
@@ -268,7 +268,7 @@ def test_usage_is_the_kernels_own_account(lab: Lab) -> None:
         )
 
     watch = Watch(until(container, "the container to start", 120, 0.05).rpartition("/")[2])
-    usage = lab.ended("measured")["usage"]
+    usage = lab.evaluated("measured")["usage"]
     account = watch.end(30)
     seconds = usage["cpu"]["seconds"] + (usage.get("readerCpuSeconds") or 0)
     assert seconds == pytest.approx(account.cpu_seconds, rel=0.01)

@@ -73,7 +73,7 @@ def test_a_container_of_somebodys_own(lab: Lab, first: First) -> None:
 
 @pytest.mark.parametrize(
     ("command", "said"),
-    [(["false"], "exit code 1"), (["python3", "-c", "print('no file')"], "wrote no")],
+    [(["false"], "exit code 1"), (["python3", "-c", "print('no file')"], "results.jsonl")],
     ids=["fails", "writes-nothing"],
 )
 def test_a_container_that_fails_is_said_in_a_condition(

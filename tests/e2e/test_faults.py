@@ -36,6 +36,7 @@ def test_an_operator_killed_twice_loses_and_doubles_nothing(lab: Lab) -> None:
             template={"spec": lab.run("x", "shell-dead-reckoning")["spec"]},
             matrix=[{"path": "parameters.speed", "values": speeds}],
             parallelism=3,
+            cachePolicy="Rerun",
         )
     )
     seen: dict[str, str] = {}
@@ -104,8 +105,9 @@ def test_a_sweep_deleted_in_the_middle_leaves_nothing(lab: Lab) -> None:
     )
 
     def running() -> bool:
-        runs = [run for run in lab.runs("deleted") if (run.get("status") or {}).get("phase") == "Running"]
-        return {run["spec"]["input"]["frameRate"] for run in runs} == {2, 3}
+        runs = [run for run in lab.get(RUNS)["items"] if (run.get("status") or {}).get("phase") == "Running"]
+        rates = {run["spec"]["input"]["frameRate"] for run in runs}
+        return rates == {2, 3} and "other" in {run["metadata"]["name"] for run in runs}
 
     until(running, "runs on both recordings", 180)
     made = preparations(lab) - before

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from onnode import documents
 from onnode.documents import ROOT
-from onnode.first import NAME
+from onnode.first import LONG, NAME
 from onnode.lab import RUNS, stand_in
 from testcluster.access import until
 
@@ -57,7 +57,7 @@ def test_upgrade_and_uninstall(lab: Lab) -> None:
     claims = {claim["metadata"]["name"] for claim in lab.get("persistentvolumeclaims")["items"]}
     assert claims == {"slamhive-results", "slamhive-data"}
     assert lab.get("algorithms", "kiss-icp")
-    assert lab.get("mappingrun", "long")["status"]["results"]
+    assert lab.runs(LONG)[0]["status"]["results"]
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from testcluster.access import until
 
 from onnode import documents
 from onnode.documents import ROOT
-from onnode.lab import Lab, stand_in
+from onnode.lab import Lab, manifest, stand_in
 from onnode.prometheus import scraping
 
 if TYPE_CHECKING:
@@ -66,18 +66,18 @@ def follow(lab: Lab, folder: Path) -> First:
         prometheus = None
         if shutil.which("prometheus"):
             prometheus = stack.enter_context(scraping(lab.cluster, lab.namespace, folder / "prometheus"))
-        slow = {"resources": {"cpu": "50m", "memory": "512Mi"}, "parameters": {"maxRange": 30}}
-        lab.apply(lab.run(LONG, "kiss-icp", timeout="20m", input={"frameRate": 10}, **slow))
+        lab.apply(long_sweep(lab))
         local.begin()
         told = lab.desk.run(commands, timeout=1800)
         rows = local.end()
-        lab.evaluated(LONG, 1200)
-        until(lambda: _evaluated(lab) == len(rows), "all results of the sweep", 120)
+        lab.completed(LONG, 1200)
+        for name, count in ((NAME, len(rows)), (LONG, 1)):
+            until(lambda name=name, count=count: _evaluated(lab, name) == count, f"results of {name}", 120)
         found = First(
             told,
             status=lab.get("sweep", NAME)["status"],
             runs=lab.runs(NAME),
-            long=lab.get("mappingrun", LONG),
+            long=lab.runs(LONG)[0],
             local=rows,
             before=before,
             metrics=metrics(lab),
@@ -87,14 +87,23 @@ def follow(lab: Lab, folder: Path) -> First:
     return found
 
 
+def long_sweep(lab: Lab) -> dict[str, Any]:
+    """Return a Sweep of one run that takes longer than a minute."""
+    slow = {"resources": {"cpu": "50m", "memory": "512Mi"}, "input": {"frameRate": 10}, "timeout": "20m"}
+    template = {"spec": lab.run(LONG, "kiss-icp", **slow)["spec"]}
+    return manifest(
+        "Sweep", LONG, template=template, matrix=[{"path": "parameters.maxRange", "values": [30]}]
+    )
+
+
 def metrics(lab: Lab) -> str:
     """Return the operator's series as it shows them now."""
     service = f"/api/v1/namespaces/{lab.namespace}/services/slamhive-metrics:metrics/proxy/metrics"
     return lab.kubectl("get", "--raw", service)
 
 
-def _evaluated(lab: Lab) -> int:
-    return int(lab.get("sweep", NAME)["status"].get("evaluated") or 0)
+def _evaluated(lab: Lab, sweep: str) -> int:
+    return int(lab.get("sweep", sweep)["status"].get("evaluated") or 0)
 
 
 class Here:
