@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from slamhive_eval.alignment import Alignment, align, umeyama_scale
-    from slamhive_eval.association import Association, associate, associate_uniquely, interpolate, match
+    from slamhive_eval.association import (
+        Association,
+        associate,
+        associate_forward,
+        associate_uniquely,
+        interpolate,
+        match,
+    )
     from slamhive_eval.clouds import Cloud, read_cloud, sample_mesh
     from slamhive_eval.consistency import Consistency, measure_consistency
     from slamhive_eval.coverage import Coverage, measure_coverage
@@ -28,7 +35,7 @@ if TYPE_CHECKING:
     )
     from slamhive_eval.evaluation import Evaluation, Options, Outcome, RpeOptions, evaluate
     from slamhive_eval.evo_zip import ErrorSeries, write_error_arrays, write_evo_zip
-    from slamhive_eval.figures import save_figure
+    from slamhive_eval.figures import save_figure, save_trajectories
     from slamhive_eval.files import read_euroc, read_kitti, read_trajectory, read_tum, write_tum
     from slamhive_eval.handeye import HandEye, hand_eye
     from slamhive_eval.kitti import KittiErrors, kitti_errors
@@ -60,7 +67,14 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "alignment": ("Alignment", "align", "umeyama_scale"),
-    "association": ("Association", "associate", "associate_uniquely", "interpolate", "match"),
+    "association": (
+        "Association",
+        "associate",
+        "associate_forward",
+        "associate_uniquely",
+        "interpolate",
+        "match",
+    ),
     "coverage": ("Coverage", "measure_coverage"),
     "errors": ("AssociationError", "EvaluationError", "FileError", "OptionError", "TrajectoryError"),
     "evaluation": ("Evaluation", "Options", "Outcome", "RpeOptions", "evaluate"),
@@ -75,7 +89,7 @@ _MODULES = {
     "clouds": ("Cloud", "read_cloud", "sample_mesh"),
     "consistency": ("Consistency", "measure_consistency"),
     "evo_zip": ("ErrorSeries", "write_error_arrays", "write_evo_zip"),
-    "figures": ("save_figure",),
+    "figures": ("save_figure", "save_trajectories"),
     "kitti": ("KittiErrors", "kitti_errors"),
     "maps": ("MapEntropy", "MapErrors", "compare_maps", "mean_map_entropy", "thin_out"),
     "motion": ("Smoothness", "smoothness", "velocities", "velocity_errors"),
@@ -115,6 +129,7 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "Association",
     "associate",
     "associate_uniquely",
+    "associate_forward",
     "interpolate",
     "match",
     "TimeOffset",
@@ -173,6 +188,7 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "thin_out",
     "report_html",
     "save_figure",
+    "save_trajectories",
     "ErrorSeries",
     "write_evo_zip",
     "write_error_arrays",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from slamhive_eval.rotation import FloatArray, IndexArray
 
-Matching = Literal["nearest", "unique", "interpolate"]
+Matching = Literal["nearest", "unique", "forward", "interpolate"]
 MATCHINGS: tuple[Matching, ...] = get_args(Matching)
 DEFAULT_GAP_SECONDS = 1.0
 """Ground truth is interpolated between poses at most this far apart."""
@@ -133,6 +133,82 @@ def associate_uniquely(
     return Association(index[:, 0], index[:, 1])
 
 
+def associate_forward(
+    reference: Trajectory,
+    estimate: Trajectory,
+    max_difference_seconds: float = 0.02,
+    offset_seconds: float = 0.0,
+) -> Association:
+    """Pair poses one to one in a single pass, as OpenVINS does.
+
+    Each estimated pose in turn takes the nearest reference pose after all those looked at before, even where
+    a later estimated pose would be nearer to it.
+
+    Args:
+        reference: Ground truth.
+        estimate: What is measured.
+        max_difference_seconds: Differences must be less than this, in s (0.02 there).
+        offset_seconds: Added to the estimate's stamps for matching only.
+
+    Returns:
+        The pairs, possibly none.
+
+    Raises:
+        OptionError: A tolerance that is negative or not finite, or an offset that isn't finite.
+    """
+    _check(max_difference_seconds, offset_seconds)
+    truth = reference.stamps.tolist()
+    pairs = []
+    k = 0
+    for i, stamp in enumerate((estimate.stamps + offset_seconds).tolist()):
+        while k < len(truth) and stamp - truth[k] > max_difference_seconds:
+            k += 1
+        least, best = max_difference_seconds, -1
+        while k < len(truth) and abs(truth[k] - stamp) < least:
+            least, best = abs(truth[k] - stamp), k
+            k += 1
+        if best >= 0:
+            pairs.append((best, i))
+    index = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+    return Association(index[:, 0], index[:, 1])
+
+
+def pair_up(
+    reference: Trajectory,
+    estimate: Trajectory,
+    matching: Matching = "nearest",
+    *,
+    max_difference_seconds: float = 0.01,
+    offset_seconds: float = 0.0,
+    max_gap_seconds: float = DEFAULT_GAP_SECONDS,
+) -> tuple[Association, Trajectory, Trajectory]:
+    """As match, but without an error when no poses belong together, and with the indices of those that do.
+
+    Returns:
+        The pairs, of the reference pose nearest in time where the ground truth is interpolated; and the m
+        poses of each, m ≥ 0.
+
+    Raises:
+        OptionError: An unknown matching or a number out of bounds.
+    """
+    if matching not in MATCHINGS:
+        raise OptionError(f"unknown matching {matching!r}; known are {', '.join(MATCHINGS)}")
+    if matching == "interpolate":
+        _check(max_gap_seconds, offset_seconds, "gap of the ground truth")
+        wanted = estimate.stamps + offset_seconds
+        found, positions, quaternions = interpolate(reference, wanted, max_gap_seconds)
+        index = np.flatnonzero(found)
+        pairs = Association(nearest(reference.stamps, wanted[index], np.inf), index)
+        if not len(index):
+            return pairs, reference.select(index), estimate.select(index)
+        truth = Trajectory(wanted[index], positions[index], quaternions[index], oriented=reference.oriented)
+        return pairs, truth, estimate.select(index)
+    find = {"nearest": associate, "unique": associate_uniquely, "forward": associate_forward}[matching]
+    pairs = find(reference, estimate, max_difference_seconds, offset_seconds)
+    truth, kept = reference.select(pairs.reference), estimate.select(pairs.estimate)
+    return pairs, truth, kept.at(truth.stamps) if matching == "forward" else kept
+
+
 def match(
     reference: Trajectory,
     estimate: Trajectory,
@@ -147,9 +223,10 @@ def match(
     Args:
         reference: Ground truth.
         estimate: What is measured.
-        matching: ``nearest`` (evo), ``unique`` (TUM, rpg), or ``interpolate``: the ground truth at the
-            estimate's stamps, positions linear, rotations by slerp.
-        max_difference_seconds: Largest time difference in s of the first two.
+        matching: ``nearest`` (evo), ``unique`` (TUM, rpg), ``forward`` (OpenVINS, where the estimate
+            gets the reference's stamps), or ``interpolate``: the ground truth at the estimate's stamps,
+            positions linear, rotations by slerp.
+        max_difference_seconds: Largest time difference in s of the first three.
         offset_seconds: Added to the estimate's stamps for matching only.
         max_gap_seconds: Nothing is interpolated between ground-truth poses further apart than this, in s.
 
@@ -160,25 +237,18 @@ def match(
         AssociationError: No two belong together.
         OptionError: An unknown matching or a number out of bounds.
     """
-    if matching not in MATCHINGS:
-        raise OptionError(f"unknown matching {matching!r}; known are {', '.join(MATCHINGS)}")
-    if matching == "interpolate":
-        _check(max_gap_seconds, offset_seconds, "gap of the ground truth")
-        found, positions, quaternions = interpolate(
-            reference, estimate.stamps + offset_seconds, max_gap_seconds
-        )
-        index = np.flatnonzero(found)
-        if not len(index):
-            raise no_overlap(reference, estimate, max_gap_seconds, offset_seconds)
-        kept = estimate.select(index)
-        stamps = kept.stamps + offset_seconds
-        oriented = reference.oriented
-        return Trajectory(stamps, positions[index], quaternions[index], oriented=oriented), kept
-    find = associate if matching == "nearest" else associate_uniquely
-    pairs = find(reference, estimate, max_difference_seconds, offset_seconds)
+    pairs, truth, kept = pair_up(
+        reference,
+        estimate,
+        matching,
+        max_difference_seconds=max_difference_seconds,
+        offset_seconds=offset_seconds,
+        max_gap_seconds=max_gap_seconds,
+    )
     if not len(pairs):
-        raise no_overlap(reference, estimate, max_difference_seconds, offset_seconds)
-    return reference.select(pairs.reference), estimate.select(pairs.estimate)
+        limit = max_gap_seconds if matching == "interpolate" else max_difference_seconds
+        raise no_overlap(reference, estimate, limit, offset_seconds)
+    return truth, kept
 
 
 def nearest(stamps: FloatArray, wanted: FloatArray, max_difference_seconds: float) -> IndexArray:

@@ -58,6 +58,9 @@ def read_bag(path: str | Path, topic: str | None = None, *, sort: bool = False) 
             raise
         except TrajectoryError as error:
             raise FileError(place, str(error)) from None
+        except (AttributeError, TypeError, ValueError, OverflowError) as error:
+            # The recording describes its messages itself, and describes them wrongly.
+            raise FileError(place, f"messages aren't what {kind} is ({error})") from None
 
 
 class _Bag:

@@ -8,6 +8,7 @@ with a sentence.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import multiprocessing
@@ -143,7 +144,8 @@ def evaluate_pairs(
         OptionError: An option that isn't allowed, whatever the pairs, or fewer than one process.
     """
     for one in options:
-        evaluate(_SOME, _SOME, one)
+        with contextlib.suppress(TrajectoryError):  # three poses don't determine everything
+            evaluate(_SOME, _SOME, one)
     if processes is not None and processes < 1:
         raise OptionError(f"there must be at least one process, not {processes}")
     processes = min(processes or len(os.sched_getaffinity(0)), len(pairs))

@@ -283,7 +283,7 @@ def _read_pcd(path: str | Path, data: bytes) -> tuple[FloatArray, IndexArray]:
         ]
         kind = np.dtype(fields)
         columns = [names.index(name) for name in "xyz"]
-        if count < 0:
+        if count < 0 or min(counts) < 1:
             raise ValueError(count)  # noqa: TRY301 - a fault of the header like the others
     except (KeyError, IndexError, ValueError, TypeError) as error:
         raise FileError(path, "the PCD header lacks FIELDS with x, y and z, TYPE, SIZE or POINTS") from error

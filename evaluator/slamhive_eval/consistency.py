@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 Part = Literal["position", "rotation"]
 
+SMALLEST_VARIANCE = 1e-24
+"""(10⁻¹² m)², (10⁻¹² rad)²: less is rounding, or a program that knows nothing and says so oddly."""
+
 SIGMAS = (1.0, 2.0, 3.0)
 CHI_SQUARE_95 = {3: 7.814727903251179, 6: 12.591587243743977}
 """Limits that chi-square of 3 and of 6 degrees of freedom stays below in 95 %."""
@@ -127,11 +130,14 @@ def measure_consistency(
         errors, covariances, d = errors[:, chosen], covariances[:, chosen, chosen], 3
         into_world = into_world[chosen, chosen]
     finite = np.logical_and.reduce(np.isfinite(covariances), axis=(1, 2))
-    turned = into_world @ np.where(finite[:, np.newaxis, np.newaxis], covariances, 0.0) @ into_world.T
-    turned = (turned + turned.transpose(0, 2, 1)) / 2.0
+    with np.errstate(all="ignore"):  # what overflows isn't finite, and not used
+        turned = into_world @ np.where(finite[:, np.newaxis, np.newaxis], covariances, 0.0) @ into_world.T
+        turned = (turned + turned.transpose(0, 2, 1)) / 2.0
+    finite &= np.logical_and.reduce(np.isfinite(turned), axis=(1, 2))
+    turned = np.where(finite[:, np.newaxis, np.newaxis], turned, 0.0)
     # Definiteness is judged on correlations: metres and radians differ by orders of magnitude.
     variances = np.einsum("nii->ni", turned)
-    positive = finite & (variances > 0).all(axis=1)
+    positive = finite & (variances > SMALLEST_VARIANCE).all(axis=1)
     sigmas = np.sqrt(np.where(variances > 0, variances, 0.0))
     safe = np.where(positive[:, np.newaxis], sigmas, 1.0)
     correlations = turned / (safe[:, :, np.newaxis] * safe[:, np.newaxis, :])

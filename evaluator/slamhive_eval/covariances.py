@@ -95,9 +95,10 @@ def assemble(
     if quaternions is None:
         return made[:, :3, :3]
     if of_body and size == 6:
-        norm = np.sqrt(np.sum(quaternions * quaternions, axis=1, keepdims=True))
-        turn = rotation.to_matrix(quaternions / np.where(norm > 0, norm, 1.0))
-        both = np.zeros((n, 6, 6))
-        both[:, :3, :3], both[:, 3:, 3:] = np.eye(3), turn
-        made = both @ made @ both.transpose(0, 2, 1)
+        with np.errstate(all="ignore"):  # values that aren't finite stay so
+            norm = np.sqrt(np.sum(quaternions * quaternions, axis=1, keepdims=True))
+            turn = rotation.to_matrix(quaternions / np.where(norm > 0, norm, 1.0))
+            both = np.zeros((n, 6, 6))
+            both[:, :3, :3], both[:, 3:, 3:] = np.eye(3), turn
+            made = both @ made @ both.transpose(0, 2, 1)
     return made

@@ -14,16 +14,18 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from slamhive_eval import metrics
-from slamhive_eval.alignment import METHODS, Alignment, Method, align, stands_still, umeyama_scale
-from slamhive_eval.association import associate, no_overlap
+from slamhive_eval.alignment import METHODS, Alignment, Method, stands_still, umeyama_scale
+from slamhive_eval.association import DEFAULT_GAP_SECONDS, Association, Matching, no_overlap, pair_up
 from slamhive_eval.coverage import Coverage, measure_coverage
-from slamhive_eval.errors import OptionError
+from slamhive_eval.errors import AssociationError, OptionError
 from slamhive_eval.metrics import Statistics
 from slamhive_eval.pairs import Unit, find_pairs
+from slamhive_eval.preparing import Clock, Preparation, Prepared, lay, set_clock
 
 if TYPE_CHECKING:
-    from slamhive_eval.association import Association
+    from slamhive_eval.robust import Loss
     from slamhive_eval.rotation import FloatArray, IndexArray
+    from slamhive_eval.timing import TimeOffset
     from slamhive_eval.trajectory import Trajectory
 
 MIN_POSES = 3
@@ -84,6 +86,13 @@ class Options:
         keyframes: Whether the estimate holds keyframes only; None to tell by its spacing.
         has_scale: Whether the sensors give metric scale: then a scale outside [0.5, 2] is divergence.
         window: First and last time of the run in s; the ground truth outside doesn't count for coverage.
+        matching: How poses are matched, with its gap; see `slamhive_eval.Preparation`, as for what follows.
+        max_gap_seconds: Largest gap in s of ground truth that is interpolated.
+        clock: ``given``, or find the ``offset`` or ``drift`` of the estimate's clock.
+        hand_eye: Find the extrinsic.
+        first_poses: Align by so many poses only.
+        robust: ``huber`` or ``trimmed``.
+        keep: Share of the poses that ``trimmed`` fits.
     """
 
     alignment: Method = "se3"
@@ -96,6 +105,34 @@ class Options:
     keyframes: bool | None = None
     has_scale: bool = True
     window: tuple[float, float] | None = None
+    matching: Matching = "nearest"
+    max_gap_seconds: float = DEFAULT_GAP_SECONDS
+    clock: Clock = "given"
+    hand_eye: bool = False
+    first_poses: int | None = None
+    robust: Loss | None = None
+    keep: float = 0.75
+
+    @property
+    def preparation(self) -> Preparation:
+        """How the trajectories are laid onto one another.
+
+        Raises:
+            OptionError: Options that contradict one another.
+        """
+        return Preparation(
+            matching=self.matching,
+            max_difference_seconds=self.max_difference_seconds,
+            max_gap_seconds=self.max_gap_seconds,
+            clock=self.clock,
+            offset_seconds=self.offset_seconds,
+            extrinsic=self.extrinsic,
+            hand_eye=self.hand_eye,
+            alignment=self.alignment,
+            first_poses=self.first_poses,
+            robust=self.robust,
+            keep=self.keep,
+        )
 
     def __post_init__(self) -> None:
         if self.alignment not in METHODS:
@@ -184,6 +221,7 @@ class Evaluation:
         rpe: One entry for each asked, empty without alignment or without orientations.
         poses: The compared poses and their errors, or None.
         notes: Sentences on what degenerate input left undetermined.
+        clock: The offset of the estimate's clock, None where it wasn't asked for or found.
     """
 
     outcome: Outcome
@@ -200,6 +238,7 @@ class Evaluation:
     rpe: tuple[RelativeError, ...] = ()
     poses: Poses | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
+    clock: TimeOffset | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data under the project's field names; a number that isn't finite becomes null."""
@@ -222,6 +261,7 @@ class Evaluation:
             "ateRotationDeg": self.ate_rotation_deg.as_dict() if self.ate_rotation_deg else None,
             "rpe": [error.as_dict() for error in self.rpe],
             "notes": list(self.notes),
+            **({} if self.clock is None else {"clock": self.clock.as_dict()}),
         }
 
 
@@ -243,25 +283,37 @@ def evaluate(reference: Trajectory, estimate: Trajectory, options: Options | Non
     options = options or Options()
     if options.extrinsic is not None and not reference.oriented and np.any(options.extrinsic[:3, 3]):
         raise OptionError("the ground truth has no orientations: it can't be moved by an extrinsic")
-    pairs = associate(reference, estimate, options.max_difference_seconds, options.offset_seconds)
+    how = options.preparation
+    problem, clock = "", None
+    try:
+        estimate, clock = set_clock(reference, estimate, how)
+        pairs, truth, kept = pair_up(
+            reference,
+            estimate,
+            how.matching,
+            max_difference_seconds=how.max_difference_seconds,
+            offset_seconds=how.offset_seconds,
+            max_gap_seconds=how.max_gap_seconds,
+        )
+    except AssociationError as error:  # the clock's offset can't be found
+        nothing = np.empty(0, dtype=np.intp)
+        problem, pairs = str(error), Association(nothing, nothing)
     coverage = measure_coverage(
         reference, estimate, pairs, keyframes=options.keyframes, window=options.window
     )
     result = Evaluation(
         outcome=Outcome.LOST,
-        message="",
+        message=problem,
         coverage=coverage,
         alignment_method=options.alignment,
         matched=len(pairs),
         reference_poses=len(reference),
         estimate_poses=len(estimate),
+        clock=clock,
     )
     if len(pairs) < MIN_POSES:
-        return replace(result, message=_too_few(reference, estimate, pairs, options))
-    associated = reference.select(pairs.reference)
-    if options.extrinsic is not None:
-        associated = associated.moved(options.extrinsic)
-    return _measured(result, pairs, associated, estimate.select(pairs.estimate), options)
+        return replace(result, message=problem or _too_few(reference, estimate, pairs, options))
+    return _measured(result, pairs, kept, lay(truth, kept, how), options)
 
 
 def judge(coverage: Coverage, ate: Statistics, scale: float | None, options: Options) -> tuple[Outcome, str]:
@@ -296,20 +348,20 @@ def judge(coverage: Coverage, ate: Statistics, scale: float | None, options: Opt
 
 
 def _too_few(reference: Trajectory, estimate: Trajectory, pairs: Association, options: Options) -> str:
+    limit = options.max_gap_seconds if options.matching == "interpolate" else options.max_difference_seconds
     if not len(pairs):
-        return str(no_overlap(reference, estimate, options.max_difference_seconds, options.offset_seconds))
+        return str(no_overlap(reference, estimate, limit, options.offset_seconds))
     return (
         f"{len(pairs)} of {len(estimate)} poses of the estimate have a ground-truth pose within "
-        f"{options.max_difference_seconds:g} s; an error needs at least {MIN_POSES}"
+        f"{limit:g} s; an error needs at least {MIN_POSES}"
     )
 
 
 def _measured(
-    result: Evaluation, pairs: Association, reference: Trajectory, estimate: Trajectory, options: Options
+    result: Evaluation, pairs: Association, estimate: Trajectory, laid: Prepared, options: Options
 ) -> Evaluation:
     """The result with alignment, errors and outcome of associated trajectories."""
-    alignment = align(reference, estimate, options.alignment)
-    aligned = alignment.apply(estimate)
+    alignment, reference, aligned = laid.alignment, laid.reference, laid.estimate
     errors = metrics.ape_errors(reference, aligned)
     notes, rpe, rotation_errors = alignment.notes, options.rpe, np.empty(0)
     if reference.oriented and aligned.oriented:

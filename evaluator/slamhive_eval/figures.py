@@ -48,28 +48,107 @@ def save_figure(
         EvaluationError: matplotlib isn't installed.
         FileError: The file can't be written.
     """
-    path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise OptionError(f"a figure's name must end in {', '.join(FORMATS)}, not {path.suffix!r}")
+    _check_name(path)
     found = {name: one for name, one in evaluations.items() if one.poses is not None}
     if not found:
         raise OptionError("a figure needs at least one estimate with poses in common with the ground truth")
-    try:
-        figures = importlib.import_module("matplotlib.figure")
-    except ImportError as error:
-        raise EvaluationError("figures need matplotlib: pip install matplotlib") from error
-    figure = figures.Figure(figsize=(13.0, 8.0), layout="constrained")
+    figure = _figure((13.0, 8.0))
     axes = figure.subplots(2, 3)
     for axis, (a, b) in zip(axes[0], ((0, 1), (0, 2), (1, 2)), strict=True):
         _draw_paths(axis, reference, found, a, b)
     _draw_errors(axes[1], reference, found)
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    _save(figure, path, title, dots_per_inch)
+
+
+def save_trajectories(
+    path: str | Path,
+    trajectories: Mapping[str, Trajectory],
+    reference: Trajectory | None = None,
+    *,
+    title: str = "",
+    dots_per_inch: float = 150.0,
+) -> None:
+    """Draw trajectories as they are: from three sides, and height, speed and heading over time.
+
+    Args:
+        path: Where to; the suffix decides between PNG, SVG and PDF.
+        trajectories: In one world, by the name to show; at least one.
+        reference: Ground truth, drawn beneath them.
+        title: Above the figure.
+        dots_per_inch: Of a PNG.
+
+    Raises:
+        OptionError: Another suffix.
+        EvaluationError: matplotlib isn't installed.
+        FileError: The file can't be written.
+    """
+    _check_name(path)
+    figure = _figure((13.0, 8.0))
+    axes = figure.subplots(2, 3)
+    shown: list[tuple[str, Trajectory, dict[str, Any]]] = []
+    if reference is not None:
+        shown.append(("ground truth", reference, {"color": "0.75", "linewidth": 4}))
+    shown += [
+        (name, one, {"linewidth": 1.2, **_style(k)}) for k, (name, one) in enumerate(trajectories.items())
+    ]
+    begin = min(one.stamps[0] for _, one, _ in shown)
+    for name, one, style in shown:
+        rows = _broken(
+            one, np.column_stack((one.stamps - begin, one.positions, _speeds(one), _headings(one)))
+        )
+        for axis, (a, b) in zip(axes[0], ((1, 2), (1, 3), (2, 3)), strict=True):
+            axis.plot(rows[:, a], rows[:, b], label=name, **style)
+            axis.set_xlabel(f"{'xyz'[a - 1]} [m]")
+            axis.set_ylabel(f"{'xyz'[b - 1]} [m]")
+            axis.set_aspect("equal", adjustable="datalim")
+        for axis, column, what in zip(
+            axes[1], (3, 4, 5), ("z [m]", "speed [m/s]", "heading [deg]"), strict=True
+        ):
+            axis.plot(rows[:, 0], rows[:, column], **style)
+            axis.set_xlabel("time [s]")
+            axis.set_ylabel(what)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    _save(figure, path, title, dots_per_inch)
+
+
+def _check_name(path: str | Path) -> None:
+    suffix = Path(path).suffix
+    if suffix.lower() not in FORMATS:
+        raise OptionError(f"a figure's name must end in {', '.join(FORMATS)}, not {suffix!r}")
+
+
+def _figure(inches: tuple[float, float]) -> Any:
+    try:
+        figures = importlib.import_module("matplotlib.figure")
+    except ImportError as error:
+        raise EvaluationError("figures need matplotlib: pip install matplotlib") from error
+    return figures.Figure(figsize=inches, layout="constrained")
+
+
+def _save(figure: Any, path: str | Path, title: str, dots_per_inch: float) -> None:
     if title:
         figure.suptitle(title)
     try:
         figure.savefig(path, dpi=dots_per_inch)
     except OSError as error:
         raise FileError(path, f"can't be written: {error.strerror or error}") from error
+
+
+def _speeds(trajectory: Trajectory) -> FloatArray:
+    """Speed in m/s since the pose before, shape (n,); NaN where no time has passed."""
+    steps = np.diff(trajectory.stamps)
+    lengths = np.diff(trajectory.distances)
+    speeds = np.divide(lengths, steps, out=np.full(len(steps), np.nan), where=steps > 0)
+    return np.concatenate((speeds[:1] if len(speeds) else [np.nan], speeds))
+
+
+def _headings(trajectory: Trajectory) -> FloatArray:
+    """Angle of the body's x axis about z in degrees, unwrapped, shape (n,); NaN without orientations."""
+    if not trajectory.oriented:
+        return np.full(len(trajectory), np.nan)
+    forward = trajectory.matrices[:, :, 0]
+    return np.rad2deg(np.unwrap(np.arctan2(forward[:, 1], forward[:, 0])))
 
 
 def _broken(trajectory: Trajectory, rows: FloatArray) -> FloatArray:

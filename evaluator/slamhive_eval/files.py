@@ -11,7 +11,12 @@ import numpy as np
 from slamhive_eval import bags, rotation, tables
 from slamhive_eval.errors import FileError, OptionError, TrajectoryError
 from slamhive_eval.textfiles import data_lines, decode, fault_in_row, head, is_number, parse_table, read_bytes
-from slamhive_eval.trajectory import LARGEST_METRES, Trajectory, find_fault
+from slamhive_eval.trajectory import (
+    LARGEST_METRES,
+    SMALLEST_QUATERNION_COMPONENT,
+    Trajectory,
+    find_fault,
+)
 
 if TYPE_CHECKING:
     from slamhive_eval.rotation import FloatArray
@@ -112,9 +117,11 @@ def read_transform(path: str | Path) -> FloatArray:
     numbers = np.array(words, dtype=np.float64)
     matrix = np.eye(4)
     if len(words) == 7:
-        if not np.isfinite(numbers).all() or not np.abs(numbers[3:]).max() > 0:
+        largest = np.abs(numbers[3:]).max()
+        if not np.isfinite(numbers).all() or largest < SMALLEST_QUATERNION_COMPONENT:
             raise FileError(path, "the quaternion is zero, or a number isn't finite")
-        matrix[:3, :3], matrix[:3, 3] = rotation.to_matrix(rotation.normalize(numbers[3:])), numbers[:3]
+        matrix[:3, :3] = rotation.to_matrix(rotation.normalize(numbers[3:] / largest))
+        matrix[:3, 3] = numbers[:3]
     else:
         matrix[: len(words) // 4] = numbers.reshape(-1, 4)
     return matrix

@@ -29,9 +29,9 @@ class Preparation:
     """How two trajectories are laid onto one another.
 
     Attributes:
-        matching: ``nearest``, ``unique`` or ``interpolate``; see `slamhive_eval.match`.
-        max_difference_seconds: Largest time difference in s of the first two.
-        max_gap_seconds: Largest gap in s of the ground truth for the third.
+        matching: ``nearest``, ``unique``, ``forward`` or ``interpolate``; see `slamhive_eval.match`.
+        max_difference_seconds: Largest time difference in s of the first three.
+        max_gap_seconds: Largest gap in s of the ground truth for the last.
         clock: ``given``, or find the ``offset`` of the estimate's clock, with its ``drift``; see
             `slamhive_eval.find_offset`.
         offset_seconds: Added to the estimate's stamps for matching, where given.
@@ -102,12 +102,7 @@ class Prepared:
             "notes": list(self.alignment.notes),
         }
         if self.clock is not None:
-            found["clock"] = {
-                "offsetSeconds": self.clock.offset_seconds,
-                "drift": self.clock.drift,
-                "origin": self.clock.origin,
-                "correlation": self.clock.correlation,
-            }
+            found["clock"] = self.clock.as_dict()
         if self.hand_eye is not None:
             found["handEye"] = {
                 "extrinsic": self.hand_eye.extrinsic.tolist(),
@@ -134,12 +129,7 @@ def prepare(reference: Trajectory, estimate: Trajectory, asked: Preparation) -> 
         OptionError: A number out of bounds.
         TrajectoryError: The poses don't determine what was to be found from them.
     """
-    clock = None
-    if asked.clock != "given":
-        from slamhive_eval.timing import find_offset  # noqa: PLC0415 - few ask for it
-
-        clock = find_offset(reference, estimate, drift=asked.clock == "drift")
-        estimate = clock.apply(estimate)
+    estimate, clock = set_clock(reference, estimate, asked)
     reference, estimate = match(
         reference,
         estimate,
@@ -148,6 +138,34 @@ def prepare(reference: Trajectory, estimate: Trajectory, asked: Preparation) -> 
         offset_seconds=asked.offset_seconds,
         max_gap_seconds=asked.max_gap_seconds,
     )
+    return lay(reference, estimate, asked, clock)
+
+
+def set_clock(
+    reference: Trajectory, estimate: Trajectory, asked: Preparation
+) -> tuple[Trajectory, TimeOffset | None]:
+    """The estimate with stamps of the reference's clock, and the offset where it had to be found.
+
+    Raises:
+        AssociationError: It can't be found.
+    """
+    if asked.clock == "given":
+        return estimate, None
+    from slamhive_eval.timing import find_offset  # noqa: PLC0415 - few ask for it
+
+    clock = find_offset(reference, estimate, drift=asked.clock == "drift")
+    return clock.apply(estimate), clock
+
+
+def lay(
+    reference: Trajectory, estimate: Trajectory, asked: Preparation, clock: TimeOffset | None = None
+) -> Prepared:
+    """Lay poses that belong together, pose k to pose k, into one frame of the body and one world.
+
+    Raises:
+        OptionError: A number out of bounds.
+        TrajectoryError: The poses don't determine what was to be found from them.
+    """
     found = None
     if asked.hand_eye:
         from slamhive_eval.handeye import hand_eye  # noqa: PLC0415 - few ask for it

@@ -51,6 +51,15 @@ class TimeOffset:
     origin: float
     correlation: float
 
+    def as_dict(self) -> dict[str, float]:
+        """Plain JSON data."""
+        return {
+            "offsetSeconds": self.offset_seconds,
+            "drift": self.drift,
+            "origin": self.origin,
+            "correlation": self.correlation,
+        }
+
     def apply(self, estimate: Trajectory) -> Trajectory:
         """The estimate with stamps of the reference's clock."""
         return estimate.at(self.corrected(estimate.stamps))

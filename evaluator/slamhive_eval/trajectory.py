@@ -208,7 +208,8 @@ def _turned(covariances: FloatArray, matrix: FloatArray, scale: float) -> FloatA
     both[:3, :3] = scale * matrix
     if len(both) == 6:
         both[3:, 3:] = matrix
-    turned: FloatArray = both @ covariances @ both.T
+    with np.errstate(all="ignore"):  # values that aren't finite stay so
+        turned: FloatArray = both @ covariances @ both.T
     return turned
 
 

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import venv
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +16,7 @@ from slamhive_eval import Trajectory, rotation
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+EVO = "evo==1.38.1"
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 
 
@@ -40,6 +45,35 @@ def lidar2d() -> Path:
 @pytest.fixture(scope="session")
 def bags() -> Path:
     return shared("bags")
+
+
+@pytest.fixture(scope="session")
+def evo(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
+    """Runs a program of evo: of EVO_BIN, the path, or an environment of its own that outlives the session."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "slamhive-tests"
+    own = cache / EVO.replace("==", "-") / "bin"
+    found = shutil.which("evo_res", path=os.environ.get("EVO_BIN")) or shutil.which("evo_res", path=own)
+    if found is None:
+        try:
+            venv.create(own.parent, with_pip=True, clear=True)
+            words = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", EVO]
+            subprocess.run([own / "python", *words], check=True, capture_output=True, timeout=600)
+        except (OSError, subprocess.SubprocessError):
+            shutil.rmtree(own.parent, ignore_errors=True)
+            pytest.skip(f"{EVO} can't be installed here; EVO_BIN names a folder with its programs")
+        found = str(own / "evo_res")
+    home = tmp_path_factory.mktemp("evo")
+
+    def run(program: str, *words: str) -> str:
+        return subprocess.run(
+            [Path(found).with_name(program), *words],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "HOME": str(home), "MPLBACKEND": "Agg"},
+        ).stdout
+
+    return run
 
 
 def wander(n: int = 200, seed: int = 0, rate: float = 10.0, start: float = 1.6e9) -> Trajectory:

@@ -7,6 +7,7 @@ import json
 import os
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from slamhive_eval import FileError, OptionError, Options, Trajectory, batch, evaluate, read_tum, write_tum
@@ -155,6 +156,33 @@ def test_command(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert err == "slamhive-eval: 1 of 6 pairs could not be evaluated\n"
     found = [json.loads(line) for line in out.splitlines()]
     assert {one.get("alignment") for one in found} == {"sim3", None}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--match", "unique", "--max-diff", "0.02"],
+        ["--match", "forward"],
+        ["--match", "interpolate", "--max-gap", "0.5"],
+        ["--align", "se3", "--robust", "trimmed", "--keep", "0.5"],
+        ["--align", "yaw", "--n-to-align", "20", "--offset", "0.05", "--max-diff", "0.06"],
+        ["--align", "sim3", "--offset", "auto"],
+        ["--align", "se3", "--hand-eye"],
+    ],
+)
+def test_batch_measures_as_ape_does(runs: Path, capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
+    place = runs / "a"
+    truth = read_tum(place / "gt.tum")
+    noise = np.random.default_rng(3).normal(0, 0.01, (100, 3))
+    late = Trajectory(truth.stamps + 0.001, truth.positions + noise, truth.quaternions)
+    write_tum(place / "estimate0.txt", late)
+    assert main(["batch", str(place), "--pattern", "estimate0.txt", *words]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert main(["ape", str(place / "gt.tum"), str(place / "estimate0.txt"), *words, "--json"]) == 0
+    expected = json.loads(capsys.readouterr().out)
+    assert found["ate"]["rmse"] == expected["rmse"]
+    assert found["poses"] == expected["poses"]
+    assert found.get("clock") == expected.get("clock")
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -22,7 +25,6 @@ from slamhive_eval import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 numbers = st.one_of(
     st.floats(allow_subnormal=True).map(repr),
@@ -81,3 +83,12 @@ def test_relations(file: Path, wander: Callable[..., Trajectory], content: bytes
         return
     found = evaluate_relations(truth, wander(300, start=0.0), interpolate_gap_seconds=1.0)
     json.dumps(found.as_dict(), allow_nan=False)
+
+
+@pytest.mark.slow
+def test_half_a_minute_of_the_fuzzer(tmp_path: Path) -> None:
+    script = Path(__file__).parents[1] / "fuzz" / "readers.py"
+    words = [sys.executable, script, "--seconds", "30", "--keep", tmp_path / "failures"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, ""), done.stdout
+    assert int(done.stdout.split()[0]) > 300

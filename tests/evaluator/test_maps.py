@@ -276,7 +276,23 @@ def test_without_scipy_one_sentence(
     monkeypatch.setitem(sys.modules, "scipy.spatial", None)
     np.save(tmp_path / "m.npy", grid())
     assert main(["map", str(tmp_path / "m.npy")]) == 2
-    assert capsys.readouterr().err == "slamhive-eval: maps need scipy's kd-tree: pip install scipy\n"
+    assert "mean map entropy needs scipy's kd-tree: pip install scipy" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    words = ["map", str(tmp_path / "m.npy"), "--reference", str(tmp_path / "m.npy")]
+    assert main(words) == 2
+    assert capsys.readouterr().err == "slamhive-eval: maps need a kd-tree: pip install scipy, or small_gicp\n"
+
+
+def test_either_kd_tree(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("small_gicp", reason="small_gicp is an extra")
+    pytest.importorskip("scipy", reason="scipy is an extra")
+    rng = np.random.default_rng(0)
+    clouds = rng.normal(0, 5, (500, 3)), rng.normal(0, 5, (300, 3))
+    fast = compare_maps(*clouds)
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    slow = compare_maps(*clouds)
+    np.testing.assert_allclose(fast.to_reference, slow.to_reference, rtol=1e-12)
+    np.testing.assert_allclose(fast.to_estimate, slow.to_estimate, rtol=1e-12)
 
 
 def test_command_with_a_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

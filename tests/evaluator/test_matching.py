@@ -14,6 +14,7 @@ from slamhive_eval import (
     AssociationError,
     OptionError,
     Trajectory,
+    associate_forward,
     associate_uniquely,
     match,
 )
@@ -73,7 +74,41 @@ def test_interpolated_ground_truth(wander: Callable[..., Trajectory]) -> None:
     np.testing.assert_array_equal(shifted[1].positions, truth.positions[:-1])
 
 
-@pytest.mark.parametrize("how", ["nearest", "unique"])
+@pytest.mark.parametrize(
+    ("truth", "estimate", "pairs"),
+    [
+        ([0.0, 0.125, 0.25], [0.0, 0.125, 0.25], [(0, 0), (1, 1), (2, 2)]),
+        # The first takes what is nearest to it, though it would suit the second better.
+        ([1.0], [0.875, 1.0], [(0, 0)]),
+        # What was passed over on the way to a nearer one is gone.
+        ([1.0, 1.125], [1.1, 1.11], [(1, 0)]),
+        # The tolerance itself is too much.
+        ([0.0], [0.25], []),
+        # As there, a pose exactly that far before stands in the way of the one after it.
+        ([0.75, 1.0], [1.0, 1.125], [(1, 1)]),
+        ([0.0, 5.0], [4.875, 9.0], [(1, 0)]),
+    ],
+)
+def test_in_one_pass(truth: list[float], estimate: list[float], pairs: list[tuple[int, int]]) -> None:
+    found = associate_forward(at(truth), at(estimate), 0.25)
+    assert list(zip(found.reference.tolist(), found.estimate.tolist(), strict=True)) == pairs
+
+
+@settings(max_examples=200, deadline=None)
+@given(eighths, eighths, st.sampled_from((0.125, 0.25, 0.5)), st.sampled_from((0.0, 0.25, -1.0)))
+def test_one_pass_is_one_to_one(a: list[float], b: list[float], tolerance: float, offset: float) -> None:
+    found = associate_forward(at(a), at(b), tolerance, offset)
+    assert (np.diff(found.reference) > 0).all()
+    assert (np.diff(found.estimate) > 0).all()
+    assert (np.abs(np.array(a)[found.reference] - np.array(b)[found.estimate] - offset) < tolerance).all()
+
+
+def test_one_pass_takes_the_stamps_of_the_reference(wander: Callable[..., Trajectory]) -> None:
+    reference, estimate = match(wander(50), wander(50).shifted(0.004), "forward")
+    np.testing.assert_array_equal(reference.stamps, estimate.stamps)
+
+
+@pytest.mark.parametrize("how", ["nearest", "unique", "forward"])
 def test_match(wander: Callable[..., Trajectory], how: str) -> None:
     reference, estimate = match(wander(100), wander(100).select(np.arange(0, 100, 3)).shifted(0.004), how)
     assert len(reference) == len(estimate) == 34
@@ -86,7 +121,7 @@ def test_match(wander: Callable[..., Trajectory], how: str) -> None:
         (
             {"matching": "best"},
             OptionError,
-            "unknown matching 'best'; known are nearest, unique, interpolate",
+            "unknown matching 'best'; known are nearest, unique, forward, interpolate",
         ),
         ({"offset_seconds": 1e6}, AssociationError, "no pose of the estimate"),
         ({"offset_seconds": 1e6, "matching": "unique"}, AssociationError, "no pose of the estimate"),

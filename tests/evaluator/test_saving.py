@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import shutil
-import subprocess
+import re
 import zipfile
 from typing import TYPE_CHECKING
 
@@ -120,23 +118,31 @@ def test_special_signs() -> None:
 
 
 def test_evo_res_opens_the_archives(
-    tmp_path: Path, files: list[str], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, files: list[str], capsys: pytest.CaptureFixture[str], evo: Callable[..., str]
 ) -> None:
-    """EVO_RES names the program where it isn't on the path."""
-    program = os.environ.get("EVO_RES") or shutil.which("evo_res")
-    if program is None:
-        pytest.skip("evo_res is not here: pip install evo, or set EVO_RES to it")
     found = run(capsys, *RPE, *files, "--align", "se3", "--save-results", str(tmp_path / "zips"))["results"]
     zips = sorted(map(str, (tmp_path / "zips").iterdir()))
     table = tmp_path / "table.csv"
-    done = subprocess.run(
-        [program, *zips, "--use_filenames", "--save_table", str(table), "--no_warnings"],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "Agg"},
-    )
-    assert "RPE w.r.t. translation part (m)" in done.stdout
+    printed = evo("evo_res", *zips, "--use_filenames", "--save_table", str(table), "--no_warnings")
+    assert "RPE w.r.t. translation part (m)" in printed
     with table.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["rmse"]) for row in rows] == pytest.approx([one["rmse"] for one in found])
+
+
+@pytest.mark.parametrize("kind", ["tum", "kitti", "euroc"])
+def test_evo_traj_reads_what_traj_converts(
+    tmp_path: Path, files: list[str], wander: Callable[..., Trajectory], evo: Callable[..., str], kind: str
+) -> None:
+    out = tmp_path / f"out.{kind}"
+    assert main(["traj", files[0], "--output", str(out), "--output-format", kind]) == 0
+    printed = evo("evo_traj", kind, str(out), "--full_check")
+    facts = dict(re.findall(r"^\t([^\t]+)\t(.+)$", printed, re.MULTILINE))
+    assert facts["nr. of poses"] == "300"
+    assert float(facts["path length (m)"]) == pytest.approx(wander(300).path_length)
+    checks = [
+        facts[name]
+        for name in ("SE(3) conform", "array shapes", "quaternions", "timestamps")
+        if name in facts
+    ]
+    assert set(checks) <= {"ok", "yes"}

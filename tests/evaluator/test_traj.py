@@ -177,6 +177,26 @@ def test_several_into_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["in.kitti", "second.kitti"]
 
 
+@pytest.mark.parametrize("words", [[], ["--reference", "{folder}/in.tum", "--align", "se3"]])
+def test_a_plot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], truth: Trajectory, words: list[str]
+) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is an extra")
+    (tmp_path / "bare.csv").write_text("time,x,y\n1600000000,0,0\n1600000000,1,0\n1600000009,2,0\n")
+    files = (
+        [str(tmp_path / "in.tum"), str(tmp_path / "bare.csv")] if not words else [str(tmp_path / "in.tum")]
+    )
+    for ending in ("png", "svg"):
+        out = tmp_path / f"plot.{ending}"
+        plot = [*(word.format(folder=tmp_path) for word in words), "--plot", str(out)]
+        assert main(["traj", *files, *plot]) == 0
+        assert out.stat().st_size > 5000
+    svg = out.read_text()
+    assert all(f"<!-- {word} -->" in svg for word in ("in", "heading [deg]", "x [m]"))
+    assert ("<!-- ground truth -->" in svg) == bool(words)
+    assert main(["traj", *files, "--plot", str(tmp_path / "plot.bmp")]) == 2
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -3,17 +3,19 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive_eval import alignment, batch, files, pairs
+from slamhive_eval import batch, pairs
+from slamhive_eval.commands import measuring
 from slamhive_eval.errors import OptionError
 from slamhive_eval.evaluation import Options, RpeOptions
 
 if TYPE_CHECKING:
-    import argparse
+    from slamhive_eval import files
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -38,25 +40,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pattern", default="*.txt", metavar="GLOB", help="names of the estimates in DIR (default: *.txt)"
     )
-    parser.add_argument(
-        "--align",
-        nargs="+",
-        choices=(*alignment.METHODS, "auto"),
-        default=["none"],
-        help="one line for each (default: none)",
-    )
-    parser.add_argument("--unscaled", action="store_true", help="the estimates have no scale (monocular)")
-    parser.add_argument("--extrinsic", metavar="FILE", help="pose of the estimates' sensor in the body")
+    measuring.add_preparation(parser, several=True)
     parser.add_argument("--delta", type=float, default=1.0, metavar="D", help="distance of an RPE's pair")
     parser.add_argument(
         "--unit", choices=pairs.UNITS, default="frames", help="unit of delta (default: frames)"
     )
     parser.add_argument("--all-pairs", action="store_true", help="all pairs instead of consecutive ones")
     parser.add_argument("--rel-tolerance", type=float, default=0.1, metavar="T", help="default: 0.1")
-    parser.add_argument(
-        "--max-diff", type=float, default=0.01, metavar="S", help="largest time difference (default: 0.01)"
-    )
-    parser.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
     parser.add_argument(
         "--min-coverage", type=float, default=0.9, metavar="SHARE", help="from which a run is tracked"
     )
@@ -85,20 +75,29 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _options(asked: argparse.Namespace) -> list[Options]:
-    extrinsic = None if asked.extrinsic is None else files.read_transform(asked.extrinsic)
     rpe = RpeOptions(
         asked.delta, asked.unit, "all" if asked.all_pairs else "consecutive", asked.rel_tolerance
     )
-    auto: alignment.Method = "sim3" if asked.unscaled else "se3"
+    hows = [
+        measuring.preparation(argparse.Namespace(**{**vars(asked), "align": name}))
+        for name in dict.fromkeys(asked.align)
+    ]
     return [
         Options(
-            alignment=auto if method == "auto" else method,
-            extrinsic=extrinsic,
-            max_difference_seconds=asked.max_diff,
-            offset_seconds=asked.offset,
+            alignment=how.alignment,
+            extrinsic=how.extrinsic,
+            max_difference_seconds=how.max_difference_seconds,
+            offset_seconds=how.offset_seconds,
             rpe=(rpe,),
             min_coverage=asked.min_coverage,
             has_scale=not asked.unscaled,
+            matching=how.matching,
+            max_gap_seconds=how.max_gap_seconds,
+            clock=how.clock,
+            hand_eye=how.hand_eye,
+            first_poses=how.first_poses,
+            robust=how.robust,
+            keep=how.keep,
         )
-        for method in dict.fromkeys(asked.align)
+        for how in hows
     ]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from slamhive_eval import alignment, association, files, metrics
 from slamhive_eval.commands import output
@@ -54,15 +54,15 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_preparation(parser: argparse.ArgumentParser) -> None:
-    """Add what decides how poses are matched, moved and aligned."""
+def add_preparation(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add what decides how poses are matched, moved and aligned, by one method or ``several``."""
     matching = parser.add_argument_group("matching")
     matching.add_argument(
         "--match",
         choices=association.MATCHINGS,
         default="nearest",
-        help="by time: nearest as evo, unique as TUM and rpg, or interpolate the ground truth "
-        "(default: nearest)",
+        help="by time: nearest as evo, unique as TUM and rpg, forward as OpenVINS, or interpolate the ground "
+        "truth (default: nearest)",
     )
     _add_max_diff(matching)
     matching.add_argument(
@@ -87,7 +87,13 @@ def add_preparation(parser: argparse.ArgumentParser) -> None:
         help="pose of EST's sensor in the body whose ground truth this is; the ground truth is moved there",
     )
     either.add_argument("--hand-eye", action="store_true", help="find that pose from the motion")
-    frame.add_argument("--align", choices=(*alignment.METHODS, "auto"), default="none", help="default: none")
+    methods = (*alignment.METHODS, "auto")
+    if several:
+        frame.add_argument(
+            "--align", nargs="+", choices=methods, default=["none"], help="one line for each (default: none)"
+        )
+    else:
+        frame.add_argument("--align", choices=methods, default="none", help="default: none")
     frame.add_argument("--unscaled", action="store_true", help="auto: EST has no scale (monocular), so sim3")
     frame.add_argument(
         "--gravity-aligned", action="store_true", help="auto: both worlds have z upwards, so yaw"
@@ -133,9 +139,6 @@ def _offset(word: str) -> float | str:
 def preparation(asked: argparse.Namespace) -> Preparation:
     """How to lay estimates onto the ground truth, as the options say."""
     clock: Clock = {"auto": "offset", "drift": "drift"}.get(asked.offset, "given")  # type: ignore[assignment]
-    method = asked.align
-    if method == "auto":
-        method = "sim3" if asked.unscaled else "yaw" if asked.gravity_aligned else "se3"
     return Preparation(
         matching=asked.match,
         max_difference_seconds=asked.max_diff,
@@ -144,11 +147,18 @@ def preparation(asked: argparse.Namespace) -> Preparation:
         offset_seconds=asked.offset if clock == "given" else 0.0,
         extrinsic=None if asked.extrinsic is None else files.read_transform(asked.extrinsic),
         hand_eye=asked.hand_eye,
-        alignment=method,
+        alignment=alignment_method(asked, asked.align),
         first_poses=asked.n_to_align,
         robust=asked.robust,
         keep=asked.keep,
     )
+
+
+def alignment_method(asked: argparse.Namespace, name: str) -> alignment.Method:
+    """The method that a word of ``--align`` stands for."""
+    if name == "auto":
+        return "sim3" if asked.unscaled else "yaw" if asked.gravity_aligned else "se3"
+    return cast("alignment.Method", name)
 
 
 def read_reference(asked: argparse.Namespace) -> Trajectory:

@@ -54,6 +54,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         choices=writing.OUTPUT_FORMATS,
         help="default: by the ending of PATH, .txt and .tum, .csv, .kitti",
     )
+    out.add_argument("--plot", metavar="FILE", help="a figure of them: .png, .svg or .pdf (needs matplotlib)")
     output.add_json(parser)
 
 
@@ -74,10 +75,22 @@ def run(asked: argparse.Namespace) -> int:
             writing.write_trajectory(path, trajectory, kind)
         except OSError as error:
             raise FileError(path, f"can't be written: {error.strerror or error}") from error
+    if asked.plot is not None:
+        from slamhive_eval import figures  # noqa: PLC0415 - only where asked for
+
+        figures.save_trajectories(asked.plot, dict(zip(_names(asked), made, strict=True)), reference)
     described = [{"file": name, **describe(one)} for name, one in zip(asked.estimates, made, strict=True)]
     result = described[0] if len(described) == 1 else {"results": described}
     output.emit(asked, result, lambda _: "\n\n".join(map(_show, described)))
     return 0
+
+
+def _names(asked: argparse.Namespace) -> list[str]:
+    """What a figure calls the trajectories: their stems where those differ."""
+    stems = [Path(name.split(":", 1)[0]).stem for name in asked.estimates]
+    if len(set(stems)) == len(stems):
+        return stems
+    return [f"{k}: {name}" for k, name in enumerate(asked.estimates, start=1)]
 
 
 def _cut(asked: argparse.Namespace, trajectory: Trajectory) -> Trajectory:
