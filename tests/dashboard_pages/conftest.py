@@ -6,15 +6,21 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import os
+import re
 import shutil
-import socket
 import subprocess
+import sys
 import threading
 import time
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any, Self
 from urllib.request import urlopen
 
 import pytest
+
+from slamhive.archive import Archive, CatalogEntry, SweepRecord
+from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -33,7 +39,7 @@ FLAGS = (
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
 )
-PATIENCE = 60.0
+PATIENCE = 20.0
 
 
 def poll(probe: Callable[[], Any], what: str) -> Any:
@@ -67,7 +73,9 @@ class Browser:
 
         def page() -> str | None:
             with contextlib.suppress(OSError), urlopen(f"http://127.0.0.1:{port}/json", timeout=5) as answer:
-                return next((one["webSocketDebuggerUrl"] for one in json.load(answer) if one["type"] == "page"), None)
+                return next(
+                    (one["webSocketDebuggerUrl"] for one in json.load(answer) if one["type"] == "page"), None
+                )
             return None
 
         return create_connection(poll(page, "a page"), timeout=PATIENCE, suppress_origin=True)
@@ -101,16 +109,32 @@ class Browser:
 
     def wait(self, script: str) -> Any:
         """Return the value of an expression once it is true."""
-        return poll(lambda: self.run(script), f"{script}; the page has: {self.text()[:1500]}; {self.complaints}")
+        return poll(lambda: self.run(script), script)
 
     def open(self, address: str, *, width: int = 1280, dark: bool = False) -> None:
         """Open an address in a window of a width, and wait until the page has its heading."""
         self.complaints.clear()
         scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", features=scheme)
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=width < 600)
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=900,
+            deviceScaleFactor=1,
+            mobile=width < 600,
+        )
         self.call("Page.navigate", url=address)
-        self.wait(f"document.readyState === 'complete' && location.href === {json.dumps(address)} && !!document.querySelector('h1')")
+        self.wait(f"location.href === {json.dumps(address)} && document.readyState === 'complete'")
+        ready = "!!document.querySelector('h1') && !document.body.innerText.includes('Loading…')"
+
+        def shown() -> bool:
+            # Chromium gives up loading when any interface of the machine comes or goes.
+            if any("ERR_NETWORK_CHANGED" in one for one in self.complaints):
+                self.complaints.clear()
+                self.call("Page.reload")
+            return bool(self.run(ready))
+
+        poll(shown, f"{address}; the page has: {self.text()[:1500]}; {self.complaints}")
 
     def text(self) -> str:
         """Return the text of the page as it is seen."""
@@ -118,17 +142,17 @@ class Browser:
 
     def click(self, selector: str, text: str = "") -> None:
         """Click the first element of a selector that holds a text."""
-        found = f"[...document.querySelectorAll({json.dumps(selector)})].find((one) => one.innerText.includes({json.dumps(text)}))"
+        holds = f"(one) => one.innerText.includes({json.dumps(text)})"
+        found = f"[...document.querySelectorAll({json.dumps(selector)})].find({holds})"
         self.wait(f"!!{found}")
         self.run(f"{found}.click()")
 
     def choose(self, label: str, value: str) -> None:
         """Give the field behind a label a value, as a person does."""
-        field = (
-            f"[...document.querySelectorAll('label')].find((one) => one.innerText.startsWith({json.dumps(label)}))"
-            ".querySelector('select, input')"
-        )
-        self.wait(f"!!{field}")
+        starts = f"(one) => one.innerText.startsWith({json.dumps(label)})"
+        labelled = f"[...document.querySelectorAll('label')].find({starts})"
+        field = f"{labelled}.querySelector('select, input')"
+        self.wait(f"!!{labelled}")
         self.run(
             f"{{ const field = {field}; field.value = {json.dumps(value)};"
             " field.dispatchEvent(new Event('input', {bubbles: true}));"
@@ -162,8 +186,102 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield opened
 
 
-def free_port() -> int:
-    """Return a port that nobody listens on."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])
+LONG = "<img src=x onerror=alert(1)>" + "long " * 2000
+
+
+def make_record(number: int) -> RunRecord:
+    """Return a run of two algorithms over four numbers of features; every sixth failed without a result."""
+    failed = number % 6 == 5
+    error = 0.1 / (1 + number // 2 % 4) + 0.01 * (number % 2)
+    result = Result(
+        evaluation="se3",
+        outcome=Outcome.PARTIAL if number % 6 == 4 else Outcome.TRACKED,
+        coverage=0.8 if number % 6 == 4 else 0.99,
+        values={
+            "alignment": "se3",
+            "scale": 1.0,
+            "ate": {"rmse": error, "mean": error, "median": error, "std": 0.0, "min": 0.0, "max": error},
+        },
+    )
+    spec = {
+        "algorithmRef": {"name": ("first", "second")[number % 2]},
+        "datasetRef": {"name": ("hall", "yard")[number // 8 % 2]},
+        "sensors": "mono",
+        "parameters": {"nFeatures": 500 * (1 + number // 2 % 4), "note": LONG},
+        "input": {"pace": "Lockstep", "frameRate": 10.0, "resolution": 1.0},
+        "repetition": number // 16,
+        "seed": number,
+    }
+    finished = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(minutes=number)
+    return RunRecord.model_validate(
+        {
+            "uid": f"run-{number:03d}",
+            "name": f"<b>run</b> {number}",
+            "sweep": "study",
+            "index": number,
+            "spec": spec,
+            "phase": Phase.FAILED if failed else Phase.SUCCEEDED,
+            "reason": Reason.OUT_OF_MEMORY if failed else None,
+            "message": LONG if failed else None,
+            "attempts": 1,
+            "created": finished,
+            "started": finished,
+            "finished": finished,
+            "usage": {
+                "cpu": {"meanCores": 1.0 + number % 4, "maxCores": 2.0, "seconds": 60.0},
+                "memory": {"peakBytes": 2**28 + number, "meanBytes": 1e8},
+                "wallSeconds": 60.0,
+                "samples": 30,
+                "source": "cgroup",
+                "includesReader": False,
+            },
+            "results": [] if failed else [result],
+            "provenance": {"contentHash": f"{number:064x}", "slamhiveVersion": "0.1.0"},
+        }
+    )
+
+
+@pytest.fixture(scope="session")
+def archive_url(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """An archive of 48 runs."""
+    url = f"sqlite:///{tmp_path_factory.mktemp('home') / 'archive.sqlite'}"
+    with Archive.open(url) as archive:
+        archive.put_sweep(SweepRecord(uid="study", name="study", spec={}))
+        archive.put_catalog(
+            *(CatalogEntry(kind="Algorithm", name=name, spec={}) for name in ("first", "second"))
+        )
+        archive.put_runs(map(make_record, range(48)))
+    return url
+
+
+@contextlib.contextmanager
+def serving(url: str, log: Path) -> Iterator[str]:
+    """Serve an archive and give the address."""
+    environment = os.environ | {"SLAMHIVE_HOME": str(log.parent), "SLAMHIVE_ARCHIVE": url}
+    command = [sys.executable, "-c", "from slamhive.cli.main import main; main()", "dashboard", "--port", "0"]
+    with log.open("w") as written:
+        process = subprocess.Popen(command, env=environment, stdout=written, stderr=subprocess.STDOUT)
+    try:
+        found = poll(lambda: re.search(r"http://127\.0\.0\.1:\d+", log.read_text()), "the dashboard")
+        yield found[0]
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+@pytest.fixture(scope="session")
+def site(archive_url: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a dashboard over the archive."""
+    pytest.importorskip("fastapi")
+    with serving(archive_url, tmp_path_factory.mktemp("served") / "log.txt") as address:
+        yield address
+
+
+@pytest.fixture
+def empty_site(tmp_path: Path) -> Iterator[str]:
+    """The address of a dashboard over an archive that holds nothing."""
+    pytest.importorskip("fastapi")
+    url = f"sqlite:///{tmp_path / 'archive.sqlite'}"
+    Archive.open(url).close()
+    with serving(url, tmp_path / "log.txt") as address:
+        yield address

@@ -30,7 +30,7 @@ export const Live = createContext({ revision: null, connected: true, problems: [
 
 /** Fetch an address, again at each new revision; the last answer stays until the next one is there.
  * @param {string|null} url null fetches nothing
- * @returns {{data: any, error: ApiError|null, loading: boolean}} */
+ * @returns {{data: any, current: any, error: ApiError|null, loading: boolean}} current: the data, if they are already of this very address */
 export function useData(url) {
   const { revision, connected } = useContext(Live);
   const [state, setState] = useState({ url: null, data: null, error: null, loading: true });
@@ -44,7 +44,7 @@ export function useData(url) {
     );
     return () => abort.abort();
   }, [url, revision, connected]);
-  return url === null ? { data: null, error: null, loading: false } : state;
+  return url === null ? { data: null, error: null, loading: false, current: null } : { ...state, current: state.url === url ? state.data : null };
 }
 
 /** Fetch several addresses; one that fails gives its error in its place.
@@ -78,21 +78,38 @@ export function follow(tell) {
     (index) => say({ connected: true, revision: index.revision, counts: index.counts, problems: index.problems ?? [] }),
     (error) => say({ connected: error.status !== 0 }),
   );
-  const source = new EventSource('/api/v1/events');
-  const startPolling = () => {
-    timer ??= setInterval(poll, 5000);
-  };
-  source.addEventListener('revision', (event) => {
+  let source = null;
+  const quiet = () => {
     clearInterval(timer);
     timer = null;
-    say({ connected: true, problems: [], ...JSON.parse(event.data) });
-  });
-  source.addEventListener('error', () => {
-    poll();
-    startPolling();
-  });
+  };
+  const close = () => {
+    source?.close();
+    source = null;
+    quiet();
+  };
+  const open = () => {
+    if (source) return;
+    source = new EventSource('/api/v1/events');
+    source.addEventListener('revision', (event) => {
+      quiet();
+      say({ connected: true, problems: [], ...JSON.parse(event.data) });
+    });
+    source.addEventListener('error', () => {
+      poll();
+      timer ??= setInterval(poll, 5000);
+    });
+  };
+  // A browser opens six connections to a server at most: tabs that nobody looks at must not hold one each.
+  const look = () => (document.hidden ? close() : open());
+  document.addEventListener('visibilitychange', look);
+  addEventListener('pagehide', close);
+  addEventListener('pageshow', look);
+  look();
   return () => {
-    source.close();
-    clearInterval(timer);
+    close();
+    document.removeEventListener('visibilitychange', look);
+    removeEventListener('pagehide', close);
+    removeEventListener('pageshow', look);
   };
 }

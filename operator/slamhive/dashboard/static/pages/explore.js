@@ -62,7 +62,7 @@ function Explored({ columns }) {
     ${!embedded && html`<${Controls} columns=${columns} set=${set} change=${(changes) => change({ title: null, ...changes })} error=${error} field=${at} />
       <${Filters} columns=${columns} error=${error} />`}
     ${(embedded || (!atFilters && !FIELDS.includes(at))) && html`<${Fault} error=${error} />`}
-    ${Other ? html`<${Other} key=${set.kind} set=${set} columns=${columns} filters=${filters} title=${title} onError=${setOtherError} />` : state.data ? html`<${Drawing} key=${set.kind} set=${set} data=${state.data} title=${title} csv=${csvOf(drawn)} />` : !state.error && html`<${Waiting} />`}
+    ${Other ? html`<${Other} key=${set.kind} set=${set} columns=${columns} filters=${filters} title=${title} onError=${setOtherError} />` : state.current ? html`<${Drawing} key=${set.kind} set=${set} data=${state.current} title=${title} csv=${csvOf(drawn)} />` : !state.error && html`<${Waiting} />`}
     ${!embedded && !Other && state.data && html`<${GroupTable} columns=${columns} set=${set} filters=${filters} />`}
     ${!embedded && !error && !['scatter', 'parallel'].includes(set.kind) && html`<${RunRows} filters=${filters} extra=${[set.x, set.y, set.colour]} />`}`;
 }

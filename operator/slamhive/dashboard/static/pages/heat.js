@@ -15,7 +15,7 @@ export function Heat({ set, columns, filters, title, onError }) {
   const { query } = useAddress();
   const rows = set.colour || 'algorithm';
   const url = address('/api/v1/analysis/aggregate', filters.with({ by: [...new Set([set.x, rows])].join(','), metrics: set.y, outcomes: set.outcomes }));
-  const { data, error } = useData(url);
+  const { current: data, error } = useData(url);
   useEffect(() => onError(error), [error]);
   const drawn = useMemo(() => data && parts(data, set, rows), [data, set.figure, rows]);
   if (!data) return !error && html`<${Waiting} />`;

@@ -18,7 +18,7 @@ export function Parallel({ set, columns, filters, onError }) {
   const axes = [...new Set(query.get('axes') ? query.get('axes').split(',').filter(Boolean) : usual.filter((name) => columns.some((one) => one.name === name)))];
   const asked = filters.with({ columns: [...new Set(['uid', 'run', 'algorithm', 'sensors', 'dataset', 'status', ...axes, set.colour].filter(Boolean))].join(',') });
   const url = address('/api/v1/runs', asked.with({ limit: MOST }));
-  const { data, error } = useData(url);
+  const { current: data, error } = useData(url);
   const [active, setActive] = useState(null);
   useEffect(() => onError(error), [error]);
   const option = useMemo(() => data && parallel(data, axes, set.colour || 'algorithm'), [data, axes.join(' '), set.colour]);

@@ -11,7 +11,7 @@ import { html, useEffect, useMemo } from '../core/ui.js';
 export function Pareto({ set, filters, title, onError }) {
   const by = [...new Set(['algorithm', 'sensors', set.colour].filter(Boolean))].join(',');
   const url = address('/api/v1/analysis/pareto', filters.with({ x: set.x, y: set.y, by }));
-  const { data, error } = useData(url);
+  const { current: data, error } = useData(url);
   useEffect(() => onError(error), [error]);
   const drawn = useMemo(() => data?.fronts.slice(0, 24).map((front) => front.points.some((point) => point.x !== null) && pareto(data, front, set)).filter(Boolean), [data, set.xlog, set.ylog]);
   if (!data) return !error && html`<${Waiting} />`;

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What comes from elsewhere is what the list says, with its licence; nothing is fetched from outside."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+STATIC = Path(str(files("slamhive.dashboard") / "static"))
+VENDOR = STATIC / "vendor"
+LISTED = json.loads((VENDOR / "manifest.json").read_text())["files"]
+OWN = sorted(
+    path
+    for ending in ("js", "css", "html", "svg")
+    for path in STATIC.rglob(f"*.{ending}")
+    if VENDOR not in path.parents
+)
+
+
+@pytest.mark.parametrize("entry", LISTED, ids=lambda entry: entry["file"])
+def test_checksum(entry: dict[str, str]) -> None:
+    assert hashlib.sha256((VENDOR / entry["file"]).read_bytes()).hexdigest() == entry["sha256"]
+
+
+def test_list_is_complete() -> None:
+    assert {path.name for path in VENDOR.iterdir()} == {entry["file"] for entry in LISTED} | {"manifest.json"}
+
+
+@pytest.mark.parametrize("path", OWN, ids=lambda path: path.name)
+def test_own_files(path: Path) -> None:
+    text = path.read_text()
+    assert "SPDX-License-Identifier: Apache-2.0" in "".join(text.splitlines(keepends=True)[:2])
+    outside = [url for url in re.findall(r"https?://[^\s\"'`)]+", text) if "www.w3.org" not in url]
+    assert outside == []
+    assert not re.search(r"\sstyle=\"|innerHTML|dangerouslySetInnerHTML|\beval\(|new Function", text)
+
+
+def test_imports_exist() -> None:
+    for path in OWN:
+        for found in re.findall(r"(?:from|import)\s*\(?'([./][^']+)'", path.read_text()):
+            target = STATIC / found[1:] if found.startswith("/") else path.parent / found
+            assert target.resolve().is_file(), f"{path.name}: {found}"
