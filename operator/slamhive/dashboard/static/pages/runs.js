@@ -41,7 +41,7 @@ function AllRuns() {
       ${state.data.items.length ? html`<${Table} columns=${[marks, ...dressed(state.data.columns)]} rows=${state.data.items} caption="Runs" sort=${query.get('sort')}
         onSort=${(sort) => change({ sort, after: null })} />` : html`<${NothingFits} />`}
       <nav class="row" aria-label="Pages of the table"><p class="row">${query.get('after') && html`<${Link} href=${address('/runs', query.with({ after: null }))}>First page</${Link}>`}
-        ${state.data.next && html`<${Link} href=${address('/runs', query.with({ after: Query.parse(state.data.next.split('?')[1]).get('after') }))}>Next page</${Link}>`}</p></nav>`
+        ${state.current?.next && html`<${Link} href=${address('/runs', query.with({ after: Query.parse(state.current.next.split('?')[1]).get('after') }))}>Next page</${Link}>`}</p></nav>`
     : !state.error && html`<${Waiting} />`}`;
 }
 
