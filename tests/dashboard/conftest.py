@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -82,18 +83,23 @@ def url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path / 'archive.sqlite'}"
 
 
-@pytest.fixture
-def assorted(url: str) -> str:
-    """An archive with runs of every sort."""
-    with Archive.open(url) as archive:
-        archive.put_sweep(
-            SweepRecord(uid="s1", name="study", spec={"matrix": [{"path": "dataset", "values": [1]}]})
-        )
-        archive.put_catalog(
-            CatalogEntry(kind="Algorithm", name="algorithm-0", spec={"description": "the first"})
-        )
+@pytest.fixture(scope="session")
+def assorted_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("assorted") / "archive.sqlite"
+    spec = {"matrix": [{"path": "dataset", "values": [1]}]}
+    with Archive.open(f"sqlite:///{file}") as archive:
+        archive.put_sweep(SweepRecord(uid="s1", name="study", spec=spec))
+        first = CatalogEntry(kind="Algorithm", name="algorithm-0", spec={"description": "the first"})
+        archive.put_catalog(first)
         archive.put_runs(ASSORTED)
-    return url
+    return file
+
+
+@pytest.fixture
+def assorted(assorted_file: Path, tmp_path: Path) -> str:
+    """An archive with runs of every sort."""
+    shutil.copyfile(assorted_file, tmp_path / "archive.sqlite")
+    return f"sqlite:///{tmp_path / 'archive.sqlite'}"
 
 
 class Client:

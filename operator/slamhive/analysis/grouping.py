@@ -263,15 +263,24 @@ def _codes_in(column: Column, values: list[Any]) -> npt.NDArray[np.int32]:
 
 
 def _alignments(frame: Frame) -> Column:
-    """Return the alignment of each row; where missing, that of others of its evaluation and algorithm."""
+    """Return the alignment of each row; where missing, that of others like it if they agree.
+
+    Those are of its evaluation, algorithm and sensors, then of its evaluation and sensors, then of its
+    evaluation: an algorithm all of whose runs failed still stands beside the others.
+    """
     alignment = frame.column("alignment")
     if alignment.kind.is_numeric:
         return alignment
-    groups = Groups(frame, ("evaluation", "algorithm", "sensors"))
-    known = np.full(groups.count, -1, dtype=np.int32)
+    codes = alignment.codes
     have = alignment.present
-    known[groups.of_row[have]] = alignment.codes[have]
-    codes = np.where(have, alignment.codes, known[groups.of_row])
+    for names in (("evaluation", "algorithm", "sensors"), ("evaluation", "sensors"), ("evaluation",)):
+        groups = Groups(frame, names)
+        low = np.full(groups.count, len(alignment.values), dtype=np.int32)
+        high = np.full(groups.count, -1, dtype=np.int32)
+        np.minimum.at(low, groups.of_row[have], alignment.codes[have])
+        np.maximum.at(high, groups.of_row[have], alignment.codes[have])
+        known = np.where(low == high, low, -1)
+        codes = np.where(codes >= 0, codes, known[groups.of_row]).astype(np.int32)
     return Column.of_codes(codes, alignment.values)
 
 

@@ -212,11 +212,13 @@ def status(row: Row) -> str:
 def _with_facets(rows: Sequence[Row]) -> list[Row]:
     """Give failed runs the evaluations that the others have, so that they are counted beside them."""
     evaluations = sorted({str(row["evaluation"]) for row in rows if row.get("evaluation") is not None})
-    alignments = {
-        (row.get("evaluation"), row.get("algorithm"), row.get("sensors")): row["alignment"]
-        for row in rows
-        if row.get("alignment") is not None
-    }
+    alignments: dict[tuple[Any, ...], Any] = {}
+    for row in rows:
+        if row.get("alignment") is not None:
+            for key in _likenesses(row, row.get("evaluation")):
+                known = alignments.setdefault(key, row["alignment"])
+                if known != row["alignment"]:
+                    alignments[key] = None
     complete: list[Row] = []
     for row in rows:
         if row.get("outcome"):
@@ -226,9 +228,16 @@ def _with_facets(rows: Sequence[Row]) -> list[Row]:
         if row.get("evaluation") is not None:
             given = [row["evaluation"]]
         for evaluation in given:
-            alignment = alignments.get((evaluation, row.get("algorithm"), row.get("sensors")))
+            found = (alignments.get(key) for key in _likenesses(row, evaluation))
+            alignment = next((name for name in found if name is not None), None)
             complete.append({**row, "evaluation": evaluation, "alignment": alignment})
     return complete
+
+
+def _likenesses(row: Row, evaluation: Any) -> tuple[tuple[Any, ...], ...]:
+    """Return what runs share that are aligned alike, the surest first."""
+    algorithm, sensors = row.get("algorithm"), row.get("sensors")
+    return (evaluation, algorithm, sensors), (evaluation, None, sensors), (evaluation,)
 
 
 def _varies(rows: Sequence[Row], name: str) -> bool:

@@ -86,7 +86,7 @@ def median_interval(ordered: Floats) -> Interval | None:
     if count < ENOUGH:
         return None
     if count > 1000:
-        below = math.floor(count / 2 - 1.959964 * math.sqrt(count) / 2)
+        below = math.floor(count / 2 - 1.959964 * math.sqrt(count) / 2) - 1
     else:
         below, tail = -1, 0.0
         weight = 0.5**count if count < 1000 else math.exp(-count * math.log(2))

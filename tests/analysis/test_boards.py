@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who is better, what matters, what repeats: on studies whose truth is known."""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import Any
+
+import pytest
+
+from slamhive.analysis.columns import Column
+from slamhive.analysis.comparing import compare
+from slamhive.analysis.frame import Frame, with_derived
+from slamhive.analysis.importance import importance
+from slamhive.analysis.leaderboard import leaderboard
+from slamhive.analysis.pareto import pareto
+from slamhive.analysis.repeating import repeatability, suspects
+
+SCALES = {"dataset-0": 0.01, "dataset-1": 1.0, "dataset-2": 100.0}
+
+
+def make_row(algorithm: str, dataset: str, error: float | None, **more: Any) -> dict[str, Any]:
+    row = {
+        "algorithm": algorithm,
+        "sensors": "stereo",
+        "dataset": dataset,
+        "phase": "Succeeded" if error is not None else "Failed",
+        "outcome": "Tracked" if error is not None else None,
+        "evaluation": "se3" if error is not None else None,
+        "alignment": "se3" if error is not None else None,
+        "ate.rmse": error,
+        "coverage": 1.0 if error is not None else None,
+    }
+    return row | more
+
+
+def frame_of(rows: list[dict[str, Any]]) -> Frame:
+    names = dict.fromkeys(name for row in rows for name in row)
+    return with_derived({name: Column.of([row.get(name) for row in rows]) for name in names}, len(rows))
+
+
+def study(
+    factors: dict[str, float], repetitions: int = 5, datasets: int = 3, spread: float = 0.01
+) -> list[dict[str, Any]]:
+    chance = random.Random(1)
+    names = [f"dataset-{number}" for number in range(datasets)]
+    return [
+        make_row(name, dataset, SCALES.get(dataset, 1.0) * factor * chance.lognormvariate(0, spread), uid=k)
+        for name, factor in factors.items()
+        for dataset in names
+        for k in range(repetitions)
+    ]
+
+
+def test_ranks_do_not_depend_on_the_metres_of_a_dataset() -> None:
+    (board,) = leaderboard(frame_of(study({"best": 1.0, "middle": 2.0, "last": 4.0}))).boards
+    assert [entry.keys["algorithm"] for entry in board.entries] == ["best", "middle", "last"]
+    assert [round(entry.ratio) for entry in board.entries] == [1, 2, 4]
+    assert [(e.rank_interval.low, e.rank_interval.high) for e in board.entries] == [(1, 1), (2, 2), (3, 3)]
+
+
+def test_equals_share_a_rank_and_are_unsure_of_it() -> None:
+    (board,) = leaderboard(frame_of(study({"a": 1.0, "b": 1.0}, spread=0.3))).boards
+    assert all(entry.rank_interval.low == 1 and entry.rank_interval.high == 2 for entry in board.entries)
+
+
+def test_failed_runs_are_ranked_last_and_never_dropped() -> None:
+    rows = study({"steady": 2.0}, 4)
+    rows += [
+        make_row("gambler", f"dataset-{d}", 1e-4 if k == 0 else None) for d in range(3) for k in range(4)
+    ]
+    (board,) = leaderboard(frame_of(rows)).boards
+    steady, gambler = board.entries
+    assert (steady.keys["algorithm"], gambler.n, gambler.runs) == ("steady", 3, 12)
+    assert math.isinf(gambler.ratio)
+    assert gambler.standings[0].failures == {"Failed": 3}
+
+
+def test_competitors_without_a_common_dataset_are_not_compared() -> None:
+    rows = [make_row("a", "x", 1.0), make_row("b", "y", 2.0)]
+    assert [len(board.entries) for board in leaderboard(frame_of(rows)).boards] == [1, 1]
+
+
+@pytest.mark.parametrize(
+    ("column", "metric", "boards"),
+    [
+        ("alignment", "ate.rmse", 2),
+        ("input.pace", "ate.rmse", 2),
+        ("provenance.cpuModel", "ate.rmse", 1),
+        ("provenance.cpuModel", "usage.wallSeconds", 2),
+    ],
+)
+def test_facets_are_never_mixed_silently(column: str, metric: str, boards: int) -> None:
+    rows = [
+        row | {column: half, "usage.wallSeconds": 1.0}
+        for half in ("p", "q")
+        for row in study({"a": 1, "b": 2})
+    ]
+    found = leaderboard(frame_of(rows), metric)
+    assert len(found.boards) == boards
+    assert boards == 2 or any("processors" in note for note in found.notes)
+
+
+def test_the_sequence_is_the_unit_of_a_comparison() -> None:
+    few, _ = compare(frame_of(study({"a": 1.0, "b": 2.0}, repetitions=50)))
+    (pair,) = few[0].pairs
+    assert (pair.p, pair.least_p, pair.wins) == (0.25, 0.25, (3, 0, 0))
+    assert "too few to tell" in pair.sentence
+    many, _ = compare(frame_of(study({"a": 1.0, "b": 2.0}, repetitions=2, datasets=8)))
+    (pair,) = many[0].pairs
+    assert pair.p == pytest.approx(2 / 2**8)
+    assert pair.ratio == pytest.approx(2.0, rel=0.05)
+    assert pair.effect == 1.0
+    assert "more than chance" in pair.sentence
+
+
+def test_pairs_are_corrected_for_their_number() -> None:
+    boards, _ = compare(frame_of(study({"a": 1.0, "b": 2.0, "c": 4.0}, 2, datasets=7)))
+    assert [pair.p_holm for pair in boards[0].pairs] == pytest.approx([3 * 2 / 2**7] * 3)
+
+
+def test_a_failure_outweighs_any_error() -> None:
+    rows = [make_row("a", f"d{k}", 1.0 if k else None) for k in range(6)]
+    rows += [make_row("b", f"d{k}", 1.1) for k in range(6)]
+    boards, _ = compare(frame_of(rows))
+    (pair,) = boards[0].pairs
+    assert pair.wins == (5, 1, 0)
+    assert math.isnan(pair.ratio)
+    assert pair.p > 0.3
+
+
+def test_the_front_holds_those_nobody_beats_in_both() -> None:
+    spots = {
+        "cheap": (1.0, 3.0),
+        "good": (3.0, 1.0),
+        "both": (2.0, 2.0),
+        "beaten": (2.5, 2.5),
+        "lost": (0.1, None),
+    }
+    rows = [
+        make_row(name, "x", error, **{"usage.cpu.seconds": cost}) for name, (cost, error) in spots.items()
+    ]
+    fronts, _ = pareto(frame_of(rows), "usage.cpu.seconds")
+    assert [(spot.keys["algorithm"], spot.front) for spot in fronts[0].spots] == [
+        ("cheap", True),
+        ("both", True),
+        ("beaten", False),
+        ("good", True),
+        ("lost", False),
+    ]
+    assert math.isinf(fronts[0].spots[-1].y)
+
+
+def settings_study() -> list[dict[str, Any]]:
+    chance = random.Random(2)
+    rows = []
+    for number in range(240):
+        a, b, c = number % 3, number // 3 % 4, number // 12 % 2
+        error = math.exp(1.0 * a + (0.8 if b in (0, 3) and c else 0.0) + chance.gauss(0, 0.1))
+        more = {"parameters.a": a, "parameters.b": b, "parameters.c": c, "parameters.text": "xyz"[number % 3]}
+        rows.append(make_row("alg", "x", error, sweep="s" if number < 200 else "tpe", **more))
+    return rows
+
+
+def test_the_setting_that_matters_is_found() -> None:
+    (subject,), notes = importance(frame_of(settings_study()), "ate.rmse", {"tpe"})
+    assert notes == ["40 runs of adaptive searches are left out"]
+    strongest = subject.influences[0]
+    assert strongest.name in {"parameters.a", "parameters.text"}
+    assert strongest.variance == pytest.approx(0.8, abs=0.1)
+    by_name = {one.name: one for one in subject.influences}
+    assert by_name["parameters.a"].rank_correlation == pytest.approx(0.9, abs=0.1)
+    assert by_name["parameters.text"].rank_correlation is None
+    assert {subject.interactions[0].a, subject.interactions[0].b} == {"parameters.b", "parameters.c"}
+
+
+def test_equal_trajectories_count_once() -> None:
+    hashes = ["same"] * 4 + ["other"]
+    rows = [
+        make_row("a", "x", 1.0 if name == "same" else 3.0, **{"trajectory.sha256": name}) for name in hashes
+    ]
+    (one,), _ = repeatability(frame_of(rows))
+    assert (one.distinct, one.figures) == (2, (1.0, 3.0))
+    assert one.relative_spread == pytest.approx(math.sqrt(2) / 2)
+    (same,), _ = repeatability(frame_of(rows[:4]))
+    assert "deterministic so far" in same.verdict
+
+
+@pytest.mark.parametrize(
+    ("scales", "found"),
+    [([0.957, 0.9571, 0.9569], 1), ([0.95, 1.02, 1.0], 0), ([1.001, 1.001, 1.001], 0), ([0.957, 0.957], 0)],
+)
+def test_a_scale_that_is_off_by_the_same_factor_is_suspect(scales: list[float], found: int) -> None:
+    rows = [make_row("a", "x", 1.0, scale=scale, alignment="sim3") for scale in scales]
+    assert len(suspects(frame_of(rows))) == found
