@@ -130,7 +130,8 @@ class Buildah:
 
     def build(self, recipe: Recipe, base: str, labels: dict[str, str]) -> None:
         """Build an image and tag it, reaching the package registries as this machine does."""
-        command = ["buildah", "bud", "--layers", "--force-rm", "--isolation", "chroot", "--build-arg", f"BASE={base}"]
+        command = ["buildah", "bud", "--layers", "--force-rm", "--isolation", "chroot"]
+        command += ["--build-arg", f"BASE={base}"]
         for path in (AUTHORITIES, PIP_SETTINGS):
             command += ["--volume", f"{path}:{path}:ro"] if path.exists() else []
         for key, value in labels.items():
