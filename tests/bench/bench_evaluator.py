@@ -22,13 +22,17 @@ EVO = "evo==1.38.1"
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "icra2023"
 COMMAND_POSES, LIBRARY_POSES, MANY_POSES = 3_000, 100_000, 1_000_000
 REPETITIONS = 5
+NINE_DECIMALS = "%.9f"
+"""As most SLAM programs write them."""
+ALL_DIGITS = "%.17g"
+"""As many as float64 holds: reading them exactly takes twice as long, in C as well."""
 
 MAKE = """
 import sys
 import numpy as np
 from slamhive_eval import Trajectory, rotation
 
-poses = int(sys.argv[1])
+poses, form = int(sys.argv[1]), sys.argv[2]
 rng = np.random.default_rng(poses)
 t = np.arange(poses) / 20.0
 rpy = np.column_stack((0.1 * np.sin(t), 0.1 * np.cos(0.7 * t), 0.3 * t + np.sin(0.2 * t)))
@@ -41,8 +45,8 @@ noisy = Trajectory(
     positions + rng.normal(0, 0.01, positions.shape),
     truth.quaternions + rng.normal(0, 0.002, (poses, 4)),
 ).transformed(turn, np.array((1.0, 2.0, 3.0)))
-row = " ".join(["%.9f"] * 8) + "\\n"  # nine decimals, as SLAM programs write them
-for file, one in zip(sys.argv[2:], (truth, noisy)):
+row = " ".join([form] * 8) + "\\n"
+for file, one in zip(sys.argv[3:], (truth, noisy)):
     with open(file, "w") as out:
         out.writelines(row % tuple(v) for v in np.column_stack((one.stamps, one.positions, one.quaternions)))
 """
@@ -159,13 +163,13 @@ def peer_python() -> Path | None:
     return python
 
 
-def make_files(folder: Path, poses: int) -> list[str]:
+def make_files(folder: Path, poses: int, form: str = NINE_DECIMALS) -> list[str]:
     """A smooth path of a body that turns, and a noisy, moved estimate of it.
 
     A process of its own makes them: what a process takes is never reported as less than its parent holds.
     """
     files = [str(folder / f"{name}-{poses}.txt") for name in ("truth", "estimate")]
-    subprocess.run([sys.executable, "-c", MAKE, str(poses), *files], check=True)
+    subprocess.run([sys.executable, "-c", MAKE, str(poses), form, *files], check=True)
     return files
 
 
@@ -208,15 +212,16 @@ def bench_commands(folder: Path, peer: Path | None) -> None:
 
 def bench_library(folder: Path, peer: Path | None) -> None:
     """Time both in process."""
-    files = make_files(folder, LIBRARY_POSES)
-    for what, work, share in (
-        ("APE, SE(3)", "ape", 10),
-        ("APE, rotation angle", "angle", 50),
-        ("RPE, 1 m, all pairs", "rpe", 10),
-    ):
-        found = run([sys.executable, "-c", OURS, work, *files], folder, REPETITIONS)
-        beside = run([str(peer), "-c", PEER, work, *files], folder) if peer is not None else None
-        report(f"{what}, {LIBRARY_POSES:,} poses, in process", found, beside, share)
+    for form, digits in ((NINE_DECIMALS, ""), (ALL_DIGITS, ", 17 digits")):
+        files = make_files(folder, LIBRARY_POSES, form)
+        for what, work, share in (
+            ("APE, SE(3)", "ape", 10),
+            ("APE, rotation angle", "angle", 50),
+            ("RPE, 1 m, all pairs", "rpe", 10),
+        ):
+            found = run([sys.executable, "-c", OURS, work, *files], folder, REPETITIONS)
+            beside = run([str(peer), "-c", PEER, work, *files], folder) if peer is not None else None
+            report(f"{what}, {LIBRARY_POSES:,} poses{digits}, in process", found, beside, share)
 
 
 def bench_runs(folder: Path, peer: Path | None) -> None:
