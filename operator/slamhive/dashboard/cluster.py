@@ -139,7 +139,8 @@ class ClusterSource:
                 self._snapshot = Snapshot(frame, revision, state[2], sweeps)
                 self._built = state
                 took = time.monotonic() - begun
-                self._next_build = begun + max(_LEAST_REST_SECONDS, _REST * took)
+                if self.ready:  # until then every piece is news
+                    self._next_build = begun + max(_LEAST_REST_SECONDS, _REST * took)
             return self._snapshot
 
     @property

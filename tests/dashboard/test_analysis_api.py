@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Analyses over HTTP: shapes, formats, mistakes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import Any
+
+import pytest
+
+ANALYSES = (
+    "aggregate",
+    "leaderboard",
+    "compare",
+    "pareto?x=usage.cpu.seconds",
+    "importance",
+    "repeatability",
+    "suspects",
+)
+
+
+async def test_points_hold_every_run_failed_or_not(api: Any) -> None:
+    answer = await api.get("/analysis/points?x=seed&y=ate.rmse&colour=algorithm&facet=parameters.nFeatures")
+    axes = answer["axes"]
+    assert answer["count"] == len(axes["x"]["values"]) == len(axes["y"]["values"]) == len(answer["uid"]) == 31
+    assert axes["y"]["values"][24] is None
+    assert answer["status"]["categories"][answer["status"]["codes"][24]] == "OutOfMemory"
+    assert axes["y"]["values"][2] == 0.03
+    assert axes["colour"]["categories"] == ["algorithm-0", "algorithm-1"]
+    assert axes["facet"]["codes"][28] == -1
+    assert [item["column"] for item in answer["mixed"]] == ["evaluation", "alignment"]
+
+
+@pytest.mark.parametrize(("digits", "value"), [("3", 0.333), ("6", 0.333333), ("17", 1 / 3)])
+async def test_digits_of_points(api: Any, digits: str, value: float) -> None:
+    answer = await api.get(
+        f"/analysis/points?x=rpe[0].rmse&y=seed&uid=uid-025&digits={digits}&evaluation=se3"
+    )
+    assert answer["axes"]["x"]["values"] == [value]
+
+
+async def test_many_points_are_rounded_and_come_without_uids(
+    api: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamhive.dashboard.api_analysis.EXACT", 5)
+    answer = await api.get("/analysis/points?x=seed&y=rpe[0].rmse")
+    assert (answer["digits"], answer["uid"]) == (6, None)
+    assert answer["axes"]["y"]["values"][25] == 0.333333
+    assert answer["id"][0] == 1
+
+
+@pytest.mark.parametrize("analysis", ANALYSES)
+async def test_every_analysis_is_json_and_a_table(api: Any, analysis: str) -> None:
+    answer = await api.get(f"/analysis/{analysis}")
+    assert answer["revision"]
+    sign = "&" if "?" in analysis else "?"
+    table = await api.raw.get(f"/api/v1/analysis/{analysis}{sign}format=csv")
+    assert table.status_code == 200
+    assert "NaN" not in json.dumps(answer)
+    rows = list(csv.reader(io.StringIO(table.text)))
+    assert all(len(row) == len(rows[0]) for row in rows)
+    assert not {"nan", "inf"} & {cell for row in rows for cell in row}
+
+
+@pytest.mark.parametrize("analysis", ANALYSES)
+@pytest.mark.parametrize("where", ["seed < 0", "seed == 24", "seed == 3", "outcome is null"])
+async def test_few_runs_or_none_are_no_fault(api: Any, analysis: str, where: str) -> None:
+    sign = "&" if "?" in analysis else "?"
+    await api.get(f"/analysis/{analysis}{sign}where={where}")
+
+
+@pytest.mark.parametrize(
+    ("query", "field", "part"),
+    [
+        ("points?x=ate.rmse", "y", "required"),
+        ("points?x=ate.rms&y=coverage", "x", "did you mean"),
+        ("points?x=ate.rmse&y=coverage&facet=a,b", "facet", "unknown column"),
+        ("points?x=ate.rmse,coverage&y=coverage", "x", "one column"),
+        ("points?x=ate.rmse&y=coverage&digits=99", "digits", "17"),
+        ("aggregate?by=algoritm", "by", "did you mean"),
+        ("aggregate?metrics=algorithm", "metrics", "numbers"),
+        ("aggregate?outcomes=some", "outcomes", "known: all, tracked"),
+        ("leaderboard?metric=name", "metric", "numbers"),
+        ("pareto?x=nothing", "x", "unknown column"),
+        ("importance?metric=ate.rmse&where=)", "where", "character 1"),
+        ("leaderboard?metrics=ate.rmse", "metrics", "did you mean 'metric'"),
+    ],
+)
+async def test_mistakes_say_where_they_are(api: Any, query: str, field: str, part: str) -> None:
+    answer = await api.get(f"/analysis/{query}", 400)
+    assert answer["field"] == field
+    assert part in answer["error"]
