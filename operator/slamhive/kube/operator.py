@@ -19,6 +19,7 @@ from slamhive.kube.errors import ApiError, Conflict, Forbidden, NotFound, StartE
 from slamhive.kube.kinds import MANAGER, OUR_KINDS, Key, Kind, Label, key_of
 from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
+from slamhive.kube.pods import has_completed, has_failed
 from slamhive.kube.queue import Queue
 from slamhive.kube.routing import routes
 from slamhive.kube.store import Store
@@ -97,6 +98,8 @@ class Operator:
         self._tasks: list[asyncio.Task[None]] = []
         self._told: dict[Key, str] = {}
         self._busy_since: dict[Key, float] = {}
+        self._podless: dict[str, str] = {}
+        self._finding_pods = asyncio.Lock()
         api.count = self.metrics.count_call
         self.metrics.watch_queue(self.queue)
         self.metrics.watch_phases(self._phases)
@@ -127,6 +130,7 @@ class Operator:
         if self.store.put(kind, obj):
             if kind is Kind.POD and (obj.get("status") or {}).get("phase") in ENDED:
                 self.usage.ended(obj["metadata"]["uid"])
+            self._note_podless(kind, obj)
             self._enqueue(routes(kind, obj, self.store, new=new))
 
     def _gone(self, kind: Kind, obj: Object) -> None:
@@ -137,6 +141,27 @@ class Operator:
             self.usage.forget(uid)
         self._told.pop(key, None)
         self._enqueue(routes(kind, obj, self.store, new=True))
+
+    def _note_podless(self, kind: Kind, obj: Object) -> None:
+        uid = obj["metadata"]["uid"]
+        if kind is Kind.JOB and (has_failed(obj) or has_completed(obj)) and not self._has_pods(uid):
+            self._podless[uid] = obj["metadata"]["namespace"]
+
+    def _has_pods(self, job_uid: str) -> bool:
+        return any(kind is Kind.POD for kind, _ in self.store.owned(job_uid))
+
+    async def _find_pods(self) -> None:
+        """Ask for the pods of Jobs that have ended without one being seen: the watch of pods may lag behind.
+
+        Without this, their ends would look like lost pods.
+        """
+        async with self._finding_pods:
+            for uid, namespace in list(self._podless.items()):
+                if not self._has_pods(uid):
+                    labels = f"{MANAGED},batch.kubernetes.io/controller-uid={uid}"
+                    for pod in (await self.api.list(Kind.POD, namespace, labels=labels))[0]:
+                        self._take(Kind.POD, pod)
+                self._podless.pop(uid, None)
 
     def _enqueue(self, keys: Iterable[Key]) -> None:
         current = _current.get()
@@ -182,6 +207,9 @@ class Operator:
             answer = await self.api.delete(key, uid=uid, **options)
         except Conflict:
             if options.get("resource_version") is not None:
+                raise
+            there = await self.refresh(key)
+            if there is not None and there["metadata"]["uid"] == uid:
                 raise
             answer = None
         if answer is not None:
@@ -262,6 +290,8 @@ class Operator:
         for key, obj, there in self.store.sync(kind, namespace, items, version):
             if kind is Kind.POD and not there:
                 self.usage.forget(obj["metadata"]["uid"])
+            if there:
+                self._note_podless(kind, obj)
             self._enqueue(routes(key.kind, obj, self.store, new=True))
 
     async def _check_crds(self) -> None:
@@ -320,6 +350,8 @@ class Operator:
         self._busy_since[key] = started
         outcome = "ok"
         try:
+            if self._podless:
+                await self._find_pods()
             again = await self._reconcilers[key.kind](self, key)
         except SlamHiveError as error:
             outcome = error.reason

@@ -54,6 +54,7 @@ class Retirement:
         going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
         for run in going:
             await asyncio.to_thread(op.archive.put_run, *self._records(op, run))
+        left = surplus - len(going)
         for run in going:
             meta = run["metadata"]
             run_key = key_of(Kind.MAPPING_RUN, run)
@@ -61,7 +62,8 @@ class Retirement:
                 await op.delete(run_key, uid=meta["uid"], resource_version=meta["resourceVersion"])
             except Conflict:  # someone wrote to it: the archive gets the newer state next time
                 await op.refresh(run_key)
-        return [op.settings.sweep_write_seconds] if len(going) < surplus else []
+                left += 1
+        return [op.settings.sweep_write_seconds] if left else []
 
     def _records(
         self, op: Operator, run: Object

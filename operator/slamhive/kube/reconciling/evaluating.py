@@ -140,7 +140,7 @@ class Evaluations:
         dataset = self._catalogue.dataset(op.store, namespace, run["spec"]["datasetRef"]["name"])
         spec = resolve(run["spec"], algorithm, dataset)
         key = Key(Kind.DATASET, namespace, dataset.name)
-        told = variants.entries(op, key).get(status.get("variant") or "", {}).get("description")
+        told = variants.described(op, key, status.get("variant") or "")
         if told is None:
             raise InputError(
                 f"variant {status.get('variant')} of Dataset {dataset.name!r} is not known any more"

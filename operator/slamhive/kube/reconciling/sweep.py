@@ -222,6 +222,8 @@ class SweepReconciler:
         """Create the runs of points; returns why some could not be."""
         if op.archive is not None:
             await _insist_on_newest(op, seen)
+        if seen.memory.started_at is None:
+            seen.memory.started_at = now
         used = slots_used(seen.runs.values())
         limit = asyncio.Semaphore(_AT_ONCE)
 
@@ -230,8 +232,6 @@ class SweepReconciler:
                 return await self._create(op, seen, index, slot)
 
         told = await asyncio.gather(*(create(index, free_slot(used)) for index in indices))
-        if seen.memory.started_at is None:
-            seen.memory.started_at = now
         return next((problem for problem in told if problem), None)
 
     @staticmethod

@@ -287,6 +287,18 @@ def entries(op: Operator, key: Key) -> dict[str, dict[str, Any]]:
     return {item["name"]: item for item in variants}
 
 
+def described(op: Operator, key: Key, name: str) -> dict[str, Any] | None:
+    """Return the description of a variant, from its Job where the Dataset's status does not say it yet."""
+    entry = entries(op, key).get(name)
+    if entry is not None and entry.get("description"):
+        return dict(entry["description"])
+    for job in op.store.select(Kind.JOB, key.namespace, Label.VARIANT, name):
+        seen = observe_variant(job, op.store.select(Kind.POD, key.namespace, Label.VARIANT, name))
+        if seen.description is not None:
+            return seen.description.as_json()
+    return None
+
+
 def _told(entry: dict[str, Any]) -> tuple[Reason, str]:
     reason, _, message = str(entry.get("message", "")).partition(": ")
     if reason in set(Reason):
