@@ -65,15 +65,16 @@ async def test_the_server_s_sentences_name_the_field(api: Api, run: dict[str, An
 
 
 async def test_a_used_up_quota_is_known(api: Api, crds: Cluster, namespace: str) -> None:
-    crds.kubectl("-n", namespace, "create", "quota", "none", "--hard=count/mappingruns.slamhive.io=0")
-    run = {"metadata": {"name": "demo", "namespace": namespace}, "spec": SPEC}
+    crds.kubectl("-n", namespace, "create", "quota", "none", "--hard=count/jobs.batch=0")
+    pod = {"restartPolicy": "Never", "containers": [{"name": "a", "image": "a"}]}
+    job = {"metadata": {"name": "demo", "namespace": namespace}, "spec": {"template": {"spec": pod}}}
 
     async def refused() -> bool:
         try:
-            await api.create(Kind.MAPPING_RUN, run)
+            await api.create(Kind.JOB, job)
         except errors.Forbidden as error:
             return error.is_quota
-        await api.delete(Key(Kind.MAPPING_RUN, namespace, "demo"))
+        await api.delete(Key(Kind.JOB, namespace, "demo"))
         return False
 
     async with asyncio.timeout(60):
