@@ -36,6 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             archive_url=settings.archive_url(),
             results=settings.results,
             ground_truth=settings.ground_truth,
+            cache=settings.cache,
             name=settings.cluster_name,
             connect=partial(Api.connect, options.kubeconfig),
         )

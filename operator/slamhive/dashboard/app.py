@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Collection
 
     from slamhive.dashboard.sources import Source
+
+
+_log = logging.getLogger("slamhive.dashboard")
 
 
 def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastAPI:
@@ -105,6 +109,12 @@ def _answer_problems(app: FastAPI) -> None:
         field = str(first["loc"][-1])
         sentence = f"{field}: {first['msg'][:1].lower()}{first['msg'][1:]}"
         return _json({"error": sentence, "field": field}, 400)
+
+    @app.exception_handler(Exception)
+    async def mistake(_: Request, error: Exception) -> Response:
+        _log.error("a mistake of the dashboard's own", exc_info=error)
+        sentence = f"a mistake of the dashboard's own ({type(error).__name__}); its log says more"
+        return _json({"error": sentence, "field": None}, 500)
 
     @app.exception_handler(HTTPException)
     async def other(request: Request, error: HTTPException) -> Response:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import secrets
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
@@ -54,6 +55,7 @@ class ClusterSource:
         archive_url: the archive's database URL; None for none.
         results: the results volume; None when it isn't mounted.
         ground_truth: folder of ground truth by dataset; None when it isn't mounted.
+        cache: folder in which the archive's table is kept for the next start; None to keep none.
         name: the cluster's name.
         connect: returns the API.
     """
@@ -65,11 +67,12 @@ class ClusterSource:
         archive_url: str | None = None,
         results: Path | None = None,
         ground_truth: Path | None = None,
+        cache: Path | None = None,
         name: str = "",
         connect: Callable[[], Awaitable[Api]] = Api.connect,
     ) -> None:
         self._namespaces = namespaces
-        self._archive = ArchiveData(archive_url) if archive_url else None
+        self._archive = ArchiveData(archive_url, cache) if archive_url else None
         self._results = results
         self._truths = Truths(ground_truth)
         self._name = name
@@ -81,9 +84,12 @@ class ClusterSource:
         self._snapshot = Snapshot()
         self._built: tuple[Any, ...] = ()
         self._next_build = 0.0
+        self._nonce = secrets.token_hex(4)
+        self._count = 0
         self._lock = asyncio.Lock()
         self._api: Api | None = None
         self._executor: Executor | None = None
+        self._kept: asyncio.Future[None] | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
 
     async def start(self, executor: Executor) -> None:
@@ -118,6 +124,8 @@ class ClusterSource:
             removed, self._cluster.removed = self._cluster.removed, False
             if self._archive is not None:
                 await loop.run_in_executor(self._executor, partial(self._archive.look, again=removed))
+                if self._kept is None:
+                    self._kept = loop.run_in_executor(self._executor, self._archive.keep)
             state = (self._cluster.changes, self._archive.revision if self._archive else "", self._problems())
             if state != self._built and time.monotonic() >= self._next_build:
                 begun = time.monotonic()
@@ -135,7 +143,8 @@ class ClusterSource:
                 sweeps = {
                     obj["metadata"]["name"]: sweep_in_short(obj) for obj in self._cluster.of(Kind.SWEEP)
                 }
-                revision = f"{state[1] or 'live'}.{id(self):x}.{state[0]}"
+                self._count += 1
+                revision = f"{self._nonce}-{self._count}"
                 self._snapshot = Snapshot(frame, revision, state[2], sweeps)
                 self._built = state
                 took = time.monotonic() - begun

@@ -11,7 +11,9 @@ from __future__ import annotations
 import gc
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
+from zlib import adler32, crc32
 
 import numpy as np
 from sqlalchemy import DateTime, String, Text, cast, select, text, type_coerce
@@ -30,6 +32,7 @@ except ModuleNotFoundError:  # the extra is not installed: slower, the same
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    import numpy.typing as npt
     from sqlalchemy import ColumnElement, Connection, Engine, Row
 
     from slamhive.analysis.columns import Indices
@@ -40,12 +43,15 @@ BATCH = 2000
 """Runs read at a time: their documents are what loading needs memory for."""
 
 _SOME = 500
-_CHANGES = ("phase", "reason", "attempts", "sweep", "started", "finished", "cpu_seconds", "wall_seconds")
+_MARKS = 2**64
+_FACTOR = 0x9E3779B97F4A7C15
+_CHANGES = ("phase", "reason", "attempts", "sweep", "finished", "cpu_seconds", "wall_seconds")
 _RESULT_CHANGES = (
     *("run_id", "evaluation", "outcome", "coverage", "alignment", "ate_rmse", "rpe_rmse", "scale"),
 )
 _MORE = (
-    *("uid", "name", "point", "algorithm", "dataset", "sensors", "repetition", "seed", "message", "created"),
+    *("uid", "name", "point", "algorithm", "dataset", "sensors", "repetition", "seed"),
+    *("message", "created", "started"),
 )
 _RUN = ("id", *_CHANGES, *_MORE)
 _SHOWN = tuple(name for name in _RUN if name not in {"cpu_seconds", "wall_seconds"})
@@ -131,13 +137,38 @@ def _marks(connection: Connection) -> dict[int, int]:
 
 
 def _marks_of(runs: Sequence[Row[Any]], results: Sequence[Row[Any]]) -> dict[int, int]:
-    """Return the same from rows that hold more."""
-    marks = {row[0]: hash(row[: len(_CHANGES) + 1]) for row in runs}
-    for row in results:
+    """Return the same from rows that hold more; the same in every process."""
+    marks = {row[0]: mark for row, mark in zip(runs, _row_marks(runs, len(_CHANGES) + 1), strict=True)}
+    for row, mark in zip(results, _row_marks(results, len(_RESULT_CHANGES)), strict=True):
         if row[0] in marks:
             # A sum, as results come in no order.
-            marks[row[0]] += hash(row[: len(_RESULT_CHANGES)])
+            marks[row[0]] = (marks[row[0]] + mark) % _MARKS
     return marks
+
+
+def _row_marks(rows: Sequence[Row[Any]], width: int) -> list[int]:
+    """Return a number for each row that differs when one of its first values does.
+
+    Column by column: each value's number is turned by an odd factor of the column's own and added.
+    """
+    total = np.zeros(len(rows), dtype=np.uint64)
+    for place, values in enumerate(islice(zip(*rows, strict=True), width)):
+        numbers = _numbers_of(values)
+        total += (numbers ^ (numbers >> np.uint64(29))) * np.uint64(_FACTOR ** (2 * place + 1) % _MARKS)
+    marks: list[int] = (total ^ (total >> np.uint64(32))).tolist()
+    return marks
+
+
+def _numbers_of(values: Sequence[Any]) -> npt.NDArray[np.uint64]:
+    """Return a number for each value, the same in every process (``hash`` of a text is not)."""
+    if set(map(type, values)) <= {int, float, type(None)}:
+        return np.array(values, dtype=np.float64).view(np.uint64)
+    numbers = {value: _number_of(repr(value).encode("utf-8", "replace")) for value in dict.fromkeys(values)}
+    return np.fromiter(map(numbers.__getitem__, values), np.uint64, len(values))
+
+
+def _number_of(text: bytes) -> int:
+    return crc32(text) | adler32(text) << 32
 
 
 def _batches(connection: Connection, changed: Sequence[int] | None) -> Iterator[Sequence[Row[Any]]]:

@@ -22,6 +22,7 @@ class DashboardSettings(Model):
         cluster_name: shown on the pages.
         results: where the results volume is mounted.
         ground_truth: where ground truth is mounted, DATASET.txt each.
+        cache: folder that outlives the process, for a faster start.
         host, port: where to listen.
     """
 
@@ -30,6 +31,7 @@ class DashboardSettings(Model):
     cluster_name: str = ""
     results: Path | None = None
     ground_truth: Path | None = None
+    cache: Path | None = None
     host: str = "0.0.0.0"  # noqa: S104 - in a pod, behind a Service
     port: int = Field(default=8000, ge=0, le=65535)
 

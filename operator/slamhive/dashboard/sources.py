@@ -17,6 +17,7 @@ from sqlalchemy import event
 from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect, reading
+from slamhive.dashboard import snapshots
 from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.loading import Loaded, change_mark, load
 from slamhive.dashboard.problems import Unavailable
@@ -104,11 +105,16 @@ class ArchiveData:
 
     Args:
         url: the database's URL.
+        cache: folder in which the table is kept for the next start; None to keep none.
         clock: monotonic time, s.
     """
 
-    def __init__(self, url: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, url: str, cache: Path | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._url = url
+        self._cache = snapshots.file_for(cache, url) if cache is not None else None
+        self._saved: Loaded | None = None
         self._clock = clock
         self._engine: Engine | None = None
         self._held: Connection | None = None
@@ -175,6 +181,16 @@ class ArchiveData:
             raise Unavailable(self.problem or "the archive is not there yet")
         return Archive(engine)
 
+    def keep(self) -> None:
+        """Write the table for the next start, if it is large and much of it is news."""
+        loaded = self._loaded
+        if self._cache is None or len(loaded.frame) < snapshots.LEAST_ROWS:
+            return
+        known = self._saved.marks if self._saved is not None else {}
+        if len(loaded.marks.items() - known.items()) > len(loaded.marks) // 20:
+            snapshots.save(self._cache, loaded)
+            self._saved = Loaded(marks=loaded.marks)
+
     def close(self) -> None:
         """Let go of the database."""
         with self._lock:
@@ -196,6 +212,9 @@ class ArchiveData:
             mark = change_mark(self._engine, self._held)
         if mark == self._mark and self.loaded_once:
             return self.problem is not None
+        if not self.loaded_once and self._cache is not None:
+            self._saved = snapshots.restore(self._cache)
+            self._loaded = self._saved or self._loaded
         self._loaded = load(self._engine, self._loaded)
         self._mark = mark
         self.loaded_once = True
@@ -221,10 +240,11 @@ class Workstation:
     """
 
     def __init__(self, url: str, home: Path | None = None, ground_truth: Path | None = None) -> None:
-        self._data = ArchiveData(url)
+        self._data = ArchiveData(url, home / "cache" if home is not None else None)
         self._home = home
         self._truths = Truths(ground_truth, home)
         self._executor: Executor | None = None
+        self._kept: asyncio.Future[None] | None = None
 
     async def start(self, executor: Executor) -> None:
         """Read the archive for the first time."""
@@ -236,7 +256,10 @@ class Workstation:
 
     async def fresh(self) -> Snapshot:
         """Return the archive as it is now."""
-        await asyncio.get_running_loop().run_in_executor(self._executor, self._data.look)
+        loop = asyncio.get_running_loop()
+        await loop.run_in_executor(self._executor, self._data.look)
+        if self._kept is None:
+            self._kept = loop.run_in_executor(self._executor, self._data.keep)
         problems = (self._data.problem,) if self._data.problem else ()
         return Snapshot(self._data.frame, self._data.revision, problems)
 

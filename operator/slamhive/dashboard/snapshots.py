@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of columns on disk, so that a start needs not read 80,000 documents again.
+
+It is a cache: it says of each run what the run looked like when it was read, and only what looks the same in
+the database is taken from it. A file that is damaged, foreign or of another version is left alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slamhive import __version__
+from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.frame import OWN_COLUMNS, Frame, with_derived
+from slamhive.dashboard.loading import Loaded
+
+VERSION = 1
+LEAST_ROWS = 5000
+"""Rows from which on a cache is worth its place."""
+
+_DERIVED = OWN_COLUMNS - {"id"}
+
+
+def file_for(folder: Path, url: str) -> Path:
+    """Return the cache's file of an archive."""
+    return folder / f"dashboard-{hashlib.sha256(url.encode()).hexdigest()[:16]}.npz"
+
+
+def save(path: Path, loaded: Loaded) -> None:
+    """Write a table; a disk that refuses is no fault."""
+    frame = loaded.frame
+    arrays: dict[str, Any] = {
+        "ids": np.fromiter(loaded.marks.keys(), np.int64, len(loaded.marks)),
+        "marks": np.fromiter(loaded.marks.values(), np.uint64, len(loaded.marks)),
+    }
+    described = []
+    for number, name in enumerate(name for name in frame.stored if name not in _DERIVED):
+        column = frame.column(name)
+        described.append({"name": name, "kind": str(column.kind), "values": list(column.values)})
+        arrays[f"c{number}"] = column.numbers if column.kind.is_numeric else column.codes
+    head = {"version": VERSION, "slamhive": __version__, "rows": len(frame), "columns": described}
+    arrays["head"] = np.frombuffer(json.dumps(head).encode(), dtype=np.uint8)
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, aside = tempfile.mkstemp(dir=path.parent, prefix=".dashboard-", suffix=".npz")
+        try:
+            with os.fdopen(descriptor, "wb") as stream:
+                np.savez(stream, **arrays)
+            Path(aside).replace(path)
+        except BaseException:
+            with suppress(OSError):
+                Path(aside).unlink()
+            raise
+
+
+def restore(path: Path) -> Loaded | None:
+    """Return the table in a file; None where there is none that can be used."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            head = json.loads(bytes(arrays["head"]))
+            if head["version"] != VERSION or head["slamhive"] != __version__:
+                return None
+            columns = {}
+            for number, item in enumerate(head["columns"]):
+                columns[str(item["name"])] = _column(arrays[f"c{number}"], item, int(head["rows"]))
+            marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return None
+    return Loaded(with_derived(columns, int(head["rows"])), marks) if columns else Loaded(Frame({}, 0), {})
+
+
+def _column(array: Any, item: dict[str, Any], rows: int) -> Column:
+    kind = ColumnKind(item["kind"])
+    if array.shape != (rows,):
+        raise ValueError(f"column {item['name']}: {array.shape} is not ({rows},)")
+    if kind.is_numeric:
+        return Column(kind, array.astype(np.float64, copy=False), np.empty(0, dtype=np.int32))
+    values = tuple(item["values"])
+    if rows and not -1 <= int(array.min()) <= int(array.max()) < len(values):
+        raise ValueError(f"column {item['name']}: a code without a value")
+    return Column(kind, np.empty(0), array.astype(np.int32, copy=False), values)

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table kept for the next start: what is taken from it is what the database holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from slamhive.archive import Archive
+from slamhive.archive.connection import connect
+from slamhive.dashboard import snapshots
+from slamhive.dashboard.loading import load
+from slamhive.dashboard.sources import ArchiveData
+from slamhive.model.results import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from slamhive.analysis.frame import Frame
+
+
+def rows_of(frame: Frame) -> list[dict[str, Any]]:
+    return frame.records(frame.names)
+
+
+@pytest.fixture
+def file(tmp_path: Path, assorted: str) -> Path:
+    path = tmp_path / "cache" / "table.npz"
+    snapshots.save(path, load(connect(assorted)))
+    return path
+
+
+def test_a_kept_table_is_the_one_that_was_read(file: Path, assorted: str) -> None:
+    restored = snapshots.restore(file)
+    assert restored is not None
+    assert rows_of(restored.frame) == rows_of(load(connect(assorted)).frame)
+    assert load(connect(assorted), restored) is restored
+    assert [path.name for path in file.parent.iterdir()] == ["table.npz"]
+
+
+def test_what_changed_since_is_read_again(file: Path, assorted: str, make_run: Callable[..., Any]) -> None:
+    with Archive.open(assorted) as archive:
+        archive.put_run(make_run(3, phase=Phase.FAILED, results=[]))
+        archive.remove_run("uid-005")
+        archive.put_run(make_run(300))
+    engine = connect(assorted)
+    found = load(engine, snapshots.restore(file))
+    assert rows_of(found.frame) == rows_of(load(engine).frame)
+
+
+@pytest.mark.parametrize("keep", [0, 10, 500, -300, -1])
+def test_a_damaged_file_is_left_alone(file: Path, keep: int) -> None:
+    content = file.read_bytes()
+    file.write_bytes(content[:keep] if keep else b"")
+    assert snapshots.restore(file) is None
+
+
+def test_strange_files_are_left_alone(file: Path, tmp_path: Path) -> None:
+    assert snapshots.restore(tmp_path / "none.npz") is None
+    np.savez(file, head=np.frombuffer(b'{"version": 1}', dtype=np.uint8))
+    assert snapshots.restore(file) is None
+    np.savez(file, head=np.array([object()], dtype=object))
+    assert snapshots.restore(file) is None
+
+
+def test_another_version_s_file_is_left_alone(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(snapshots, "VERSION", 2)
+    assert snapshots.restore(file) is None
+
+
+def test_large_tables_are_kept_and_small_ones_not(
+    assorted: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "kept"
+    data = ArchiveData(assorted, folder)
+    data.look()
+    data.keep()
+    assert not folder.exists()
+    monkeypatch.setattr(snapshots, "LEAST_ROWS", 1)
+    data.keep()
+    (kept,) = folder.iterdir()
+    before = kept.stat().st_mtime_ns
+    data.close()
+    again = ArchiveData(assorted, folder)
+    again.look()
+    again.keep()
+    assert rows_of(again.frame) == rows_of(data.frame)
+    assert kept.stat().st_mtime_ns == before
+    again.close()
