@@ -65,7 +65,7 @@ def save(path: Path, loaded: Loaded) -> None:
 def restore(path: Path) -> Loaded | None:
     """Return the table in a file; None where there is none that can be used."""
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             head = json.loads(bytes(arrays["head"]))
             if head["version"] != VERSION or head["slamhive"] != __version__:
                 return None
