@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-packages cluster-build cluster-up cluster-down images lint bench install crds clean help
+.PHONY: demo test test-packages cluster-build cluster-up cluster-down images lint bench fuzz install crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -14,6 +14,7 @@ help:
 	@echo 'make lint    style, types, layers'
 	@echo 'make images  build the container images'
 	@echo 'make cluster-up, cluster-down   a real Kubernetes for tests, on this machine'
+	@echo 'make fuzz    ten minutes of broken files for all readers'
 	@echo 'make bench   speed and memory, beside the limits'
 
 $(STAMP): pyproject.toml
@@ -58,6 +59,9 @@ lint: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python tests/bench/run.py
+
+fuzz: $(STAMP)
+	$(BIN)/python tests/fuzz/readers.py --seconds 600
 
 # The CRDs from the models, and the chart's copies of them and of the catalog.
 crds: $(STAMP)

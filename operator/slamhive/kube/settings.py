@@ -64,7 +64,7 @@ class EvaluationJobs(Model):
     batch_size: int = Field(default=200, ge=1, le=200)
     delay_seconds: float = Field(default=2.0, ge=0)
     parallel_jobs: int = Field(default=2, ge=1)
-    cpu: Quantity = "1"
+    cpu: Quantity = "500m"
     memory: Quantity = "1Gi"
 
 
