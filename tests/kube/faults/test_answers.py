@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -42,11 +41,10 @@ async def through_a_proxy(
     kubeconfig = folder / "kubeconfig"
 
     async def course(instance: Instance) -> Outcome:
-        instance.lab.cluster = replace(instance.lab.cluster, kubeconfig=kubeconfig)
         return await instance.finish(**settings)
 
     async with proxied(arena.admin, trouble, kubeconfig) as proxy:
-        return await arena.play(SCENARIOS["study"], course), proxy.hits
+        return await arena.play(SCENARIOS["study"], course, kubeconfig), proxy.hits
 
 
 async def undisturbed(arena: Arena, found: list[Outcome] = []) -> Outcome:  # noqa: B006 - found once a session

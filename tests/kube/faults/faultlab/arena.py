@@ -11,13 +11,13 @@ import zlib
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
-
-from testcluster.lab import Lab, until, volumes
 
 from faultlab.points import FaultyArchive
 from faultlab.recorder import recording
+from testcluster.lab import Lab, until, volumes
+
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.archive import Archive
 from slamhive.jobs.lines import encode_all
@@ -31,13 +31,14 @@ if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager
     from pathlib import Path
 
-    from testcluster.access import Cluster
-    from testcluster.kwok import Play, Pool
-
     from faultlab.points import Faults
     from faultlab.recorder import Recorder
     from faultlab.scenarios import Scenario
+    from testcluster.access import Cluster
+    from testcluster.kwok import Play, Pool
+
     from slamhive.kube.operator import Operator
+    from slamhive.kube.settings import Settings
 
 Object = dict[str, Any]
 T = TypeVar("T")
@@ -107,6 +108,10 @@ class Instance:
         if faults is not None and archive is not None:
             archive = FaultyArchive(archive, faults)
         return self.lab.operator(archive, faults, **(QUICK | settings))
+
+    def settings(self) -> Settings:
+        """Return the settings of an operator for this namespace."""
+        return self.lab.settings(**QUICK)
 
     def is_over(self) -> bool:
         """Tell whether all is done, and all is gone that is to go."""
@@ -213,7 +218,12 @@ class Arena:
     loop: asyncio.AbstractEventLoop
     namespaces: list[str] = field(default_factory=list)
 
-    async def play(self, scenario: Scenario, course: Callable[[Instance], Awaitable[T]]) -> T:
+    async def play(
+        self,
+        scenario: Scenario,
+        course: Callable[[Instance], Awaitable[T]],
+        kubeconfig: Path | None = None,
+    ) -> T:
         """Give a scenario a namespace with its objects in it, and return what a course of events comes to.
 
         The course runs in a thread and loop of its own: kopf cancels all tasks of a loop that it leaves.
@@ -222,7 +232,8 @@ class Arena:
         self.namespaces.append(name)
         await self.create({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
         await self._provide_volumes(name)
-        lab = Lab(self.cluster, name, self.plays(scenario.play))
+        cluster = replace(self.cluster, kubeconfig=kubeconfig or self.cluster.kubeconfig)
+        lab = Lab(cluster, name, self.plays(scenario.play))
         loop = asyncio.get_running_loop()
         with ExitStack() as stack:
             archive = None

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`kubectl delete sweep` at each moment: nothing is left that nobody else needs."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from functools import partial
+from typing import TYPE_CHECKING
+
+import pytest
+from faultlab.arena import AT_ONCE
+from faultlab.points import ARCHIVE, Faults, Point
+from faultlab.scenarios import SCENARIOS, Scenario
+from testcluster.kwok import Play, Pool
+from testcluster.lab import run, sweep
+
+from slamhive.kube.kinds import Key, Kind
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from faultlab.arena import Arena, Instance
+
+SECONDS = 30.0
+QUIET_SECONDS = 1.5
+KINDS = ("mappingruns", "jobs", "pods")
+SWEPT = {
+    "ending": Scenario("ending", SCENARIOS["study"].objects, retained=1, archived=2, evaluated=1),
+    "running": Scenario("running", (sweep(),), Play(hold=True)),
+}
+
+
+def left(instance: Instance) -> list[str]:
+    seen = instance.arena.seen
+    return [obj["metadata"]["name"] for kind in KINDS for obj in seen.alive(kind, instance.namespace)]
+
+
+def sweep_key(instance: Instance) -> Key:
+    return Key(Kind.SWEEP, instance.namespace, "study")
+
+
+async def undisturbed(instance: Instance) -> list[Point]:
+    faults = Faults()
+
+    def is_over() -> bool:
+        jobs = instance.arena.seen.alive("jobs", instance.namespace)
+        running = [job for job in jobs if (job.get("status") or {}).get("active")]
+        return instance.is_over() if instance.archive else len(running) == 2
+
+    async with instance.operator(faults):
+        await instance.until(is_over, "the end")
+    # After a call is before the next one.
+    return [point for point in faults.points if point.verb != ARCHIVE and point.moment == "before"]
+
+
+class Quiet:
+    """Tells whether nothing has been there for a while: a create that was on its way may come late."""
+
+    def __init__(self, instance: Instance) -> None:
+        self._instance = instance
+        self._since = time.monotonic()
+
+    def __call__(self) -> bool:
+        if left(self._instance):
+            self._since = time.monotonic()
+        return time.monotonic() - self._since > QUIET_SECONDS
+
+
+async def deleted_at(point: Point, instance: Instance) -> list[str] | None:
+    arena = instance.arena
+    faults = Faults(point, lambda: arena.order(arena.admin.delete(sweep_key(instance))))
+    async with instance.operator(faults):
+        await instance.until(lambda: faults.reached or instance.is_over(), "the moment")
+        if not faults.reached:
+            return None  # this time there were fewer calls of that sort
+        try:
+            await instance.until(Quiet(instance), "all to go", SECONDS)
+        except TimeoutError:
+            return left(instance)
+    return []
+
+
+@pytest.mark.parametrize("name", SWEPT)
+async def test_nothing_is_left_whenever_a_sweep_is_deleted(arena: Arena, name: str) -> None:
+    points = await arena.play(SWEPT[name], undisturbed)
+    room = asyncio.Semaphore(AT_ONCE)
+    problems: list[str] = []
+    reached = 0
+
+    async def play(point: Point) -> None:
+        nonlocal reached
+        async with room:
+            found = await arena.play(SWEPT[name], partial(deleted_at, point))
+        reached += found is not None
+        if found:
+            problems.append(f"{point}: {found}")
+
+    await asyncio.gather(*(play(point) for point in points))
+    print(f"{name}: deleted at {reached} of {len(points)} points")  # noqa: T201 - how thorough it was
+    assert not problems, "\n".join(problems)
+    assert reached >= 0.8 * len(points)
+
+
+async def test_a_preparation_stays_while_someone_needs_it(arena: Arena) -> None:
+    scenario = Scenario("shared", (sweep(), sweep("other"), run("alone")))
+
+    def preparations(instance: Instance) -> list[dict[str, Any]]:
+        return instance.arena.seen.alive("jobs", instance.namespace)
+
+    def owner_counts(instance: Instance) -> list[int]:
+        return [len(job["metadata"]["ownerReferences"]) for job in preparations(instance)]
+
+    async def course(instance: Instance) -> None:
+        delete, namespace = instance.arena.admin.delete, instance.namespace
+        instance.lab.pool = Pool("nowhere", ())  # where no pod ever runs
+        async with instance.operator():
+            await instance.until(lambda: owner_counts(instance) == [3], "three owners")
+            for kind, name in ((Kind.SWEEP, "study"), (Kind.SWEEP, "other"), (Kind.MAPPING_RUN, "alone")):
+                [job] = preparations(instance)
+                assert job["metadata"]["uid"] not in instance.arena.seen.gone
+                instance.arena.order(delete(Key(kind, namespace, name)))
+                owners = len(job["metadata"]["ownerReferences"]) - 1
+                wanted = [owners] if owners else []
+                await instance.until(
+                    lambda n=wanted: owner_counts(instance) == n, f"{owners} owners", SECONDS
+                )
+            await instance.until(lambda: not left(instance), "all to go", SECONDS)
+
+    await arena.play(scenario, course)
