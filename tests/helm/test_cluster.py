@@ -142,7 +142,8 @@ def test_pods_are_admitted_under_the_restricted_standard(
         components = [pod["metadata"]["labels"]["app.kubernetes.io/component"] for pod in pods]
         return sorted(components) == ["collector", "collector", "dashboard", "operator"]
 
-    until(admitted, "pods of operator, dashboard and both collectors")
+    # Controllers that a restart of the API server left waiting take a while to come back.
+    until(admitted, "pods of operator, dashboard and both collectors", 240)
 
 
 READ, WRITE = ("get", "list", "watch"), ("create", "patch", "update", "delete")
