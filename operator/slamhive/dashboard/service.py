@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-REMEMBERED_BYTES = 48 * 2**20
+REMEMBERED_BYTES = 24 * 2**20
 """What answers are kept for those who ask the same."""
 
 _FAIR = frozenset({"Grid", "Random", "Sobol"})
