@@ -250,7 +250,8 @@ HOSTILE = [
 @with_cgroup
 def test_odd_output_is_said_and_never_followed(pod: Pod, script: str) -> None:
     sidecar = pod.sidecar()
-    pod.algorithm("sh", "-c", script).wait(30)
+    # A program of a millisecond may end before it is seen.
+    pod.algorithm("sh", "-c", f"{script}\nsleep 0.3").wait(30)
     pod.finished()
     status = Path(f"/proc/{children(sidecar.pid)[0]}/status").read_text()
     peak = int(status.partition("VmHWM:")[2].split()[0]) / 1024

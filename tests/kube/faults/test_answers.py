@@ -31,7 +31,7 @@ WATCHES: dict[str, tuple[Trouble, dict[str, Any]]] = {
     "expired": (Trouble(expired_after=2), {}),
     "silent": (Trouble(silent_after=2), {"relistSeconds": 0.5}),
     "late": (Trouble(late_seconds=0.5), {}),
-    "pages that expire": (Trouble(one_page=True), {"relistSeconds": 1}),
+    "pages that expire": (Trouble(one_page=True), {"relistSeconds": 0.1}),
 }
 
 

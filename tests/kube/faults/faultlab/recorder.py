@@ -56,6 +56,15 @@ class Recorder:
         volumes = self.alive("volumes", "")
         return {body["metadata"]["name"] for body in volumes if body["status"].get("phase") != "Pending"}
 
+    def is_empty(self, namespace: str) -> bool:
+        """Tell whether nothing is left in a namespace."""
+        return not any(self.alive(plural, namespace) for plural in PATHS)
+
+    def forget(self, namespace: str) -> None:
+        """Forget what there was in a namespace."""
+        for plural in PATHS:
+            self.ever.pop((plural, namespace), None)
+
     def take(self, plural: str, event: Object) -> None:
         """Take in an event of a watch."""
         obj = event["object"]
@@ -91,7 +100,8 @@ async def recording(api: Api) -> AsyncIterator[Recorder]:
         address = f"{server}{PATHS[plural]}?watch=1&timeoutSeconds=3600"
         while True:
             async with session.get(address) as answer:
-                if answer.status == 404 and not begun.is_set():  # a CRD is served soon after it is accepted
+                # A CRD is served soon after it is accepted; its storage may still be making itself ready.
+                if answer.status in {404, 429} and not begun.is_set():
                     await asyncio.sleep(0.2)
                     continue
                 answer.raise_for_status()
