@@ -6,7 +6,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
-import os
 import zlib
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
@@ -14,9 +13,10 @@ from contextlib import ExitStack, asynccontextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from faultlab.namespaces import Namespaces
 from faultlab.points import FaultyArchive
 from faultlab.recorder import recording
-from testcluster.lab import Lab, until, volumes
+from testcluster.lab import Lab
 
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.archive import Archive
@@ -216,7 +216,7 @@ class Arena:
     seen: Recorder
     threads: ThreadPoolExecutor
     loop: asyncio.AbstractEventLoop
-    namespaces: list[str] = field(default_factory=list)
+    namespaces: Namespaces
 
     async def play(
         self,
@@ -228,60 +228,26 @@ class Arena:
 
         The course runs in a thread and loop of its own: kopf cancels all tasks of a loop that it leaves.
         """
-        name = f"faults-{os.getpid()}-{next(_NUMBERS)}-{scenario.name}"
-        self.namespaces.append(name)
-        await self.create({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
-        await self._provide_volumes(name)
+        name = await self.namespaces.take()
         cluster = replace(self.cluster, kubeconfig=kubeconfig or self.cluster.kubeconfig)
         lab = Lab(cluster, name, self.plays(scenario.play))
         loop = asyncio.get_running_loop()
         with ExitStack() as stack:
             archive = None
             if scenario.archived is not None:
-                archive = stack.enter_context(Archive.open(f"sqlite:///{self.folder / name}.sqlite"))
+                file = self.folder / f"{name}-{next(_NUMBERS)}.sqlite"
+                archive = stack.enter_context(Archive.open(f"sqlite:///{file}"))
             instance = Instance(self, scenario, lab, archive)
             for obj in (*scenario.catalog, *scenario.objects):
                 await self.admin.create(_KINDS[obj["kind"]], obj, name)
-            return await loop.run_in_executor(self.threads, lambda: asyncio.run(course(instance)))
+            try:
+                return await loop.run_in_executor(self.threads, lambda: asyncio.run(course(instance)))
+            finally:
+                self.namespaces.give_back(name)
 
     def order(self, action: Coroutine[Any, Any, T]) -> T:
         """Carry out a call of the administrator's for an instance, which waits."""
         return asyncio.run_coroutine_threadsafe(action, self.loop).result(SECONDS)
-
-    async def _provide_volumes(self, namespace: str) -> None:
-        """Make volumes with claims that count as bound: the controller that binds them takes up to 15 s."""
-        disks, claims = [], []
-        for body in volumes(namespace):
-            if body["kind"] == "PersistentVolume":
-                del body["spec"]["claimRef"]
-                disks.append(body)
-            else:
-                body["metadata"]["annotations"] = {"pv.kubernetes.io/bind-completed": "yes"}
-                claims.append(body)
-        await asyncio.gather(*map(self.create, disks))
-        names = {body["metadata"]["name"] for body in disks}
-        await until(lambda: names <= self.seen.available(), "volumes", SECONDS)
-        await asyncio.gather(*map(self.create, claims))
-
-    async def create(self, body: Object) -> None:
-        """Create an object of the core group."""
-        plural, meta = f"{body['kind'].lower()}s", body["metadata"]
-        where = f"/namespaces/{meta['namespace']}" if "namespace" in meta else ""
-        await self.admin.json(
-            Request("create", plural, meta["name"], "POST", f"/api/v1{where}/{plural}", body=body)
-        )
-
-    async def clear(self) -> None:
-        """Have all namespaces and volumes deleted; nothing waits for that."""
-        gone = [f"namespaces/{name}" for name in self.namespaces]
-        gone += [
-            f"persistentvolumes/{body['metadata']['name']}"
-            for name in self.namespaces
-            for body in volumes(name)
-            if "namespace" not in body["metadata"]
-        ]
-        for path in gone:
-            await self.admin.call(Request("delete", "namespaces", path, "DELETE", f"/api/v1/{path}"))
 
 
 @asynccontextmanager
@@ -291,11 +257,12 @@ async def arena_on(cluster: Cluster, plays: Callable[[Play], Pool], folder: Path
     try:
         async with recording(admin) as seen:
             with ThreadPoolExecutor(AT_ONCE) as threads:
-                arena = Arena(cluster, plays, folder, admin, seen, threads, asyncio.get_running_loop())
+                namespaces = Namespaces(admin, seen)
+                loop = asyncio.get_running_loop()
                 try:
-                    yield arena
+                    yield Arena(cluster, plays, folder, admin, seen, threads, loop, namespaces)
                 finally:
-                    await arena.clear()
+                    await namespaces.clear()
     finally:
         await admin.close()
 
