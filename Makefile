@@ -4,9 +4,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# How many tests run side by side; many wait for a cluster most of the time.
+WORKERS ?= 3
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-packages cluster-build cluster-up cluster-down images lint bench fuzz install crds clean help
+.PHONY: demo test test-packages constraints cluster-build cluster-up cluster-down images lint bench fuzz install crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -17,7 +19,7 @@ help:
 	@echo 'make fuzz    ten minutes of broken files for all readers'
 	@echo 'make bench   speed and memory, beside the limits'
 
-$(STAMP): pyproject.toml
+$(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'slamhive needs Python 3.11 or newer: make PYTHON=python3.12 …'; exit 2; }
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
@@ -25,7 +27,7 @@ $(STAMP): pyproject.toml
 	  { echo 'Python has no venv module: sudo apt-get install python3-venv'; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --editable . --group dev
+	$(BIN)/python -m pip install --quiet --editable . --group dev --constraint constraints.txt
 	@touch $@
 
 install: $(STAMP)
@@ -34,7 +36,7 @@ demo: $(STAMP)
 	$(BIN)/slamhive demo
 
 test: $(STAMP) test-packages cluster-build
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup --no-loadscope-reorder
 
 # What the test cluster is made of; without root, Go or Debian its tests are skipped and say how to have them.
 cluster-build:
@@ -62,6 +64,15 @@ bench: $(STAMP)
 
 fuzz: $(STAMP)
 	$(BIN)/python tests/fuzz/readers.py --seconds 600
+
+# The newest versions that fit, for the next machines to install.
+constraints:
+	$(PYTHON) -m venv --clear $(VENV)/fresh
+	$(VENV)/fresh/bin/python -m pip install --quiet --upgrade 'pip>=25.1'
+	$(VENV)/fresh/bin/python -m pip install --quiet --editable . --group dev
+	{ sed -n '/^#/p' constraints.txt; $(VENV)/fresh/bin/python -m pip freeze --exclude-editable; } > $(VENV)/constraints.txt
+	mv $(VENV)/constraints.txt constraints.txt
+	rm -rf $(VENV)/fresh
 
 # The CRDs from the models, and the chart's copies of them and of the catalog.
 crds: $(STAMP)

@@ -13,7 +13,24 @@ from slamhive.local.home import Home
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 
-ACTOR = Path(__file__).parent / "actor"
+TESTS = Path(__file__).parent
+ACTOR = TESTS / "actor"
+FIRST = ("e2e", "kube/reconciling", "kube/faults", "shows", "system", "local", "helm", "cluster")
+"""Folders whose tests take longest: begun first, they don't end last."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Say what side-by-side workers share out: files, and all that needs a node together."""
+
+    def rank(item: pytest.Item) -> int:
+        folder = item.path.parent.relative_to(TESTS).as_posix()
+        return FIRST.index(folder) if folder in FIRST else len(FIRST)
+
+    for item in items:
+        on_node = {"node_cluster", "local_cluster"} & set(getattr(item, "fixturenames", ()))
+        group = "node" if on_node else item.path.relative_to(TESTS).as_posix()
+        item.add_marker(pytest.mark.xdist_group(group))
+    items.sort(key=rank)
 
 
 @pytest.fixture(scope="session")
