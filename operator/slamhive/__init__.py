@@ -1,4 +1,61 @@
 # SPDX-License-Identifier: Apache-2.0
 """SLAM Hive: compare SLAM algorithms on a workstation or on Kubernetes."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Sequence
+
 __version__ = "0.1.0"
+
+
+def results(
+    home_or_url: str | os.PathLike[str] | None = None,
+    *,
+    where: str | None = None,
+    columns: str | Sequence[str] | None = None,
+    sweep: str | Sequence[str] | None = None,
+    evaluation: str | None = None,
+    frame: str = "pandas",
+) -> Any:
+    """Return finished runs as a data frame, one row a run and evaluation.
+
+    The columns are those of ``slamhive results``: ``ate.rmse`` (m), ``usage.cpu.meanCores``,
+    ``usage.memory.peakBytes``, ``parameters.NAME``, ``input.frameRate``, ``outcome`` and so on, in stored
+    units, and beside them ``id``, ``status`` (what became of the run in one word), ``disturbed`` and
+    ``ate.extended``. Failed runs are there too, without figures: look at ``status`` before you average.
+
+    ::
+
+        import slamhive
+
+        runs = slamhive.results(where="dataset == 'mh01' and outcome == 'Tracked'")
+        runs.groupby("parameters.nFeatures")["ate.rmse"].describe()
+
+    Args:
+        home_or_url: a home, an SQLite file, or a database URL (``postgresql://user@host/slam``); by default
+            the home that ``$SLAMHIVE_HOME`` names.
+        where: only rows that meet a condition, as ``slamhive results --where`` takes it.
+        columns: names, as a list or joined by commas; by default all of them.
+        sweep: only runs of this sweep, or of these.
+        evaluation: only this evaluation; a run without it gives one row without results.
+        frame: ``pandas`` or ``polars``; each is an extra of slamhive.
+
+    Returns:
+        A ``pandas.DataFrame`` or ``polars.DataFrame``. Whole numbers and truth values that some rows lack
+        are of the nullable kinds; times are in UTC; in polars what is neither number nor text is JSON.
+
+    Raises:
+        slamhive.model.errors.InputError: there is no archive, a name is unknown, the condition can't be
+            understood, or the library isn't installed.
+    """
+    # Imported when called, and by name: everything in here imports this package for its version.
+    import importlib  # noqa: PLC0415
+
+    made = importlib.import_module("slamhive.reporting.dataframes")
+    return made.results(
+        home_or_url, where=where, columns=columns, sweep=sweep, evaluation=evaluation, frame=frame
+    )

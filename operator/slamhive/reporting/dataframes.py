@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results as data frames of pandas or polars: what ``slamhive.results`` calls."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.columns import ColumnKind
+from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.reporting.reading import Selection, archive_url, read_archive, select
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Sequence
+
+    import numpy.typing as npt
+
+    from slamhive.analysis.columns import Column
+    from slamhive.analysis.frame import Frame
+
+
+def results(
+    place: str | os.PathLike[str] | None,
+    *,
+    where: str | None,
+    columns: str | Sequence[str] | None,
+    sweep: str | Sequence[str] | None,
+    evaluation: str | None,
+    frame: str,
+) -> Any:
+    """Return the archive's rows as a data frame; see ``slamhive.results``."""
+    if frame not in MAKERS:
+        raise UnknownNameError("kind of data frame", str(frame), MAKERS, "frame")
+    library = _library(frame)
+    sweeps = () if sweep is None else (sweep,) if isinstance(sweep, str) else tuple(sweep)
+    chosen = select(read_archive(archive_url(place)), Selection(sweeps, evaluation, where))
+    wanted = columns.split(",") if isinstance(columns, str) else columns
+    names = chosen.names if wanted is None else list(dict.fromkeys(name.strip() for name in wanted))
+    chosen.require(names, "columns")
+    return MAKERS[frame](library, chosen, names)
+
+
+def _library(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError:
+        raise InputError(
+            f"frame={name!r} needs the package {name}; install slamhive with its extra: slamhive[{name}]"
+        ) from None
+
+
+def _pandas(library: Any, frame: Frame, names: Sequence[str]) -> Any:
+    return library.DataFrame({name: _pandas_column(library, frame.column(name)) for name in names})
+
+
+def _pandas_column(library: Any, column: Column) -> Any:
+    missing = ~column.present
+    match column.kind:
+        case ColumnKind.NUMBER:
+            return column.numbers.copy()
+        case ColumnKind.INTEGER:
+            whole = np.where(missing, 0, column.numbers).astype(np.int64)
+            return library.arrays.IntegerArray(whole, missing) if missing.any() else whole
+        case ColumnKind.BOOLEAN:
+            held = column.numbers > 0
+            return library.arrays.BooleanArray(held, missing) if missing.any() else held
+        case ColumnKind.TIME:
+            return library.Series(_microseconds(column)).dt.tz_localize("UTC")
+        case ColumnKind.TEXT:
+            return library.Series(column.tolist(), dtype="str" if _major(library) >= 3 else object)
+        case _:
+            return library.Series(column.tolist(), dtype=object)
+
+
+def _polars(library: Any, frame: Frame, names: Sequence[str]) -> Any:
+    return library.DataFrame([_polars_column(library, name, frame.column(name)) for name in names])
+
+
+def _polars_column(library: Any, name: str, column: Column) -> Any:
+    match column.kind:
+        case ColumnKind.NUMBER:
+            return library.Series(name, column.numbers, nan_to_null=True)
+        case ColumnKind.INTEGER:
+            return library.Series(name, column.numbers, nan_to_null=True).cast(library.Int64)
+        case ColumnKind.BOOLEAN:
+            return library.Series(name, column.numbers, nan_to_null=True).cast(library.Boolean)
+        case ColumnKind.TIME:
+            return library.Series(name, _microseconds(column)).dt.replace_time_zone("UTC")
+        case _:
+            return library.Series(name, [_text(value) for value in column.tolist()], dtype=library.String)
+
+
+def _microseconds(column: Column) -> npt.NDArray[np.datetime64]:
+    whole = np.round(np.where(column.present, column.numbers, 0.0) * 1e6).astype(np.int64)
+    stamps = whole.astype("datetime64[us]")
+    stamps[~column.present] = np.datetime64("NaT")
+    return stamps
+
+
+def _text(value: Any) -> str | None:
+    if value is None or isinstance(value, str):
+        return value
+    return json.dumps(value)
+
+
+MAKERS: dict[str, Callable[[Any, Frame, Sequence[str]], Any]] = {"pandas": _pandas, "polars": _polars}
+"""By the name of the library."""
+
+
+def _major(library: Any) -> int:
+    return int(str(library.__version__).partition(".")[0])
