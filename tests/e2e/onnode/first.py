@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from testcluster.access import until
-
 from onnode import documents
 from onnode.documents import ROOT
 from onnode.lab import Lab, manifest, stand_in
 from onnode.prometheus import scraping
+from testcluster.access import until
 
 if TYPE_CHECKING:
     from onnode.prometheus import Series

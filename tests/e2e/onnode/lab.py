@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from testcluster.access import until
-
 from onnode.documents import ROOT, Desk
+from testcluster.access import until
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import aiohttp
 import yaml
 from aiohttp import web
-
 from faultlab.recorder import session_for
 
 if TYPE_CHECKING:

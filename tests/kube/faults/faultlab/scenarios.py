@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from faultlab.recorder import Recorder
+
     from slamhive.archive import Archive
 
 Object = dict[str, Any]
