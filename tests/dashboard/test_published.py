@@ -34,7 +34,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 async def api(home: Path, open_app: Callable[..., Any]) -> Any:
-    source = Workstation(f"sqlite:///{home / 'archive.sqlite'}", home, ICRA / "groundtruth")
+    source = Workstation(f"sqlite:///{home / 'archive.sqlite'}", home)
     async with open_app(source) as client:
         yield client
 

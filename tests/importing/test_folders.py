@@ -245,3 +245,47 @@ def test_an_alignment_that_needs_more_than_is_known(tmp_path: Path, take: Comman
     outcome = take(*words(tmp_path, "--alignment", "yaw"))
     assert isinstance(outcome.exception, InputError)
     assert "Yaw needs a Dataset and an Algorithm that are both gravityAligned" in str(outcome.exception)
+
+
+def test_ground_truth_is_kept_for_the_dashboard(take: Command, make_run: MakeRun, tmp_path: Path) -> None:
+    make_run()
+    truth, kept = tmp_path / "truth", tmp_path / "home" / "groundtruth"
+    words = ("slam-hive", tmp_path / "runs", "--ground-truth", truth)
+    assert take(*words).exit_code == 0
+    assert [file.name for file in kept.iterdir()] == ["hall-01.txt"]
+    assert (kept / "hall-01.txt").read_bytes() == (truth / "Hall_01.txt").read_bytes()
+
+    # A home of an earlier version gets it with runs that are there already.
+    (kept / "hall-01.txt").unlink()
+    assert "1 run there already" in take(*words).output
+    assert [file.name for file in kept.iterdir()] == ["hall-01.txt"]
+
+
+def test_ground_truth_that_is_there_stays(take: Command, make_run: MakeRun, tmp_path: Path) -> None:
+    make_run()
+    kept = tmp_path / "home" / "groundtruth"
+    kept.mkdir(parents=True)
+    (kept / "Hall_01.csv").write_text("mine")
+    outcome = take("slam-hive", tmp_path / "runs", "--ground-truth", tmp_path / "truth")
+    assert outcome.exit_code == 0
+    assert "another ground truth of Hall_01, which stays" in " ".join(outcome.output.split())
+    assert {file.name: file.read_text() for file in kept.iterdir()} == {"Hall_01.csv": "mine"}
+
+
+def test_ground_truth_that_cannot_be_kept_is_said(take: Command, make_run: MakeRun, tmp_path: Path) -> None:
+    make_run()
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "groundtruth").write_text("no folder")
+    outcome = take("slam-hive", tmp_path / "runs", "--ground-truth", tmp_path / "truth")
+    assert outcome.exit_code == 0
+    assert "ground truth is not kept for the dashboard" in " ".join(outcome.output.split())
+    assert "1 run imported" in outcome.output
+
+
+def test_euroc_folders_are_kept_by_the_datasets_name(tmp_path: Path) -> None:
+    place = tmp_path / "from" / "MH_01" / "mav0" / "state_groundtruth_estimate0"
+    place.mkdir(parents=True)
+    (place / "data.csv").write_text("#timestamp\n")
+    (tmp_path / "to").mkdir()
+    assert GroundTruthFolder(tmp_path / "from").copy("MH_01", tmp_path / "to")
+    assert (tmp_path / "to" / "mh-01.csv").read_text() == "#timestamp\n"

@@ -16,7 +16,7 @@ from slamhive.archive import Archive, CatalogEntry, SweepRecord
 from slamhive.cli.console import FAILED, complain, err, out, plural
 from slamhive.data import slamhive1
 from slamhive.local.home import Home
-from slamhive.model.errors import InputError
+from slamhive.model.errors import DataError, InputError
 from slamhive.model.evaluation import Alignment, EvaluationSettings
 from slamhive.model.results import Phase, Reason, RunRecord, TrajectoryInfo
 from slamhive.model.sensors import SensorMode
@@ -58,11 +58,13 @@ def import_slam_hive(
     folders = slamhive1.find_runs(directory)
     settings = EvaluationSettings(alignment=alignment, frame="None")
     method(settings, Subject(SensorMode.STEREO))  # refuses what no run could be measured by
-    with Archive.open(Home.from_environment().archive_url) as archive:
-        importer = SlamHiveImporter(archive, slamhive1.GroundTruthFolder(ground_truth), settings)
+    home = Home.from_environment()
+    with Archive.open(home.archive_url) as archive:
+        truth = slamhive1.GroundTruthFolder(ground_truth)
+        importer = SlamHiveImporter(archive, truth, settings)
         report = importer.take(track(folders, "importing", console=err, transient=True))
         location = archive.location
-    for sentence in report.sentences():
+    for sentence in (*report.sentences(), *keep_ground_truth(truth, report.datasets, home)):
         complain(sentence)
     out.print(
         f"{plural(report.added, 'run')} imported, {plural(report.evaluated, 'run')} evaluated, "
@@ -86,6 +88,7 @@ class Report:
         unchanged: runs that had both.
         outcomes: outcomes of all runs under the evaluation asked for.
         problems: folders by what is wrong with them.
+        datasets: names of the datasets of all runs, as the original has them.
     """
 
     added: int = 0
@@ -93,6 +96,7 @@ class Report:
     unchanged: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
     problems: dict[str, list[str]] = field(default_factory=dict)
+    datasets: set[str] = field(default_factory=set)
 
     def sentences(self) -> list[str]:
         """Return one sentence for each kind of problem, with the folders that have it."""
@@ -140,6 +144,7 @@ class SlamHiveImporter:
     def _take(self, folder: Path, report: Report) -> str | None:
         """Import a folder; return what is wrong with its run, if anything."""
         run = slamhive1.read_run(folder)
+        report.datasets.add(run.dataset_name)
         subject = Subject(run.sensors)
         evaluation = method(self._settings, subject)
         known = self._known.get(run.uid)
@@ -183,6 +188,32 @@ class SlamHiveImporter:
         self._archive.put_run(record, _algorithm_entry(run), _dataset_entry(run, self._truth))
         self._known[run.uid] = record
         report.added += 1
+
+
+def keep_ground_truth(truth: slamhive1.GroundTruthFolder, datasets: Iterable[str], home: Home) -> list[str]:
+    """Copy ground truth into the home, for the dashboard to draw paths over; return what is to be said.
+
+    Args:
+        truth: where it is.
+        datasets: their names; one without ground truth is passed over, as its runs have been told of.
+        home: gets ``groundtruth/DATASET.txt`` or ``.csv``.
+    """
+    sentences = []
+    try:
+        folder = home.folder("groundtruth")
+    except InputError as error:
+        return [f"ground truth is not kept for the dashboard: {error}"]
+    for dataset in sorted(datasets):
+        try:
+            if not truth.copy(dataset, folder):
+                sentences.append(
+                    f"{folder}: has another ground truth of {dataset}, which stays: paths are drawn over it"
+                )
+        except DataError:
+            continue
+        except OSError as error:
+            sentences.append(f"{folder}: ground truth of {dataset} is not kept: {error.strerror}")
+    return sentences
 
 
 def _trajectory_info(estimate: Trajectory, sha256: str) -> TrajectoryInfo:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -18,11 +20,13 @@ from slamhive.model.errors import SlamHiveError
 from slamhive_eval import EvaluationError, Trajectory, read_tum
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     import numpy.typing as npt
 
 _KEPT = 8
+_KEPT_SECONDS = 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +48,19 @@ class Truths:
     Args:
         folder: with DATASET.txt (TUM) or DATASET.csv (EuRoC); None for none.
         home: a workstation's home; None for none.
+        clock: monotonic time, s.
     """
 
-    def __init__(self, folder: Path | None = None, home: Path | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path | None = None,
+        home: Path | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._folders = [place for place in (folder, home and home / "groundtruth") if place is not None]
         self._home = home
-        self._kept: OrderedDict[str, Truth | None] = OrderedDict()
+        self._clock = clock
+        self._kept: OrderedDict[str, tuple[float, Truth]] = OrderedDict()
 
     def find(self, dataset: str, label: str | None = None) -> Truth | None:
         """Return the ground truth of a dataset; None where there is none here, or none of poses.
@@ -58,12 +69,16 @@ class Truths:
             dataset: its name.
             label: another name that files may have.
         """
-        if dataset in self._kept:
-            return self._kept[dataset]
+        now = self._clock()
+        read, kept = self._kept.get(dataset, (-math.inf, None))
+        if now - read < _KEPT_SECONDS:
+            return kept
         found = self._in_folders(dataset, label) or self._in_home(dataset)
-        self._kept[dataset] = found
-        while len(self._kept) > _KEPT:
-            self._kept.popitem(last=False)
+        self._kept.pop(dataset, None)
+        if found is not None:  # what is missing may come any moment: with an import, with a preparation
+            self._kept[dataset] = (now, found)
+            while len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
         return found
 
     def _in_folders(self, dataset: str, label: str | None) -> Truth | None:

@@ -18,9 +18,12 @@ import csv
 import hashlib
 import io
 import math
+import os
 import re
+import tempfile
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.canonical import digest
@@ -32,7 +35,6 @@ from slamhive_eval import Trajectory, read_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from pathlib import Path
 
 SOURCE = "slam-hive"
 """Name of the sweep that imported runs belong to, and value of their label ``source``."""
@@ -306,6 +308,9 @@ def read_usage(path: Path) -> Usage | None:
     )
 
 
+_SUFFIXES = (".txt", ".csv", ".tum", ".txt.gz", ".csv.gz")
+
+
 class GroundTruthFolder:
     """Ground truth by the dataset's name, each file read once."""
 
@@ -320,7 +325,7 @@ class GroundTruthFolder:
             DataError: there is none.
         """
         names = [entry.name for entry in sorted(self._folder.iterdir())] if self._folder.is_dir() else []
-        for suffix in (".txt", ".csv", ".tum", ".txt.gz", ".csv.gz"):
+        for suffix in _SUFFIXES:
             for name in names:
                 if catalog_name(name.removesuffix(suffix)) == catalog_name(dataset) and name.endswith(suffix):
                     return self._folder / name
@@ -343,6 +348,36 @@ class GroundTruthFolder:
         if dataset not in self._read:
             self._read[dataset] = read_trajectory(self.path(dataset))
         return self._read[dataset]
+
+    def copy(self, dataset: str, folder: Path) -> bool:
+        """Put a dataset's file into another such folder, under the dataset's name in the catalog.
+
+        What is there already stays.
+
+        Returns:
+            Whether the folder now holds what this one does.
+
+        Raises:
+            DataError: there is no ground truth of the dataset.
+            OSError: it can't be written.
+        """
+        source = self.path(dataset)
+        content = source.read_bytes()
+        try:
+            return GroundTruthFolder(folder).path(dataset).read_bytes() == content
+        except DataError:
+            suffix = next((ending for ending in reversed(_SUFFIXES) if source.name.endswith(ending)), "")
+            name = f"{catalog_name(dataset)}{suffix or source.suffix}"
+            descriptor, aside = tempfile.mkstemp(dir=folder, prefix=".")
+            try:
+                with os.fdopen(descriptor, "wb") as stream:
+                    stream.write(content)
+                Path(aside).chmod(0o644)
+                Path(aside).replace(folder / name)
+            except OSError:
+                Path(aside).unlink(missing_ok=True)
+                raise
+        return True
 
 
 def _as_text(value: Any) -> str:
