@@ -133,7 +133,7 @@ def test_pods_are_admitted_under_the_restricted_standard(
     secret = {"apiVersion": "v1", "kind": "Secret", "metadata": {"name": "database"}}
     for name in (home, workspace):
         kinds.apply(secret | {"stringData": {"url": "postgresql://nobody@127.0.0.1/none"}}, namespace=name)
-    install(home, workspaces=[workspace], dashboard={"enabled": True}, archive={"existingSecret": "database"})
+    install(home, workspaces=[workspace], archive={"existingSecret": "database"})
     for name in (home, workspace):
         kinds.kubectl("create", "job", "collect", "--from=cronjob/slamhive-collector", "-n", name)
 
@@ -173,7 +173,7 @@ def tenant(helm: Any, kinds: Cluster) -> Iterator[str]:
     name = f"t-helm-rights-{os.getpid()}"
     kinds.apply({"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
     chart = str(CHARTS / "slamhive")
-    run(helm, kinds, "install", "slamhive", chart, "-n", name, "--set", "dashboard.enabled=true")
+    run(helm, kinds, "install", "slamhive", chart, "-n", name)
     yield name
     kinds.kubectl("delete", "namespace", name, "--wait=false")
 

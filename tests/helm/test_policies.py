@@ -66,7 +66,10 @@ def test_no_role_is_forgotten(helm: Any) -> None:
 @pytest.mark.parametrize(
     ("values", "expected"),
     [
-        ("default", {"operator": ({443, 6443}, True), "test": ({443, 6443}, False)}),
+        (
+            "default",
+            {"operator": ({443, 6443}, True), "dashboard": ({443, 6443}, True), "test": ({443, 6443}, False)},
+        ),
         (
             "team",
             {

@@ -118,13 +118,20 @@ def test_old_kubernetes_is_refused(helm: Any, chart: str) -> None:
 def test_names_come_from_the_release_and_fit(helm: Any, release: str, values: list[str], name: str) -> None:
     text = helm.run("template", release, str(CHARTS / "slamhive"), "--kube-version", "1.34.0", *values)
     objects = [one for one in yaml.safe_load_all(text) if one]
-    assert {o["metadata"]["name"] for o in objects if o["kind"] == "Deployment"} == {f"{name}-operator"}
+    assert {o["metadata"]["name"] for o in objects if o["kind"] == "Deployment"} == {
+        f"{name}-operator",
+        f"{name}-dashboard",
+    }
     assert all(len(o["metadata"]["name"]) <= 52 for o in objects if o["kind"] == "CronJob")
 
 
 def test_changed_settings_restart_the_operator(helm: Any) -> None:
     def checksum(*words: str) -> str:
-        (operator,) = (one for one in helm.objects(*words) if one["kind"] == "Deployment")
+        (operator,) = (
+            one
+            for one in helm.objects(*words)
+            if one["kind"] == "Deployment" and one["metadata"]["name"].endswith("-operator")
+        )
         return str(operator["spec"]["template"]["metadata"]["annotations"]["checksum/settings"])
 
     assert checksum() == checksum("--set", "operator.resources.limits.cpu=1")

@@ -123,7 +123,8 @@ WRONG = [
     ("networkPolicies.dnsPorts={dns}", "/networkPolicies/dnsPorts/0"),
     ("dashboard.replicas=-1", "/dashboard/replicas"),
     ("dashboard.service.type=Public", "/dashboard/service/type"),
-    ("dashboard.ingress.path=here", "/dashboard/ingress/path"),
+    ("dashboard.ingress.host=a_b", "/dashboard/ingress/host"),
+    ("dashboard.ingress.path=/hive", "'path'"),
     ("catalog.imageRegistry=https://a b", "/catalog/imageRegistry"),
     # What only the templates can tell:
     (
@@ -137,7 +138,7 @@ WRONG = [
     ("workspaces={a},archive.sqlite.enabled=true", "archive.sqlite.enabled: a file can't be shared"),
     ("volumes.data.existingClaim=a,volumes.data.local.path=/b", "volumes.data: existingClaim and local.path"),
     ("volumes.data.storageClassName=a,volumes.data.local.path=/b", "volumes.data: local.path makes a volume"),
-    ("dashboard.enabled=true,dashboard.ingress.enabled=true", "dashboard.ingress.host: needed"),
+    ("dashboard.ingress.enabled=true", "dashboard.ingress.host: needed"),
 ]
 
 
