@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from slamhive.local.home import lock
 from slamhive_eval import Trajectory, rotation
 
 if TYPE_CHECKING:
@@ -52,16 +53,17 @@ def evo(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
     """Runs a program of evo: of EVO_BIN, the path, or an environment of its own that outlives the session."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "slamhive-tests"
     own = cache / EVO.replace("==", "-") / "bin"
-    found = shutil.which("evo_res", path=os.environ.get("EVO_BIN")) or shutil.which("evo_res", path=own)
-    if found is None:
-        try:
-            venv.create(own.parent, with_pip=True, clear=True)
-            words = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", EVO]
-            subprocess.run([own / "python", *words], check=True, capture_output=True, timeout=600)
-        except (OSError, subprocess.SubprocessError):
-            shutil.rmtree(own.parent, ignore_errors=True)
-            pytest.skip(f"{EVO} can't be installed here; EVO_BIN names a folder with its programs")
-        found = str(own / "evo_res")
+    with lock(cache / "evo.lock"):
+        found = shutil.which("evo_res", path=os.environ.get("EVO_BIN")) or shutil.which("evo_res", path=own)
+        if found is None:
+            try:
+                venv.create(own.parent, with_pip=True, clear=True)
+                words = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", EVO]
+                subprocess.run([own / "python", *words], check=True, capture_output=True, timeout=600)
+            except (OSError, subprocess.SubprocessError):
+                shutil.rmtree(own.parent, ignore_errors=True)
+                pytest.skip(f"{EVO} can't be installed here; EVO_BIN names a folder with its programs")
+            found = str(own / "evo_res")
     home = tmp_path_factory.mktemp("evo")
 
     def run(program: str, *words: str) -> str:
