@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from slamhive import __version__
-from slamhive.cli import algorithms, cluster, dashboard, datasets, importing, results, running, vocabulary
+from slamhive.cli import (
+    algorithms,
+    cluster,
+    dashboard,
+    datasets,
+    importing,
+    report,
+    results,
+    running,
+    vocabulary,
+)
 from slamhive.cli.console import FAILED, INTERRUPTED, WRONG_INPUT, complain
 from slamhive.model.errors import InputError, SlamHiveError
 
@@ -25,6 +35,7 @@ app.command()(running.run)
 app.command()(running.plan)
 app.command()(running.validate)
 app.command()(dashboard.dashboard)
+app.command()(report.paper_table)
 for command in (cluster.submit, cluster.status, cluster.logs, cluster.cancel, cluster.fetch):
     app.command()(command)
 algorithms.app.command("train-vocabulary")(vocabulary.train)

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive report`` and ``slamhive paper-table``: what is put beside and into a paper."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slamhive import __version__
+from slamhive.analysis import Metric, Outcomes
+from slamhive.cli.console import remark
+from slamhive.local.home import Home
+from slamhive.model.errors import InputError
+from slamhive.reporting.latex import latex
+from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
+from slamhive.reporting.presets import Preset, preset
+from slamhive.reporting.reading import Selection, read_archive, revision, select
+from slamhive.reporting.writing import csv_text
+
+DEFAULT_METRICS = ("ate.rmse",)
+
+Where = Annotated[
+    str | None, typer.Option(metavar="EXPR", help='Only rows that meet it, as in "coverage >= 0.9".')
+]
+Sweeps = Annotated[
+    list[str] | None, typer.Option(metavar="NAME", help="Only runs of this sweep; several times.")
+]
+EvaluationName = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as se3 or sim3.")
+]
+Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to a file.")]
+
+
+class TableFormat(StrEnum):
+    """How a table for a paper is written."""
+
+    LATEX = "latex"
+    CSV = "csv"
+
+
+def paper_table(
+    *,
+    rows: Annotated[
+        str | None, typer.Option(metavar="COLUMN,…", help="What tells rows apart [algorithm,sensors].")
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="COLUMN,…", help="What is laid out side by side [dataset]; '' for nothing."),
+    ] = None,
+    metric: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--metric", "-m", metavar="COLUMN[:UNIT][:.3f]", help="What is shown [ate.rmse]; several times."
+        ),
+    ] = None,
+    named: Annotated[
+        str | None,
+        typer.Option("--preset", metavar="III|IV", help="A table of the ICRA 2023 paper, as published."),
+    ] = None,
+    outcomes: Annotated[
+        Outcomes | None, typer.Option(help="Runs in the figures: tracked ones, or all that were evaluated.")
+    ] = None,
+    statistic: Annotated[Statistic, typer.Option(help="What stands for several runs.")] = Statistic.MEAN,
+    spread: Annotated[
+        bool, typer.Option("--spread", help="Show the standard deviation, or with medians the range.")
+    ] = False,
+    best: Annotated[
+        Best,
+        typer.Option(help="Where the best number is bold: in each column, or within each first row key."),
+    ] = Best.COLUMN,
+    caption: Annotated[
+        str | None, typer.Option(help="What the table shows; n and the rest are added.")
+    ] = None,
+    label: Annotated[str, typer.Option(help="Name for \\ref in LaTeX.")] = "",
+    where: Where = None,
+    sweep: Sweeps = None,
+    evaluation: EvaluationName = None,
+    form: Annotated[TableFormat, typer.Option("--format", help="latex or csv.")] = TableFormat.LATEX,
+    output: Output = None,
+) -> None:
+    """Write a table for a paper: LaTeX with booktabs, best in bold, failures shown, or CSV.
+
+    Example: slamhive paper-table --columns dataset -m ate.rmse:cm:.1f --spread -o table.tex
+    """
+    given = preset(named) if named is not None else None
+    layout = Layout(
+        rows=_names(rows, given.rows if given else "algorithm,sensors"),
+        columns=_names(columns, given.columns if given else "dataset"),
+        metrics=tuple(map(Metric.parse, metric or (given.metrics if given else DEFAULT_METRICS))),
+        outcomes=outcomes or (Outcomes.ALL if given else Outcomes.TRACKED),
+        statistic=statistic,
+        spread=spread,
+        best=best,
+    )
+    selection = _selection(sweep, evaluation, where, given)
+    frame = select(read_archive(Home.from_environment().archive_url), selection, failed_everywhere=True)
+    if not len(frame):
+        raise InputError("no run is meant: there is nothing to make a table of")
+    table = make_table(frame, layout)
+    if form is TableFormat.CSV:
+        _write(csv_text(flat(table)), output)
+        return
+    origin = (
+        f"slamhive {__version__}, {datetime.now(UTC):%Y-%m-%d}, data revision {revision(frame)}.",
+        *(f"Of the archive: {sentence}." for sentence in selection.sentences),
+    )
+    words = caption if caption is not None else given.caption if given else ""
+    _write(latex(table, caption=words, label=label, origin=origin), output)
+    for note in table.notes if output else ():
+        remark(note)
+
+
+def _selection(
+    sweep: list[str] | None, evaluation: str | None, where: str | None, given: Preset | None = None
+) -> Selection:
+    conditions = [text for text in (given.where if given else None, where) if text and text.strip()]
+    both = " and ".join(f"({text})" for text in conditions) if len(conditions) > 1 else "".join(conditions)
+    chosen = evaluation if evaluation is not None else given.evaluation if given else None
+    return Selection(tuple(sweep or ()), chosen, both or None, "--")
+
+
+def _names(text: str | None, default: str) -> tuple[str, ...]:
+    given = default if text is None else text
+    return tuple(dict.fromkeys(name.strip() for name in given.split(",") if name.strip()))
+
+
+def _write(text: str, output: Path | None) -> None:
+    if output is None:
+        sys.stdout.write(text)
+        return
+    try:
+        output.write_text(text, encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError(f"--output: {output}: {error.strerror}") from None

@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables as papers have them: competitors down, datasets across, a block of columns for each metric."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis import Metric, Outcomes
+from slamhive.analysis.grouping import ERRORS, aggregate
+from slamhive.model.base import Choice
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.analysis.frame import Frame
+    from slamhive.analysis.grouping import Cell
+
+SMALL_IS_GOOD = (*ERRORS, "usage.", "frames.dropped")
+"""What the names of columns begin with whose smallest number is the best."""
+
+LARGE_IS_GOOD = ("coverage", "frames.processed")
+
+_MOST_DIGITS = 6
+
+
+class Statistic(Choice):
+    """What stands for several runs."""
+
+    MEAN = "mean"
+    MEDIAN = "median"
+
+
+class Best(Choice):
+    """Among which cells of a column the best is bold."""
+
+    COLUMN = "column"
+    GROUP = "group"
+    NONE = "none"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a table is laid out.
+
+    Attributes:
+        rows, columns: names of columns whose values tell rows and columns apart.
+        metrics: what is shown, one block of columns each.
+        outcomes: which runs enter the figures.
+        statistic: what stands for several runs.
+        spread: whether the standard deviation (or with a median the range) is shown beside.
+        best: where the best number is bold.
+    """
+
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    metrics: tuple[Metric, ...]
+    outcomes: Outcomes = Outcomes.TRACKED
+    statistic: Statistic = Statistic.MEAN
+    spread: bool = False
+    best: Best = Best.COLUMN
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One number of a table.
+
+    Attributes:
+        value: in the unit that is shown; None where no run counts.
+        spread: standard deviation, or smallest and largest; empty where not asked for or unknown.
+        bold: whether it is the best.
+    """
+
+    value: float | None
+    spread: tuple[float, ...] = ()
+    bold: bool = False
+
+
+@dataclass(frozen=True)
+class Place:
+    """The runs of a row under one set of column values.
+
+    Attributes:
+        runs, n: runs, and those in the figures.
+        failures: runs that weren't tracked, by what became of them.
+        figures: one a metric.
+    """
+
+    runs: int
+    n: int
+    failures: dict[str, int]
+    figures: tuple[Figure, ...]
+
+    @property
+    def tracked(self) -> int:
+        """Number of runs that were tracked."""
+        return self.runs - sum(self.failures.values())
+
+    @property
+    def verdict(self) -> str:
+        """What became of most of the runs that weren't tracked."""
+        return max(self.failures, key=lambda word: self.failures[word], default="–")
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """A table.
+
+    Attributes:
+        layout: as asked for.
+        metrics: as shown, with their formats.
+        keys: names of the columns that tell rows apart: facets that vary, then those asked for.
+        rows: their values.
+        columns: values of the layout's columns, side by side under each metric.
+        places: by row and column, None where nothing was run.
+        notes: sentences on what is pooled and left out.
+    """
+
+    layout: Layout
+    metrics: tuple[Metric, ...]
+    keys: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+    columns: tuple[tuple[Any, ...], ...]
+    places: tuple[tuple[Place | None, ...], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Smallest and largest number of runs in a figure."""
+        found = [place.n for line in self.places for place in line if place is not None]
+        return min(found, default=0), max(found, default=0)
+
+    @property
+    def has_failures(self) -> bool:
+        """Whether any run wasn't tracked."""
+        return any(place.failures for line in self.places for place in line if place is not None)
+
+    @property
+    def shows_counts(self) -> bool:
+        """Whether n stands in the table: where it says more than a sentence could."""
+        low, high = self.counts
+        return low != high or any(
+            place.n < place.runs for line in self.places for place in line if place is not None
+        )
+
+    @property
+    def failures(self) -> list[tuple[tuple[Any, ...], tuple[Any, ...], dict[str, int]]]:
+        """Return (row, column, what became of the runs that weren't tracked) of each place that has some."""
+        return [
+            (row, column, place.failures)
+            for row, line in zip(self.rows, self.places, strict=True)
+            for column, place in zip(self.columns, line, strict=True)
+            if place is not None and place.failures
+        ]
+
+
+def make_table(frame: Frame, layout: Layout) -> PaperTable:
+    """Lay out runs as a table.
+
+    Algorithms, datasets, evaluations, paces and processors are never averaged together: where they vary
+    and nobody asked for them, they become rows.
+
+    Args:
+        frame: one row a run and evaluation.
+        layout: what stands where.
+
+    Raises:
+        UnknownNameError: a column is unknown.
+    """
+    frame.require(layout.rows, "rows")
+    frame.require(layout.columns, "columns")
+    frame.require((metric.column for metric in layout.metrics), "metric")
+    names = [metric.column for metric in layout.metrics]
+    rows = [name for name in layout.rows if name not in layout.columns]
+    found = aggregate(frame, names, [*rows, *layout.columns], layout.outcomes)
+    keys = tuple(name for name in found.keys if name not in layout.columns)
+    lines = _distinct(found.cells, keys)
+    across = _in_order(frame, layout.columns, _distinct(found.cells, layout.columns))
+    cells = {(_identity(cell.keys, keys), _identity(cell.keys, layout.columns)): cell for cell in found.cells}
+    metrics = tuple(_with_digits(metric, found.cells, layout.statistic) for metric in layout.metrics)
+    shown = replace(layout, metrics=metrics)
+    places = [[_place(cells.get((line, column)), shown) for column in across] for line in lines]
+    return PaperTable(
+        layout=layout,
+        metrics=metrics,
+        keys=keys,
+        rows=tuple(lines.values()),
+        columns=tuple(across.values()),
+        places=tuple(map(tuple, _with_best(places, list(lines.values()), shown))),
+        notes=found.notes,
+    )
+
+
+def flat(table: PaperTable) -> dict[str, list[Any]]:
+    """Return a table's figures as columns, one row a place: stored units, every digit."""
+    rows = []
+    for row, line in zip(table.rows, table.places, strict=True):
+        for column, place in zip(table.columns, line, strict=True):
+            if place is None:
+                continue
+            record = dict(zip(table.keys, row, strict=True))
+            record |= dict(zip(table.layout.columns, column, strict=True))
+            for metric, figure in zip(table.metrics, place.figures, strict=True):
+                record[metric.heading] = figure.value
+                for part, value in zip(_spread_names(table.layout), figure.spread, strict=False):
+                    record[f"{metric.heading} {part}"] = value
+            failures = sum(place.failures.values())
+            rows.append(record | {"n": place.n, "runs": place.runs, "failures": failures})
+            rows[-1]["failures.by"] = place.failures
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
+def _spread_names(layout: Layout) -> tuple[str, ...]:
+    return ("std",) if layout.statistic is Statistic.MEAN else ("min", "max")
+
+
+def _identity(keys: dict[str, Any], names: Sequence[str]) -> str:
+    return json.dumps([keys[name] for name in names], default=str)
+
+
+def _distinct(cells: Sequence[Cell], names: Sequence[str]) -> dict[str, tuple[Any, ...]]:
+    return {_identity(cell.keys, names): tuple(cell.keys[name] for name in names) for cell in cells}
+
+
+def _in_order(
+    frame: Frame, names: Sequence[str], found: dict[str, tuple[Any, ...]]
+) -> dict[str, tuple[Any, ...]]:
+    """Return column values in the order of their columns, whatever row they were first seen in."""
+    orders = [{_plain(value): place for place, value in enumerate(_values(frame, name))} for name in names]
+    sort = lambda item: [order[_plain(value)] for order, value in zip(orders, item[1], strict=True)]  # noqa: E731
+    return dict(sorted(found.items(), key=sort))
+
+
+def _values(frame: Frame, name: str) -> list[Any]:
+    return frame.column(name).factorized()[1]
+
+
+def _plain(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, default=str)
+
+
+def _with_digits(metric: Metric, cells: Sequence[Cell], statistic: Statistic) -> Metric:
+    """Return a metric with as many decimals as give its middle number three digits, unless told."""
+    if metric.format:
+        return metric
+    values = [
+        abs(getattr(summary, statistic) * metric.factor)
+        for cell in cells
+        if (summary := cell.figures[metric.column].summary) is not None
+    ]
+    values = [value for value in values if value > 0]
+    if not values:
+        return metric
+    decimals = 2 - math.floor(math.log10(float(np.median(values))))
+    return replace(metric, format=f".{min(max(decimals, 0), _MOST_DIGITS)}f")
+
+
+def _place(cell: Cell | None, layout: Layout) -> Place | None:
+    if cell is None:
+        return None
+    figures = []
+    for metric in layout.metrics:
+        summary = cell.figures[metric.column].summary
+        if summary is None:
+            figures.append(Figure(None))
+            continue
+        value = getattr(summary, layout.statistic) * metric.factor
+        spread: tuple[float, ...] = ()
+        if layout.spread and summary.n > 1 and summary.std is not None:
+            ends = (summary.std,) if layout.statistic is Statistic.MEAN else (summary.min, summary.max)
+            spread = tuple(end * metric.factor for end in ends)
+        figures.append(Figure(value, spread))
+    return Place(cell.runs, cell.n, cell.failures, tuple(figures))
+
+
+def _with_best(
+    places: list[list[Place | None]], rows: Sequence[tuple[Any, ...]], layout: Layout
+) -> list[list[Place | None]]:
+    """Mark the best numbers; one of which not even half of the runs were tracked is none."""
+    if layout.best is Best.NONE:
+        return places
+    groups = [_plain(row[0]) if layout.best is Best.GROUP and len(row) > 1 else "" for row in rows]
+    sizes = Counter(groups)
+    costs = [[_costs(place, layout.metrics) for place in line] for line in places]
+    least: dict[tuple[str, int, int], float] = {}
+    for group, line in zip(groups, costs, strict=True):
+        for column, numbers in enumerate(line):
+            for number, cost in enumerate(numbers):
+                key = (group, column, number)
+                least[key] = min(least.get(key, math.inf), cost)
+    return [
+        [
+            place
+            and replace(
+                place,
+                figures=tuple(
+                    replace(figure, bold=sizes[group] > 1 and cost == least[group, column, number] < math.inf)
+                    for number, (figure, cost) in enumerate(zip(place.figures, numbers, strict=True))
+                ),
+            )
+            for column, (place, numbers) in enumerate(zip(line, line_costs, strict=True))
+        ]
+        for group, line, line_costs in zip(groups, places, costs, strict=True)
+    ]
+
+
+def _costs(place: Place | None, metrics: Sequence[Metric]) -> list[float]:
+    """Return what is to be small of each figure, as it is shown; infinite for what can't be the best."""
+    if place is None:
+        return []
+    return [
+        _way(metric.column) * float(format(figure.value, metric.format or ".4g"))
+        if figure.value is not None and _way(metric.column) and 2 * place.tracked > place.runs
+        else math.inf
+        for figure, metric in zip(place.figures, metrics, strict=True)
+    ]
+
+
+def _way(column: str) -> int:
+    """Return 1 where small is good, -1 where large is, 0 where neither is known."""
+    if column.startswith(SMALL_IS_GOOD):
+        return 1
+    return -1 if column in LARGE_IS_GOOD else 0
