@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text files of numbers: what is in them, plain or compressed, and on which line it is wrong.
 
-numpy's C reader takes the bytes of the whole file at once; only when it refuses, or a value turns out wrong,
-is the text gone through line by line to name the line.
+Regular text is read by `slamhive_eval.decimals`, other text by numpy's C reader; only when that refuses, or a
+value turns out wrong, is the text gone through line by line to name the line.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamhive_eval.decimals import parse_rows
 from slamhive_eval.errors import FileError
 
 if TYPE_CHECKING:
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
 
     from slamhive_eval.rotation import FloatArray
 
-_BLOCK = 1 << 24
-"""Bytes that are turned into numbers at once."""
+_BLOCK = 1 << 19
+"""Bytes that are turned into numbers at once: what comes of them stays in the processor's cache."""
+_KEPT_BYTES = 16 << 20
 _HEAD = 1 << 14
 _GZIP, _BZIP2 = b"\x1f\x8b", b"BZh"
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -124,15 +126,14 @@ def _numbers(data: bytes, *, commas: bool) -> FloatArray:
     """
     rows = np.empty((0, 0))
     count = start = 0
+    if len(data) > _BLOCK:
+        # Once it has freed so much, glibc keeps smaller pieces instead of giving them back to the system,
+        # which would have to clear the temporary arrays of each block anew: that takes as long as parsing.
+        np.empty(_KEPT_BYTES, np.uint8)
     while start < len(data):
         end = data.find(b"\n", start + _BLOCK) + 1 or len(data)
-        block = data[start:end]
+        found = _block(data[start:end], commas=commas)
         start = end
-        stream = io.BytesIO(block.replace(b",", b" ") if commas else block)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a block without numbers
-            text = io.TextIOWrapper(stream, encoding="utf-8", errors="replace")
-            found = np.loadtxt(text, dtype=np.float64, ndmin=2)
         if not len(found):
             continue
         if start >= len(data) and not count:
@@ -144,6 +145,21 @@ def _numbers(data: bytes, *, commas: bool) -> FloatArray:
         rows[count : count + len(found)] = found
         count += len(found)
     return rows[:count]
+
+
+def _block(block: bytes, *, commas: bool) -> FloatArray:
+    if commas:
+        block = block.replace(b",", b" ")
+    begin = 0
+    while block.startswith(b"#", begin):
+        begin = block.find(b"\n", begin) + 1 or len(block)
+    found = parse_rows(block[begin:])
+    if found is not None:
+        return found
+    text = io.TextIOWrapper(io.BytesIO(block), encoding="utf-8", errors="replace")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a block without numbers
+        return np.loadtxt(text, dtype=np.float64, ndmin=2)
 
 
 def fault_in_row(path: str | Path, data: bytes, row: int, message: str, skipped: int = 0) -> FileError:
