@@ -18,6 +18,7 @@ ANALYSES = (
     "importance",
     "repeatability",
     "suspects",
+    "common",
 )
 
 

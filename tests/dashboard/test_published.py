@@ -117,3 +117,16 @@ async def test_paths_are_drawn_with_the_errors_of_the_evaluation(api: Any) -> No
     assert mean_square**0.5 == pytest.approx(item["ate.rmse"], rel=1e-9)
     usage = await api.get(f"/runs/{item['uid']}/usage")
     assert usage["samples"] == len(usage["t"])
+
+
+async def test_over_common_support_a_run_that_broke_off_gains_nothing(api: Any) -> None:
+    """Run 063 saw 47 % of its recording; there its error is what it was, and that of the others is theirs."""
+    (item,) = (await api.get("/runs?run=63"))["items"]
+    (group,) = (await api.get(f"/analysis/common?dataset={item['dataset']}&sensors={item['sensors']}"))[
+        "groups"
+    ]
+    runs = {run["run"]: run for run in group["runs"]}
+    assert group["support"]["share"] <= item["coverage"] + 0.02
+    assert all(run["problem"] is None for run in runs.values())
+    assert runs[63]["common"] == pytest.approx(runs[63]["own"], rel=0.1)
+    assert not any("can't be reproduced" in note for note in group["notes"])

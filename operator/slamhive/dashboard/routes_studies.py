@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from slamhive.dashboard import api_studies
+from slamhive.dashboard import api_common, api_studies
 from slamhive.dashboard.routes import FormatName, Names, Where, Which, pairs
 from slamhive.dashboard.service import Service
 
@@ -77,6 +77,21 @@ def router(service: Service) -> APIRouter:
         """Equal trajectories count once."""
         asked = pairs(request)
         return await service.answer(request, lambda data: api_studies.repeated(data, asked, metric))
+
+    @routes.get("/common", summary="Runs of a dataset measured again where all of them have poses")
+    async def common(
+        request: Request,
+        *,
+        by: Names = None,
+        outcomes: Which = "all",
+        where: Where = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Errors over the runs' own and over their common support, from their trajectories."""
+        asked = pairs(request)
+        return await service.answer(
+            request, lambda data: api_common.common(data, service.source, asked, by, outcomes)
+        )
 
     @routes.get("/suspects", summary="Scales that are off by the same factor in all runs")
     async def suspects(
