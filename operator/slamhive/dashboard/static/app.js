@@ -8,15 +8,17 @@ import { html, render, useEffect, useState } from './core/ui.js';
 /** Pages are loaded when they are first shown. */
 const PAGES = {
   '': () => import('./pages/overview.js'),
+  sweeps: () => import('./pages/sweeps.js'),
   explore: () => import('./pages/explore.js'),
   leaderboard: () => import('./pages/leaderboard.js'),
+  studies: () => import('./pages/studies.js'),
   table: () => import('./pages/table.js'),
   runs: () => import('./pages/runs.js'),
   compare: () => import('./pages/compare.js'),
   algorithms: () => import('./pages/catalog.js'),
   datasets: () => import('./pages/catalog.js'),
 };
-const MENU = [['/', 'Overview'], ['/runs', 'Runs'], ['/explore', 'Explore'], ['/leaderboard', 'Leaderboard'], ['/table', 'Table'], ['/compare', 'Compare'], ['/algorithms', 'Algorithms'], ['/datasets', 'Datasets']];
+const MENU = [['/', 'Overview'], ['/sweeps', 'Sweeps'], ['/runs', 'Runs'], ['/explore', 'Explore'], ['/leaderboard', 'Leaderboard'], ['/studies', 'Studies'], ['/table', 'Table'], ['/compare', 'Compare'], ['/algorithms', 'Algorithms'], ['/datasets', 'Datasets']];
 
 const remembered = () => {
   try {
@@ -73,6 +75,8 @@ function App() {
       end();
     };
   }, []);
+  // On a phone the menu is wider than the window.
+  useEffect(() => document.querySelector('header nav a[aria-current]')?.scrollIntoView({ block: 'nearest', inline: 'center' }), [here.path[0]]);
   const embedded = here.query.get('embed') === '1';
   const name = here.path[0] ?? '';
   return html`<${Address.Provider} value=${here}><${Live.Provider} value=${live}>

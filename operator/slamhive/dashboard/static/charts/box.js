@@ -4,41 +4,63 @@ import { clip, number } from '../core/format.js';
 import { asCategories, axisOption, quantile, readAxis } from './points.js';
 
 const MOST_POINTS = 2000;
+const [LEFT, RIGHT] = [72, 24];
 
-/** Return the option of a box chart; null where x has too many values.
+/** Return the option of a box chart, a function of its size; null where x has too many values.
  * @param {object} data answer of analysis/points @param {number[]} indices which of its points
  * @param {{ylog: boolean, tracked: boolean}} settings tracked: only tracked runs count */
 export function box(data, indices, { ylog, tracked }) {
-  const x = asCategories(readAxis(data.axes.x), data.count);
-  if (!x) return null;
+  const every = asCategories(readAxis(data.axes.x), data.count);
+  if (!every) return null;
+  const x = present(every, indices);
   const y = readAxis(data.axes.y);
   const status = readAxis(data.status);
   const colour = data.axes.colour ? asCategories(readAxis(data.axes.colour), data.count, 12) : null;
-  const names = colour?.categories ?? ['runs'];
   const counted = indices.filter((index) => x.at(index) !== null && y.at(index) !== null && (!tracked || status.text(index) === 'Tracked'));
-  const series = names.flatMap((name, group) => {
-    const members = colour ? counted.filter((index) => colour.at(index) === group) : counted;
+  const groups = colour ? colour.categories.map((name, group) => ({ name, group, members: counted.filter((index) => colour.at(index) === group) })).filter((one) => one.members.length) : [{ name: 'runs', group: 0, members: counted }];
+  const series = (width) => groups.flatMap(({ name, group, members }, at) => {
     const cells = x.categories.map((_, place) => members.filter((index) => x.at(index) === place));
     const boxes = cells.map((cell) => (cell.length < 5 ? ['-'] : five(cell.map(y.at))));
     const dots = members.length <= MOST_POINTS ? members.map((index) => [x.at(index), y.at(index), index]) : [];
     return [
       { type: 'boxplot', name: clip(name, 40), data: boxes, boxWidth: [6, 46], itemStyle: { color: 'transparent', borderWidth: 1.5 }, id: `box${group}` },
-      { type: 'scatter', name: clip(name, 40), data: dots, symbolSize: 6, symbolOffset: [names.length > 1 ? (group - (names.length - 1) / 2) * 12 : 0, 0], itemStyle: { opacity: 0.65 }, id: `dot${group}` },
+      { type: 'scatter', name: clip(name, 40), data: dots, symbolSize: 6, symbolOffset: [besideOthers(at, groups.length, (width - LEFT - RIGHT) / x.categories.length), 0], itemStyle: { opacity: 0.65 }, id: `dot${group}` },
     ].map((one) => ({ ...one, colorBy: 'series', ...tint(group, one.itemStyle) }));
   });
-  return {
-    grid: { left: 72, right: 24, top: colour ? 40 : 16, bottom: 72 },
-    legend: colour ? { data: names.map((name) => clip(name, 40)) } : undefined,
+  return ({ width }) => ({
+    grid: { left: LEFT, right: RIGHT, top: colour ? 40 : 16, bottom: 72 },
+    legend: colour ? { data: groups.map(({ name }) => clip(name, 40)) } : undefined,
     tooltip: {
       trigger: 'item',
       formatter: (item) => (item.seriesType === 'scatter'
         ? `run ${data.run?.[item.value[2]] ?? ''}\n${clip(y.heading.title, 40)}: ${y.text(item.value[2])}\n${status.text(item.value[2])}`
         : ['least', 'lower quartile', 'median', 'upper quartile', 'largest'].map((what, at) => `${what}: ${number(item.value[at + 1])}`).join('\n')),
     },
-    xAxis: axisOption(x),
+    xAxis: twoLines(axisOption({ ...x, categories: x.categories.map((name, at) => {
+      const here = indices.filter((index) => x.at(index) === at);
+      return `${clip(name, 18)}\nn ${counted.filter((index) => x.at(index) === at).length}/${here.length}`;
+    }) })),
     yAxis: axisOption(y, { log: ylog, vertical: true }),
-    series,
-  };
+    series: series(width),
+  });
+}
+
+/** Return how far the boxes of one series stand from the middle of their category: as ECharts lays several of them out. */
+function besideOthers(at, count, band) {
+  const room = band * 0.8 - 2;
+  const gap = (room / count) * 0.3;
+  const box = (room - gap * (count - 1)) / count;
+  return count > 1 ? box / 2 - room / 2 + at * (gap + box) : 0;
+}
+
+/** Labels of two lines need more room below the axis. */
+const twoLines = (axis) => ({ ...axis, nameGap: 44, axisLabel: { ...axis.axisLabel, lineHeight: 15, rotate: 0 } });
+
+/** Keep the categories that some of the points have. */
+function present(axis, indices) {
+  const used = [...new Set(indices.map(axis.at))].filter((place) => place !== null).sort((a, b) => a - b);
+  const place = new Map(used.map((value, at) => [value, at]));
+  return { ...axis, categories: used.map((value) => axis.categories[value]), at: (index) => place.get(axis.at(index)) ?? null };
 }
 
 const PALETTE = ['#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6bb1', '#a6761d', '#7f7f7f', '#b3b300', '#1b9e77', '#7570b3'];

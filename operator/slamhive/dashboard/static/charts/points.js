@@ -54,6 +54,9 @@ export function axisOption(axis, { log = false, vertical = false } = {}) {
   return { type: log ? 'log' : 'value', scale: true, name, nameGap: gap };
 }
 
+/** Return how wide names left of a chart may be, in pixels: a phone keeps most of its width for the chart. */
+export const labelRoom = (width, most) => Math.min(most, Math.round(width * 0.36));
+
 /** The share of a sorted list: linear between its values. */
 export function quantile(sorted, share) {
   const place = (sorted.length - 1) * share;

@@ -6,32 +6,73 @@ import { clip, number } from '../core/format.js';
 /** The three planes: name and the two axes. */
 export const PLANES = [['xy', 'x', 'y'], ['xz', 'x', 'z'], ['yz', 'y', 'z']];
 
+/** Colour of the ground truth. */
+export const TRUTH = '#8a929b';
+
+/** Error colours, from none to the largest. */
+export const RAMP = [[33, 102, 172], [53, 183, 121], [230, 184, 0], [215, 48, 31]];
+
+/** Return the colour of a share from 0 to 1. */
+export function ramp(share) {
+  const place = Math.min(1, Math.max(0, share)) * (RAMP.length - 1);
+  const low = Math.min(RAMP.length - 2, Math.floor(place));
+  const mixed = RAMP[low].map((value, at) => Math.round(value + (RAMP[low + 1][at] - value) * (place - low)));
+  return `rgb(${mixed.join(',')})`;
+}
+
 const MARGIN = { left: 64, right: 20, top: 40, bottom: 52 };
+const GAP = 8;
+
+/** Return the places [from, to) between which something was sampled without a gap: one that is 8 times the usual step.
+ * @param {{t: number[]}} track */
+export function pieces({ t }) {
+  const steps = t.slice(1).map((value, at) => value - t[at]).sort((a, b) => a - b);
+  const most = GAP * (steps[steps.length >> 1] ?? 0) || Infinity;
+  const begins = t.flatMap((value, at) => (at === 0 || value - t[at - 1] > most ? [at] : []));
+  return begins.map((from, at) => [from, begins[at + 1] ?? t.length]);
+}
+
+/** Return the least and the largest error of some tracks; null where none has one. */
+export function errorRange(tracks) {
+  const errors = tracks.flatMap((track) => track.error ?? []).filter((value) => value !== null);
+  return errors.length ? { low: errors.reduce((a, b) => Math.min(a, b)), high: errors.reduce((a, b) => Math.max(a, b)) } : null;
+}
+
+/** Points of a line with a break at each gap. */
+const broken = (track, point) => pieces(track).flatMap(([from, to], at) => [
+  ...(at ? [['-', '-']] : []), ...Array.from({ length: to - from }, (_, index) => point(from + index))]);
 
 /** Return the option of a plane, metres equally long on both axes: a function of the chart's size.
- * @param {Array<{name: string, track: object}>} estimates tracks {x, y, z, error?} @param {object|null} reference ground truth
- * @param {string} a horizontal axis @param {string} b vertical axis */
-export function plane(estimates, reference, a, b) {
-  const single = estimates.length === 1;
-  const coloured = single && estimates[0].track.error?.some((value) => value !== null);
-  const errors = coloured ? estimates[0].track.error.filter((value) => value !== null) : [];
+ * @param {Array<{name: string, track: object}>} estimates tracks {t, x, y, z, error?} @param {object|null} reference ground truth
+ * @param {string} a horizontal axis @param {string} b vertical axis
+ * @param {{low: number, high: number}|null} range of the errors, which colour the paths; null: each path has a colour of its own */
+export function plane(estimates, reference, a, b, range) {
   return ({ width, height }) => {
-    const right = coloured ? 92 : MARGIN.right;
+    const right = range ? 92 : MARGIN.right;
     const [spanA, spanB] = equal([...estimates.map((one) => one.track), ...(reference ? [reference] : [])], a, b, (width - MARGIN.left - right) / (height - MARGIN.top - MARGIN.bottom));
-    const pairs = (track) => track[a].map((value, index) => [value, track[b][index]]);
+    const points = (track) => broken(track, (index) => [track[a][index], track[b][index]]);
     return {
-      grid: { ...MARGIN, right }, legend: {}, tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${item.value.map((value) => number(value)).join(', ')} m` },
+      grid: { ...MARGIN, right }, legend: {}, tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${tell(item.value, a, b)}` },
       xAxis: { type: 'value', name: `${a} [m]`, nameGap: 26, ...spanA, ...EDGES }, yAxis: { type: 'value', name: `${b} [m]`, nameGap: 44, ...spanB, ...EDGES },
-      visualMap: coloured ? { type: 'continuous', seriesIndex: reference ? 1 : 0, dimension: 2, min: Math.min(...errors), max: Math.max(...errors), text: ['error [m]', ''], precision: 3, right: 0, top: 'middle', itemHeight: 110, inRange: { color: ['#2166ac', '#35b779', '#e6b800', '#d7301f'] } } : undefined,
+      visualMap: range ? {
+        type: 'continuous', seriesIndex: estimates.map((_, at) => at + estimates.length + (reference ? 1 : 0)), dimension: 2, min: range.low, max: range.high, right: 0, top: 'middle', itemHeight: 110,
+        text: [`${number(range.high, 3)} m`, `${number(range.low, 3)} m`], inRange: { color: RAMP.map((one) => `rgb(${one.join(',')})`) },
+      } : undefined,
       series: [
-        ...(reference ? [{ type: 'line', name: 'ground truth', data: pairs(reference), showSymbol: false, color: '#8a929b', lineStyle: { width: 1.5 }, z: 1 }] : []),
-        ...estimates.map((one, index) => (coloured
-          ? { type: 'scatter', name: clip(one.name, 40), symbolSize: 4, data: one.track[a].map((value, at) => [value, one.track[b][at], one.track.error[at]]) }
-          : { type: 'line', name: clip(one.name, 40), showSymbol: false, data: pairs(one.track), color: COLOURS[index % COLOURS.length], lineStyle: { width: 1.8 } })),
+        ...(reference ? [{ type: 'line', name: 'ground truth', data: points(reference), showSymbol: false, color: TRUTH, lineStyle: { width: 4, opacity: 0.45 }, z: 1 }] : []),
+        // Poses without an error, which have no ground truth near them, are seen as a thin line.
+        ...(range ? estimates.map((one, index) => ({ type: 'line', name: clip(one.name, 40), showSymbol: false, silent: true, data: points(one.track), color: COLOURS[index % COLOURS.length], lineStyle: { width: 1 }, z: 2 })) : []),
+        ...estimates.map((one, index) => (range
+          ? { type: 'scatter', z: 3, name: clip(one.name, 40), symbolSize: 4, symbol: SYMBOLS[index % SYMBOLS.length], data: one.track[a].map((value, at) => [value, one.track[b][at], one.track.error?.[at] ?? '-']) }
+          : { type: 'line', name: clip(one.name, 40), showSymbol: false, data: points(one.track), color: COLOURS[index % COLOURS.length], lineStyle: { width: 1.8 } })),
       ],
     };
   };
 }
+
+const SYMBOLS = ['circle', 'triangle', 'rect', 'diamond'];
+
+const tell = ([x, y, error], a, b) => `${a} ${number(x)} m, ${b} ${number(y)} m${typeof error === 'number' ? `\nerror ${number(error)} m` : ''}`;
 
 /** Axes stay at the edge, and their ends, which are where the data end, have no label. */
 const EDGES = { axisLine: { onZero: false }, axisLabel: { formatter: (value) => short(value), showMinLabel: false, showMaxLabel: false } };
@@ -54,9 +95,9 @@ function equal(tracks, a, b, aspect) {
 export function overTime(lines, title, from = 'time [s]') {
   return {
     grid: { left: 72, right: 20, top: lines.length > 1 ? 40 : 14, bottom: 48 }, legend: lines.length > 1 ? {} : undefined,
-    tooltip: { trigger: 'axis', axisPointer: { type: 'line' }, formatter: (items) => [`${number(items[0].value[0])} s`, ...items.map((item) => `${item.seriesName}: ${number(item.value[1])}`)].join('\n') },
-    xAxis: { type: 'value', name: from, nameGap: 26, min: 'dataMin', max: 'dataMax', axisLabel: { formatter: short } }, yAxis: { type: 'value', name: title, nameGap: 52 },
-    series: lines.map((line, index) => ({ type: 'line', name: clip(line.name, 40), showSymbol: false, sampling: 'lttb', color: COLOURS[index % COLOURS.length], lineStyle: { width: 1.5 }, data: line.t.map((t, at) => [t, line.values[at]]) })),
+    tooltip: { trigger: 'axis', axisPointer: { type: 'line' }, formatter: (items) => [`${number(items[0].value[0])} s`, ...items.filter((item) => typeof item.value[1] === 'number').map((item) => `${item.seriesName}: ${number(item.value[1])}`)].join('\n') },
+    xAxis: { type: 'value', name: from, nameGap: 26, min: 'dataMin', max: 'dataMax', axisLabel: { formatter: short, showMaxLabel: false } }, yAxis: { type: 'value', name: title, nameGap: 52 },
+    series: lines.map((line, index) => ({ type: 'line', name: clip(line.name, 40), showSymbol: false, color: COLOURS[index % COLOURS.length], lineStyle: { width: 1.5 }, data: broken(line, (at) => [line.t[at], line.values[at] ?? '-']) })),
   };
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** A chart with what belongs to it: its table, its CSV, its picture. */
-import { Link, Table } from './parts.js';
+import { fileName, Framed, inks, isDark, save, saveSvg } from './figure.js';
 import { html, useEffect, useLayoutEffect, useRef, useState } from './ui.js';
 
 /** Okabe and Ito's colours, distinguishable to the colour-blind; black is left out for the dark theme. */
@@ -8,15 +8,6 @@ export const COLOURS = ['#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '
 
 let loading = null;
 const load = () => (loading ??= import('/vendor/echarts.mjs'));
-
-const isDark = () => {
-  const chosen = document.documentElement.dataset.theme;
-  return chosen ? chosen === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
-};
-
-const inks = (dark) => (dark
-  ? { text: '#d9dde3', faint: '#9aa3ad', line: '#3a424c', back: '#171b21' }
-  : { text: '#22272e', faint: '#5b6570', line: '#d9dee4', back: '#ffffff' });
 
 function dressed(option, dark) {
   const ink = inks(dark);
@@ -48,15 +39,6 @@ const sized = (option, box) => (typeof option === 'function' ? option({ width: b
 
 const take = (chart, on) => chart?.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption: { brushType: on ? 'rect' : false, brushMode: 'single' } });
 
-const save = (href, name) => {
-  const link = document.createElement('a');
-  link.href = href;
-  link.download = name;
-  link.click();
-};
-
-const fileName = (title, ending) => `${title.replaceAll(/[^\w.-]+/g, '-').slice(0, 80) || 'chart'}.${ending}`;
-
 /** A chart.
  * @param {{option: object, title: string, height?: number, csv?: string, table?: {columns: object[], rows: object[]},
  *   onClick?: (event: object) => void, onBrush?: (event: object) => void, link?: string, summary?: string}} props
@@ -67,7 +49,6 @@ export function Chart({ option, title, height = 380, csv, table, onClick, events
   const chart = useRef(null);
   const current = useRef({});
   const [failed, setFailed] = useState(null);
-  const [open, setOpen] = useState(false);
   current.current = { option, onClick, events, brushing, group };
 
   useLayoutEffect(() => {
@@ -113,19 +94,11 @@ export function Chart({ option, title, height = 380, csv, table, onClick, events
     const echarts = await load();
     const paper = echarts.init(null, null, { renderer: 'svg', ssr: true, width: box.current.clientWidth, height });
     paper.setOption(dressed(sized(current.current.option, box.current), false));
-    const url = URL.createObjectURL(new Blob([paper.renderToSVGString()], { type: 'image/svg+xml' }));
-    save(url, fileName(title, 'svg'));
-    URL.revokeObjectURL(url);
+    saveSvg(paper.renderToSVGString(), fileName(title, 'svg'));
     paper.dispose();
   };
 
-  return html`<figure class="chart"><figcaption><strong>${link ? html`<${Link} href=${link}>${title}</${Link}>` : title}</strong>
-      <span class="tools">${table && html`<button type="button" aria-expanded=${String(open)} onClick=${() => setOpen(!open)}>Table</button>`}
-        ${csv && html`<a href=${csv} download>CSV</a>`}
-        <button type="button" onClick=${png}>PNG</button><button type="button" onClick=${svg}>SVG</button></span></figcaption>
+  return html`<${Framed} title=${title} link=${link} csv=${csv} table=${table} png=${png} svg=${svg}>
     ${failed && html`<p class="fault" role="alert">${failed}</p>`}
-    <div class="canvas" ref=${box} role="img" aria-label=${summary ?? title} style=${{ height: `${height}px` }}></div>
-    ${open && html`<${Table} columns=${table.columns} rows=${table.rows.slice(0, 1000)} caption=${`Table of ${title}`} />
-      ${table.rows.length > 1000 && html`<p class="quiet">The first 1000 of ${table.rows.length} rows; the CSV has all.</p>`}`}
-  </figure>`;
+    <div class="canvas" ref=${box} role="img" aria-label=${summary ?? title} style=${{ height: `${height}px` }}></div></${Framed}>`;
 }

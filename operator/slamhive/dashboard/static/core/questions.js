@@ -6,27 +6,42 @@ const varies = (columns, name) => (named(columns, name)?.distinct ?? 0) > 1;
 const has = (columns, name, values) => values.every((value) => named(columns, name)?.values?.some((one) => one.value === value));
 const first = (columns, pattern, groups) => columns.find((one) => pattern.test(one.name) && groups.includes(one.group) && one.distinct > 1)?.name;
 
+/** The tables of the ICRA 2023 paper, which averaged over all runs but a few. */
+const PUBLISHED = [
+  { title: 'Table III as published', page: '/table', settings: { by: 'sensors,algorithm,dataset', metrics: 'ate.rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes', figures: 'mean', outcomes: 'all',
+    where: "dataset != 'rgbd-dataset-freiburg2-desk' and run not in (53, 103, 122)" } },
+  { title: 'Table IV as published', page: '/table', settings: { by: 'parameters.nFeatures', metrics: 'ate.rmse,rpe[0].rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes', figures: 'mean', outcomes: 'all',
+    where: "dataset == 'rgbd-dataset-freiburg2-desk' and run not in (124, 139, 140)" } },
+];
+
+/** Return the presets that draw the paper's own tables; [] where its runs are not here. @param {object[]} columns */
+export const published = (columns) => (named(columns, 'label.source')?.values?.some((one) => one.value === 'slam-hive') ? PUBLISHED : []);
+
+/** Return the column that tells a front from a back camera. */
+const cameras = (columns) => columns.find((one) => ['labels', 'dataset', 'input'].includes(one.group) && one.distinct > 1
+  && [/front/i, /back|rear/i].every((side) => one.values?.some((found) => side.test(String(found.value)))))?.name;
+
 /** Return what can be asked. Those without `settings` say in `needs` which runs they need.
  * @param {object[]} columns headings of /api/v1/columns
- * @returns {Array<{title: string, settings: object|null, needs: string}>} */
+ * @returns {Array<{title: string, page: string, settings: object|null, needs: string}>} */
 export function questions(columns) {
-  const ask = (title, needs, settings) => ({ title, needs, settings });
+  const ask = (title, needs, settings) => ({ title, page: '/explore', needs, settings });
   const when = (holds, settings) => (holds ? settings : null);
+  const apart = varies(columns, 'dataset') ? { facet: 'dataset' } : {};
   const features = first(columns, /^parameters\..*(n|num|max)_?features?$/i, ['parameters']) ?? 'parameters.nFeatures';
-  const onFeatures = (y) => when(varies(columns, features), { kind: 'line', x: features, y, ...(varies(columns, 'dataset') ? { facet: 'dataset' } : {}), where: `${quoted(features)} is not null` });
-  const loops = first(columns, /loop/i, ['metrics', 'parameters']);
-  const camera = first(columns, /camera(position|side|name)?$/i, ['labels', 'dataset']);
+  const loops = first(columns, /loop/i, ['dataset']) ?? first(columns, /loop/i, ['metrics']) ?? first(columns, /loop/i, ['parameters']);
+  const camera = cameras(columns);
   return [
-    ask('Image resolution vs ATE', 'runs at several input.resolution', when(varies(columns, 'input.resolution'), { kind: 'line', x: 'input.resolution', y: 'ate.rmse' })),
-    ask('Frame rate vs CPU', 'runs at several input.frameRate', when(varies(columns, 'input.frameRate'), { kind: 'line', x: 'input.frameRate', y: 'usage.cpu.meanCores' })),
-    ask('Features vs ATE', 'runs with several nFeatures', onFeatures('ate.rmse')),
-    ask('Features vs CPU', 'runs with several nFeatures', onFeatures('usage.cpu.meanCores')),
-    ask('Features vs RAM', 'runs with several nFeatures', onFeatures('usage.memory.peakBytes')),
-    ask('Loop closures vs ATE', 'a parameter or an own metric of the algorithm that counts loops', loops ? { kind: 'scatter', x: loops, y: 'ate.rmse', colour: 'algorithm' } : null),
-    ask('Sensor mode against sensor mode', 'runs in several sensor modes', when(varies(columns, 'sensors'), { kind: 'box', x: 'sensors', y: 'ate.rmse', facet: 'dataset' })),
-    ask('Front against back camera', 'a label camera on the runs: front or back', camera ? { kind: 'box', x: camera, y: 'ate.rmse', colour: 'algorithm' } : null),
+    ask('Image resolution vs ATE', 'runs at several input.resolution', when(varies(columns, 'input.resolution'), { kind: 'line', x: 'input.resolution', y: 'ate.rmse', ...apart })),
+    ask('Frame rate vs CPU', 'runs at several input.frameRate', when(varies(columns, 'input.frameRate'), { kind: 'line', x: 'input.frameRate', y: 'usage.cpu.meanCores', ...apart })),
+    ask('Features vs ATE, CPU and RAM', 'runs with several nFeatures', when(varies(columns, features), {
+      kind: 'line', x: features, y: 'ate.rmse,usage.cpu.meanCores,usage.memory.peakBytes', ...apart, where: `${quoted(features)} is not null` })),
+    ask('Loops vs ATE', 'datasets with an attribute loops, or a metric or parameter of the algorithm of that name', loops ? { kind: 'scatter', x: loops, y: 'ate.rmse', colour: 'algorithm' } : null),
+    ask('Sensor mode against sensor mode', 'runs in several sensor modes', when(varies(columns, 'sensors'), { kind: 'box', x: 'sensors', y: 'ate.rmse', ...apart })),
+    ask('Front against back camera', 'runs with input.remap.camera, a label or an attribute that says front and back', camera ? { kind: 'box', x: camera, y: 'ate.rmse', colour: 'algorithm', ...apart } : null),
     ask('LiDAR against RGB-D', 'runs with lidar and with rgbd', when(
-      has(columns, 'sensors', ['lidar', 'rgbd']), { kind: 'box', x: 'sensors', y: 'ate.rmse', sensors: ['lidar', 'rgbd'] })),
+      has(columns, 'sensors', ['lidar', 'rgbd']), { kind: 'box', x: 'sensors', y: 'ate.rmse', sensors: ['lidar', 'rgbd'], ...apart })),
+    ...published(columns),
   ];
 }
 

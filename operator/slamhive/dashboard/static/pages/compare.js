@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Runs side by side: trajectories over the ground truth, error, CPU and memory with one cursor. */
-import { overTime, plane, PLANES, since } from '../charts/trajectory.js';
-import { Query, useAddress } from '../core/address.js';
+import { overTime, since } from '../charts/trajectory.js';
+import { useAddress } from '../core/address.js';
 import { useAll } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { bytes, cell, clip, number } from '../core/format.js';
-import { Fault, Link, Notes, runLink, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import { Choice, Fault, Link, Notes, runLink, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
 import { html, useMemo, useState } from '../core/ui.js';
+import { loads } from './loads.js';
+import { Tracks, trackTable } from './tracks.js';
 
 const MOST = 8;
 
@@ -14,7 +17,8 @@ export default function Compare() {
   const { query, change } = useAddress();
   const [draft, setDraft] = useState('');
   useTitle('Compare');
-  const uids = [...new Set(query.all('uid').filter(Boolean))].slice(0, MOST);
+  const given = [...new Set(query.all('uid').filter(Boolean))];
+  const uids = given.slice(0, MOST);
   const base = uids.map((uid) => `/api/v1/runs/${encodeURIComponent(uid)}`);
   const runs = useAll(base);
   const tracks = useAll(base.map((one, at) => (runs?.[at].data?.files ? `${one}/trajectory?points=1500` : null)));
@@ -24,51 +28,79 @@ export default function Compare() {
     if (draft.trim()) change({ uid: [...uids, draft.trim()] });
     setDraft('');
   };
+  const embedded = query.get('embed') === '1';
   return html`<h1>Compare runs</h1>
-    <form class="controls" onSubmit=${add}><div class="row">${uids.map((uid, at) => html`<span class="chip">${clip(runs?.[at].data?.name ?? uid, 60)}
+    ${!embedded && html`<form class="controls" onSubmit=${add}><div class="row middle">${uids.map((uid, at) => html`<span class=${`chip ${runs?.[at].error ? 'wrong' : ''}`}>${clip(runs?.[at].data?.name ?? uid, 60)}
         <button type="button" aria-label=${`Remove ${clip(uid, 80)}`} onClick=${() => change({ uid: uids.filter((one) => one !== uid) })}>×</button></span>`)}
-      <label class="field wide"><span>Add a run by its uid</span><input type="text" value=${draft} onInput=${(event) => setDraft(event.target.value)} /></label>
-      <${Link} class="tick" href="/runs">Choose in the table</${Link}></div></form>
+      <${Link} href="/runs">Choose in the table</${Link}></div>
+      <div class="row"><label class="field wide"><span>Add a run by its uid, then Enter</span><input type="text" value=${draft} onInput=${(event) => setDraft(event.target.value)} /></label>
+      <${Choice} label="Colours tell" value=${query.get('colour', 'run')} options=${[['run', 'the run'], ['error', 'the error']]} onChange=${(colour) => change({ colour: colour === 'run' ? null : colour })} /></div>
+      ${runs?.map((one) => html`<${Fault} error=${one.error} />`)}</form>`}
     ${uids.length === 0 && html`<p class="empty">Tick runs in <${Link} href="/runs">the table of runs</${Link}> to lay them side by side here.</p>`}
-    ${runs?.map((one) => html`<${Fault} error=${one.error} />`)}
-    ${uids.length > 0 && (runs && tracks && usage ? html`<${Compared} runs=${runs} tracks=${tracks} usage=${usage} />` : html`<${Waiting} />`)}`;
+    ${given.length > MOST && html`<p class="fault" role="alert">${MOST} runs at most are compared; the others of this address are left out.</p>`}
+    ${embedded && runs?.map((one) => html`<${Fault} error=${one.error} />`)}
+    ${uids.length > 0 && (runs && tracks && usage ? html`<${Compared} runs=${runs} tracks=${tracks} usage=${usage} byError=${query.get('colour') === 'error'} />` : html`<${Waiting} />`)}`;
 }
 
-const nameOf = (run) => `${cell(run.run ?? '')} ${run.name ?? run.uid}`.replace(/^– /, '');
+/** What a run is called in a legend: its number, and what tells it apart from the others. */
+function namesOf(runs) {
+  const told = ['algorithm', 'sensors', 'dataset', 'repetition'].filter((key) => new Set(runs.map((run) => String(run.configuration?.[key]))).size > 1);
+  return runs.map((run) => [`run ${cell(run.run ?? run.uid)}`, ...told.map((key) => `${key === 'repetition' ? 'repetition ' : ''}${cell(run.configuration?.[key])}`)].join(', '));
+}
 
-function Compared({ runs, tracks, usage }) {
+function Compared({ runs, tracks, usage, byError }) {
+  const suspects = useSuspects();
   const drawn = useMemo(() => pictures(runs, tracks, usage), [runs, tracks, usage]);
+  const keys = (run) => ({ algorithm: run.configuration?.algorithm, sensors: run.configuration?.sensors, dataset: run.configuration?.dataset, evaluation: run.results?.[0]?.evaluation });
   const columns = [
-    { name: 'run', title: 'run', show: (_, run) => runLink(run.uid, nameOf(run)) }, { name: 'dataset', title: 'dataset', show: (_, run) => clip(run.configuration?.dataset ?? '–', 40) },
-    { name: 'outcome', title: 'outcome', show: (_, run) => html`<${Status} value=${run.results?.[0]?.outcome ?? run.reason ?? run.phase} />` },
-    { name: 'coverage', title: 'coverage', kind: 'number', show: (_, run) => number(run.results?.[0]?.coverage) }, { name: 'alignment', title: 'alignment', show: (_, run) => run.results?.[0]?.alignment ?? '–' },
+    { name: 'run', title: 'run', show: (_, run) => runLink(run.uid, cell(run.run ?? run.uid)) }, { name: 'algorithm', title: 'algorithm', show: (_, run) => clip(cell(run.configuration?.algorithm), 40) },
+    { name: 'sensors', title: 'sensors', show: (_, run) => clip(cell(run.configuration?.sensors), 40) }, { name: 'dataset', title: 'dataset', show: (_, run) => clip(cell(run.configuration?.dataset), 40) },
+    { name: 'outcome', title: 'outcome', show: (_, run) => html`<${Status} value=${run.results?.[0]?.outcome ?? run.reason ?? run.phase} /><${Mark} suspect=${suspectOf(suspects, keys(run))} />` },
+    { name: 'coverage', title: 'coverage', kind: 'number', show: (_, run) => number(run.results?.[0]?.coverage) }, { name: 'alignment', title: 'alignment', show: (_, run) => cell(run.results?.[0]?.alignment) },
     { name: 'ate', title: 'ATE [m]', kind: 'number', show: (_, run) => number(run.results?.[0]?.ate?.rmse) },
     { name: 'cpu', title: 'CPU [cores]', kind: 'number', show: (_, run) => number(run.usage?.cpu?.meanCores) }, { name: 'memory', title: 'peak memory', kind: 'number', show: (_, run) => bytes(run.usage?.memory?.peakBytes) },
     { name: 'csv', title: 'CSV', show: (_, run) => (run.files ? html`<a href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/trajectory?format=csv`} download>trajectory</a> <a href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/usage?format=csv`} download>load</a>` : '–') },
   ];
-  return html`<${Table} columns=${columns} rows=${runs.filter((one) => one.data).map((one) => one.data)} caption="The runs compared" />
-    <${Notes} notes=${drawn.notes} /><div class="facets">${drawn.charts.map(({ title, option, group }) => html`<${Chart} key=${title} title=${title} option=${option} group=${group} height=${340} />`)}</div>`;
+  const present = runs.filter((one) => one.data).map((one) => one.data);
+  if (present.length === 0) return null;
+  return html`<${Table} columns=${columns} rows=${present} caption="The runs compared" /><${Different} runs=${present} />
+    <${Notes} notes=${drawn.notes} /><div class="facets spaced">
+      ${drawn.estimates.length > 0 && html`<${Tracks} estimates=${drawn.estimates} reference=${drawn.reference} byError=${byError} title="Trajectories" />`}</div>
+    ${drawn.error && html`<${Chart} ...${drawn.error} csv=${true} height=${300} />`}
+    <div class="facets">${drawn.charts.map(({ title, option, group, table }) => html`<${Chart} key=${title} title=${title} option=${option} group=${group} table=${table} csv=${true} height=${320} />`)}</div>`;
+}
+
+/** In which settings the runs differ. */
+function Different({ runs }) {
+  const names = [...new Set(runs.flatMap((run) => ['parameters', 'input', 'resources'].flatMap((part) => Object.keys(run.configuration?.[part] ?? {}).map((name) => `${part}.${name}`))))];
+  const value = (run, name) => {
+    const dot = name.indexOf('.');
+    return run.configuration?.[name.slice(0, dot)]?.[name.slice(dot + 1)] ?? null;
+  };
+  const told = names.filter((name) => new Set(runs.map((run) => JSON.stringify(value(run, name)))).size > 1);
+  if (told.length === 0) return null;
+  const columns = [{ name: 'setting', title: 'differs', show: (name) => clip(name, 60) }, ...runs.map((run) => ({ name: run.uid, title: `run ${cell(run.run ?? run.uid)}` }))];
+  return html`<p></p><${Table} columns=${columns} rows=${told.map((name) => ({ setting: name, ...Object.fromEntries(runs.map((run) => [run.uid, value(run, name)])) }))} caption="Settings in which the runs differ" />`;
 }
 
 function pictures(runs, tracks, usage) {
-  const present = runs.map((run, at) => ({ name: run.data ? nameOf(run.data) : '', run: run.data, track: tracks[at].data, usage: usage[at].data })).filter((one) => one.run);
+  const found = runs.map((run, at) => ({ run: run.data, track: tracks[at].data, usage: usage[at].data, why: tracks[at].error?.message })).filter((one) => one.run);
+  const names = namesOf(found.map((one) => one.run));
+  const present = found.map((one, at) => ({ ...one, name: names[at] }));
   const moved = present.filter((one) => one.track);
   const measured = moved.filter((one) => one.track.estimate.error?.some((value) => value !== null));
   const loaded = present.filter((one) => one.usage);
   const datasets = new Set(present.map((one) => one.run.configuration?.dataset));
   const notes = datasets.size > 1 ? ['These runs are of several datasets: the ground truth drawn is that of the first.'] : [];
-  for (const one of present) if (!one.track) notes.push(`${one.name} has no trajectory here.`);
+  for (const one of present) if (!one.track) notes.push(`${one.name} has no trajectory here${one.why ? `: ${one.why}` : ''}.`);
   const estimates = moved.map((one) => ({ name: one.name, track: one.track.estimate }));
-  const lines = (of, values) => of.map((one) => ({ name: one.name, ...values(one) }));
+  const load = loaded.length ? loads(loaded) : null;
+  const error = measured.length && {
+    title: 'Error over time', table: trackTable(measured.map((one) => ({ name: one.name, track: one.track.estimate }))),
+    option: overTime(measured.map((one) => ({ name: one.name, t: since(one.track.estimate.t), values: one.track.estimate.error })), 'error [m]'),
+  };
   return {
-    notes,
-    charts: [
-      ...(moved.length ? PLANES.map(([plain, a, b]) => ({ title: `Trajectories ${plain}`, option: plane(estimates, moved[0].track.reference, a, b) })) : []),
-      ...(measured.length ? [{ title: 'Error over time', option: overTime(lines(measured, (one) => ({ t: since(one.track.estimate.t), values: one.track.estimate.error })), 'error [m]'), group: 'compared' }] : []),
-      ...(loaded.length ? [
-        { title: 'CPU over time', option: overTime(lines(loaded, (one) => ({ t: one.usage.t, values: one.usage.cpu })), 'CPU [cores]'), group: 'compared' },
-        { title: 'Memory over time', option: overTime(lines(loaded, (one) => ({ t: one.usage.t, values: one.usage.memory.map((value) => (value === null ? null : value / 2 ** 20)) })), 'memory [MiB]'), group: 'compared' },
-      ] : []),
-    ],
+    notes, estimates, reference: moved[0]?.track.reference ?? null,
+    error, charts: loaded.length ? load.charts.map(([title, option]) => ({ title, option, group: 'loaded', table: load.table })) : [],
   };
 }

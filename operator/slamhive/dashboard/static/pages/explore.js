@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Explore: one chart over all runs, made of columns that the reader chooses. */
 import { box } from '../charts/box.js';
-import { line } from '../charts/line.js';
+import { line, lines } from '../charts/line.js';
 import { facets, readAxis } from '../charts/points.js';
 import { scatter } from '../charts/scatter.js';
 import { address, go, Query, useAddress } from '../core/address.js';
@@ -9,7 +9,7 @@ import { csvOf, fetchJson, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
 import { clip } from '../core/format.js';
-import { Choice, Fault, NothingFits, Notes, Tick, useTitle, Waiting } from '../core/parts.js';
+import { Choice, Fault, Link, NothingFits, Notes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
 import { groupTable, GroupTable } from './groups.js';
 import { Heat } from './heat.js';
@@ -19,7 +19,8 @@ import { RunRows } from './runrows.js';
 
 const KINDS = [['scatter', 'points'], ['line', 'lines'], ['box', 'boxes'], ['heat', 'heat map'], ['parallel', 'parallel axes'], ['pareto', 'Pareto front']];
 const OTHERS = { heat: Heat, parallel: Parallel, pareto: Pareto };
-const FIELDS = ['x', 'y', 'colour', 'facet'];
+const LOG_X = ['scatter', 'line', 'pareto'];
+const FIELDS = ['x', 'y', 'colour', 'facet', 'outcomes'];
 
 /** Return the settings of an address, with what is shown where it names nothing. */
 function settingsOf(query, columns) {
@@ -28,7 +29,7 @@ function settingsOf(query, columns) {
   const at = (name, otherwise) => query.get(name, otherwise);
   return {
     kind: KINDS.some(([kind]) => kind === at('kind')) ? at('kind') : 'scatter', x: at('x', guess?.name ?? 'algorithm'), y: at('y', 'ate.rmse'),
-    colour: at('colour'), facet: at('facet'), outcomes: at('outcomes', 'tracked') === 'all' ? 'all' : 'tracked',
+    colour: at('colour'), facet: at('facet'), outcomes: at('outcomes', 'tracked'),
     figure: at('figure') === 'mean' ? 'mean' : 'median', xlog: at('xlog') === '1', ylog: at('ylog') === '1',
   };
 }
@@ -49,40 +50,45 @@ function Explored({ columns }) {
   const embedded = query.get('embed') === '1';
   const filters = query.filters();
   const Other = OTHERS[set.kind];
+  const asked = query.get('kind');
+  const unknown = asked && asked !== set.kind ? { message: `There is no drawing ${clip(asked, 40)}; these are: ${KINDS.map(([kind]) => kind).join(', ')}.`, field: 'kind' } : null;
   const drawn = Other ? null : set.kind === 'line'
     ? address('/api/v1/analysis/aggregate', filters.with({ by: [set.x, set.colour, set.facet].filter(Boolean).join(','), metrics: set.y, outcomes: set.outcomes }))
     : address('/api/v1/analysis/points', filters.with({ x: set.x, y: set.y, colour: set.colour, facet: set.facet }));
   const state = useData(drawn);
   const title = query.get('title') || `${titleOf(columns, set.y)} over ${titleOf(columns, set.x)}`;
-    const [otherError, setOtherError] = useState(null);
+  const [otherError, setOtherError] = useState(null);
   const error = Other ? otherError : state.error;
   const at = { by: 'x', metrics: 'y', metric: 'y' }[error?.field] ?? error?.field;
   const atFilters = shownByFilters(error, query);
   return html`<h1>${clip(title, 120)}</h1>
-    ${!embedded && html`<${Controls} columns=${columns} set=${set} change=${(changes) => change({ title: null, ...changes })} error=${error} field=${at} />
+    ${!embedded && html`<${Controls} columns=${columns} set=${set} change=${(changes) => change({ title: null, ...changes })} error=${error ?? unknown} field=${error ? at : unknown?.field} />
       <${Filters} columns=${columns} error=${error} />`}
     ${(embedded || (!atFilters && !FIELDS.includes(at))) && html`<${Fault} error=${error} />`}
     ${Other ? html`<${Other} key=${set.kind} set=${set} columns=${columns} filters=${filters} title=${title} onError=${setOtherError} />` : state.current ? html`<${Drawing} key=${set.kind} set=${set} data=${state.current} title=${title} csv=${csvOf(drawn)} />` : !state.error && html`<${Waiting} />`}
     ${!embedded && !Other && state.data && html`<${GroupTable} columns=${columns} set=${set} filters=${filters} />`}
-    ${!embedded && !error && !['scatter', 'parallel'].includes(set.kind) && html`<${RunRows} filters=${filters} extra=${[set.x, set.y, set.colour]} />`}`;
+    ${!embedded && !error && !['scatter', 'parallel'].includes(set.kind) && html`<${RunRows} filters=${filters} extra=${[set.x, ...set.y.split(','), set.colour]} />`}`;
 }
 
-const titleOf = (columns, name) => columns.find((one) => one.name === name)?.title ?? name;
+/** Several columns, separated by commas, are named one after the other. */
+const titleOf = (columns, names) => names.split(',').map((name) => columns.find((one) => one.name === name)?.title ?? name).join(', ');
 
 function Controls({ columns, set, change, error, field }) {
+  const { query } = useAddress();
   const wrong = (name) => (field === name ? error : null);
   const any = columnOptions(columns);
   const numbers = columnOptions(columns, isNumeric);
   return html`<section class="controls" aria-label="What is drawn"><div class="row">
-    <${Choice} label="Draw" value=${set.kind} options=${KINDS} onChange=${(kind) => change({ kind })} />
+    <${Choice} label="Draw" value=${set.kind} options=${KINDS} error=${wrong('kind')} onChange=${(kind) => change({ kind })} />
     <${Choice} label="x" value=${set.x} options=${any} error=${wrong('x')} onChange=${(x) => change({ x })} />
     <${Choice} label="y" value=${set.y} options=${numbers} error=${wrong('y')} onChange=${(y) => change({ y })} />
     <${Choice} label=${{ heat: 'Rows', pareto: 'Competitors' }[set.kind] ?? 'Colour'} value=${set.colour} options=${any} none="none" error=${wrong('colour')} onChange=${(colour) => change({ colour })} />
     ${!OTHERS[set.kind] && html`<${Choice} label="One chart each" value=${set.facet} options=${any} none="all in one" error=${wrong('facet')} onChange=${(facet) => change({ facet })} />`}
-    ${!['scatter', 'parallel', 'pareto'].includes(set.kind) && html`<${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} onChange=${(outcomes) => change({ outcomes })} />`}
+    ${!['scatter', 'parallel', 'pareto'].includes(set.kind) && html`<${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} error=${wrong('outcomes')} onChange=${(outcomes) => change({ outcomes })} />`}
     ${['line', 'heat'].includes(set.kind) && html`<${Choice} label="Figure" value=${set.figure} options=${['median', 'mean']} onChange=${(figure) => change({ figure })} />`}
-    <${Tick} label="log x" checked=${set.xlog} onChange=${(on) => change({ xlog: on ? 1 : null })} />
-    <${Tick} label="log y" checked=${set.ylog} onChange=${(on) => change({ ylog: on ? 1 : null })} />
+    <${Link} class="alone" href=${address('/explore', query.with({ embed: 1 }))}>Alone, to embed</${Link}>
+    <span class="row ticks">${LOG_X.includes(set.kind) && html`<${Tick} label="log x" checked=${set.xlog} onChange=${(on) => change({ xlog: on ? 1 : null })} />`}
+      ${[...LOG_X, 'box'].includes(set.kind) && html`<${Tick} label="log y" checked=${set.ylog} onChange=${(on) => change({ ylog: on ? 1 : null })} />`}</span>
   </div></section>`;
 }
 
@@ -93,14 +99,14 @@ function Drawing({ set, data, title, csv }) {
   const parts = useMemo(() => (set.kind === 'line' ? lineParts(data, set) : pointParts(data, set)), [data, JSON.stringify(set)]);
   if (parts === null) return html`<p class="fault" role="alert">${clip(set.facet, 60)} has too many values for one chart each; choose another column.</p>`;
   if ((data.count ?? data.groups?.length) === 0) return html`<${NothingFits} />`;
-  const sentences = [...new Set([...(data.mixed ?? []).map((one) => one.sentence), ...(data.notes ?? []), ...(parts[0]?.left ? [`${parts[0].left} of the charts would have a single value of ${clip(set.x, 60)}; they are left out, the table has them`] : [])])];
+  const sentences = [...new Set([...(data.mixed ?? []).map((one) => one.sentence), ...(data.notes ?? []), ...(parts[0]?.left ? [`${parts[0].left} of the charts would have no line with two values of ${clip(set.x, 60)}; they are left out, the table has them`] : [])])];
   const open = (event) => openRun(data, event);
   const many = parts.length > 1;
   return html`${set.kind === 'scatter' && html`<p class="row"><${Tick} label="Select by dragging" checked=${brushing} onChange=${setBrushing} />
       ${area && html`<button type="button" onClick=${() => setArea(null)}>All runs again</button>`}<span class="quiet">A click on a point opens its run. Crosses have no value: they are drawn above the others.</span></p>`}
     <div class=${many ? 'facets' : ''}>${parts.map((part) => (part.option
-      ? html`<${Chart} key=${part.name} option=${part.option} height=${many ? 320 : 440} brushing=${brushing} onClick=${open} events=${{ brushEnd: (event) => setArea(ranges(event, data)) }}
-          title=${part.name ? `${title}: ${part.name}` : title} csv=${csv} table=${part.table} summary=${`${title}; the table has its numbers`} />`
+      ? html`<${Chart} key=${`${part.name} ${part.metric}`} option=${part.option} height=${many ? 320 : 440} brushing=${brushing} onClick=${open} events=${{ brushEnd: (event) => setArea(ranges(event, data)) }}
+          title=${part.name ? `${part.title ?? title}: ${clip(part.name, 80)}` : part.title ?? title} csv=${csv} table=${part.table} summary=${`${title}; the table has its numbers`} />`
       : html`<p class="fault" role="alert">${clip(set.x, 60)} has too many values for boxes; choose another column or draw points.</p>`))}</div>
     <${Notes} notes=${sentences} />
     ${set.kind === 'scatter' && query.get('embed') !== '1' && html`<${RunRows} filters=${new Query([...query.filters().pairs, ...(area ?? [])])} extra=${[set.x, set.y, set.colour]} selected=${area !== null} />`}`;
@@ -109,12 +115,13 @@ function Drawing({ set, data, title, csv }) {
 function lineParts(data, set) {
   const values = set.facet ? [...new Set(data.groups.map((group) => String(group.keys[set.facet])))] : [null];
   if (values.length > 24) return null;
-  const spread = (value) => new Set(data.groups.filter((group) => value === null || String(group.keys[set.facet]) === value).map((group) => String(group.keys[set.x]))).size;
-  const wide = values.filter((value) => spread(value) > 1);
-  return (wide.length ? wide : values).map((value) => ({
-    name: value, left: wide.length ? values.length - wide.length : 0, option: line(data, { ...set, facetValue: value }),
-    table: groupTable(set.facet ? { ...data, groups: data.groups.filter((group) => String(group.keys[set.facet]) === value) } : data),
-  }));
+  // A chart is worth drawing where at least one of its lines has two points.
+  const wide = values.filter((value) => lines(data, set.x, data.metrics[0].name, set.facet, value).some((one) => one.points.length > 1));
+  return (wide.length ? wide : values).flatMap((value) => data.metrics.map((metric) => ({
+    name: value, metric: metric.name, title: data.metrics.length > 1 ? `${clip(metric.title, 40)} over ${clip(data.keys.find((key) => key.name === set.x)?.title ?? set.x, 60)}` : null, left: wide.length ? values.length - wide.length : 0,
+    option: line(data, { ...set, y: metric.name, facetValue: value }),
+    table: groupTable({ ...data, metrics: [metric], groups: set.facet ? data.groups.filter((group) => String(group.keys[set.facet]) === value) : data.groups }),
+  })));
 }
 
 function pointParts(data, set) {

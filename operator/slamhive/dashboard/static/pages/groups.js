@@ -6,15 +6,18 @@ import { clip, number } from '../core/format.js';
 import { Fault, Notes, Table } from '../core/parts.js';
 import { html } from '../core/ui.js';
 
-/** Return the columns and rows of a table of groups. @param {object} data answer of analysis/aggregate */
-export function groupTable(data) {
+/** The figures of a group. */
+export const FIGURES = ['median', 'mean', 'std', 'min', 'max'];
+
+/** Return the columns and rows of a table of groups. @param {object} data answer of analysis/aggregate @param {string[]} [which] of its figures */
+export function groupTable(data, which = FIGURES) {
   const varied = data.keys.filter((key) => data.groups.length < 2 || new Set(data.groups.map((group) => String(group.keys[key.name]))).size > 1);
-  const figures = data.metrics.flatMap((metric) => ['median', 'mean', 'std', 'min', 'max'].map((which) => ({ ...metric, kind: 'number', name: `${metric.name} ${which}`, title: `${metric.title} ${which}` })));
+  const figures = data.metrics.flatMap((metric) => which.map((one) => ({ ...metric, kind: 'number', name: `${metric.name} ${one}`, title: `${metric.title} ${one}` })));
   return {
     columns: [...varied, { name: 'n', kind: 'integer', title: 'n' }, { name: 'runs', kind: 'integer', title: 'runs' }, { name: 'failures', title: 'failures' }, { name: 'coverage', kind: 'number', title: 'coverage' }, ...figures],
     rows: data.groups.map((group) => ({
       ...group.keys, n: group.n, runs: group.runs, coverage: group.coverage?.mean ?? null, failures: failureText(group.failures),
-      ...Object.fromEntries(data.metrics.flatMap((metric) => Object.entries(group.figures[metric.name] ?? {}).map(([which, value]) => [`${metric.name} ${which}`, value]))),
+      ...Object.fromEntries(data.metrics.flatMap((metric) => which.map((one) => [`${metric.name} ${one}`, group.figures[metric.name]?.[one] ?? null]))),
     })),
   };
 }

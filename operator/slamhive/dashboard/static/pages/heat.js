@@ -49,6 +49,9 @@ function heat(data, groups, set, rows) {
   const numbers = cells.map((one) => one.value[2]).filter((value) => value !== '-');
   const text = (one) => (one.value[2] === '-' ? (one.group.failed ? 'failed' : '') : number(one.value[2], 3));
   const known = across.length <= 12;
+  const [least, most] = [Math.min(...numbers, Infinity), Math.max(...numbers, -Infinity)];
+  // The upper half of the colours is dark.
+  const inked = cells.map((one) => ({ ...one, label: { color: typeof one.value[2] === 'number' && one.value[2] - least > 0.5 * (most - least) && most > least ? '#fff' : '#16191d' } }));
   return {
     height: Math.max(220, 120 + down.length * 34), table: groupTable({ ...data, groups }),
     option: {
@@ -56,8 +59,8 @@ function heat(data, groups, set, rows) {
       tooltip: { trigger: 'item', formatter: (item) => (item.data?.group ? `${clip(metric.title, 40)} (${set.figure}): ${text(item.data) || '–'}\nn = ${item.data.group.n} of ${item.data.group.runs}; ${failureText(item.data.group.failures)}` : '') },
       xAxis: { type: 'category', data: across.map((value) => clip(cell(value, heading(set.x)), 24)), name: clip(heading(set.x).title, 40), nameGap: 46, axisLabel: { rotate: across.length > 6 ? 25 : 0 } },
       yAxis: { type: 'category', data: down.map((value) => clip(cell(value, heading(rows)), 20)), name: '' },
-      visualMap: { min: Math.min(...numbers, Infinity), max: Math.max(...numbers, -Infinity), precision: 3, right: 0, top: 'middle', itemHeight: 100, inRange: { color: ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'] } },
-      series: [{ type: 'heatmap', data: cells, label: { show: known, formatter: (item) => text(item.data), color: '#111', textBorderColor: '#fff', textBorderWidth: 2 } }],
+      visualMap: { min: least, max: most, precision: 3, right: 0, top: 'middle', itemHeight: 100, inRange: { color: ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'] } },
+      series: [{ type: 'heatmap', data: inked, label: { show: known, formatter: (item) => text(item.data) } }],
     },
   };
 }

@@ -6,18 +6,13 @@ import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
 import { cell, clip, keysText, number } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Table, useTitle, Waiting } from '../core/parts.js';
+import { published } from '../core/questions.js';
+import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
 import { html } from '../core/ui.js';
 import { failureText } from './groups.js';
 
-const COMPETITORS = [['algorithm,sensors', 'algorithm and sensors'], ['algorithm', 'algorithm'], ['algorithm,sensors,provenance.version', 'algorithm, sensors, version']];
-
-/** The tables of the ICRA 2023 paper, which averaged over all runs but a few. */
-const PUBLISHED = [
-  ['Table III as published', { by: 'sensors,algorithm,dataset', metrics: 'ate.rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes', outcomes: 'all',
-    where: "dataset != 'rgbd-dataset-freiburg2-desk' and run not in (53, 103, 122)", title: 'Table III as published' }],
-  ['Table IV as published', { by: 'parameters.nFeatures', metrics: 'ate.rmse,rpe[0].rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes', outcomes: 'all',
-    where: "dataset == 'rgbd-dataset-freiburg2-desk' and run not in (124, 139, 140)", title: 'Table IV as published' }],
-];
+/** What tells competitors apart. */
+export const COMPETITORS = [['algorithm,sensors', 'algorithm and sensors'], ['algorithm', 'algorithm'], ['algorithm,sensors,provenance.version', 'algorithm, sensors, version']];
 
 export default function Leaderboard() {
   const { query, change } = useAddress();
@@ -26,43 +21,48 @@ export default function Leaderboard() {
   const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', 'algorithm,sensors'), outcomes: query.get('outcomes', 'tracked') };
   const url = address('/api/v1/analysis/leaderboard', query.filters().with(set));
   const state = useData(url);
+  const suspects = useSuspects();
   const all = columns.data?.items ?? [];
   const wrong = (name) => (state.error?.field === name ? state.error : null);
   const elsewhere = state.error && !shownByFilters(state.error, query) && !['metric', 'by'].includes(state.error.field);
-  const paper = all.some((one) => one.name === 'label.source' && one.values?.some((found) => found.value === 'slam-hive'));
+  const tables = published(all);
   return html`<h1>Leaderboard</h1>
     ${query.get('embed') !== '1' && html`<section class="controls" aria-label="What is ranked"><div class="row">
       <${Choice} label="Measured by" value=${set.metric} options=${columnOptions(all, isNumeric)} error=${wrong('metric')} onChange=${(metric) => change({ metric })} />
       <${Choice} label="Competitors" value=${set.by} options=${COMPETITORS} error=${wrong('by')} onChange=${(by) => change({ by })} />
       <${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} onChange=${(outcomes) => change({ outcomes })} />
-      ${paper && PUBLISHED.map(([text, settings]) => html`<${Link} class="tick" href=${address('/table', settings)}>${text}</${Link}>`)}
-    </div></section><${Filters} columns=${all} error=${state.error} />`}
+    </div><p class="row"><${Link} href=${address('/studies', query.with({ kind: 'pairs' }))}>Tests of pairs</${Link}>
+      ${tables.map(({ title, page, settings }) => html`<${Link} href=${address(page, { ...settings, title })}>${title}</${Link}>`)}</p></section><${Filters} columns=${all} error=${state.error} />`}
     ${elsewhere && html`<${Fault} error=${state.error} />`}
     ${state.data ? html`<p class="quiet">Ranks are by the median of each dataset; runs that failed count as worse than any that did not. <a href=${csvOf(url)} download>CSV</a></p>
-      ${state.data.boards.map((board) => html`<${Board} board=${board} metric=${state.data.metric} by=${state.data.by} csv=${csvOf(url)} />`)}
+      ${state.data.boards.map((board) => html`<${Board} board=${board} metric=${state.data.metric} by=${state.data.by} csv=${csvOf(url)} suspects=${suspects} />`)}
       ${state.data.boards.length === 0 && html`<${NothingFits} />`}<${Notes} notes=${state.data.notes} />` : !state.error && html`<${Waiting} />`}`;
 }
 
-function Board({ board, metric, by, csv }) {
+function Board({ board, metric, by, csv, suspects }) {
   const facets = Object.entries(board.facets).map(([name, value]) => `${name} ${cell(value)}`).join(', ');
   const factor = metric.factor ?? 1;
+  // What is suspect on one dataset is marked there, what is so on all beside the competitor.
+  const told = suspects.filter((one) => one.keys.dataset !== undefined);
+  const always = suspects.filter((one) => one.keys.dataset === undefined);
   const columns = [
-    { name: 'rank', kind: 'number', title: 'rank' }, { name: 'between', title: 'between' }, ...by.map((name) => ({ name, title: name })),
+    { name: 'rank', kind: 'number', title: 'rank' }, { name: 'between', title: 'between' }, ...by.map((name, at) => ({ name, title: name, show: (value, entry) => html`${clip(cell(value), 48)}${at === by.length - 1 && html`<${Mark} suspect=${suspectOf(always, { ...board.facets, ...entry.keys })} />`}` })),
     { name: 'score', kind: 'number', title: 'score (0 best)' }, { name: 'ratio', title: 'over the best' }, { name: 'n', kind: 'integer', title: 'n' }, { name: 'runs', kind: 'integer', title: 'runs' },
     { name: 'failed', kind: 'integer', title: 'failed' },
-    ...board.datasets.map((dataset) => ({ name: `dataset ${dataset}`, title: dataset, show: (one) => one && html`<${Result} one=${one} metric=${metric} />` })),
+    ...board.datasets.map((dataset) => ({ name: `dataset ${dataset}`, title: dataset, show: (one, entry) => one && html`<${Result} one=${one} metric=${metric} suspect=${suspectOf(told, { ...board.facets, ...entry.keys, dataset })} />` })),
   ];
   const rows = board.entries.map((entry) => ({
-    ...entry.keys, rank: entry.rank, between: interval(entry.rankInterval), score: entry.score, n: entry.n, runs: entry.runs, failed: entry.failed,
+    ...entry.keys, keys: entry.keys, rank: entry.rank, between: interval(entry.rankInterval), score: entry.score, n: entry.n, runs: entry.runs, failed: entry.failed,
     ratio: entry.ratioFailed ? 'the median run failed' : `${number(entry.ratio, 3)}× ${entry.ratioInterval ? `(${interval(entry.ratioInterval)})` : ''}`,
     ...Object.fromEntries(entry.datasets.map((one) => [`dataset ${one.dataset}`, one])),
   }));
   const option = {
-    grid: { left: 72, right: 24, top: 44, bottom: 34 }, legend: {}, tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${item.name}: ${number(item.value)}` },
+    grid: { left: 72, right: 24, top: 44, bottom: 34 }, legend: {}, tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${item.name}: ${item.data?.label ? 'the median run failed' : number(item.value)}` },
     xAxis: { type: 'category', data: board.datasets.map((name) => clip(name, 28)), name: '' }, yAxis: { type: 'value', name: `${clip(metric.title, 40)}, median`, nameGap: 52 },
     series: board.entries.map((entry) => ({ type: 'bar', barMaxWidth: 36, name: clip(keysText(entry.keys), 50), data: board.datasets.map((name) => {
-      const median = entry.datasets.find((one) => one.dataset === name)?.median;
-      return median === null || median === undefined ? null : median * factor;
+      const found = entry.datasets.find((one) => one.dataset === name);
+      if (found?.medianFailed) return { value: 0, label: FAILED };
+      return found?.median === null || found?.median === undefined ? null : found.median * factor;
     }) })),
   };
   return html`<section><h2>${clip(board.datasets.join(', '), 200)}${facets && html` <span class="quiet">${clip(facets, 200)}</span>`}</h2>
@@ -70,9 +70,14 @@ function Board({ board, metric, by, csv }) {
     ${board.entries.length > 1 && html`<p></p><${Chart} option=${option} height=${300} csv=${csv} table=${{ columns, rows }} title=${`${metric.title} on ${clip(board.datasets.join(', '), 80)}`} />`}</section>`;
 }
 
+/** A median run that failed has no bar: a cross stands in its place. */
+const FAILED = { show: true, position: 'top', formatter: '×', fontSize: 15, color: 'inherit' };
+
 const interval = (range) => (range ? `${number(range.low, 3)} to ${number(range.high, 3)}` : '–');
 
-const Result = ({ one, metric }) => html`<span title=${`failures: ${failureText(one.failures)}; coverage ${number(one.coverage?.mean ?? one.coverage, 3)}`}>
-  <b>${one.medianFailed ? 'failed' : number(one.median === null ? null : one.median * (metric.factor ?? 1))}</b>
-  <small> n ${one.n}/${one.runs}${one.n > 1 && one.summary ? html`, ${number(one.summary.min * (metric.factor ?? 1), 3)}–${number(one.summary.max * (metric.factor ?? 1), 3)}` : ''}, cov. ${number(one.coverage?.mean ?? one.coverage, 3)}${
-  one.runs > one.n ? html`<br />${failureText(one.failures)}` : ''}</small></span>`;
+const Result = ({ one, metric, suspect }) => {
+  const scaled = (value) => number(value * (metric.factor ?? 1), 3);
+  const told = [`n ${one.n}/${one.runs}`, ...(one.n > 1 && one.summary ? [`${scaled(one.summary.min)}–${scaled(one.summary.max)}`] : []), `cov. ${number(one.coverage?.mean ?? one.coverage, 3)}`];
+  return html`<b>${one.medianFailed ? 'failed' : number(one.median === null ? null : one.median * (metric.factor ?? 1))}</b><${Mark} suspect=${suspect} />
+    <br /><small>${told.join(', ')}${one.runs > one.n ? html`<br />${failureText(one.failures)}` : ''}</small>`;
+};

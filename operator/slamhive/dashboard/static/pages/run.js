@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 /** One run: how it was set, what it cost, what was measured, and how to run it again. */
-import { overTime, plane, PLANES, since } from '../charts/trajectory.js';
+import { overTime, since } from '../charts/trajectory.js';
 import { useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { bytes, cell, clip, number, time } from '../core/format.js';
 import { Choice, Fault, Link, Notes, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import { SuspectNotes } from '../core/suspects.js';
 import { html, useMemo } from '../core/ui.js';
+import { loads } from './loads.js';
+import { Tracks, trackTable } from './tracks.js';
 
 const LONGEST = 4000;
 
@@ -20,16 +23,17 @@ export default function RunPage({ uid }) {
   const results = run.results ?? [];
   return html`<h1>${clip(run.name ?? uid, 160)}</h1>
     <p class="row"><${Status} value=${results[0]?.outcome ?? run.reason ?? run.phase} />${run.run !== null && run.run !== undefined && html`<span>run ${cell(run.run)}</span>`}
-      ${run.sweep && html`<span>of <${Link} href=${`/runs?sweep=${encodeURIComponent(run.sweep)}`}>${clip(run.sweep, 80)}</${Link}></span>`}
+      ${run.sweep && html`<span>of <${Link} href=${`/sweeps/${encodeURIComponent(run.sweep)}`}>${clip(run.sweep, 80)}</${Link}></span>`}
       <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}><a href=${`${base}/manifest`} download>YAML to run it again</a></p>
     ${run.message && html`<p class="quiet">${clip(run.message, LONGEST)}</p>`}
     <${Results} results=${results} />
+    <${SuspectNotes} keys=${{ algorithm: run.configuration?.algorithm, sensors: run.configuration?.sensors, dataset: run.configuration?.dataset }} evaluations=${results.map((one) => one.evaluation)} />
     ${results.length === 0 && run.phase !== 'Succeeded' && html`<p class="quiet">Nothing was measured: ${clip(run.reason ?? run.phase ?? 'no result', 200)}.</p>`}
     ${run.files ? html`<${Trajectory} base=${base} results=${results} name=${`run ${run.run ?? ''}`} /><${Usage} base=${base} />` : html`<p class="quiet">The files of this run are not here: its trajectory and its load over time can't be drawn.</p>`}
     <div class="cards facts">
-      <${Facts} title="Configuration" value=${run.configuration} />
+      <${Facts} title="Configuration" value=${run.configuration} keep=${/^parameters\./} />
       <${Facts} title="How it went" value=${{ phase: run.phase, reason: run.reason, attempts: run.attempts, created: time(run.created), started: time(run.started), finished: time(run.finished) }} />
-      <${Facts} title="Cost" value=${run.usage} /><${Facts} title="Frames" value=${run.frames} /><${Facts} title="Own metrics" value=${run.metrics} />
+      <${Facts} title="Cost" value=${run.usage} /><${Facts} title="Frames" value=${run.frames} /><${Facts} title="Own metrics" value=${run.metrics} keep=${/./} />
       <${Facts} title="Labels" value=${run.labels} /><${Facts} title="Trajectory" value=${run.trajectory} /><${Facts} title="Provenance" value=${run.provenance} />
     </div>
     <${Files} base=${base} known=${run.files} />
@@ -38,20 +42,20 @@ export default function RunPage({ uid }) {
     <${Facts} title="Attributes of the dataset" value=${run.attributes} folded />`;
 }
 
-/** Lay nested values out as "a.b: value". */
-function flat(value, prefix = '') {
+/** Lay nested values out as "a.b: value"; what is null is left out unless its name is to be kept: NaN and infinity come as null. */
+function flat(value, keep, prefix = '') {
   if (value === null || value === undefined) return [];
   return Object.entries(value).flatMap(([key, inner]) => {
     const name = prefix ? `${prefix}.${key}` : key;
-    if (inner === null || inner === undefined || inner === '–') return [];
-    return typeof inner === 'object' && !Array.isArray(inner) ? flat(inner, name) : [[name, inner]];
+    if (inner === undefined || inner === '–' || (inner === null && !keep?.test(name))) return [];
+    return inner !== null && typeof inner === 'object' && !Array.isArray(inner) ? flat(inner, keep, name) : [[name, inner]];
   });
 }
 
 const shown = (name, value) => clip(/bytes$/i.test(name) && typeof value === 'number' ? bytes(value) : cell(value), LONGEST);
 
-function Facts({ title, value, folded = false }) {
-  const pairs = flat(value);
+function Facts({ title, value, keep = null, folded = false }) {
+  const pairs = flat(value, keep);
   if (pairs.length === 0) return null;
   const list = html`<dl class="facts">${pairs.map(([name, one]) => html`<dt>${clip(name, 120)}</dt><dd>${shown(name, one)}</dd>`)}</dl>`;
   return folded ? html`<details class="card"><summary>${title} (${pairs.length})</summary>${list}</details>` : html`<section class="card"><h3>${title}</h3>${list}</section>`;
@@ -74,24 +78,24 @@ function Trajectory({ base, results, name }) {
   const evaluation = query.get('evaluation', results[0]?.evaluation ?? '');
   const url = `${base}/trajectory?points=2000${evaluation ? `&evaluation=${encodeURIComponent(evaluation)}` : ''}`;
   const { data, error } = useData(url);
-  const charts = useMemo(() => data && PLANES.map(([plain, a, b]) => [plain, plane([{ name, track: data.estimate }], data.reference, a, b)]), [data]);
+  const estimates = useMemo(() => data && [{ name, track: data.estimate }], [data, name]);
   const errors = useMemo(() => data && overTime([{ name: 'error', t: since(data.estimate.t), values: data.estimate.error }], 'error [m]'), [data]);
+  const choice = results.length > 1 || error?.field === 'evaluation';
   return html`<h2>Trajectory</h2>
-    ${results.length > 1 && html`<${Choice} label="Evaluation" value=${evaluation} options=${results.map((one) => one.evaluation)} onChange=${(value) => change({ evaluation: value })} />`}
-    ${error && html`<p class="quiet">${clip(error.message, 500)}</p>`}
-    ${data && html`<div class="facets">${charts.map(([plain, option]) => html`<${Chart} key=${plain} option=${option} height=${340} csv=${csvOf(url)} title=${`${name} ${plain}, aligned by ${data.alignment ?? 'nothing'}`} />`)}
-      ${data.estimate.error?.some((value) => value !== null) && html`<${Chart} option=${errors} height=${340} csv=${csvOf(url)} title=${`${name}: error over time`} />`}</div>
-      <p class="quiet">${number(data.shown)} of ${number(data.poses)} poses are drawn.</p><${Notes} notes=${data.notes} />`}`;
+    ${choice && html`<p><${Choice} label="Evaluation" value=${evaluation} options=${results.map((one) => one.evaluation)} error=${error?.field === 'evaluation' ? error : null} onChange=${(value) => change({ evaluation: value })} /></p>`}
+    ${error && error.field !== 'evaluation' && html`<p class="quiet">${clip(error.message, 500)}</p>`}
+    ${data && html`<div class="facets"><${Tracks} estimates=${estimates} reference=${data.reference} byError=${true} csv=${csvOf(url)} title=${name} />
+</div>
+      ${data.estimate.error?.some((value) => value !== null) && html`<${Chart} option=${errors} height=${260} csv=${csvOf(url)} table=${trackTable(estimates)} title=${`${name}: error over time`} />`}
+      <p class="quiet">${number(data.shown)} of ${number(data.poses)} poses are drawn, aligned by ${clip(data.alignment ?? 'nothing', 40)}.</p><${Notes} notes=${data.notes} />`}`;
 }
 
 function Usage({ base }) {
   const { data, error } = useData(`${base}/usage`);
-  const options = useMemo(() => data && [
-    ['CPU over time', overTime([{ name: 'CPU', t: data.t, values: data.cpu }], 'CPU [cores]')],
-    ['Memory over time', overTime([{ name: 'memory', t: data.t, values: data.memory.map((value) => (value === null ? null : value / 2 ** 20)) }], 'memory [MiB]')],
-  ], [data]);
+  const drawn = useMemo(() => data && loads([{ name: 'run', usage: data }]), [data]);
+  const csv = csvOf(`${base}/usage`);
   return html`<h2>Load</h2>${error && html`<p class="quiet">${clip(error.message, 500)}</p>`}
-    ${data && html`<div class="facets">${options.map(([title, option]) => html`<${Chart} key=${title} option=${option} height=${240} csv=${csvOf(`${base}/usage`)} title=${title} group=${base} />`)}</div><${Notes} notes=${data.notes} />`}`;
+    ${data && html`<div class="facets">${drawn.charts.map(([title, option]) => html`<${Chart} key=${title} option=${option} height=${260} csv=${csv} table=${drawn.table} title=${title} group=${base} />`)}</div><${Notes} notes=${data.notes} />`}`;
 }
 
 function Files({ base, known }) {

@@ -32,8 +32,8 @@ function AllRuns() {
   const mark = (uid, on) => setMarked(on ? [...marked, uid].slice(-MOST_COMPARED) : marked.filter((one) => one !== uid));
   const marks = { name: 'uid', title: 'compare', sortable: false, show: (uid) => uid && html`<input type="checkbox" aria-label=${`Compare run ${clip(uid, 60)}`} checked=${marked.includes(uid)} onChange=${(event) => mark(uid, event.target.checked)} />` };
   return html`<h1>Runs ${state.data && html`<span class="quiet">${number(state.data.total)}</span>`}</h1>
-    <${Filters} columns=${known} error=${state.error} />
-    <${Columns} known=${known} chosen=${chosen} change=${(names) => change({ columns: names.join(',') })} error=${state.error?.field === 'columns' ? state.error : null} />
+    ${query.get('embed') !== '1' && html`<${Filters} columns=${known} error=${state.error} />
+    <${Columns} known=${known} chosen=${chosen} change=${(names) => change({ columns: names.join(',') })} error=${state.error?.field === 'columns' ? state.error : null} />`}
     ${state.error && !shownByFilters(state.error, query) && state.error.field !== 'columns' && html`<${Fault} error=${state.error} />
       ${query.get('after') && html`<p><${Link} href=${address('/runs', query.with({ after: null }))}>To the first page</${Link}></p>`}`}
     ${state.data ? html`<p class="row"><a href=${csvOf(table)} download>CSV</a>

@@ -4,9 +4,10 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Filters, shownByFilters } from '../core/filters.js';
 import { clip } from '../core/format.js';
-import { Choice, Fault, NothingFits, Notes, Table, useTitle, Waiting } from '../core/parts.js';
+import { Choice, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
+import { published } from '../core/questions.js';
 import { html } from '../core/ui.js';
-import { groupTable } from './groups.js';
+import { FIGURES, groupTable } from './groups.js';
 
 export default function Groups() {
   const { query, change } = useAddress();
@@ -14,14 +15,18 @@ export default function Groups() {
   useTitle(title);
   const columns = useData('/api/v1/columns');
   const set = { by: query.get('by'), metrics: query.get('metrics', 'ate.rmse'), outcomes: query.get('outcomes', 'tracked') };
+  const asked = query.get('figures').split(',').filter((one) => FIGURES.includes(one));
+  const figures = asked.length ? asked : FIGURES;
   const url = address('/api/v1/analysis/aggregate', query.filters().with(set));
   const state = useData(url);
   const list = (label, name) => html`<label class=${`field wide ${state.error?.field === name ? 'wrong' : ''}`}><span>${label}</span>
     <input type="text" value=${set[name]} spellcheck="false" onChange=${(event) => change({ [name]: event.target.value.trim(), title: null })} /></label>`;
-  const shown = state.data && groupTable(state.data);
+  const shown = state.data && groupTable(state.data, figures);
   return html`<h1>${clip(title, 120)}</h1>
     ${query.get('embed') !== '1' && html`<section class="controls" aria-label="What is in the table"><div class="row">${list('Rows tell apart', 'by')}${list('Metrics', 'metrics')}
-      <${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} onChange=${(outcomes) => change({ outcomes })} /></div></section>
+      <${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} error=${state.error?.field === 'outcomes' ? state.error : null} onChange=${(outcomes) => change({ outcomes })} /></div>
+      <div class="row">${FIGURES.map((one) => html`<${Tick} key=${one} label=${one} checked=${figures.includes(one)} onChange=${(on) => change({ figures: FIGURES.filter((other) => (other === one ? on : figures.includes(other))).join(',') })} />`)}
+        ${published(columns.data?.items ?? []).map(({ title: name, page, settings }) => html`<${Link} href=${address(page, { ...settings, title: name })}>${name}</${Link}>`)}</div></section>
       <${Filters} columns=${columns.data?.items} error=${state.error} />`}
     ${state.error && !shownByFilters(state.error, query) && html`<${Fault} error=${state.error} />`}
     ${shown ? html`<p class="quiet">Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs. <a href=${csvOf(url)} download>CSV</a></p>

@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: Apache-2.0
+/** How much of the variation settings explain. */
+import { COLOURS } from '../core/chart.js';
+import { clip, number } from '../core/format.js';
+import { labelRoom } from './points.js';
+
+const MOST = 20;
+
+/** Return the chart of one subject, its height, and the rows of its table. @param {object} subject of /api/v1/analysis/importance */
+export function importanceCharts(subject) {
+  const rows = [
+    ...subject.parameters, ...subject.interactions.map((one) => ({ name: `${one.a} × ${one.b}`, variance: one.variance, together: true })),
+  ].sort((a, b) => (b.variance ?? -1) - (a.variance ?? -1));
+  const shown = rows.filter((row) => row.variance !== null && row.variance !== undefined).slice(0, MOST);
+  return {
+    rows, height: 96 + Math.max(shown.length, 1) * 30,
+    option: ({ width }) => ({
+      grid: { left: labelRoom(width, 190), right: 70, top: 10, bottom: 50 },
+      tooltip: { trigger: 'item', formatter: (item) => `${clip(item.name, 80)}: ${number(item.value, 3)} %` },
+      xAxis: { type: 'value', min: 0, max: 100, name: 'share of the variance [%]', nameGap: 26 },
+      yAxis: { type: 'category', inverse: true, data: shown.map((row) => clip(row.name.replaceAll(/(parameters|input)\./g, ''), 40)), name: '', axisLabel: { interval: 0, width: labelRoom(width, 190) - 12, overflow: 'truncate' } },
+      series: [{
+        type: 'bar', barMaxWidth: 20, data: shown.map((row) => ({ value: Math.max(0, 100 * row.variance), itemStyle: { color: COLOURS[row.together ? 4 : 0] } })),
+        label: { show: true, position: 'right', formatter: (item) => `${number(item.value, 3)} %` },
+      }],
+    }),
+  };
+}

@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+/** What the runs prove: competitors two by two, settings that matter, what repeats, what is suspect. */
+import { importanceCharts } from '../charts/importance.js';
+import { pairsChart } from '../charts/pairs.js';
+import { spreadChart, suspectChart } from '../charts/spread.js';
+import { address, useAddress } from '../core/address.js';
+import { csvOf, useData } from '../core/api.js';
+import { Chart } from '../core/chart.js';
+import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
+import { cell, clip, keysText, number } from '../core/format.js';
+import { Choice, Fault, Link, Notes, Table, useTitle, Waiting } from '../core/parts.js';
+import { html, useMemo } from '../core/ui.js';
+import { failureText } from './groups.js';
+import { COMPETITORS } from './leaderboard.js';
+
+/** Each study: what it is called, its address, what it shows, which settings it has. */
+const STUDIES = {
+  pairs: { text: 'Pairs', path: 'compare', Shown: Pairs, settings: ['metric', 'by', 'outcomes'], says: 'Competitors two by two over the datasets that both have: medians are paired, a failed median loses, p is of an exact test by flipping signs and corrected after Holm.' },
+  importance: { text: 'What matters', path: 'importance', Shown: Importance, settings: ['metric'], says: 'How much of the variation each setting explains. Points that a search chose by their results are left out.' },
+  repeatability: { text: 'Repeatability', path: 'repeatability', Shown: Repeatability, settings: ['metric'], says: 'Runs of the very same configuration. Equal trajectories count once.' },
+  suspects: { text: 'Suspects', path: 'suspects', Shown: Suspects, settings: [], says: 'Scales that are off 1 by the same factor in all runs: the calibration is wrong, or the depth factor, not the algorithm.' },
+};
+const WITHOUT = { pairs: 'No two competitors have a dataset in common.', importance: 'No setting varies over enough runs.', repeatability: 'No run fits these filters.', suspects: 'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs (it takes three tracked runs and an alignment with scale, sim3).' };
+
+export default function Studies() {
+  const { query, change } = useAddress();
+  const kind = Object.hasOwn(STUDIES, query.get('kind')) ? query.get('kind') : 'pairs';
+  const study = STUDIES[kind];
+  useTitle(query.get('title') || study.text);
+  const columns = useData('/api/v1/columns');
+  const all = columns.data?.items ?? [];
+  const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', 'algorithm,sensors'), outcomes: query.get('outcomes', 'tracked') };
+  const asked = Object.fromEntries(study.settings.map((name) => [name, set[name]]));
+  const url = address(`/api/v1/analysis/${study.path}`, query.filters().with(asked));
+  const state = useData(url);
+  const wrong = (name) => (state.error?.field === name ? state.error : null);
+  const elsewhere = state.error && !shownByFilters(state.error, query) && !study.settings.includes(state.error.field);
+  const tab = ([name, one]) => html`<${Link} href=${address('/studies', query.with({ kind: name, title: null }))} aria-current=${name === kind ? 'page' : null}>${one.text}</${Link}>`;
+  return html`<h1>${clip(query.get('title') || study.text, 120)}</h1>
+    ${query.get('embed') !== '1' && html`<nav class="tabs" aria-label="Studies">${Object.entries(STUDIES).map(tab)}</nav>
+      ${study.settings.length > 0 && html`<section class="controls" aria-label="What is studied"><div class="row">
+        <${Choice} label="Measured by" value=${set.metric} options=${columnOptions(all, isNumeric)} error=${wrong('metric')} onChange=${(metric) => change({ metric })} />
+        ${study.settings.includes('by') && html`<${Choice} label="Competitors" value=${set.by} options=${COMPETITORS} error=${wrong('by')} onChange=${(by) => change({ by })} />`}
+        ${study.settings.includes('outcomes') && html`<${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} error=${wrong('outcomes')} onChange=${(outcomes) => change({ outcomes })} />`}
+      </div></section>`}<${Filters} columns=${all} error=${state.error} />`}
+    ${elsewhere && html`<${Fault} error=${state.error} />`}
+    ${state.current ? html`<p class="quiet">${study.says} <a href=${csvOf(url)} download>CSV</a></p><${study.Shown} key=${kind} data=${state.current} csv=${csvOf(url)} without=${html`<p class="empty">${WITHOUT[kind]}</p>`} />
+      <${Notes} notes=${state.current.notes} />` : !state.error && html`<${Waiting} />`}`;
+}
+
+const facetsText = (facets) => Object.entries(facets ?? {}).map(([name, value]) => `${name} ${cell(value)}`).join(', ');
+const range = (interval, otherwise = '–') => (interval ? `${number(interval.low, 3)} to ${interval.high === null ? '∞' : number(interval.high, 3)}` : otherwise);
+const small = (p) => (p === null || p === undefined ? '–' : p < 0.05 ? html`<b>${number(p, 3)}</b>` : number(p, 3));
+
+function Pairs({ data, csv, without }) {
+  const drawn = useMemo(() => data.boards.filter((board) => board.pairs.length).map((board) => ({ board, option: pairsChart(board.pairs) })), [data]);
+  if (drawn.length === 0) return without;
+  const columns = [
+    { name: 'a', title: 'a', show: (keys) => clip(keysText(keys), 60) }, { name: 'b', title: 'b', show: (keys) => clip(keysText(keys), 60) }, { name: 'sentence', title: 'in words', show: (text) => html`<span class="wrapped">${clip(text, 400)}</span>` },
+    { name: 'ratio', title: 'b over a', kind: 'number', show: (ratio) => (ratio === null ? 'failed' : number(ratio, 3)) }, { name: 'ratioInterval', title: 'between', show: (interval) => range(interval) },
+    { name: 'effect', title: 'effect size', kind: 'number', show: (value) => number(value, 2) }, { name: 'p', title: 'p', kind: 'number', show: (p) => number(p, 3) }, { name: 'pHolm', title: 'p after Holm', kind: 'number', show: small },
+  ];
+  return drawn.map(({ board, option }) => html`<section>${facetsText(board.facets) && html`<h2>${clip(facetsText(board.facets), 200)}</h2>`}
+    <${Chart} option=${option.option} height=${option.height} csv=${csv} table=${{ columns, rows: board.pairs }} title=${`Who is better than whom: ${clip(data.metric.title, 60)}`} />
+    <p class="quiet">Green: the row's errors are smaller than the column's, on more datasets and by more; purple: larger. The size of the effect is the matched-pairs rank-biserial correlation, from −1 to 1; the numbers are datasets won and lost; a star marks p after Holm below 0.05.</p>
+    <${Table} columns=${columns} rows=${board.pairs} caption="Competitors two by two" /></section>`);
+}
+
+function Importance({ data, csv, without }) {
+  const drawn = useMemo(() => data.subjects.filter((one) => one.parameters.length).map((subject) => ({ subject, ...importanceCharts(subject) })), [data]);
+  if (drawn.length === 0) return without;
+  const columns = [
+    { name: 'name', title: 'setting', show: (name) => clip(name, 80) }, { name: 'distinct', title: 'values', kind: 'integer' }, { name: 'variance', title: 'variance explained', kind: 'number', show: (value) => share(value) },
+    { name: 'rankCorrelation', title: 'rank correlation', kind: 'number', show: (value) => number(value, 2) }, { name: 'failures', title: 'of failing explained', kind: 'number', show: (value) => share(value) },
+  ];
+  return html`<div class=${drawn.length > 1 ? 'facets' : ''}>${drawn.map(({ subject, option, height, rows }) => html`<section><${Chart} option=${option} height=${height} csv=${csv} table=${{ columns, rows }} title=${clip(keysText(subject.keys), 120)} />
+    <${Table} columns=${columns} rows=${rows} caption=${`Settings of ${clip(keysText(subject.keys), 100)}`} />
+    <p class="quiet">${number(subject.n)} tracked runs of ${number(subject.runs)}; ${share(subject.unexplained)} of the variance stays unexplained.</p></section>`)}</div>`;
+}
+
+const share = (value) => (value === null || value === undefined ? '–' : `${number(100 * value, 3)} %`);
+
+function Repeatability({ data, csv, without }) {
+  const drawn = useMemo(() => spreadChart(data), [data]);
+  if (data.groups.length === 0) return without;
+  const names = Object.keys(data.groups[0].keys);
+  const told = names.filter((name) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
+  const factor = data.metric.factor ?? 1;
+  const scaled = (value) => (value === null || value === undefined ? null : value * factor);
+  const columns = [
+    ...told.map((name) => ({ name: `key ${name}`, title: name.replace(/^parameters\./, ''), show: (_, group) => clip(cell(group.keys[name]), 48) })), { name: 'runs', title: 'runs', kind: 'integer' }, { name: 'n', title: 'tracked', kind: 'integer' },
+    { name: 'distinct', title: 'different paths', kind: 'integer' }, { name: 'failures', title: 'failures', show: failureText },
+    { name: 'figure', title: `${data.metric.title} median`, kind: 'number', show: (figure) => number(scaled(figure?.median)) }, { name: 'least', title: 'least', kind: 'number', show: (_, group) => number(scaled(group.figure?.min)) },
+    { name: 'most', title: 'largest', kind: 'number', show: (_, group) => number(scaled(group.figure?.max)) }, { name: 'relativeSpread', title: 'spread', kind: 'number', show: share }, { name: 'verdict', title: 'in words', show: (text) => html`<span class="wrapped">${clip(text, 300)}</span>` },
+  ];
+  return html`${drawn && html`<${Chart} option=${drawn.option} height=${drawn.height} csv=${csv} table=${{ columns, rows: data.groups }} title=${`Repetitions over their median: ${clip(data.metric.title, 60)}`} />`}
+    <${Table} columns=${columns} rows=${data.groups} caption="Configurations and their repetitions" />`;
+}
+
+function Suspects({ data, csv, without }) {
+  const drawn = useMemo(() => suspectChart(data.items), [data]);
+  if (data.items.length === 0) return without;
+  const names = [...new Set(data.items.flatMap((item) => Object.keys(item.keys)))];
+  const columns = [
+    ...names.map((name) => ({ name: `key ${name}`, title: name, show: (_, item) => (item.keys[name] === undefined ? 'all' : clip(cell(item.keys[name]), 48)) })), { name: 'n', title: 'runs', kind: 'integer' },
+    { name: 'scale', title: 'scale', kind: 'number' }, { name: 'spread', title: 'spread', kind: 'number', show: (value) => number(value, 2) },
+    { name: 'shown', title: '', sortable: false, show: (_, item) => html`<${Link} href=${address('/explore', { kind: 'scatter', x: 'run', y: 'scale', colour: 'dataset', ...item.keys })}>its scales</${Link}>` }, { name: 'sentence', title: 'in words', show: (text) => html`<span class="wrapped">${clip(text, 400)}</span>` },
+  ];
+  return html`<${Chart} option=${drawn.option} height=${drawn.height} csv=${csv} table=${{ columns, rows: data.items }} title="Scales that are off" />
+    <${Table} columns=${columns} rows=${data.items} caption="Suspect calibrations" />`;
+}

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Sweeps: how far each is, what its points are, what came out best. */
+import { address, Query, useAddress } from '../core/address.js';
+import { useAll, useData } from '../core/api.js';
+import { isNumeric } from '../core/filters.js';
+import { cell, clip, number, time } from '../core/format.js';
+import { Empty, Fault, Link, runLink, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import { html } from '../core/ui.js';
+import { RunRows } from './runrows.js';
+
+const MOST_DATASETS = 12;
+const MOST_SETTINGS = 6;
+const MOST_DRAWN = 4;
+const GROUPS = ['parameters', 'input', 'resources'];
+
+export default function Sweeps() {
+  const { path } = useAddress();
+  return path.length > 1 ? html`<${One} key=${path[1]} name=${path[1]} />` : html`<${All} />`;
+}
+
+function All() {
+  useTitle('Sweeps');
+  const { data, error } = useData('/api/v1/sweeps');
+  if (data?.items.length === 0) return html`<h1>Sweeps</h1><${Empty} />`;
+  return html`<h1>Sweeps</h1><${Fault} error=${error} />
+    ${data ? html`<div class="cards">${data.items.map((sweep) => html`<${SweepCard} key=${sweep.name} sweep=${sweep} />`)}</div>` : !error && html`<${Waiting} />`}`;
+}
+
+/** How far a sweep is: finished, running, yet to begin. */
+export function Progress({ sweep }) {
+  const phases = sweep.phases ?? {};
+  const finished = (phases.Succeeded ?? 0) + (phases.Failed ?? 0);
+  const total = sweep.total ?? Math.max(sweep.runs ?? 0, Object.values(phases).reduce((sum, count) => sum + count, 0));
+  const rest = Object.entries(phases).filter(([phase, count]) => count && !['Succeeded', 'Failed'].includes(phase));
+  return html`<progress max=${total || 1} value=${finished} aria-label=${`${finished} of ${total} runs of ${clip(sweep.name, 80)} are finished`}></progress>
+    <p><b>${number(finished)}</b> of ${number(total)} runs finished${finished < total ? ` (${number((100 * finished) / total, 3)} %)` : ''}
+      ${rest.map(([phase, count]) => html` <${Status} value=${phase} /> ${number(count)}`)}</p>`;
+}
+
+/** What became of runs, with their numbers. */
+export const Statuses = ({ statuses, label }) => html`<p class="statuses" aria-label=${label}>${Object.entries(statuses ?? {}).map(([status, count]) => html`<span><${Status} value=${status} /> ${number(count)}</span> `)}</p>`;
+
+const axesText = (axes) => axes.map((axis) => `${axis.name ?? 'points'}${axis.count ? ` (${axis.count})` : ''}`).join(', ');
+
+/** A sweep in short. */
+export function SweepCard({ sweep }) {
+  return html`<article class="card"><h3><${Link} href=${`/sweeps/${encodeURIComponent(sweep.name)}`}>${clip(sweep.name, 80)}</${Link}>
+      ${sweep.live && html` <span class="status live">live</span>`}</h3>
+    <${Progress} sweep=${sweep} /><${Statuses} statuses=${sweep.statuses} />
+    <p class="quiet">${clip((sweep.algorithms ?? []).join(', '), 120)}<br />${clip((sweep.datasets ?? []).join(', '), 120)}</p>
+    ${sweep.axes?.length > 0 && html`<p class="quiet">over ${clip(axesText(sweep.axes), 200)}</p>`}
+    ${sweep.best?.length > 0 && html`<p>smallest ATE: ${sweep.best.slice(0, 3).map((best, at) => html`${at > 0 && ', '}<${Link} href=${`/runs/${encodeURIComponent(best.uid)}`}>${number(best['ate.rmse'])} m</${Link}>`)}</p>`}
+    ${sweep.started && html`<p class="quiet">since ${time(sweep.started)}</p>`}</article>`;
+}
+
+function One({ name }) {
+  useTitle(name);
+  const { data: sweep, error } = useData(`/api/v1/sweeps/${encodeURIComponent(name)}`);
+  const columns = useData(address('/api/v1/columns', { sweep: name }));
+  if (!sweep) return html`<h1>${clip(name, 160)}</h1>${error ? html`<${Fault} error=${error} /><p><${Link} href="/sweeps">To all sweeps</${Link}></p>` : html`<${Waiting} />`}`;
+  const varied = (columns.data?.items ?? []).filter((one) => GROUPS.includes(one.group) && one.distinct > 1);
+  const links = (list, kind) => list.map((one, at) => html`${at > 0 && ', '}<${Link} href=${`/${kind}/${encodeURIComponent(one)}`}>${clip(one, 60)}</${Link}>`);
+  const facts = [
+    ['algorithms', sweep.algorithms?.length && links(sweep.algorithms, 'algorithms')], ['datasets', sweep.datasets?.length && links(sweep.datasets, 'datasets')],
+    ['over', sweep.axes?.length && clip(axesText(sweep.axes), 400)], ['created', sweep.created && time(sweep.created)], ['first run began', sweep.started && time(sweep.started)],
+    ['last run ended', sweep.finished && time(sweep.finished)], ['evaluation', sweep.evaluation && clip(cell(sweep.evaluation), 200)],
+  ].filter(([, value]) => value);
+  const only = new Query([['sweep', name]]);
+  const finished = (sweep.phases?.Succeeded ?? 0) + (sweep.phases?.Failed ?? 0);
+  return html`<h1>${clip(name, 160)}${sweep.live && html` <span class="status live">live</span>`}</h1>
+    <section class="card" aria-label="Progress"><${Progress} sweep=${sweep} /><${Statuses} statuses=${sweep.statuses} label="Runs by status" />
+      <dl class="facts">${facts.map(([key, value]) => html`<dt>${key}</dt><dd>${value}</dd>`)}</dl>
+      <p class="row"><${Link} href=${address('/leaderboard', only)}>Leaderboard</${Link}><${Link} href=${address('/studies', only)}>Studies</${Link}><${Link} href=${address('/explore', only)}>Explore</${Link}></p></section>
+    <${Conditions} conditions=${sweep.conditions} />
+    ${finished === 0 && html`<p class="quiet">No run of it has finished yet; results appear here by themselves.</p>`}
+    ${varied.length > 0 && html`<h2>Drawn</h2><ul class="questions">${varied.filter(isNumeric).slice(0, MOST_DRAWN).flatMap((axis) => [['ate.rmse', 'ATE'], ['usage.cpu.meanCores', 'CPU'], ['usage.memory.peakBytes', 'RAM']]
+      .map(([y, text]) => html`<li><${Link} href=${address('/explore', only.with({ kind: 'line', x: axis.name, y, ...(sweep.datasets?.length > 1 ? { facet: 'dataset' } : {}) }))}>${clip(axis.title.replace(/^parameters\./, ''), 60)} vs ${text}</${Link}></li>`))}</ul>`}
+    <${Best} sweep=${sweep} name=${name} settings=${varied} />
+    <${RunRows} title="Points" filters=${only} extra=${[...varied.slice(0, MOST_SETTINGS).map((one) => one.name), 'ate.rmse', 'finished']} sort="-finished" />
+    ${sweep.manifest && html`<details><summary>Definition</summary><pre class="text" tabindex="0">${sweep.manifest}</pre></details>`}
+    <p><${Link} href="/sweeps">To all sweeps</${Link}></p>`;
+}
+
+function Conditions({ conditions }) {
+  if (!conditions?.length) return null;
+  const columns = [
+    { name: 'type', title: 'condition' }, { name: 'status', title: 'holds', show: (value) => ({ True: 'yes', False: 'no' }[value] ?? cell(value)) }, { name: 'reason', title: 'reason' },
+    { name: 'message', title: 'what it says', show: (value) => html`<span class="wrapped">${clip(cell(value), 600)}</span>` }, { name: 'lastTransitionTime', title: 'since', show: (value) => time(value) },
+  ];
+  return html`<h2>Conditions</h2><${Table} columns=${columns} rows=${conditions} caption="Conditions of the sweep" />`;
+}
+
+/** The run with the smallest error on each dataset: metres of several datasets are not put in one order. */
+function Best({ sweep, name, settings }) {
+  const datasets = (sweep.datasets ?? []).slice(0, MOST_DATASETS);
+  const chosen = settings.slice(0, MOST_SETTINGS).map((one) => one.name);
+  const asked = { columns: ['uid', 'run', 'algorithm', 'sensors', 'dataset', 'evaluation', ...chosen, 'coverage', 'ate.rmse'].join(','), sort: 'ate.rmse', limit: 1 };
+  const found = useAll(datasets.map((dataset) => address('/api/v1/runs', { sweep: name, dataset, status: 'Tracked', ...asked })));
+  const answers = (found ?? []).map((one) => one.data).filter((data) => data?.items.length && data.items[0]['ate.rmse'] !== null);
+  if (answers.length === 0) return null;
+  const columns = [{ name: 'dataset', title: 'dataset' }, { name: 'run', title: 'run', show: (run, row) => (row.uid ? runLink(row.uid, cell(run ?? row.uid)) : cell(run)) },
+    ...answers[0].columns.filter((one) => !['uid', 'run', 'dataset'].includes(one.name))];
+  return html`<h2>Smallest ATE on each dataset</h2><${Table} columns=${columns} rows=${answers.map((data) => data.items[0])} caption="The tracked run with the smallest ATE on each dataset" />`;
+}
