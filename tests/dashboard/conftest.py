@@ -83,16 +83,23 @@ def url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path / 'archive.sqlite'}"
 
 
-@pytest.fixture(scope="session")
-def assorted_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    file = tmp_path_factory.mktemp("assorted") / "archive.sqlite"
+def fill_assorted(folder: Path) -> str:
+    """Make an archive with runs of every sort in a folder, and return its URL."""
+    url = f"sqlite:///{folder / 'archive.sqlite'}"
     spec = {"matrix": [{"path": "dataset", "values": [1]}]}
-    with Archive.open(f"sqlite:///{file}") as archive:
+    with Archive.open(url) as archive:
         archive.put_sweep(SweepRecord(uid="s1", name="study", spec=spec))
         first = CatalogEntry(kind="Algorithm", name="algorithm-0", spec={"description": "the first"})
         archive.put_catalog(first)
         archive.put_runs(ASSORTED)
-    return file
+    return url
+
+
+@pytest.fixture(scope="session")
+def assorted_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("assorted")
+    fill_assorted(folder)
+    return folder / "archive.sqlite"
 
 
 @pytest.fixture

@@ -82,6 +82,18 @@ def test_the_wheel_brings_its_catalog_and_examples(installed: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
+def test_the_wheel_brings_all_pages(installed: Path) -> None:
+    pages = ROOT / "operator" / "slamhive" / "dashboard" / "static"
+    there = next(installed.parent.glob("lib/python*/site-packages/slamhive/dashboard/static"))
+    names = [
+        {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+        for folder in (pages, there)
+    ]
+    assert names[0] == names[1]
+    assert "index.html" in names[0]
+
+
+@pytest.mark.slow
 def test_the_evaluator_of_the_wheel_stands_alone(installed: Path, tmp_path: Path) -> None:
     assert "usage" in call(installed / "slamhive-eval", "--help", cwd=tmp_path, home=tmp_path).lower()
 
