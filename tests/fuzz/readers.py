@@ -133,16 +133,19 @@ TUM = "timestamp(s) tx ty tz qx qy qz qw"
 
 
 def bag_seeds(folder: Path) -> list[Seed]:
-    """A ROS 1 bag, and an MCAP file, with odometry and transforms."""
+    """A ROS 1 bag, MCAP and SQLite files, and the metadata of a ROS 2 bag, with odometry and transforms."""
     store1, store2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
     store1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
     with Writer1(folder / "seed.bag") as writer:
         fill(writer, store1, store1.serialize_ros1)
-    with Writer2(folder / "seed", version=9, storage_plugin=StoragePlugin.MCAP) as other:
-        fill(other, store2, store2.serialize_cdr)
+    for name, plugin in (("mcap", StoragePlugin.MCAP), ("db3", StoragePlugin.SQLITE3)):
+        with Writer2(folder / name, version=9, storage_plugin=plugin) as other:
+            fill(other, store2, store2.serialize_cdr)
+    metadata = folder / "db3" / "metadata.yaml"
     return [
         ("a.bag", (folder / "seed.bag").read_bytes()),
-        ("a.mcap", next((folder / "seed").glob("*.mcap")).read_bytes()),
+        *((f"a.{name}", next((folder / name).glob(f"*.{name}")).read_bytes()) for name in ("mcap", "db3")),
+        (str(metadata.relative_to(folder)), metadata.read_bytes()),
     ]
 
 
@@ -216,11 +219,12 @@ def mutate(rng: random.Random, data: bytes, others: list[Seed]) -> bytes:
 
 def check_trajectory(path: Path, rng: random.Random) -> None:
     """Read it, by a format or by what it is, and evaluate what was read."""
-    name = str(path)
-    if path.suffix in (".bag", ".mcap"):
-        name += rng.choice((":/odom", "", ":/tf:map.base", ":/tf"))
+    name = str(path.parent if path.name == "metadata.yaml" else path)
     chosen = rng.choice((None, None, None, "tum", "euroc", "kitti", "csv"))
-    found = read_trajectory(name, None if path.suffix in (".bag", ".mcap") else chosen, unsorted="sort")
+    if path.suffix in (".bag", ".mcap", ".db3", ".yaml"):
+        name += rng.choice((":/odom", "", ":/tf:map.base", ":/tf"))
+        chosen = None
+    found = read_trajectory(name, chosen, unsorted="sort")
     flipped = Trajectory(
         found.stamps, found.positions[::-1], found.quaternions[::-1], oriented=found.oriented
     )
@@ -313,7 +317,7 @@ def main() -> int:
 def keep(folder: Path, name: str, data: bytes) -> Path:
     """Keep a file that failed."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{len(list(folder.iterdir()))}-{name}"
+    path = folder / f"{len(list(folder.iterdir()))}-{Path(name).name}"
     path.write_bytes(data)
     return path
 
