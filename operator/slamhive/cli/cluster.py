@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``slamhive submit``, ``status``, ``logs``, ``cancel`` and ``fetch``: a cluster without kubectl.
 
-What they do is in ``cluster_work`` and ``cluster_status``, imported when it is needed: the client for
-Kubernetes takes a second to import, and is an extra.
+What they do is in ``cluster_work``, ``cluster_fetch`` and ``cluster_status``, imported when it is needed: the
+client for Kubernetes takes a second to import, and is an extra.
 """
 
 from __future__ import annotations
@@ -163,13 +163,17 @@ def fetch(
     *,
     namespace: Namespace = None,
     context: Context = None,
+    files: Annotated[
+        bool,
+        typer.Option("--files", help="Fetch the runs' files too: trajectories, maps, usage, logs."),
+    ] = False,
 ) -> None:
     """Copy finished runs of a cluster into the archive here, for slamhive results.
 
-    Doing it again brings the copies up to date.
+    Doing it again brings the copies up to date, and goes on where fetching files was interrupted.
 
-    Example: slamhive fetch demo
+    Example: slamhive fetch demo --files
     """
     with cluster_client():
-        from slamhive.cli import cluster_work  # noqa: PLC0415
-    cluster_work.fetch(names, cluster_work.Place(context, namespace))
+        from slamhive.cli import cluster_fetch, cluster_work  # noqa: PLC0415
+    cluster_fetch.fetch(names, cluster_work.Place(context, namespace), files=files)

@@ -11,7 +11,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from slamhive.archive import Archive
-from slamhive.cli.cluster_work import Place, Submission, fetch_into, read, show_sent, submit_to
+from slamhive.cli.cluster_fetch import fetch_into
+from slamhive.cli.cluster_work import Place, Submission, read, show_sent, submit_to
 from slamhive.cli.console import FAILED, INTERRUPTED, command_name, complain, err, out, plural, remark
 from slamhive.cli.progress import run_line
 from slamhive.cli.results import show_table
@@ -124,7 +125,7 @@ async def _work(submission: Submission, home: Home, submitted: list[_Watched]) -
         if not names:
             return []
         with Archive.open(home.archive_url) as archive:
-            return await fetch_into(archive, cluster, names)
+            return (await fetch_into(archive, cluster, names)).fetched
 
 
 async def _wait(cluster: Cluster, items: Sequence[_Watched]) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``slamhive submit``, ``logs``, ``cancel`` and ``fetch`` do, and print."""
+"""What ``slamhive submit``, ``logs`` and ``cancel`` do, and print."""
 
 from __future__ import annotations
 
@@ -11,17 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-from slamhive.archive import Archive
-from slamhive.cli.console import INTERRUPTED, command_name, err, listing, out, plural, remark
+from slamhive.cli.console import INTERRUPTED, command_name, listing, out, plural, remark
 from slamhive.cli.planning import planned, sweeps_of
 from slamhive.kube.kinds import Kind
 from slamhive.kube.user import cancelling
 from slamhive.kube.user.connecting import Cluster, connected, find_target
-from slamhive.kube.user.fetching import Fetched, Fetcher, remarks
-from slamhive.kube.user.looking import find
 from slamhive.kube.user.manifests import STDIN, Manifest, common_namespace, read_manifests
 from slamhive.kube.user.reading import Part, read_log
 from slamhive.kube.user.submitting import (
@@ -147,47 +142,6 @@ def cancel(names: Sequence[str], place: Place, *, delete: bool) -> None:
                 out.print(sentence, markup=False, soft_wrap=True)
 
     attempt(work())
-
-
-def fetch(names: Sequence[str], place: Place) -> None:
-    """Copy finished runs into the archive here, and print what was copied."""
-
-    async def work() -> None:
-        home = Home.from_environment()
-        home.folder(".")
-        async with place.connect() as cluster:
-            with Archive.open(home.archive_url) as archive:
-                fetched = await fetch_into(archive, cluster, names)
-                location = archive.location
-        for one in fetched:
-            out.print(f"{escape(one.name)}: {plural(one.runs, 'run')} in {escape(location)}", soft_wrap=True)
-        stored = list(dict.fromkeys(one.stored for one in fetched if one.runs))
-        for name in stored:
-            out.print(f"Next:  {command_name()} results table --sweep {escape(name)}", soft_wrap=True)
-
-    attempt(work())
-
-
-async def fetch_into(archive: Archive, cluster: Cluster, names: Sequence[str]) -> list[Fetched]:
-    """Copy finished runs of Sweeps and runs into an archive, with a bar on a terminal."""
-    objects = await find(cluster, names, (Kind.SWEEP, Kind.MAPPING_RUN))
-    catalog = await read_catalog(cluster)
-    fetched = []
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, console=err, disable=not err.is_terminal, transient=True) as progress:
-        for kind, body in objects:
-            name = body["metadata"]["name"]
-            task = progress.add_task(f"fetching {escape(name)}", total=None)
-
-            def step(done: int, total: int, task: TaskID = task) -> None:
-                progress.update(task, completed=done, total=total)
-
-            fetcher = Fetcher(cluster, catalog, archive, step)
-            fetched.append(await fetcher.sweep(body) if kind is Kind.SWEEP else fetcher.run(body))
-    for one in fetched:
-        for sentence in remarks(one):
-            remark(sentence)
-    return fetched
 
 
 def read(files: Sequence[Path], place: Place) -> Submission:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people ask of the API beyond what the operator does: trials without effect, and logs as they come."""
+"""What people ask of the API beyond what the operator does: trials, logs as they come, programs in pods."""
 
 from __future__ import annotations
 
-from contextlib import aclosing
+from contextlib import aclosing, asynccontextmanager
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
@@ -12,9 +12,10 @@ import aiohttp
 from slamhive.kube.client import Api
 from slamhive.kube.errors import ServerFault, from_answer
 from slamhive.kube.transport import CONNECT_SECONDS, Request
+from slamhive.kube.user.executing import PROTOCOL, Session
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncGenerator
+    from collections.abc import AsyncGenerator, AsyncIterator, Sequence
 
     from slamhive.kube.kinds import Key, Kind
 
@@ -79,6 +80,47 @@ class UserApi(Api):
                 # sinceTime counts in whole seconds.
                 if since is None or _order(stamp) > _order(since):
                     yield stamp, text
+
+    @asynccontextmanager
+    async def executing(
+        self, namespace: str, pod: str, container: str, command: Sequence[str]
+    ) -> AsyncIterator[Session]:
+        """Run a program in a container of a pod, for as long as the context lasts.
+
+        Raises:
+            Forbidden: the user may not.
+            ServerFault: the pod or its node does not answer.
+            ApiError: see ``slamhive.kube.errors``.
+        """
+        path = f"/api/v1/namespaces/{namespace}/pods/{pod}/exec"
+        wanted = [("container", container), ("stdin", "true"), ("stdout", "true"), ("stderr", "true")]
+        query = urlencode([*wanted, *(("command", word) for word in command)])
+        headers = {"User-Agent": "slamhive"}
+        await self._client.update_params_for_auth(headers, [], ["BearerToken"], path, "GET", None)
+        client = self._client.rest_client
+        if client.pool_manager is None:
+            client.pool_manager = client._create_pool_manager()  # noqa: SLF001 - as its own WsApiClient does
+        target = f"{namespace}/{pod}"
+        try:
+            socket = await client.pool_manager.ws_connect(
+                f"{self._client.configuration.host}{path}?{query}",
+                headers=headers,
+                protocols=(PROTOCOL,),
+                proxy=client.proxy,
+            )
+        except aiohttp.WSServerHandshakeError as error:
+            content = error.message.encode()
+            raise from_answer(
+                error.status, content, error.headers or {}, "get", "pods/exec", target
+            ) from None
+        except (aiohttp.ClientError, TimeoutError, OSError) as error:
+            raise ServerFault(
+                f"cannot get pods/exec {target}: {error or type(error).__name__}",
+                verb="get",
+                resource="pods/exec",
+            ) from error
+        async with socket:
+            yield Session(socket, target)
 
     async def _lines(self, namespace: str, pod: str, query: dict[str, Any]) -> AsyncGenerator[bytes, None]:
         target = f"{namespace}/{pod}"

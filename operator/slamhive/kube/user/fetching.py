@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.archive import CatalogEntry, SweepRecord
@@ -12,6 +13,7 @@ from slamhive.kube.kinds import Kind
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.records import record_of
 from slamhive.kube.status import phase_of
+from slamhive.kube.user.filing import Wanted
 from slamhive.kube.user.looking import is_over, name_of, owner_uid, runs_of, status_of
 from slamhive.model.errors import InputError
 from slamhive.model.sweep import Sweep
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
     from slamhive.archive import Archive
     from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.folders import RunFolder
     from slamhive.kube.user.submitting import ClusterCatalog
     from slamhive.model.results import RunRecord
 
@@ -70,6 +73,8 @@ class Fetcher:
         self._catalog = catalog
         self._archive = archive
         self._step = step
+        self.absent: list[Wanted] = []
+        """The runs that were copied and whose files are not here, with the sweep that each belongs to."""
 
     async def sweep(self, body: Object) -> Fetched:
         """Copy a Sweep's finished runs."""
@@ -129,8 +134,14 @@ class Fetcher:
         return _aside(sweep, uid) if any(strangers) else sweep
 
     def _keep(self, runs: Sequence[Object], stored: str) -> None:
+        here = {record.uid: record for record in self._archive.runs(sweep=stored) if _is_here(record)}
         for number, run in enumerate(runs, 1):
-            self._archive.put_run(*self._records(run, stored))
+            record, algorithm, dataset = self._records(run, stored)
+            if before := here.get(record.uid):
+                record = record.replace(folder=before.folder, trajectory=before.trajectory)
+            else:
+                self.absent.append(Wanted(run, stored))
+            self._archive.put_run(record, algorithm, dataset)
             self._step(number, len(runs))
 
     def _records(
@@ -150,6 +161,17 @@ class Fetcher:
         )
 
 
+def put_folder(archive: Archive, item: Wanted, folder: RunFolder) -> None:
+    """Note where the files of a run are here."""
+    record = archive.get(item.uid)
+    if record is None:
+        return
+    trajectory = record.trajectory
+    if trajectory is not None:
+        trajectory = trajectory.replace(path=str(folder.trajectory))
+    archive.put_run(record.replace(folder=str(folder.path), trajectory=trajectory))
+
+
 def remarks(fetched: Fetched) -> Iterator[str]:
     """Yield sentences about what was not, or not simply, copied."""
     if fetched.stored != fetched.name and fetched.stored.startswith(f"{fetched.name}{SET_ASIDE}"):
@@ -165,6 +187,11 @@ def remarks(fetched: Fetched) -> Iterator[str]:
             f"{fetched.name}: {fetched.elsewhere} more are in the cluster's own archive alone "
             "(spec.retention.runs); SLAMHIVE_ARCHIVE set to its address shows them"
         )
+
+
+def _is_here(record: RunRecord) -> bool:
+    """Tell whether a run's files were fetched before: on a cluster its folder is a path on a volume."""
+    return record.folder is not None and Path(record.folder).is_absolute() and Path(record.folder).is_dir()
 
 
 def _aside(name: str, uid: str) -> str:

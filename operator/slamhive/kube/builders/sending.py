@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Job that hands out files of run folders to a user's command, made by that user."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from slamhive.jobs.send import COMMAND
+from slamhive.kube.builders.common import (
+    Manifest,
+    claim,
+    equal_resources,
+    job,
+    label,
+    mount,
+    scratch,
+    variables,
+)
+from slamhive.model.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+SEND = "send"
+RESULTS = "results"
+
+_LONGEST_SECONDS = 24 * 3600
+_UNASKED_SECONDS = 180
+_KEPT_SECONDS = 30
+_TAKEN = (
+    "securityContext",
+    "serviceAccountName",
+    "nodeSelector",
+    "tolerations",
+    "affinity",
+    "imagePullSecrets",
+)
+"""What one of the operator's pods tells of how pods have to be in this namespace."""
+
+
+def sender_job(namespace: str, name: str, like: Mapping[str, Any]) -> Manifest:
+    """Return the Job whose pod sees the results volume, read only.
+
+    It ends by itself when nobody has asked it for three minutes, and goes half a minute later.
+
+    Args:
+        namespace: where it goes.
+        name: its name.
+        like: spec of a pod of the operator's: of a run, or of the collector.
+
+    Raises:
+        InputError: that pod has no results volume.
+    """
+    found = {volume["name"]: volume for volume in like.get("volumes") or ()}
+    source = (found.get(RESULTS) or {}).get("persistentVolumeClaim")
+    ours = [*(like.get("initContainers") or ()), *like["containers"]][0]
+    if source is None:
+        raise InputError(f"the pods of namespace {namespace} have no volume {RESULTS!r}")
+    body = {
+        "name": SEND,
+        "image": ours["image"],
+        "imagePullPolicy": ours.get("imagePullPolicy", "IfNotPresent"),
+        "command": [*COMMAND, "--wait", str(_UNASKED_SECONDS)],
+        "env": variables({"HOME": "/tmp", "LANG": "C.UTF-8", "PYTHONDONTWRITEBYTECODE": "1"}),  # noqa: S108
+        "volumeMounts": [
+            mount(RESULTS, "/slamhive/results", read_only=True),
+            mount("tmp", "/tmp"),  # noqa: S108
+        ],
+        "resources": equal_resources("200m", "128Mi", logs="64Mi"),
+        "terminationMessagePolicy": "FallbackToLogsOnError",
+        "securityContext": {
+            "allowPrivilegeEscalation": False,
+            "readOnlyRootFilesystem": True,
+            "capabilities": {"drop": ["ALL"]},
+        },
+    }
+    pod = {key: like[key] for key in _TAKEN if like.get(key)} | {
+        "restartPolicy": "Never",
+        "automountServiceAccountToken": False,
+        "enableServiceLinks": False,
+        "activeDeadlineSeconds": _LONGEST_SECONDS,
+        "terminationGracePeriodSeconds": 1,
+        "containers": [body],
+        "volumes": [claim(RESULTS, source["claimName"], read_only=True), scratch("tmp", "16Mi")],
+    }
+    return job(
+        namespace,
+        name,
+        pod,
+        labels={label("role"): "read"},
+        owners=[],
+        annotations={},
+        ttl_seconds=_KEPT_SECONDS,
+    )

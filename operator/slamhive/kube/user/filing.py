@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fetching the files of finished runs into folders here, whole and checked or not at all."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+from collections import deque
+from contextlib import aclosing
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from slamhive.kube.builders.common import label_value
+from slamhive.kube.errors import ApiError, ServerFault
+from slamhive.kube.kinds import Kind, Label, Role
+from slamhive.kube.user.folders import LOG, TRAJECTORY, RunFolder
+from slamhive.kube.user.looking import name_of, status_of
+from slamhive.kube.user.sending import sender
+from slamhive.model.errors import DataError, SystemFault
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.executing import Session
+    from slamhive.kube.user.sending import SenderPod
+
+Object = dict[str, Any]
+
+_AHEAD = 4
+_FAILURES = 3
+_PAUSE_SECONDS = 1.0
+_LOG_BYTES = 64 << 20
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS})
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A finished run whose files are to be here.
+
+    Attributes:
+        run: the MappingRun.
+        sweep: the sweep that it belongs to here.
+    """
+
+    run: Mapping[str, Any]
+    sweep: str
+
+    @property
+    def name(self) -> str:
+        """Return its name."""
+        return name_of(self.run)
+
+    @property
+    def uid(self) -> str:
+        """Return its identity."""
+        return str(self.run["metadata"]["uid"])
+
+    @property
+    def folder(self) -> str:
+        """Return its folder on the results volume; empty when it never had one."""
+        return str(status_of(self.run).get("folder") or "")
+
+    @property
+    def trajectory_sha256(self) -> str | None:
+        """Return the checksum of its trajectory; None when it has none."""
+        return (status_of(self.run).get("trajectory") or {}).get("sha256")
+
+
+@dataclass
+class Filed:
+    """What came of fetching files.
+
+    Attributes:
+        runs: how many folders were filled.
+        size: bytes that came.
+        problems: a sentence about each run whose files could not be had.
+        remarks: sentences about what was left out.
+    """
+
+    runs: int = 0
+    size: int = 0
+    problems: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+
+class Filing:
+    """Fetches files of runs.
+
+    Args:
+        cluster: where they are.
+        place: the folder of runs here; each sweep has one in it.
+        keep: called with each run whose folder is whole.
+        step: called with (runs done, of how many, bytes) as it goes on.
+        tell: told what is waited for.
+    """
+
+    def __init__(
+        self,
+        cluster: Cluster,
+        place: Path,
+        *,
+        keep: Callable[[Wanted, RunFolder], None],
+        step: Callable[[int, int, int], None],
+        tell: Callable[[str], None],
+    ) -> None:
+        self._cluster = cluster
+        self._place = place
+        self._keep = keep
+        self._step = step
+        self._tell = tell
+        self._filed = Filed()
+        self._total = 0
+
+    async def fetch(self, wanted: Sequence[Wanted]) -> Filed:
+        """Fetch the files of some runs; folders that are here already are not fetched again.
+
+        Raises:
+            ClusterError: there can be no pod that sends them.
+            SystemFault: nothing more can be written here.
+            ApiError: the cluster does not answer any more.
+        """
+        todo: deque[Wanted] = deque()
+        for item in wanted:
+            folder = self._folder(item)
+            if folder.is_whole:
+                self._keep(item, folder)
+            elif item.folder:
+                todo.append(item)
+        self._total = len(todo)
+        if todo:
+            async with sender(self._cluster, [item.run for item in todo], self._tell) as pod:
+                await self._take_all(pod, todo)
+        return self._filed
+
+    def _folder(self, item: Wanted) -> RunFolder:
+        return RunFolder(self._place / item.sweep, item.name, item.uid)
+
+    async def _take_all(self, pod: SenderPod, todo: deque[Wanted]) -> None:
+        failures = 0
+        while todo:
+            before = self._filed.size, len(todo)
+            try:
+                async with pod.session() as session:
+                    await self._converse(session, todo)
+            except ServerFault:
+                failures = 0 if (self._filed.size, len(todo)) != before else failures + 1
+                if failures >= _FAILURES:
+                    raise
+                await asyncio.sleep(_PAUSE_SECONDS)
+
+    async def _converse(self, session: Session, todo: deque[Wanted]) -> None:
+        """Take one folder after the other, asking for the next ones meanwhile."""
+        asked = 0
+        while todo:
+            while asked < min(_AHEAD, len(todo)):
+                item = todo[asked]
+                request = {"folder": item.folder, "have": self._folder(item).held()}
+                await session.send(json.dumps(request).encode() + b"\n")
+                asked += 1
+            try:
+                await self._take(session, todo[0])
+            except OSError as error:
+                raise SystemFault(f"{self._place}: {error.strerror or error}") from error
+            todo.popleft()
+            asked -= 1
+            self._progress(todo)
+
+    def _progress(self, todo: deque[Wanted]) -> None:
+        self._step(self._total - len(todo), self._total, self._filed.size)
+
+    async def _take(self, session: Session, item: Wanted) -> None:
+        """Take a run's folder; what is wrong with it is noted."""
+        folder, problems = self._folder(item), []
+        checksums: dict[str, str] = {}
+        while not (told := _parsed(await session.line())).get("end"):
+            path = str(told.get("path"))
+            try:
+                checksums[path] = await self._file(session, folder, told)
+            except DataError as error:
+                self._filed.remarks.append(f"{item.name}: {path!r} is left out: {error}")
+            except _Damaged as error:
+                problems.append(f"{path}: {error}")
+        for path, why in told.get("left") or ():
+            self._filed.remarks.append(f"{item.name}: {str(path)!r} is left out: {why}")
+        if told.get("problem"):
+            problems.append(str(told["problem"]))
+        elif (wanted := item.trajectory_sha256) and checksums.get(TRAJECTORY) != wanted:
+            folder.drop(TRAJECTORY)
+            problems.append("the trajectory on the results volume is not the one that the run reported")
+        if problems:
+            self._filed.problems.append(f"{item.name}: its files cannot be had: {'; '.join(problems)}")
+            return
+        await self._log(item, folder)
+        folder.finish()
+        self._filed.runs += 1
+        self._keep(item, folder)
+
+    async def _file(self, session: Session, folder: RunFolder, told: Object) -> str:
+        """Take one file and return its checksum.
+
+        Raises:
+            DataError: it is not to be written; it was passed over.
+            _Damaged: it is not what was sent.
+        """
+        path, size, offset = told.get("path"), told.get("size"), told.get("offset")
+        if not (isinstance(path, str) and isinstance(size, int) and isinstance(offset, int)):
+            raise _nonsense(told)
+        if not 0 <= offset <= size:
+            raise _nonsense(told)
+        left = size - offset
+        try:
+            with folder.incoming(path, offset) as file:
+                async with aclosing(session.take(left)) as pieces:
+                    async for data in pieces:
+                        left -= len(data)
+                        file.write(data)
+                        self._filed.size += len(data)
+                here = file.sha256
+        except (DataError, OSError) as error:
+            if isinstance(error, OSError) and error.errno in _FULL:
+                raise
+            async for _ in session.take(left):
+                pass
+            await session.line()
+            raise DataError(str(getattr(error, "strerror", None) or error)) from None
+        end = _parsed(await session.line())
+        if end.get("sha256") != here:
+            folder.drop(path)
+            raise _Damaged(str(end.get("problem") or "it arrived damaged"))
+        return here
+
+    async def _log(self, item: Wanted, folder: RunFolder) -> None:
+        """Add what the algorithm printed: all of it while its pod is there, else the lines that were kept."""
+        kept = str(status_of(item.run).get("logTail") or "")
+        with folder.incoming(LOG) as file:
+            try:
+                size = await self._pods_log(item, file.write)
+            except ApiError:
+                size = 0
+        if not size:
+            with folder.incoming(LOG) as file:
+                file.write(f"{kept}\n".encode() if kept else b"")
+
+    async def _pods_log(self, item: Wanted, write: Callable[[bytes], None]) -> int:
+        api, namespace = self._cluster.api, self._cluster.namespace
+        labels = f"{Label.RUN}={label_value(item.name)},{Label.ROLE}={Role.RUN}"
+        pods, _ = await api.list(Kind.POD, namespace, labels=labels)
+        uid, size = item.folder.rpartition("/")[2], 0
+        for pod in pods:
+            if pod["metadata"]["uid"] != uid:
+                continue
+            async with aclosing(api.log_lines(namespace, name_of(pod), "algorithm")) as lines:
+                async for _, text in lines:
+                    data = f"{text}\n".encode()
+                    size += len(data)
+                    if size > _LOG_BYTES:
+                        break
+                    write(data)
+        return size
+
+
+class _Damaged(Exception):  # noqa: N818 - a state of a file
+    """A file did not arrive as it was sent."""
+
+
+def _parsed(line: bytes) -> Object:
+    try:
+        told = json.loads(line)
+    except (ValueError, RecursionError):
+        told = None
+    if not isinstance(told, dict):
+        raise _nonsense(line[:200])
+    return told
+
+
+def _nonsense(what: object) -> ServerFault:
+    return ServerFault(
+        f"the pod that sends the files said what cannot be understood: {what!r}",
+        verb="get",
+        resource="pods/exec",
+    )

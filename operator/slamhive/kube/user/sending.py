@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A pod of the user's own that sees the results volume, for as long as files are fetched from it."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from contextlib import asynccontextmanager, contextmanager, suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from slamhive.jobs.send import COMMAND
+from slamhive.kube.builders.run import job_name
+from slamhive.kube.builders.sending import SEND, sender_job
+from slamhive.kube.errors import ApiError, Forbidden, NotFound
+from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.transport import Request
+from slamhive.kube.user.connecting import ClusterError
+from slamhive.kube.user.looking import name_of, status_of
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
+
+    from slamhive.kube.user.connecting import Cluster
+    from slamhive.kube.user.executing import Session
+
+Object = dict[str, Any]
+
+_LOOK_SECONDS = 0.5
+_TELL_SECONDS = 10.0
+_PATIENCE_SECONDS = 300.0
+_AWAY_SECONDS = 15.0
+_TRIED = 5
+_COLLECTOR = "app.kubernetes.io/component=collector,app.kubernetes.io/name=slamhive"
+_RIGHTS = (
+    "fetching files takes the rights to create and delete jobs, to list pods, and to create and get "
+    "pods/exec in this namespace; without --files results alone are copied"
+)
+
+
+@dataclass(frozen=True)
+class SenderPod:
+    """A pod that hands out files.
+
+    Attributes:
+        cluster: where it is.
+        name: its name.
+    """
+
+    cluster: Cluster
+    name: str
+
+    @asynccontextmanager
+    async def session(self) -> AsyncIterator[Session]:
+        """Have a conversation with it, as ``slamhive.jobs.send`` understands it.
+
+        Raises:
+            ClusterError: the user may not.
+            ServerFault: it does not answer.
+        """
+        with _explained():
+            found = self.cluster.api.executing(self.cluster.namespace, self.name, SEND, COMMAND)
+            async with found as session:
+                yield session
+
+
+@asynccontextmanager
+async def sender(
+    cluster: Cluster, runs: Sequence[Mapping[str, Any]], tell: Callable[[str], None]
+) -> AsyncIterator[SenderPod]:
+    """Have a pod that hands out files; it goes with the context.
+
+    Args:
+        cluster: where.
+        runs: runs whose files are wanted, by whose Jobs is known how pods have to be here.
+        tell: told what is waited for.
+
+    Raises:
+        ClusterError: there can be none: the sentence says why.
+    """
+    name = f"fetch-{uuid.uuid4().hex[:12]}"
+    with _explained():
+        body = sender_job(cluster.namespace, name, await _like(cluster, runs))
+    try:
+        with _explained():
+            await cluster.api.create(Kind.JOB, body)
+            pod = await _started(cluster, name, tell)
+        yield SenderPod(cluster, pod)
+    finally:
+        # It ends by itself where even this fails.
+        with suppress(ApiError, TimeoutError):
+            async with asyncio.timeout(_AWAY_SECONDS):
+                await cluster.api.delete(cluster.key(Kind.JOB, name))
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """Say which rights are needed where one is missing."""
+    try:
+        yield
+    except Forbidden as error:
+        raise ClusterError(f"{error}; {_RIGHTS}") from None
+
+
+async def _like(cluster: Cluster, runs: Iterable[Mapping[str, Any]]) -> Object:
+    """Return the spec of a pod that the operator or its chart made in this namespace."""
+    tried = [run for run in runs if status_of(run).get("attempts")][-_TRIED:]
+    for run in reversed(tried):
+        name = job_name(name_of(run), status_of(run)["attempts"])
+        with suppress(NotFound):
+            job = await cluster.api.get(Key(Kind.JOB, cluster.namespace, name))
+            spec: Object = job["spec"]["template"]["spec"]
+            return spec
+    path = f"/apis/batch/v1/namespaces/{cluster.namespace}/cronjobs"
+    asked = Request(
+        "list", "cronjobs.batch", cluster.namespace, "GET", path, query={"labelSelector": _COLLECTOR}
+    )
+    for item in (await cluster.api.json(asked)).get("items") or ():
+        spec = dict(item["spec"]["jobTemplate"]["spec"]["template"]["spec"])
+        spec.pop("serviceAccountName", None)  # the collector's has rights
+        return spec
+    raise ClusterError(
+        f"namespace {cluster.namespace} shows nowhere what its results volume is: the Jobs of these runs are "
+        "gone, and there is no collector"
+    )
+
+
+async def _started(cluster: Cluster, job: str, tell: Callable[[str], None]) -> str:
+    """Wait until a Job's pod runs and return its name."""
+    loop = asyncio.get_running_loop()
+    begun, told = loop.time(), 0.0
+    while True:
+        pods, _ = await cluster.api.list(Kind.POD, cluster.namespace, labels=f"job-name={job}")
+        why = "no pod has been made of it"
+        for pod in pods:
+            state, why = _state(pod)
+            if state == "running":
+                return name_of(pod)
+            if state == "terminated":
+                raise ClusterError(f"the pod that was to send the files ended: {why}")
+        waited = loop.time() - begun
+        if waited > _PATIENCE_SECONDS:
+            raise ClusterError(
+                f"the pod that is to send the files did not begin within {_PATIENCE_SECONDS:.0f} s: {why}"
+            )
+        if waited - told > _TELL_SECONDS:
+            told = waited
+            tell(f"waiting for a pod that sends the files: {why}")
+        await asyncio.sleep(_LOOK_SECONDS)
+
+
+def _state(pod: Object) -> tuple[str, str]:
+    """Return the state of a sender's pod, and why it is no better one."""
+    status = status_of(pod)
+    shown: Object = next(iter(status.get("containerStatuses") or ()), {})
+    states: dict[str, Object] = shown.get("state") or {}
+    state, detail = next(iter(states.items()), ("waiting", {}))
+    if status.get("phase") == "Failed" and state != "terminated":
+        state, detail = "terminated", dict(status)
+    why = str(detail.get("message") or detail.get("reason") or "")
+    if state == "terminated" and "slamhive.jobs.send" in why:
+        image = pod["spec"]["containers"][0]["image"]
+        return state, f"image {image} is older than this command; the release there wants an upgrade"
+    unmet = [item for item in status.get("conditions") or () if item["status"] == "False"]
+    return state, why or next(
+        (item["message"] for item in unmet if item.get("message")), "it is being started"
+    )
