@@ -60,14 +60,14 @@ def test_a_damaged_file_is_left_alone(file: Path, keep: int) -> None:
 
 def test_strange_files_are_left_alone(file: Path, tmp_path: Path) -> None:
     assert snapshots.restore(tmp_path / "none.npz") is None
-    np.savez(file, head=np.frombuffer(b'{"version": 1}', dtype=np.uint8))
+    np.savez(file, head=np.frombuffer(b'{"version": 2}', dtype=np.uint8))
     assert snapshots.restore(file) is None
     np.savez(file, head=np.array([object()], dtype=object))
     assert snapshots.restore(file) is None
 
 
 def test_another_version_s_file_is_left_alone(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(snapshots, "VERSION", 2)
+    monkeypatch.setattr(snapshots, "VERSION", 3)
     assert snapshots.restore(file) is None
 
 

@@ -25,7 +25,7 @@ from slamhive.archive.connection import reading
 from slamhive.dashboard.rows import PREFIXES, label_of_run
 
 try:
-    from orjson import loads
+    from orjson import loads as loads  # noqa: PLC0414 - others take it from here
 except ModuleNotFoundError:  # the extra is not installed: slower, the same
     from json import loads  # type: ignore[assignment]
 
@@ -43,7 +43,9 @@ BATCH = 1000
 """Runs read at a time: their documents are what loading needs memory for."""
 
 _SOME = 500
+_STREAMED = 10_000
 _MARKS = 2**64
+_NOTHING = int(np.array([None], dtype=np.float64).view(np.uint64)[0])
 _FACTOR = 0x9E3779B97F4A7C15
 _CHANGES = ("phase", "reason", "attempts", "sweep", "finished", "cpu_seconds", "wall_seconds")
 _RESULT_CHANGES = (
@@ -123,7 +125,8 @@ def load(engine: Engine, before: Loaded | None = None) -> Loaded:
         fresh, found = [], {} if marks is None else marks
         for rows in _batches(connection, changed):
             results = _results(connection, [row.id for row in rows])
-            found |= _marks_of(rows, results)
+            _add_marks(found, rows, runs=True)
+            _add_marks(found, results, runs=False)
             fresh.append(_read(rows, results))
     return Loaded(_merge(before.frame, set(changed or ()), found, fresh), found)
 
@@ -133,17 +136,25 @@ def _marks(connection: Connection) -> dict[int, int]:
     runs, results = schema.runs.c, schema.results.c
     query = select(*(_cheap(connection, runs[name]) for name in ("id", *_CHANGES))).order_by(runs.id)
     measured = select(*(results[name] for name in _RESULT_CHANGES))
-    return _marks_of(connection.execute(query).all(), connection.execute(measured).all())
+    marks: dict[int, int] = {}
+    for asked in (query, measured):
+        for rows in connection.execute(asked.execution_options(yield_per=_STREAMED)).partitions():
+            _add_marks(marks, rows, runs=asked is query)
+    return marks
 
 
-def _marks_of(runs: Sequence[Row[Any]], results: Sequence[Row[Any]]) -> dict[int, int]:
-    """Return the same from rows that hold more; the same in every process."""
-    marks = {row[0]: mark for row, mark in zip(runs, _row_marks(runs, len(_CHANGES) + 1), strict=True)}
-    for row, mark in zip(results, _row_marks(results, len(_RESULT_CHANGES)), strict=True):
-        if row[0] in marks:
+def _add_marks(marks: dict[int, int], rows: Sequence[Row[Any]], *, runs: bool) -> None:
+    """Add the marks of runs, or those of results to their runs'; rows may hold more behind what counts.
+
+    They are the same in every process and whatever other rows there are.
+    """
+    width = len(_CHANGES) + 1 if runs else len(_RESULT_CHANGES)
+    for row, mark in zip(rows, _row_marks(rows, width), strict=True):
+        if runs:
+            marks[row[0]] = mark
+        elif row[0] in marks:
             # A sum, as results come in no order.
             marks[row[0]] = (marks[row[0]] + mark) % _MARKS
-    return marks
 
 
 def _row_marks(rows: Sequence[Row[Any]], width: int) -> list[int]:
@@ -164,6 +175,7 @@ def _numbers_of(values: Sequence[Any]) -> npt.NDArray[np.uint64]:
     if set(map(type, values)) <= {int, float, type(None)}:
         return np.array(values, dtype=np.float64).view(np.uint64)
     numbers = {value: _number_of(repr(value).encode("utf-8", "replace")) for value in dict.fromkeys(values)}
+    numbers[None] = _NOTHING
     return np.fromiter(map(numbers.__getitem__, values), np.uint64, len(values))
 
 

@@ -21,9 +21,9 @@ import numpy as np
 from slamhive import __version__
 from slamhive.analysis.columns import Column, ColumnKind
 from slamhive.analysis.frame import OWN_COLUMNS, Frame, with_derived
-from slamhive.dashboard.loading import Loaded
+from slamhive.dashboard.loading import Loaded, loads
 
-VERSION = 1
+VERSION = 2
 LEAST_ROWS = 5000
 """Rows from which on a cache is worth its place."""
 
@@ -45,10 +45,15 @@ def save(path: Path, loaded: Loaded) -> None:
     described = []
     for number, name in enumerate(name for name in frame.stored if name not in _DERIVED):
         column = frame.column(name)
-        described.append({"name": name, "kind": str(column.kind), "values": list(column.values)})
-        arrays[f"c{number}"] = column.numbers if column.kind.is_numeric else column.codes
+        described.append({"name": name, "kind": str(column.kind)})
+        if column.kind.is_numeric:
+            arrays[f"c{number}"] = column.numbers
+        else:
+            arrays[f"c{number}"] = column.codes
+            # By themselves, so that a start needs memory for the texts of one column at a time.
+            arrays[f"v{number}"] = _text_of(column.values)
     head = {"version": VERSION, "slamhive": __version__, "rows": len(frame), "columns": described}
-    arrays["head"] = np.frombuffer(json.dumps(head).encode(), dtype=np.uint8)
+    arrays["head"] = _text_of(head)
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, aside = tempfile.mkstemp(dir=path.parent, prefix=".dashboard-", suffix=".npz")
@@ -66,25 +71,29 @@ def restore(path: Path) -> Loaded | None:
     """Return the table in a file; None where there is none that can be used."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
-            head = json.loads(bytes(arrays["head"]))
+            head = loads(arrays["head"].tobytes())
             if head["version"] != VERSION or head["slamhive"] != __version__:
                 return None
             columns = {}
             for number, item in enumerate(head["columns"]):
-                columns[str(item["name"])] = _column(arrays[f"c{number}"], item, int(head["rows"]))
+                kind = ColumnKind(item["kind"])
+                values = () if kind.is_numeric else tuple(loads(arrays[f"v{number}"].tobytes()))
+                columns[str(item["name"])] = _column(kind, arrays[f"c{number}"], values, int(head["rows"]))
             marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None
     return Loaded(with_derived(columns, int(head["rows"])), marks) if columns else Loaded(Frame({}, 0), {})
 
 
-def _column(array: Any, item: dict[str, Any], rows: int) -> Column:
-    kind = ColumnKind(item["kind"])
+def _text_of(value: Any) -> Any:
+    return np.frombuffer(json.dumps(value).encode(), dtype=np.uint8)
+
+
+def _column(kind: ColumnKind, array: Any, values: tuple[Any, ...], rows: int) -> Column:
     if array.shape != (rows,):
-        raise ValueError(f"column {item['name']}: {array.shape} is not ({rows},)")
+        raise ValueError(f"a column's shape {array.shape} is not ({rows},)")
     if kind.is_numeric:
         return Column(kind, array.astype(np.float64, copy=False), np.empty(0, dtype=np.int32))
-    values = tuple(item["values"])
     if rows and not -1 <= int(array.min()) <= int(array.max()) < len(values):
-        raise ValueError(f"column {item['name']}: a code without a value")
+        raise ValueError("a code without a value")
     return Column(kind, np.empty(0), array.astype(np.int32, copy=False), values)

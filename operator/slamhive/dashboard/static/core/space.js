@@ -105,7 +105,7 @@ export function Space({ title, paths, range, height = 380, csv, table, view: tol
   if (!found) return null;
   const button = (text, name, next) => html`<button type="button" title=${name} aria-label=${name} onClick=${() => turn(next)}>${text}</button>`;
   return html`<${Framed} title=${title} csv=${csv} table=${table} png=${png} svg=${svg}
-      tools=${html`${button('Above', 'From above', { azimuth: -90, elevation: 90, zoom: view.zoom })}${button('Reset', 'As at first', START)}${button('−', 'Smaller', KEYS['-'](view))}${button('+', 'Larger', KEYS['+'](view))}`}>
+      tools=${html`${button('Above', 'From above', { azimuth: -90, elevation: 90, zoom: view.zoom })}${button('Reset', 'Reset the view', START)}${button('−', 'Smaller', KEYS['-'](view))}${button('+', 'Larger', KEYS['+'](view))}`}>
     <canvas ref=${canvas} class="space" style=${{ height: `${height}px` }} tabindex="0" role="application" aria-roledescription="view in space"
       aria-label=${`${title}: ${clip(paths.map((path) => path.name).join(', '), 200)}. Arrow keys turn it, plus and minus change its size, Home brings it back.`}
       onKeyDown=${press} onPointerDown=${grab} onPointerMove=${drag} onPointerUp=${drop} onPointerCancel=${drop}></canvas>

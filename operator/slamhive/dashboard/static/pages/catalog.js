@@ -20,7 +20,7 @@ function All({ kind }) {
   useTitle(title);
   const { data, error } = useData(`/api/v1/${kind}`);
   return html`<h1>${title}</h1><${Fault} error=${error} />
-    ${data ? html`<div class="cards">${data.items.map((item) => html`<article key=${item.name} class="card"><h3><${Link} href=${`/${kind}/${encodeURIComponent(item.name)}`}>${clip(item.name, 120)}</${Link}></h3>
+    ${data ? html`<div class="cards">${data.items.map((item) => html`<article key=${item.name} class="card"><h2><${Link} href=${`/${kind}/${encodeURIComponent(item.name)}`}>${clip(item.name, 120)}</${Link}></h2>
       <${Short} item=${item} kind=${kind} /></article>`)}</div>${data.items.length === 0 && html`<p class="empty">None is known here. <code>slamhive ${kind} list</code> shows those that come with SLAM Hive.</p>`}` : !error && html`<${Waiting} />`}`;
 }
 

@@ -104,7 +104,7 @@ function Suspects({ data, csv, without }) {
   const columns = [
     ...names.map((name) => ({ name: `key ${name}`, title: name, show: (_, item) => (item.keys[name] === undefined ? 'all' : clip(cell(item.keys[name]), 48)) })), { name: 'n', title: 'runs', kind: 'integer' },
     { name: 'scale', title: 'scale', kind: 'number' }, { name: 'spread', title: 'spread', kind: 'number', show: (value) => number(value, 2) },
-    { name: 'shown', title: '', sortable: false, show: (_, item) => html`<${Link} href=${address('/explore', { kind: 'scatter', x: 'run', y: 'scale', colour: 'dataset', ...item.keys })}>its scales</${Link}>` }, { name: 'sentence', title: 'in words', show: (text) => html`<span class="wrapped">${clip(text, 400)}</span>` },
+    { name: 'shown', title: 'drawn', sortable: false, show: (_, item) => html`<${Link} href=${address('/explore', { kind: 'scatter', x: 'run', y: 'scale', colour: 'dataset', ...item.keys })}>its scales</${Link}>` }, { name: 'sentence', title: 'in words', show: (text) => html`<span class="wrapped">${clip(text, 400)}</span>` },
   ];
   return html`<${Chart} option=${drawn.option} height=${drawn.height} csv=${csv} table=${{ columns, rows: data.items }} title="Scales that are off" />
     <${Table} columns=${columns} rows=${data.items} caption="Suspect calibrations" />`;

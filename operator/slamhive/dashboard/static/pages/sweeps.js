@@ -23,7 +23,7 @@ function All() {
   const { data, error } = useData('/api/v1/sweeps');
   if (data?.items.length === 0) return html`<h1>Sweeps</h1><${Empty} />`;
   return html`<h1>Sweeps</h1><${Fault} error=${error} />
-    ${data ? html`<div class="cards">${data.items.map((sweep) => html`<${SweepCard} key=${sweep.name} sweep=${sweep} />`)}</div>` : !error && html`<${Waiting} />`}`;
+    ${data ? html`<div class="cards">${data.items.map((sweep) => html`<${SweepCard} key=${sweep.name} sweep=${sweep} level="h2" />`)}</div>` : !error && html`<${Waiting} />`}`;
 }
 
 /** How far a sweep is: finished, running, yet to begin. */
@@ -42,10 +42,10 @@ export const Statuses = ({ statuses, label }) => html`<p class="statuses" aria-l
 
 const axesText = (axes) => axes.map((axis) => `${axis.name ?? 'points'}${axis.count ? ` (${axis.count})` : ''}`).join(', ');
 
-/** A sweep in short. */
-export function SweepCard({ sweep }) {
-  return html`<article class="card"><h3><${Link} href=${`/sweeps/${encodeURIComponent(sweep.name)}`}>${clip(sweep.name, 80)}</${Link}>
-      ${sweep.live && html` <span class="status live">live</span>`}</h3>
+/** A sweep in short. @param {{sweep: object, level?: string}} props level: of its heading */
+export function SweepCard({ sweep, level = 'h3' }) {
+  return html`<article class="card"><${level}><${Link} href=${`/sweeps/${encodeURIComponent(sweep.name)}`}>${clip(sweep.name, 80)}</${Link}>
+      ${sweep.live && html` <span class="status live">live</span>`}</${level}>
     <${Progress} sweep=${sweep} /><${Statuses} statuses=${sweep.statuses} />
     <p class="quiet">${clip((sweep.algorithms ?? []).join(', '), 120)}<br />${clip((sweep.datasets ?? []).join(', '), 120)}</p>
     ${sweep.axes?.length > 0 && html`<p class="quiet">over ${clip(axesText(sweep.axes), 200)}</p>`}
