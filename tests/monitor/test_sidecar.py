@@ -265,6 +265,8 @@ def test_odd_output_is_said_and_never_followed(pod: Pod, script: str) -> None:
 @pytest.mark.parametrize("pod", ["proc"], indirect=True)
 def test_told_to_end_while_it_starts(pod: Pod, wait_for: Callable[..., Any]) -> None:
     sidecar = pod.sidecar(at_once=True)
-    wait_for(lambda: any(b"slamhive.monitor.sidecar" in line for line in pod.others()))
+    # Not before `env` has blocked the signal and become the sidecar.
+    name, not_yet = b"slamhive.monitor.sidecar", b"--block-signal"
+    wait_for(lambda: any(name in line and not_yet not in line for line in pod.others()))
     assert pod.end(sidecar)["usage"] is None
     assert pod.message()["v"] == 1
