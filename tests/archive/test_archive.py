@@ -167,6 +167,22 @@ def test_a_new_sweep_of_a_name_begins_empty(archive: Archive, make_run: MakeRun)
     assert archive.count(sweep="study@01234567") == 1
 
 
+def test_runs_that_were_fetched_are_set_aside_together(archive: Archive, make_run: MakeRun) -> None:
+    """Their UIDs have nothing in common; those of a workstation begin with their sweep's."""
+    owner, ours, earlier = "0a1b2c3d-0000-4000-8000-000000000000", "f" * 16, "e" * 16
+    theirs = [f"{number}fffffff-0000-4000-8000-00000000000{number}" for number in range(3)]
+    for uid in (*theirs, f"{earlier}-0", f"{earlier}-1", f"{ours}-0"):
+        archive.put_run(make_run(uid, sweep="study"))
+    archive.put_sweep(SweepRecord(uid=owner, name="study", spec={}))
+    assert archive.set_aside("study", f"{ours}-") == 5
+    assert {record.uid for record in archive.runs(sweep="study@0a1b2c3d")} == {*theirs}
+    assert [record.uid for record in archive.runs(sweep="study")] == [f"{ours}-0"]
+    assert archive.count(sweep=f"study@{earlier[:8]}") == 2
+    assert [sweep.name for sweep in archive.sweeps()] == ["study@0a1b2c3d"]
+    assert archive.set_aside("study", f"{earlier}-") == 1
+    assert archive.count(sweep="study") == 2
+
+
 @pytest.mark.parametrize("outcome", list(Outcome))
 def test_judged_runs_are_reused(
     archive: Archive, make_run: MakeRun, make_result: MakeResult, outcome: Outcome

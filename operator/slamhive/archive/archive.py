@@ -141,7 +141,9 @@ class Archive:
     def set_aside(self, sweep: str, kept: str) -> int:
         """Give the runs of an earlier version of a sweep another sweep name, ``NAME@`` and 8 digits.
 
-        Those of the present version that were set aside before come back.
+        Those of the present version that were set aside before come back. Runs that were fetched from a
+        cluster stay together: their digits are those of the Sweep's UID there, as when they are fetched after
+        this.
 
         Args:
             sweep: name of the sweep.
@@ -150,10 +152,17 @@ class Archive:
         Returns:
             How many runs were set aside.
         """
-        runs = schema.runs.c
+        runs, sweeps = schema.runs.c, schema.sweeps.c
+        others = (runs.sweep == sweep, func.substr(runs.uid, 1, len(kept)) != kept)
+        fetched = (
+            select(sweeps.uid)
+            .where(sweeps.name == sweep, _is_of_a_cluster(sweeps.uid))
+            .order_by(sweeps.created.desc())
+            .limit(1)
+        )
         change = (
             update(schema.runs)
-            .where(runs.sweep == sweep, func.substr(runs.uid, 1, len(kept)) != kept)
+            .where(*others)
             .values(sweep=literal(f"{sweep}@") + func.substr(runs.uid, 1, 8))
         )
         back = (
@@ -163,7 +172,14 @@ class Archive:
         )
         with writing(self._engine) as connection:
             connection.execute(back)
-            return connection.execute(change).rowcount
+            count = 0
+            if (owner := connection.execute(fetched).scalar()) is not None:
+                aside = f"{sweep}@{owner[:8]}"
+                theirs = update(schema.runs).where(*others, _is_of_a_cluster(runs.uid)).values(sweep=aside)
+                count = connection.execute(theirs).rowcount
+                named = update(schema.sweeps).where(sweeps.name == sweep, sweeps.uid == owner)
+                connection.execute(named.values(name=aside))
+            return count + connection.execute(change).rowcount
 
     def retire(self, sweep: str, uid: str) -> int:
         """Give the runs of earlier sweeps of a name the name ``NAME@`` and 8 digits of that sweep's UID.
@@ -382,6 +398,11 @@ class Archive:
         """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""
         dialect = postgresql if self._engine.dialect.name == "postgresql" else sqlite
         return dialect.insert(table)
+
+
+def _is_of_a_cluster(uid: ColumnElement[str]) -> ColumnElement[bool]:
+    """Tell whether a UID is one of Kubernetes': a UUID, whose dash no digest of a workstation has there."""
+    return func.substr(uid, 9, 1) == "-"
 
 
 def _conditions(
