@@ -35,6 +35,7 @@ app.command()(running.run)
 app.command()(running.plan)
 app.command()(running.validate)
 app.command()(dashboard.dashboard)
+app.command()(report.report)
 app.command()(report.paper_table)
 for command in (cluster.submit, cluster.status, cluster.logs, cluster.cancel, cluster.fetch):
     app.command()(command)

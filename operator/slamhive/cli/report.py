@@ -7,22 +7,33 @@ import sys
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from slamhive import __version__
 from slamhive.analysis import Metric, Outcomes
+from slamhive.analysis.boards import COMPETITORS
 from slamhive.cli.console import remark
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
 from slamhive.reporting.latex import latex
+from slamhive.reporting.overview import runs_of
+from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
 from slamhive.reporting.presets import Preset, preset
+from slamhive.reporting.questions import parse_question, usual_questions
 from slamhive.reporting.reading import Selection, read_archive, revision, select
 from slamhive.reporting.writing import csv_text
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.analysis.frame import Frame
+
 DEFAULT_METRICS = ("ate.rmse",)
+RANKED_BY = ("ate.rmse", "relations.translation.rmse")
 
 Where = Annotated[
     str | None, typer.Option(metavar="EXPR", help='Only rows that meet it, as in "coverage >= 0.9".')
@@ -41,6 +52,79 @@ class TableFormat(StrEnum):
 
     LATEX = "latex"
     CSV = "csv"
+
+
+def report(
+    *,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="Where to; - for standard output.")
+    ] = Path("report.html"),
+    title: Annotated[str, typer.Option(help="Heading of the page.")] = "SLAM comparison",
+    metric: Annotated[
+        str | None,
+        typer.Option("--metric", "-m", metavar="COLUMN", help="What is ranked by; small is good [ate.rmse]."),
+    ] = None,
+    by: Annotated[
+        str | None, typer.Option(metavar="COLUMN,…", help="What tells competitors apart [algorithm,sensors].")
+    ] = None,
+    cost: Annotated[
+        list[str] | None,
+        typer.Option(metavar="COLUMN", help="What accuracy is drawn against [CPU, memory]; several times."),
+    ] = None,
+    analysis: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="X:Y",
+            help="One column over another, as X:Y[:COLOUR] or the address of the dashboard's explore page; "
+            "several times. Default: the metric over what was varied; none for nothing.",
+        ),
+    ] = None,
+    outcomes: Annotated[
+        Outcomes, typer.Option(help="Runs in the figures: tracked ones, or all that were evaluated.")
+    ] = Outcomes.TRACKED,
+    where: Where = None,
+    sweep: Sweeps = None,
+    evaluation: EvaluationName = None,
+) -> None:
+    """Write one HTML page that needs nothing else: leaderboard, comparison, charts, every run.
+
+    Example: slamhive report --analysis input.frameRate:usage.cpu.meanCores -o report.html
+    """
+    selection = _selection(sweep, evaluation, where)
+    frame = select(read_archive(Home.from_environment().archive_url), selection, failed_everywhere=True)
+    if not len(frame):
+        raise InputError("no run is meant: there is nothing to report")
+    metric = metric or next((name for name in RANKED_BY if not frame.column(name).is_empty), RANKED_BY[0])
+    for field, names in (("--metric", [metric]), ("--cost", cost or []), ("--by", _names(by, ""))):
+        frame.require(names, field)
+        if field != "--by":
+            _check_numbers(frame, names, field)
+    asked = [text for text in analysis or () if text != "none"]
+    questions = (
+        [parse_question(text, frame, outcomes) for text in asked]
+        if analysis
+        else usual_questions(frame, metric, outcomes)
+    )
+    contents = Contents(
+        title=title,
+        metric=metric,
+        by=_names(by, ",".join(COMPETITORS)),
+        outcomes=outcomes,
+        costs=tuple(cost or ()),
+        questions=tuple(questions),
+        filters=tuple(selection.sentences),
+    )
+    page = report_html(frame, contents)
+    _write(page, None if str(output) == "-" else output)
+    if str(output) != "-":
+        remark(f"{output}: {runs_of(frame):,} runs, {len(page.encode()) / 1e6:.1f} MB")
+
+
+def _check_numbers(frame: Frame, names: Sequence[str], field: str) -> None:
+    for name in names:
+        column = frame.column(name)
+        if not column.is_empty and np.isnan(column.floats()).all():
+            raise InputError(f"{field}: {name}: a column of numbers is needed, this one holds none")
 
 
 def paper_table(
@@ -101,6 +185,11 @@ def paper_table(
     frame = select(read_archive(Home.from_environment().archive_url), selection, failed_everywhere=True)
     if not len(frame):
         raise InputError("no run is meant: there is nothing to make a table of")
+    frame.require(layout.rows, "--rows")
+    frame.require(layout.columns, "--columns")
+    names = [one.column for one in layout.metrics]
+    frame.require(names, "--metric")
+    _check_numbers(frame, names, "--metric")
     table = make_table(frame, layout)
     if form is TableFormat.CSV:
         _write(csv_text(flat(table)), output)

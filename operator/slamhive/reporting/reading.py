@@ -15,14 +15,14 @@ import numpy as np
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.expressions import parse_where
-from slamhive.analysis.grouping import where_equal, with_facets
+from slamhive.analysis.grouping import Groups, where_equal, with_facets
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect
 from slamhive.dashboard.loading import load
 from slamhive.dashboard.rows import PREFIXES
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError, UnknownNameError
-from slamhive.model.results import Phase
+from slamhive.model.results import Outcome, Phase
 
 if TYPE_CHECKING:
     from slamhive.analysis.columns import Mask
@@ -135,6 +135,23 @@ def select(frame: Frame, selection: Selection, *, failed_everywhere: bool = Fals
     if selection.where:
         frame = frame.select(parse_where(selection.where, frozenset(frame.names)).mask(frame))
     return frame
+
+
+def with_figure(frame: Frame, metric: str) -> tuple[Frame, list[str]]:
+    """Return the runs without those of evaluations that have no such figure: they did not fail in it.
+
+    Args:
+        frame: the runs.
+        metric: column that is ranked by.
+    """
+    numbers, tracked = frame.column(metric).floats(), where_equal(frame, "status", Outcome.TRACKED.value)
+    kept, notes = np.ones(len(frame), dtype=bool), []
+    groups = Groups(frame, ("evaluation",))
+    for rows, keys in zip(groups.members(), groups.keys, strict=True):
+        if tracked[rows].any() and np.isnan(numbers[rows]).all():
+            kept[rows] = False
+            notes.append(f"evaluation {keys['evaluation']} has no {metric}: its runs are not shown here")
+    return (frame, notes) if kept.all() else (frame.select(kept), notes)
 
 
 def _of_evaluation(frame: Frame, name: str, where: str) -> Frame:

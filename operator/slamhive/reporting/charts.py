@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The charts of a report: who stands where, accuracy against cost, one thing over another."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from slamhive.reporting.drawing import BAND, WIDTH, Drawing, Style, cut
+from slamhive.reporting.markup import keys_text, parse_metric, shown
+from slamhive.reporting.scales import Scale
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from typing import Any
+
+    from slamhive.analysis import Metric
+    from slamhive.analysis.grouping import Cell, Figure
+    from slamhive.analysis.leaderboard import Board
+    from slamhive.analysis.pareto import Front
+    from slamhive.analysis.statistics import Interval
+    from slamhive.reporting.markup import Markup
+    from slamhive.reporting.studies import Panel, Study
+
+MOST_ENTRIES = 30
+MOST_LANES = 8
+
+_LEFT, _RIGHT = 52.0, 12.0
+_TOP, _PLOT, _BELOW = 24.0, 220.0, 40.0
+_LANE, _NAME = 13.0, 18.0
+_FAILED = 62.0
+
+
+def board_chart(board: Board, metric: Metric) -> Markup:
+    """Draw a leaderboard: the median and range of each competitor on each dataset."""
+    entries = board.entries[:MOST_ENTRIES]
+    lanes = min(len(board.datasets), MOST_LANES)
+    step = _NAME + lanes * _LANE + 4
+    bottom = _TOP + len(entries) * step
+    drawing = Drawing(f"{metric.title} of each competitor on each dataset", bottom + _BELOW)
+    right = WIDTH - _FAILED
+    numbers = [
+        one.median * metric.factor
+        for entry in entries
+        for standing in entry.standings
+        for one in (standing,)
+        if math.isfinite(one.median)
+    ]
+    ends = [
+        end * metric.factor
+        for entry in entries
+        for standing in entry.standings
+        if standing.summary is not None
+        for end in (standing.summary.min, standing.summary.max)
+    ]
+    scale = Scale.over([*numbers, *ends], 10.0, right)
+    drawing.band(right + 6, _TOP, WIDTH - right - 6, bottom - _TOP)
+    drawing.text(right + 10, _TOP - 6, "failed")
+    drawing.x_axis(scale, _TOP, bottom, metric.title)
+    for place, entry in enumerate(entries):
+        top = _TOP + place * step
+        name = keys_text(entry.keys.values())
+        if place:
+            drawing.line((0, top), (WIDTH, top), "rule strong")
+        drawing.text(10, top + 13, cut(f"{entry.rank:g}  {name}", WIDTH - 120), class_="who")
+        for standing in entry.standings:
+            lane = board.datasets.index(standing.dataset)
+            y = top + _NAME + (lane % lanes + 0.5) * _LANE
+            style = Style(lane)
+            title = f"{name} on {shown(standing.dataset)}: {_standing_words(standing, metric)}"
+            if standing.summary is not None and standing.n > 1:
+                low, high = (
+                    scale.at(end * metric.factor) for end in (standing.summary.min, standing.summary.max)
+                )
+                drawing.line((low, y), (high, y), f"range {style.colour}")
+            if math.isfinite(standing.median):
+                drawing.mark(scale.at(standing.median * metric.factor), y, style, title)
+            else:
+                drawing.cross(right + 22, y, style, title)
+                drawing.text(right + 32, y + 4, f"{standing.n}/{standing.runs}")
+    return drawing.svg()
+
+
+def _standing_words(standing: Any, metric: Metric) -> str:
+    median = metric.show(standing.median) if math.isfinite(standing.median) else "median run failed"
+    return f"{median} ({standing.n} of {standing.runs} runs count)"
+
+
+def front_chart(front: Front, axes: tuple[str, str], names: Sequence[str], title: str) -> Markup:
+    """Draw error over cost with the front.
+
+    Args:
+        front: competitors on one dataset.
+        axes: columns of cost and error.
+        names: all competitors, in the order of the legend.
+        title: what it shows.
+    """
+    cost, error = parse_metric(axes[0]), parse_metric(axes[1])
+    spots = [spot for spot in front.spots if not math.isnan(spot.x)]
+    drawing, top = _plot(title, failures=any(math.isinf(spot.y) for spot in spots))
+    bottom = top + _PLOT
+    x = Scale.over((spot.x * cost.factor for spot in spots), _LEFT, WIDTH - _RIGHT)
+    ends = [end for spot in spots for end in (spot.y, *spot.y_range)]
+    y = Scale.over((end * error.factor for end in ends), bottom, top, ticks=4)
+    drawing.x_axis(x, top, bottom, cost.title)
+    drawing.y_axis(y, _LEFT, WIDTH - _RIGHT, error.title)
+    best = [spot for spot in spots if spot.front]
+    corners: list[tuple[float, float]] = []
+    for spot in best:
+        at = (x.at(spot.x * cost.factor), y.at(spot.y * error.factor))
+        corners += [(at[0], corners[-1][1]), at] if corners else [at]
+    drawing.path(corners, "front")
+    for spot in spots:
+        name = keys_text(spot.keys.values())
+        style = Style(names.index(name))
+        across = x.at(spot.x * cost.factor)
+        words = f"{name}: {cost.show(spot.x)} {cost.unit}, {spot.n} of {spot.runs} runs count"
+        if math.isinf(spot.y):
+            drawing.cross(across, top - BAND / 2, style, f"{words}; its median run failed")
+            continue
+        low, high = (y.at(end * error.factor) for end in spot.y_range)
+        if high < low:
+            drawing.line((across, low), (across, high), f"range {style.colour}")
+        title = f"{words}; {error.title} {error.show(spot.y)}"
+        drawing.mark(across, y.at(spot.y * error.factor), style, title, hollow=not spot.front)
+    return drawing.svg()
+
+
+def study_chart(made: Study, panel: Panel, title: str) -> Markup:
+    """Draw one panel of a study."""
+    question = made.question
+    metrics = parse_metric(question.x), parse_metric(question.y)
+    drawing, top = _plot(title, failures=_fails(made, panel))
+    bottom = top + _PLOT
+    x = _x_scale(made, panel, metrics[0])
+    y = Scale.over(_heights(made, panel, metrics[1]), bottom, top, log=question.log[1], ticks=4)
+    if made.categories is None:
+        drawing.x_axis(x, top, bottom, _x_title(made, metrics[0]))
+    else:
+        room = (WIDTH - _LEFT - _RIGHT) / len(made.categories)
+        for number, value in enumerate(made.categories):
+            down = 15 + (13 * (number % 2) if room < 90 else 0)
+            drawing.text(
+                x.at(number),
+                bottom + down,
+                cut(shown(value), room * (2 if room < 90 else 1)),
+                anchor="middle",
+            )
+    drawing.y_axis(y, _LEFT, WIDTH - _RIGHT, metrics[1].title)
+    if question.points:
+        _draw_dots(drawing, panel, (x, y), metrics, top)
+    else:
+        _draw_groups(drawing, made, panel, (x, y), top)
+    return drawing.svg()
+
+
+def _plot(title: str, *, failures: bool) -> tuple[Drawing, float]:
+    """Return an empty chart, and where its axes begin."""
+    top = _TOP + (BAND + 4 if failures else 0)
+    drawing = Drawing(title, top + _PLOT + _BELOW)
+    if failures:
+        drawing.band(_LEFT, _TOP, WIDTH - _LEFT - _RIGHT, BAND)
+        drawing.text(_LEFT - 6, _TOP + BAND / 2 + 4, "failed", anchor="end")
+    return drawing, top
+
+
+def _x_title(made: Study, metric: Metric) -> str:
+    kind = made.question.frame.column(made.question.x).kind
+    return f"{metric.column} [h after the first]" if kind == "time" else metric.title
+
+
+def _x_scale(made: Study, panel: Panel, metric: Metric) -> Scale:
+    if made.categories is not None:
+        return Scale(-0.5, len(made.categories) - 0.5, _LEFT, WIDTH - _RIGHT, False, ())
+    numbers = [dot.x for dot in panel.dots] or [
+        made.place(cell.keys[made.question.x]) for cell in panel.cells
+    ]
+    return Scale.over(
+        (number * metric.factor for number in numbers),
+        _LEFT + 8,
+        WIDTH - _RIGHT - 8,
+        log=made.question.log[0],
+    )
+
+
+def _heights(made: Study, panel: Panel, metric: Metric) -> Iterable[float]:
+    if made.question.points:
+        return [dot.y * metric.factor for dot in panel.dots]
+    found = []
+    for cell in panel.cells:
+        figure = cell.figures[made.question.y]
+        median, ends = _median(figure), _ends(figure)
+        found += [value * metric.factor for value in (median, *ends, *figure.points) if value is not None]
+    return found
+
+
+def _fails(made: Study, panel: Panel) -> bool:
+    if made.question.points:
+        return any(math.isnan(dot.y) for dot in panel.dots)
+    return any(cell.failures for cell in panel.cells)
+
+
+def _median(figure: Figure) -> float | None:
+    if figure.censored_median is not None:
+        return figure.censored_median
+    return figure.summary.median if figure.summary else None
+
+
+def _ends(figure: Figure) -> tuple[float, ...]:
+    """Return the range of few runs, and the interval of the median of many."""
+    interval: Interval | None = figure.median_interval
+    if interval is not None:
+        return tuple(end for end in (interval.low, interval.high) if math.isfinite(end))
+    return (figure.summary.min, figure.summary.max) if figure.summary and figure.summary.n > 1 else ()
+
+
+def _draw_dots(
+    drawing: Drawing, panel: Panel, axes: tuple[Scale, Scale], metrics: tuple[Metric, Metric], top: float
+) -> None:
+    x, y = axes
+    for dot in panel.dots:
+        style, across = Style(dot.series), x.at(dot.x * metrics[0].factor)
+        words = f"{dot.run}: {metrics[1].show(dot.y)} at {metrics[0].show(dot.x)}, {dot.status}"
+        if math.isnan(dot.y):
+            drawing.cross(across, top - BAND / 2 - 4, style, f"{dot.run}: {dot.status}")
+        else:
+            drawing.mark(
+                across, y.at(dot.y * metrics[1].factor), style, words, hollow=dot.status != "Tracked"
+            )
+
+
+def _draw_groups(drawing: Drawing, made: Study, panel: Panel, axes: tuple[Scale, Scale], top: float) -> None:
+    x, y = axes
+    lines: dict[int, list[Cell]] = {}
+    for cell in panel.cells:
+        lines.setdefault(made.series_of(cell.keys), []).append(cell)
+    across, metric = parse_metric(made.question.x), parse_metric(made.question.y)
+    for turn, (number, cells) in enumerate(lines.items()):
+        style, way = Style(number), []
+        # Series that share an x stand side by side.
+        aside = (turn - (len(lines) - 1) / 2) * min(9.0, _crowd(made, len(lines)))
+        for cell in cells:
+            value = made.place(cell.keys[made.question.x])
+            if math.isnan(value):
+                continue
+            factor = 1.0 if made.categories is not None else across.factor
+            at = x.at(value * factor) + aside
+            point = _draw_group(drawing, cell, (at, top), (y, metric), style)
+            way += [point] if point else []
+        if made.categories is None:
+            drawing.path(way, style.colour)
+
+
+def _crowd(made: Study, series: int) -> float:
+    places = len(made.categories) if made.categories is not None else 12
+    return (WIDTH - _LEFT - _RIGHT) / places / (series + 1)
+
+
+def _draw_group(
+    drawing: Drawing, cell: Cell, place: tuple[float, float], axis: tuple[Scale, Metric], style: Style
+) -> tuple[float, float] | None:
+    (at, top), (y, metric) = place, axis
+    figure = cell.figures[metric.column]
+    median, ends = _median(figure), _ends(figure)
+    keys = keys_text(cell.keys.values())
+    if len(ends) == 2:
+        low, high = (y.at(end * metric.factor) for end in ends)
+        drawing.line((at, low), (at, high), f"range {style.colour}")
+    for value in figure.points if len(figure.points) > 1 else ():
+        drawing.dot(at, y.at(value * metric.factor), style)
+    failed = sum(cell.failures.values())
+    if failed:
+        words = ", ".join(f"{count} {word}" for word, count in cell.failures.items())
+        drawing.cross(at, top - BAND / 2 - 7, style, f"{keys}: {words} of {cell.runs} runs")
+        drawing.text(at, top - 5, str(failed), anchor="middle", class_="small")
+    if median is None or not math.isfinite(median):
+        return None
+    point = (at, y.at(median * metric.factor))
+    words = f"{keys}: {metric.title} {metric.show(median)}, {cell.n} of {cell.runs} runs count"
+    drawing.mark(*point, style, words)
+    return point

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is drawn against what: ``X:Y``, or the address of the dashboard's explore page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qsl
+
+from slamhive.analysis.boards import COMPETITORS
+from slamhive.analysis.columns import ColumnKind
+from slamhive.analysis.grouping import varies, varying
+from slamhive.analysis.pivot import CONFIGURATION
+from slamhive.dashboard import selecting
+from slamhive.dashboard.problems import Problem
+from slamhive.model.errors import InputError, suggestion
+from slamhive.reporting.reading import with_figure
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.analysis import Outcomes
+    from slamhive.analysis.frame import Frame
+
+KINDS = {"scatter": "points", "line": "groups", "box": "groups", "points": "points", "groups": "groups"}
+"""What the explore page calls them, and what is drawn here."""
+
+MOST_GROUPS = 40
+MOST_QUESTIONS = 4
+_SETTINGS = ("kind", "x", "y", "colour", "facet", "outcomes", "figure", "xlog", "ylog", "title", "embed")
+_FIELD = "--analysis"
+
+
+@dataclass(frozen=True)
+class Question:
+    """Something to draw.
+
+    Attributes:
+        x, y: columns.
+        by: columns that tell series apart.
+        frame: the runs.
+        outcomes: which of them have a figure that counts.
+        points: whether each run is drawn by itself, or the runs of each x together.
+        log: whether x and y are logarithmic; None where the numbers are to say.
+        title: what it is called.
+        filters: what is left out, in words.
+    """
+
+    x: str
+    y: str
+    by: tuple[str, ...]
+    frame: Frame
+    outcomes: Outcomes
+    points: bool
+    log: tuple[bool | None, bool | None] = (None, None)
+    title: str = ""
+    filters: str = ""
+
+
+def parse_question(text: str, frame: Frame, outcomes: Outcomes) -> Question:
+    """Read what is to be drawn.
+
+    Args:
+        text: ``X:Y``, ``X:Y:BY``, or an address or query string as the explore page has it.
+        frame: the runs.
+        outcomes: which of them count, unless the address says otherwise.
+
+    Raises:
+        InputError: it can't be understood, or names a column that there isn't.
+    """
+    if "=" in text:
+        return _of_address(text, frame, outcomes)
+    parts = text.split(":")
+    if not 2 <= len(parts) <= 3 or not all(part.strip() for part in parts):
+        raise InputError(
+            f"{_FIELD}: {text!r} is neither X:Y, X:Y:COLOUR nor an address of the explore page; "
+            "an example is input.frameRate:ate.rmse"
+        )
+    x, y, *more = (resolve(part.strip(), frame) for part in parts)
+    return _question(frame, (x, y), tuple(more) or COMPETITORS, outcomes)
+
+
+def usual_questions(frame: Frame, metric: str, outcomes: Outcomes) -> list[Question]:
+    """Return the metric over each setting that was varied, those with most values first."""
+    frame, _ = with_figure(frame, metric)
+    names = [name for name in varying(frame) if name.startswith(CONFIGURATION) and "seed" not in name.lower()]
+    counts = {name: len(frame.column(name).factorized()[1]) for name in names}
+    chosen = sorted(names, key=lambda name: -counts[name])[:MOST_QUESTIONS]
+    return [_question(frame, (name, metric), COMPETITORS, outcomes) for name in chosen]
+
+
+def resolve(name: str, frame: Frame) -> str:
+    """Return the column that a name means: its whole name, or its last part where that is clear.
+
+    Raises:
+        InputError: it is unknown, or means several.
+    """
+    if frame.has(name):
+        return name
+    if frame.has(f"{name}.rmse"):
+        return f"{name}.rmse"
+    ending = [column for column in frame.stored if column.endswith(f".{name}")]
+    settings = [column for column in ending if column.startswith(CONFIGURATION)]
+    found = settings if len(settings) == 1 else ending
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise InputError(f"{_FIELD}: {name!r} may be {', '.join(sorted(found)[:6])}; write which")
+    raise InputError(f"{_FIELD}: unknown column {name[:100]!r}{suggestion(name[:100], frame.names)}")
+
+
+def _of_address(text: str, frame: Frame, outcomes: Outcomes) -> Question:
+    query = text.partition("?")[2] or text
+    pairs = parse_qsl(query, keep_blank_values=True)
+    given = {name: value for name, value in pairs if name in _SETTINGS and value}
+    kind = given.get("kind", "scatter")
+    if kind not in KINDS:
+        raise InputError(f"{_FIELD}: kind={kind[:60]}: a report draws {', '.join(KINDS)}")
+    for name in ("x", "y"):
+        if name not in given:
+            raise InputError(f"{_FIELD}: {text[:200]!r} says no {name}=")
+    try:
+        chosen = selecting.select(frame, pairs, _SETTINGS)
+        counted = selecting.outcomes(given["outcomes"]) if "outcomes" in given else outcomes
+    except (Problem, InputError) as error:
+        raise InputError(f"{_FIELD}: {error}") from None
+    by = tuple(resolve(given[name], frame) for name in ("colour", "facet") if name in given)
+    log = tuple(True if given.get(name) == "1" else None for name in ("xlog", "ylog"))
+    left = [f"{name}={value}" if value else name for name, value in pairs if name not in _SETTINGS]
+    return _question(
+        chosen,
+        (resolve(given["x"], frame), resolve(given["y"], frame)),
+        by or COMPETITORS,
+        counted,
+        points=KINDS[kind] == "points",
+        log=(log[0], log[1]),
+        title=given.get("title", ""),
+        filters=", ".join(left),
+    )
+
+
+def _question(
+    frame: Frame,
+    axes: tuple[str, str],
+    by: Sequence[str],
+    outcomes: Outcomes,
+    *,
+    points: bool | None = None,
+    log: tuple[bool | None, bool | None] = (None, None),
+    title: str = "",
+    filters: str = "",
+) -> Question:
+    x, y = axes
+    if frame.column(x).is_empty:
+        raise InputError(f"{_FIELD}: no run has {x}")
+    number = frame.column(y)
+    if not number.is_empty and not (number.floats() == number.floats()).any():
+        raise InputError(f"{_FIELD}: {y}: a column of numbers is needed, this one holds none")
+    if points is None:
+        column = frame.column(x)
+        counts = column.kind in {ColumnKind.NUMBER, ColumnKind.INTEGER}
+        points = counts and not x.startswith(CONFIGURATION) and len(column.factorized()[1]) > MOST_GROUPS
+    points = points or frame.column(x).kind is ColumnKind.TIME
+    told = tuple(name for name in by if name != x and varies(frame, name))
+    return Question(x, y, told, frame, outcomes, points, log, title, filters)
