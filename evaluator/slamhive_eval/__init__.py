@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from slamhive_eval.report import report_html
     from slamhive_eval.result_tables import csv_table, latex_table
     from slamhive_eval.robust import align_robustly
-    from slamhive_eval.segments import Piece, number_poses, read_segments
+    from slamhive_eval.segments import Piece, evaluate_pieces, number_poses, read_segments
     from slamhive_eval.support import (
         Gap,
         SegmentedEvaluation,
@@ -97,7 +97,7 @@ _MODULES = {
     "repeated": ("Repeated", "summarize"),
     "report": ("report_html",),
     "result_tables": ("csv_table", "latex_table"),
-    "segments": ("Piece", "number_poses", "read_segments"),
+    "segments": ("Piece", "evaluate_pieces", "number_poses", "read_segments"),
     "support": (
         "Gap",
         "SegmentedEvaluation",
@@ -171,6 +171,7 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "common_support",
     "within",
     "evaluate_segments",
+    "evaluate_pieces",
     "segment_numbers",
     "SegmentedEvaluation",
     "read_segments",

@@ -83,6 +83,9 @@ class _Bag:
         except Exception as error:  # noqa: BLE001 - parsers raise anything on hostile bytes
             raise self._damaged(error) from None
         self.topics: dict[str, str] = {one.topic: one.msgtype for one in self._reader.connections}
+        if not all(isinstance(word, str) for words in self.topics.items() for word in words):
+            self._reader.close()
+            raise self._damaged(ValueError("a topic has no name or no type"))
 
     def __enter__(self) -> Self:
         return self

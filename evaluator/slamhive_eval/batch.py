@@ -26,6 +26,7 @@ import numpy as np
 from slamhive_eval.errors import EvaluationError, FileError, OptionError, TrajectoryError
 from slamhive_eval.evaluation import Options, evaluate
 from slamhive_eval.files import Unsorted, read_text, read_trajectory
+from slamhive_eval.segments import NAME, beside, evaluate_pieces, read_segments
 from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -110,7 +111,8 @@ def find_pairs(folder: str | Path, reference: str | Path | None = None, pattern:
 
     pairs = []
     for estimate in sorted(folder.rglob(pattern)):
-        if not estimate.is_file() or _is_truth(estimate) or _same(estimate, reference):
+        passed_over = _is_truth(estimate) or estimate.name == NAME or _same(estimate, reference)
+        if passed_over or not estimate.is_file():
             continue
         truth = reference or truth_of(estimate.parent)
         if truth is not None:
@@ -127,6 +129,7 @@ def evaluate_pairs(
     *,
     unsorted: Unsorted = "error",
     processes: int | None = None,
+    with_segments: bool = True,
 ) -> Iterator[dict[str, Any]]:
     """Evaluate pairs, in any order.
 
@@ -135,10 +138,12 @@ def evaluate_pairs(
         options: How; every pair is evaluated by each.
         unsorted: What to do with decreasing stamps of estimates, see `read_trajectory`.
         processes: How many; None for as many as there are processors.
+        with_segments: Whether to measure an estimate map by map where a ``segments.csv`` lies beside it.
 
     Yields:
-        For each pair and option, as they finish: ``reference``, ``estimate`` and `Evaluation.as_dict`; for a
-        pair that can't be evaluated ``reference``, ``estimate`` and ``error``, a sentence.
+        For each pair and option, as they finish: ``reference``, ``estimate`` and `Evaluation.as_dict`, or
+        what `evaluate_pieces` returns; for a pair that can't be evaluated ``reference``, ``estimate`` and
+        ``error``, a sentence.
 
     Raises:
         OptionError: An option that isn't allowed, whatever the pairs, or fewer than one process.
@@ -149,7 +154,9 @@ def evaluate_pairs(
     if processes is not None and processes < 1:
         raise OptionError(f"there must be at least one process, not {processes}")
     processes = min(processes or len(os.sched_getaffinity(0)), len(pairs))
-    work = functools.partial(_evaluate_group, options=tuple(options), unsorted=unsorted)
+    work = functools.partial(
+        _evaluate_group, options=tuple(options), unsorted=unsorted, with_segments=with_segments
+    )
     try:
         _read_in_common(pairs)
         if processes == 1 or len(pairs) < _FEWEST_FOR_PROCESSES:
@@ -214,7 +221,7 @@ def _reference(path: str) -> Trajectory:
 
 
 def _evaluate_group(
-    group: Sequence[Pair], *, options: tuple[Options, ...], unsorted: Unsorted
+    group: Sequence[Pair], *, options: tuple[Options, ...], unsorted: Unsorted, with_segments: bool
 ) -> list[dict[str, Any]]:
     results = []
     for pair in group:
@@ -222,7 +229,13 @@ def _evaluate_group(
         try:
             reference = _reference(pair.reference)
             estimate = read_trajectory(pair.estimate, unsorted=unsorted)
-            results += [{**names, **evaluate(reference, estimate, one).as_dict()} for one in options]
+            path = beside(pair.estimate) if with_segments else None
+            if path is None:
+                found = [evaluate(reference, estimate, one).as_dict() for one in options]
+            else:
+                pieces = read_segments(path)
+                found = [evaluate_pieces(reference, estimate, pieces, one) for one in options]
+            results += [{**names, **one} for one in found]
         except EvaluationError as error:
             results.append({**names, "error": str(error)})
         except Exception as error:  # noqa: BLE001 - the others must go on

@@ -17,16 +17,18 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive_eval.errors import FileError, TrajectoryError
+from slamhive_eval.support import evaluate_segments
 from slamhive_eval.textfiles import data_lines, decode, is_number, read_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from slamhive_eval.evaluation import Options
     from slamhive_eval.rotation import IndexArray
     from slamhive_eval.trajectory import Trajectory
 
@@ -81,8 +83,9 @@ def read_segments(path: str | Path) -> list[Piece]:
 
 
 def beside(estimate: str | Path) -> Path | None:
-    """The ``segments.csv`` in the folder of an estimate, where there is one."""
-    path = Path(estimate).parent / NAME
+    """The ``segments.csv`` in the folder of an estimate, FILE or FILE:TOPIC, where there is one."""
+    file = Path(estimate)
+    path = (file if file.exists() else Path(str(estimate).split(":", 1)[0])).parent / NAME
     return path if path.is_file() else None
 
 
@@ -110,8 +113,44 @@ def number_poses(estimate: Trajectory, pieces: Sequence[Piece]) -> tuple[IndexAr
             f"none of the poses, {estimate.stamps[0]:.3f} s to {estimate.stamps[-1]:.3f} s, is in a segment; "
             f"those are from {starts[0]:.3f} s to {ends[-1]:.3f} s"
         )
-    numbers = np.array([maps.index(piece.map) for piece in pieces], dtype=np.intp)
+    by_name = {name: number for number, name in enumerate(maps)}
+    numbers = np.array([by_name[piece.map] for piece in pieces], dtype=np.intp)
     return np.where(inside, numbers[np.maximum(which, 0)], OUTSIDE), maps
+
+
+def evaluate_pieces(
+    reference: Trajectory,
+    estimate: Trajectory,
+    pieces: Sequence[Piece],
+    options: Options | None = None,
+    *,
+    most: int | None = None,
+) -> dict[str, Any]:
+    """Measure an estimate map by map, see `slamhive_eval.evaluate_segments`.
+
+    Args:
+        reference: Ground truth.
+        estimate: What an algorithm wrote.
+        pieces: What its ``segments.csv`` says; poses outside of them are counted and left out.
+        options: How to evaluate.
+        most: Measure so many maps, those over the longest paths; None for all.
+
+    Returns:
+        Plain JSON data: `SegmentedEvaluation.as_dict`, each segment with its ``map`` and ``reason``, and
+        ``posesOutside``.
+
+    Raises:
+        OptionError: Options that aren't allowed.
+        TrajectoryError: No pose is in a piece.
+    """
+    numbers, maps = number_poses(estimate, pieces)
+    reasons = {piece.map: piece.reason for piece in reversed(pieces)}
+    kept = np.flatnonzero(numbers != OUTSIDE)
+    found = evaluate_segments(reference, estimate.select(kept), numbers[kept], options, most=most).as_dict()
+    for one in found["segments"]:
+        one["map"] = maps[one["segment"]]
+        one["reason"] = reasons[one["map"]]
+    return {**found, "posesOutside": len(estimate) - len(kept)}
 
 
 def _piece(path: str | Path, number: int, words: dict[str, str], count: int) -> Piece:

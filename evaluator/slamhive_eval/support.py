@@ -8,23 +8,26 @@ compared on the time they share, and one that started again is measured piece by
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import contextlib
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive_eval import metrics
-from slamhive_eval.association import associate
+from slamhive_eval.association import pair_up
 from slamhive_eval.coverage import FRAME_STEP_SECONDS, KEYFRAME_STEP_SECONDS, is_keyframes
 from slamhive_eval.errors import AssociationError, OptionError
 from slamhive_eval.evaluation import Evaluation, Options, evaluate
 from slamhive_eval.metrics import Statistics
+from slamhive_eval.preparing import set_clock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import numpy.typing as npt
 
+    from slamhive_eval.association import Association
     from slamhive_eval.rotation import FloatArray, IndexArray
     from slamhive_eval.trajectory import Trajectory
 
@@ -84,7 +87,8 @@ class Segment:
         metres: Path of the ground truth between its associated poses.
         alone: Its errors when aligned on its own.
         in_main_frame: Statistics of its position errors in m under the alignment of the longest segment;
-            None without common poses or without that alignment.
+            None without common poses or without that alignment, or where each segment has found an extrinsic
+            of its own.
     """
 
     name: int
@@ -117,10 +121,12 @@ class SegmentedEvaluation:
     Attributes:
         main: The segment over the longest path, whose evaluation stands for the estimate.
         others: The rest, in the order of their numbers.
+        left_out: How many more there are, shorter than these, that weren't measured.
     """
 
     main: Segment
     others: tuple[Segment, ...]
+    left_out: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data: the main segment's evaluation with all segments listed."""
@@ -129,6 +135,7 @@ class SegmentedEvaluation:
             **self.main.alone.as_dict(),
             "mainSegment": self.main.name,
             "segments": [segment.as_dict() for segment in listed],
+            "segmentsLeftOut": self.left_out,
         }
 
 
@@ -226,6 +233,8 @@ def evaluate_segments(
     estimate: Trajectory,
     segments: npt.NDArray[np.integer[Any]],
     options: Options | None = None,
+    *,
+    most: int | None = None,
 ) -> SegmentedEvaluation:
     """Measure an estimate that started again, or holds several maps, piece by piece.
 
@@ -237,7 +246,8 @@ def evaluate_segments(
         reference: Ground truth.
         estimate: n poses.
         segments: Number of each pose's segment, shape (n,).
-        options: How to evaluate.
+        options: How to evaluate. The offset of the estimate's clock is found for all segments together.
+        most: Measure so many segments, those over the longest paths; None for all.
 
     Returns:
         The main segment and the others.
@@ -248,24 +258,31 @@ def evaluate_segments(
     if segments.shape != (len(estimate),):
         raise OptionError(f"{len(estimate)} poses need as many segment numbers, not {segments.shape}")
     options = options or Options()
-    parts = {int(name): estimate.select(np.flatnonzero(segments == name)) for name in np.unique(segments)}
+    clock = None
+    with contextlib.suppress(AssociationError):  # then each segment's evaluation says why
+        estimate, clock = set_clock(reference, estimate, options.preparation)
+        options = replace(options, clock="given")
+    order = np.argsort(segments, kind="stable")
+    ends = np.flatnonzero(np.diff(segments[order])) + 1
+    parts = {int(segments[part[0]]): estimate.select(part) for part in np.split(order, ends)}
     spans = {name: _span_metres(reference, part, options) for name, part in parts.items()}
-    longest = max(parts, key=lambda name: (spans[name], len(parts[name]), -name))
-    main = evaluate(reference, parts[longest], options)
-    found = [
-        Segment(
+    names = sorted(parts, key=lambda name: (-spans[name], -len(parts[name]), name))[:most]
+    main = replace(evaluate(reference, parts[names[0]], options), clock=clock)
+
+    def measured(name: int) -> Segment:
+        part, is_main = parts[name], name == names[0]
+        return Segment(
             name=name,
             begin=float(part.stamps[0]),
             end=float(part.stamps[-1]),
             poses=len(part),
             metres=spans[name],
-            alone=main if name == longest else evaluate(reference, part, options),
-            in_main_frame=main.ate if name == longest else _under(main, reference, part, options),
+            alone=main if is_main else evaluate(reference, part, options),
+            in_main_frame=main.ate if is_main else _under(main, reference, part, options),
         )
-        for name, part in parts.items()
-    ]
-    others = tuple(segment for segment in found if segment.name != longest)
-    return SegmentedEvaluation(next(segment for segment in found if segment.name == longest), others)
+
+    others = tuple(measured(name) for name in sorted(names[1:]))
+    return SegmentedEvaluation(measured(names[0]), others, len(parts) - len(names))
 
 
 def _limit(estimate: Trajectory, longest_step_seconds: float | None) -> float:
@@ -285,17 +302,29 @@ def _spans(estimate: Trajectory, longest_step_seconds: float | None) -> FloatArr
 
 
 def _span_metres(reference: Trajectory, part: Trajectory, options: Options) -> float:
-    pairs = associate(reference, part, options.max_difference_seconds, options.offset_seconds)
+    pairs, _, _ = _pair_up(reference, part, options)
     if not len(pairs):
         return 0.0
     return float(reference.distances[pairs.reference[-1]] - reference.distances[pairs.reference[0]])
 
 
 def _under(main: Evaluation, reference: Trajectory, part: Trajectory, options: Options) -> Statistics | None:
-    pairs = associate(reference, part, options.max_difference_seconds, options.offset_seconds)
-    if main.alignment is None or not len(pairs):
+    pairs, truth, kept = _pair_up(reference, part, options)
+    if main.alignment is None or not len(pairs) or options.hand_eye:
         return None
-    truth = reference.select(pairs.reference)
     if options.extrinsic is not None:
         truth = truth.moved(options.extrinsic)
-    return Statistics.of(metrics.ape_errors(truth, main.alignment.apply(part.select(pairs.estimate))))
+    return Statistics.of(metrics.ape_errors(truth, main.alignment.apply(kept)))
+
+
+def _pair_up(
+    reference: Trajectory, part: Trajectory, options: Options
+) -> tuple[Association, Trajectory, Trajectory]:
+    return pair_up(
+        reference,
+        part,
+        options.matching,
+        max_difference_seconds=options.max_difference_seconds,
+        offset_seconds=options.offset_seconds,
+        max_gap_seconds=options.max_gap_seconds,
+    )

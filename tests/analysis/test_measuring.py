@@ -11,7 +11,7 @@ from slamhive.model.errors import InputError
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.results import Outcome
 from slamhive.model.sensors import SensorMode
-from slamhive_eval import Relations, Trajectory
+from slamhive_eval import Piece, Relations, Trajectory
 
 TIMES = np.arange(0.0, 100.0)
 
@@ -53,3 +53,20 @@ def test_an_estimate_that_is_worse_than_standing_still_has_diverged(speed: float
     result = measure(RELATIONS, estimate, EvaluationSettings(), Subject(SensorMode.LIDAR))
     assert result.outcome == outcome
     assert bool(result.values["message"]) == (outcome == "Diverged")
+
+
+def test_relations_between_two_maps_are_missed_not_measured() -> None:
+    moved = line(TIMES).positions + np.where(TIMES >= 60, 7.0, 0.0)[:, np.newaxis]
+    estimate = Trajectory(TIMES, moved, line(TIMES).quaternions)
+    pieces = [Piece(0, 59, "a"), Piece(60, 80, "b")]
+    settings, subject = EvaluationSettings(), Subject(SensorMode.LIDAR)
+    result = measure(RELATIONS, estimate, settings, subject, pieces=pieces)
+    assert result.values["relations"]["count"] == 79
+    assert result.values["relations"]["translation"]["max"] < 1e-9
+    assert result.coverage == pytest.approx(79 / 99)
+    whole = measure(RELATIONS, estimate, settings, subject)
+    assert whole.values["relations"]["translation"]["max"] > 7
+    with pytest.raises(InputError, match="between two poses of one map"):
+        measure(
+            RELATIONS, estimate, settings, subject, pieces=[Piece(float(k), k + 0.1, str(k)) for k in TIMES]
+        )

@@ -295,6 +295,17 @@ def test_every_cut_of_a_recording_is_refused_by_a_sentence(
             read_trajectory(file)
 
 
+def test_metadata_without_the_name_of_a_topic(tmp_path: Path) -> None:
+    maker = Maker("ros2")
+    name = "geometry_msgs/msg/PointStamped"
+    bag = maker.record(tmp_path, [("/point", name, maker.message(name, (1, 0, 0, 0, 0, 0, 0, 1)))])
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("name: /point", "name:"))
+    for topic in (None, "/point"):
+        with pytest.raises(FileError, match="a topic has no name or no type"):
+            read_trajectory(bag, topic=topic)
+
+
 def test_names_with_colons_and_compressed_files(tmp_path: Path) -> None:
     (tmp_path / "a:b.gz").write_bytes(gzip.compress(b"1 2 3 4 0 0 0 1\n"))
     assert len(read_trajectory(tmp_path / "a:b.gz")) == 1

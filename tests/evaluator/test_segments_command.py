@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from slamhive_eval import FileError, Trajectory, TrajectoryError, number_poses, read_segments, write_tum
+from slamhive_eval import (
+    FileError,
+    Options,
+    Piece,
+    Trajectory,
+    TrajectoryError,
+    evaluate_pieces,
+    number_poses,
+    read_segments,
+    read_tum,
+    write_tum,
+)
 from slamhive_eval.command import main
 
 if TYPE_CHECKING:
@@ -93,3 +104,45 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "segments.csv").write_text(text)
     with pytest.raises(FileError, match=says):
         read_segments(tmp_path / "segments.csv")
+
+
+def test_batch_measures_map_by_map(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["batch", str(run), "--reference", f"{run}/gt.txt", "--align", "se3"]
+    command = ["segments", f"{run}/gt.txt", f"{run}/est.txt", "--align", "se3", "--json"]
+    assert main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert main(command) == 0
+    alone = json.loads(capsys.readouterr().out)
+    for name in ("mainSegment", "posesOutside", "ate", "coverage", "poses", "scale"):
+        assert found[name] == alone[name], name
+    maps = ["segment", "map", "reason", "poses", "ate", "ateInMainFrame"]
+    assert [[one[name] for name in maps] for one in found["segments"]] == [
+        [one[name] for name in maps] for one in alone["segments"]
+    ]
+    assert found["ate"]["rmse"] < 1e-9
+    assert main([*words, "--no-segments"]) == 0
+    assert json.loads(capsys.readouterr().out)["ate"]["rmse"] > 1
+    (run / "segments.csv").write_text("start,end\n2,1\n")
+    assert main([*words, "--pattern", "*.*"]) == 1
+    assert "line 2: ends at 1.000 s before" in json.loads(capsys.readouterr().out)["error"]
+
+
+def test_one_clock_for_all_maps(run: Path, wander: Callable[..., Trajectory]) -> None:
+    truth, estimate = wander(400, start=0.0), read_tum(run / "est.txt").shifted(-0.3)
+    pieces = [
+        Piece(piece.start - 0.3, piece.end - 0.3, piece.map) for piece in read_segments(run / "segments.csv")
+    ]
+    options = Options(clock="offset", matching="interpolate")
+    found = evaluate_pieces(truth, estimate, pieces, options)
+    assert found["clock"]["offsetSeconds"] == pytest.approx(0.3, abs=0.01)
+    assert found["segments"][1]["ateInMainFrame"]["rmse"] == pytest.approx(5.0, abs=0.1)
+    assert found["segments"][0]["metres"] > found["segments"][1]["metres"] > 1
+
+
+def test_only_the_longest_maps_are_measured(run: Path) -> None:
+    truth, estimate = read_tum(run / "gt.txt"), read_tum(run / "est.txt")
+    pieces = [Piece(float(k), k + 0.95, f"map {k}") for k in range(40)]
+    found = evaluate_pieces(truth, estimate, pieces, most=5)
+    metres = [one["metres"] for one in evaluate_pieces(truth, estimate, pieces)["segments"]]
+    assert sorted(one["metres"] for one in found["segments"]) == sorted(metres)[-5:]
+    assert found["segmentsLeftOut"] == 35

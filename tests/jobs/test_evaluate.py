@@ -65,6 +65,8 @@ def put_run(pod: Any, number: int, estimate: Path | str) -> dict[str, Any]:
     place.mkdir(parents=True)
     data = estimate.encode() if isinstance(estimate, str) else estimate.read_bytes()
     (place / "trajectory.txt").write_bytes(data)
+    if isinstance(estimate, Path) and estimate.with_name("segments.csv").exists():
+        shutil.copy(estimate.with_name("segments.csv"), place)
     return {
         "uid": uid,
         "name": f"run-{number}",
@@ -116,6 +118,13 @@ def prepare_truth(shared: Path, kind: str, folder: Path) -> tuple[dict[str, Any]
     else:
         shutil.copyfile(source / "fr2_desk_groundtruth.txt", folder / "gt")
         truth = {"file": "gt", "holes": [{"start": 1311868180.0, "end": 1311868190.25}]}
+    lines = [
+        "start,end,map",
+        "1311868160,1311868200,a",
+        "1311868200.5,1311868210,b",
+        "1311868212,1311868300,a",
+    ]
+    (folder / "segments.csv").write_text("\n".join(lines))
     shutil.copyfile(source / "fr2_desk_ORB.txt", estimate)
     return truth, estimate, (1311868170.0, 1311868230.0)
 
@@ -165,6 +174,7 @@ def test_results_are_those_of_the_workstation(  # noqa: PLR0917 - fixtures
         close = isinstance(value, float) and found[key] == pytest.approx(value, rel=1e-9, abs=1e-12)
         assert close or found[key] == value, key
     assert kind == "Relations" or wanted[".values.ate.rmse"] > 0
+    assert (".values.segments[1].map" in wanted) == (kind == "Tum")
 
 
 def on_the_workstation(home: Home, algorithm: Algorithm, dataset: Dataset, folder: Path) -> Any:
@@ -229,6 +239,11 @@ def damaged(pod: Any, walked: str) -> list[tuple[dict[str, Any], str]]:
     case("name", name="a/b")
     case("does not exist", folder="runs/none/none")
     case("compressed").write_bytes(b"\x1f\x8b" + b"\0" * 100)
+    case("segments.csv, line 2: found 1 of 2 columns").with_name("segments.csv").write_text("start,end\n1\n")
+    case("is in a segment").with_name("segments.csv").write_text("start,end\n1,2\n")
+    case("segments.csv is compressed").with_name("segments.csv").write_bytes(b"BZh" + b"\0" * 100)
+    case("symbolic links are not followed").with_name("segments.csv").symlink_to("/etc/passwd")
+    case("at most").with_name("segments.csv").write_text("#" * (2 << 20))
     path = case("symbolic links are not followed")
     path.unlink()
     path.symlink_to("/etc/passwd")
@@ -261,6 +276,23 @@ def test_one_bad_run_never_stops_the_rest(pod: Any, walked: str) -> None:
         assert (result["evaluation"], result["outcome"]) == ("mine", "Tracked")
 
 
+def test_the_longest_map_stands_for_a_run(pod: Any, walked: str) -> None:
+    rows = [line.split(" ", 2) for line in walked.splitlines()]
+    moved = [f"{t} {float(x) + (9 if 60 <= k < 100 else 0)} {rest}" for k, (t, x, rest) in enumerate(rows)]
+    run = put_run(pod, 1, "\n".join(moved))
+    segments = Path(pod.root, "results", run["folder"], "output", "segments.csv")
+    segments.write_text("start,end,map,reason\n100,105.95,0,start\n106,109.95,1,lost\n110,119,0,found\n")
+    [record] = evaluate(pod, [run])
+    values = record["result"]["values"]
+    assert values["ate"]["rmse"] < 1e-6
+    assert (values["mainSegment"], values["posesOutside"], values["segmentsLeftOut"]) == (0, 9, 0)
+    assert [one["reason"] for one in values["segments"]] == ["start", "lost"]
+    assert values["segments"][1]["ateInMainFrame"]["rmse"] == pytest.approx(9.0, abs=1e-6)
+    segments.unlink()
+    [record] = evaluate(pod, [run])
+    assert record["result"]["values"]["ate"]["rmse"] > 1
+
+
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_greedy_run_is_refused_its_memory(pod: Any, walked: str, processes: str) -> None:
     pose = "1 0 0 0 0 0 0 1\n"
@@ -278,10 +310,10 @@ def test_a_process_that_dies_takes_no_other_run_along(
     runs = [put_run(pod, number, walked) for number in range(1, 7)]
     measure = batch.measure
 
-    def dying(*arguments: Any) -> Any:
+    def dying(*arguments: Any, **others: Any) -> Any:
         if arguments[3].keyframes:
             os.abort()
-        return measure(*arguments)
+        return measure(*arguments, **others)
 
     monkeypatch.setattr(batch, "measure", dying)
     runs[2]["keyframes"] = True

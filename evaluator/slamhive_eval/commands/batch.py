@@ -51,6 +51,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--min-coverage", type=float, default=0.9, metavar="SHARE", help="from which a run is tracked"
     )
     parser.add_argument("--sort", action="store_true", help="sort poses of estimates by time")
+    parser.add_argument(
+        "--no-segments",
+        action="store_true",
+        help="pass over segments.csv beside an estimate, by which it is measured map by map",
+    )
     parser.add_argument("--jobs", type=int, metavar="N", help="processes (default: one a processor)")
     parser.add_argument("--json", action="store_true", help="no effect: every line is JSON anyway")
 
@@ -65,7 +70,13 @@ def run(asked: argparse.Namespace) -> int:
         found = batch.read_pairs(asked.path)
     unsorted: files.Unsorted = "sort" if asked.sort else "error"
     failed = 0
-    for result in batch.evaluate_pairs(found, _options(asked), unsorted=unsorted, processes=asked.jobs):
+    for result in batch.evaluate_pairs(
+        found,
+        _options(asked),
+        unsorted=unsorted,
+        processes=asked.jobs,
+        with_segments=not asked.no_segments,
+    ):
         failed += "error" in result
         sys.stdout.write(json.dumps(result, allow_nan=False) + "\n")
         sys.stdout.flush()

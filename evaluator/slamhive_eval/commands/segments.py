@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive_eval import evaluation, segments, support
+from slamhive_eval import evaluation, segments
 from slamhive_eval.commands import inputs, measuring, output
 from slamhive_eval.errors import OptionError
 
 if TYPE_CHECKING:
     import argparse
-
-    from slamhive_eval.rotation import IndexArray
-    from slamhive_eval.trajectory import Trajectory
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -50,34 +47,29 @@ def run(asked: argparse.Namespace) -> int:
     results = []
     for name in asked.estimates:
         estimate = measuring.read_estimate(asked, name)
-        numbers, maps, reasons = _parts(asked, name, estimate)
-        outside = int(np.count_nonzero(numbers == segments.OUTSIDE))
-        kept = np.flatnonzero(numbers != segments.OUTSIDE)
-        found = support.evaluate_segments(reference, estimate.select(kept), numbers[kept], options).as_dict()
-        for one in found["segments"]:
-            one |= {"map": maps[one["segment"]], "reason": reasons[one["segment"]]}
-        results.append({**found, "posesOutside": outside, "estimate": name})
+        pieces = _restarted(asked) if asked.restarts else _read(asked, name)
+        found = segments.evaluate_pieces(reference, estimate, pieces, options)
+        results.append({**found, "estimate": name})
     result = results[0] if len(results) == 1 else {"results": results}
     output.emit(asked, result, lambda _: "\n\n".join(map(_show, results)))
     return 0
 
 
-def _parts(
-    asked: argparse.Namespace, name: str, estimate: Trajectory
-) -> tuple[IndexArray, list[str], list[str]]:
-    """Number of each pose's map, and name of the maps and why they began by number."""
-    if asked.restarts:
-        if not (np.isfinite(asked.restarts).all() and (np.diff(asked.restarts) > 0).all()):
-            raise OptionError("the times of --restarts must be finite and ascend")
-        maps = [str(k) for k in range(len(asked.restarts) + 1)]
-        return support.segment_numbers(estimate, asked.restarts), maps, [""] * len(maps)
-    path = asked.segments or segments.beside(name.split(":", 1)[0])
+def _restarted(asked: argparse.Namespace) -> list[segments.Piece]:
+    if not (np.isfinite(asked.restarts).all() and (np.diff(asked.restarts) > 0).all()):
+        raise OptionError("the times of --restarts must be finite and ascend")
+    starts = [-np.inf, *asked.restarts]
+    ends = [np.nextafter(time, -np.inf) for time in asked.restarts] + [np.inf]
+    return [
+        segments.Piece(start, end, str(k)) for k, (start, end) in enumerate(zip(starts, ends, strict=True))
+    ]
+
+
+def _read(asked: argparse.Namespace, name: str) -> list[segments.Piece]:
+    path = asked.segments or segments.beside(name)
     if path is None:
         raise OptionError(f"{name}: there is no {segments.NAME} beside it; name --segments or --restarts")
-    pieces = segments.read_segments(path)
-    numbers, maps = segments.number_poses(estimate, pieces)
-    reasons = {piece.map: piece.reason for piece in reversed(pieces)}
-    return numbers, maps, [reasons[one] for one in maps]
+    return segments.read_segments(path)
 
 
 def _show(result: dict[str, Any]) -> str:

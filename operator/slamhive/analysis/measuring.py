@@ -23,19 +23,28 @@ from slamhive_eval import (
     RpeOptions,
     Trajectory,
     evaluate,
+    evaluate_pieces,
     evaluate_relations,
+    number_poses,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy.typing as npt
 
     from slamhive.model.sensors import SensorMode
-    from slamhive_eval import RelationErrors
+    from slamhive_eval import Piece, RelationErrors
 
 SETTINGS_KEY = "settings"
 """Key of a result's values under which the hash of its settings stands."""
 
+SEGMENTS = "segments.csv"
+"""Beside a run's trajectory: when it tracked without a break, in which of its maps."""
+
 _SHORT_SECONDS = 10.0
+_MOST_MAPS = 20
+"""Maps of a run that are measured: what they take, and what is kept of them, is bounded."""
 
 Method = Literal["none", "origin", "se3", "sim3", "yaw"]
 _METHODS: dict[Alignment, Method] = {
@@ -92,6 +101,8 @@ def measure(
     settings: EvaluationSettings,
     subject: Subject,
     name: str | None = None,
+    *,
+    pieces: Sequence[Piece] | None = None,
 ) -> Result:
     """Measure an estimate against its dataset's ground truth.
 
@@ -101,12 +112,16 @@ def measure(
         settings: how to measure.
         subject: what is known of the run.
         name: the evaluation's name; default: the alignment, such as ``se3``.
+        pieces: what the algorithm says of its restarts and maps; None: it says nothing. The map over the
+            longest path stands for the run.
 
     Raises:
         InputError: the settings don't fit the run.
+        EvaluationError: no pose is in a piece.
     """
     if isinstance(reference, Relations):
-        return _measure_relations(reference, estimate, settings, subject, name or "relations")
+        name = name or "relations"
+        return _measure_relations(reference, estimate, settings, subject, name, pieces=pieces)
     alignment = method(settings, subject)
     options = Options(
         alignment=alignment,
@@ -128,7 +143,10 @@ def measure(
         has_scale=subject.mode.has_scale,
         window=subject.window,
     )
-    values = evaluate(reference, estimate, options).as_dict()
+    if pieces is None:
+        values = evaluate(reference, estimate, options).as_dict()
+    else:
+        values = evaluate_pieces(reference, estimate, pieces, options, most=_MOST_MAPS)
     outcome = Outcome(values.pop("outcome"))
     coverage = values.pop("coverage")
     return Result(
@@ -140,11 +158,20 @@ def measure(
 
 
 def _measure_relations(
-    reference: Relations, estimate: Trajectory, settings: EvaluationSettings, subject: Subject, name: str
+    reference: Relations,
+    estimate: Trajectory,
+    settings: EvaluationSettings,
+    subject: Subject,
+    name: str,
+    *,
+    pieces: Sequence[Piece] | None,
 ) -> Result:
     tolerance, offset = seconds(settings.association.max_difference), settings.association.offset
     if subject.window is not None:
         reference = _within(reference, subject.window, tolerance)
+    relations = len(reference)
+    if pieces is not None:
+        reference, estimate = _in_one_map(reference, estimate, pieces, offset)
     if offset:
         estimate = Trajectory(estimate.stamps + offset, estimate.positions, estimate.quaternions)
     found = evaluate_relations(
@@ -153,7 +180,7 @@ def _measure_relations(
         max_difference_seconds=tolerance,
         extrinsic=subject.extrinsic if settings.frame == "Estimate" else None,
     )
-    share = found.count / found.relations
+    share = found.count / relations
     divergence = _relations_diverged(reference, found)
     if divergence:
         outcome = Outcome.DIVERGED
@@ -201,6 +228,26 @@ def _within(relations: Relations, window: tuple[float, float], tolerance: float)
     return Relations(
         relations.begin[kept], relations.end[kept], relations.positions[kept], relations.quaternions[kept]
     )
+
+
+def _in_one_map(
+    relations: Relations, estimate: Trajectory, pieces: Sequence[Piece], offset: float
+) -> tuple[Relations, Trajectory]:
+    """Return the relations between poses of one map, and the poses of maps: two maps share no frame."""
+    numbers, _ = number_poses(estimate, pieces)
+    inside = np.flatnonzero(numbers >= 0)
+    estimate, numbers = estimate.select(inside), numbers[inside]
+    between = (estimate.stamps[1:] + estimate.stamps[:-1]) / 2
+    first, last = (
+        numbers[np.searchsorted(between, times - offset)] for times in (relations.begin, relations.end)
+    )
+    kept = first == last
+    if not kept.any():
+        raise InputError(f"no relation of the ground truth is between two poses of one map of {SEGMENTS}")
+    chosen = (
+        array[kept] for array in (relations.begin, relations.end, relations.positions, relations.quaternions)
+    )
+    return Relations(*chosen), estimate
 
 
 def _tagged(values: dict[str, Any], settings: EvaluationSettings) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import os
 import resource
 import signal
 from concurrent.futures import ProcessPoolExecutor
@@ -16,21 +17,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.measuring import measure
+from slamhive.analysis.measuring import SEGMENTS, measure
 from slamhive.jobs.machine import free_memory, usable_cores
 from slamhive.jobs.opening import opened
 from slamhive.jobs.program import parse
 from slamhive.jobs.requests import RunItem
 from slamhive.model.errors import DataError, SlamHiveError
-from slamhive_eval import EvaluationError, Relations, Trajectory, read_relations, read_tum
+from slamhive_eval import EvaluationError, Relations, Trajectory, read_relations, read_segments, read_tum
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from slamhive.model.evaluation import EvaluationSettings
+    from slamhive_eval import Piece
 
 TRAJECTORY = "output/trajectory.txt"
 _TRAJECTORY_BYTES = 512 << 20
+_SEGMENTS_BYTES = 1 << 20
 _PACKED = (b"\x1f\x8b", b"BZh")
 _WORKER_BYTES = 192 << 20
 _SPARE = 0.9
@@ -63,7 +66,8 @@ class Bench:
             if isinstance(truth, str):
                 return line | {"error": truth}
             estimate = self._estimate(run)
-            result = measure(truth, estimate, self.settings, run.subject(), self.evaluation)
+            pieces = self._pieces(run)
+            result = measure(truth, estimate, self.settings, run.subject(), self.evaluation, pieces=pieces)
             line |= {"result": result.as_json()}
             json.dumps(line, allow_nan=False)
             return line  # noqa: TRY300 - what JSON can't say is an error of this run
@@ -83,10 +87,8 @@ class Bench:
         """
         path = f"{run.folder}/{TRAJECTORY}"
         with opened(self.results, path, _TRAJECTORY_BYTES) as descriptor:
+            _require_plain(descriptor, path)
             with open(descriptor, "rb", closefd=False) as file:
-                if file.read(3).startswith(_PACKED):
-                    raise DataError(f"{path} is compressed; trajectories are plain text")
-                file.seek(0)
                 found = hashlib.file_digest(file, "sha256").hexdigest()
             if run.sha256 is not None and found != run.sha256:
                 raise DataError(f"{path} has sha256 {found}, the run wrote one of {run.sha256}")
@@ -95,6 +97,28 @@ class Bench:
                 return read_tum(link)
             except EvaluationError as error:
                 raise DataError(str(error).replace(link, path)) from None
+
+    def _pieces(self, run: RunItem) -> list[Piece] | None:
+        """Read what a run says of its restarts and maps; None when it says nothing.
+
+        Raises:
+            DataError: it says it wrongly.
+        """
+        path = f"{run.folder}/output/{SEGMENTS}"
+        if not os.path.lexists(self.results / path):
+            return None
+        with opened(self.results, path, _SEGMENTS_BYTES) as descriptor:
+            _require_plain(descriptor, path)
+            link = f"/proc/self/fd/{descriptor}"
+            try:
+                return read_segments(link)
+            except EvaluationError as error:
+                raise DataError(str(error).replace(link, path)) from None
+
+
+def _require_plain(descriptor: int, path: str) -> None:
+    if os.pread(descriptor, 3, 0).startswith(_PACKED):
+        raise DataError(f"{path} is compressed; it must be plain text")
 
 
 def identity(item: Mapping[str, Any]) -> dict[str, Any]:
