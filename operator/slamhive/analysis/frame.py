@@ -94,13 +94,18 @@ class Frame:
         """Return a column; one of nothing where nothing is known by the name."""
         found = self._own.get(name, self._taken.get(name))
         if found is None:
-            whole = self._columns.get(name)
-            if whole is None:
-                found = Column.missing(len(self))
-            else:
-                found = whole if self._rows is None else whole.take(self._rows)
-            self._taken[name] = found
+            found = self._taken[name] = self.glance(name)
         return found
+
+    def glance(self, name: str) -> Column:
+        """Return a column as ``column`` does, without keeping it: for those that go through many once."""
+        found = self._own.get(name, self._taken.get(name))
+        if found is not None:
+            return found
+        whole = self._columns.get(name)
+        if whole is None:
+            return Column.missing(len(self))
+        return whole if self._rows is None else whole.take(self._rows)
 
     def select(self, rows: Indices | Mask) -> Frame:
         """Return some rows: by a mask, (n,), or by their places."""

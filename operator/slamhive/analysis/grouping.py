@@ -212,7 +212,7 @@ def varying(frame: Frame) -> list[str]:
     firsts[groups.of_row[::-1]] = np.arange(len(frame))[::-1]
     example = firsts[groups.of_row]
     names = (name for name in frame.stored if name.startswith(CONFIGURATION) and name not in FACETS)
-    return sorted(name for name in names if _differs(frame.column(name), example))
+    return sorted(name for name in names if _differs(frame.glance(name), example))
 
 
 def varying_facets(frame: Frame, asked: Iterable[str]) -> list[str]:
