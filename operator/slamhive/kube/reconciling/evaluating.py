@@ -2,7 +2,7 @@
 """Measuring finished runs in batches: evaluator Jobs, and what they print into each run's status.
 
 A run without a result is measured again: a Job that is gone, a line that is missing and an operator that was
-killed in between all come to the same.
+killed in between all come to the same. What cannot be measured is noted at the run (``giving_up.py``).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from slamhive.kube.errors import AlreadyExists, ApiError, Conflict, NotFound
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
 from slamhive.kube.observing import EvaluatorObserved, observe_evaluator
 from slamhive.kube.reconciling import variants
+from slamhive.kube.reconciling.giving_up import problem_of, with_problem
 from slamhive.kube.reconciling.groups import Group, group_of, key_for
 from slamhive.kube.reconciling.summing import evaluation_status
 from slamhive.kube.status import changes, condition, display, merged, moment, result_field
@@ -49,7 +50,6 @@ class Evaluations:
 
     def __init__(self, catalogue: Catalogue) -> None:
         self._catalogue = catalogue
-        self._problems: dict[Key, dict[tuple[str, str, str], str]] = {}
         self._failures: dict[Key, int] = {}
         self._written: dict[Key, float] = {}
 
@@ -68,7 +68,6 @@ class Evaluations:
             return None
         if group is None:
             self._failures.pop(key, None)
-            self._problems.pop(key, None)
             return None
         busy: set[str] = set()
         active = 0
@@ -95,12 +94,9 @@ class Evaluations:
             and not job["metadata"].get("deletionTimestamp")
         ]
 
-    def _is_missing(self, group: Group, run: Object) -> bool:
-        return not group.has_result(run) and self._problem(group, run) is None
-
-    def _problem(self, group: Group, run: Object) -> str | None:
-        """Return why a run can't be measured by this group; another one's evaluator may do better."""
-        return self._problems.get(group.key, {}).get(_case(group, run))
+    @staticmethod
+    def _is_missing(group: Group, run: Object) -> bool:
+        return not group.has_result(run) and problem_of(group, run) is None
 
     async def _start_missing(self, op: Operator, group: Group, busy: set[str], active: int) -> list[float]:
         missing = [
@@ -218,8 +214,9 @@ class Evaluations:
             return
         names = _names(job)
         for run in group.runs:
-            if run["metadata"]["name"] in names and self._is_missing(group, run):
-                await self._give_up(op, group, run, problem)
+            now = op.store.get(key_of(Kind.MAPPING_RUN, run)) or run
+            if run["metadata"]["name"] in names and self._is_missing(group, now):
+                await self._give_up(op, group, now, problem)
         self._failures.pop(group.key, None)
 
     async def _take(self, op: Operator, group: Group, record: Object) -> None:
@@ -248,13 +245,13 @@ class Evaluations:
         if group.name is None:
             fresh = [condition("Evaluated", False, "NotEvaluable", problem)]
             await _update(op, key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"], fresh)
-        self._problems.setdefault(group.key, {})[_case(group, run)] = problem
+        await _note(op, group, run, problem)
 
     async def _write(self, op: Operator, group: Group) -> list[float]:
         body = op.store.get(group.key)
         if group.name is None or body is None:
             return []
-        found = {run["metadata"]["name"]: self._problem(group, run) for run in group.runs}
+        found = {run["metadata"]["name"]: problem_of(group, run) for run in group.runs}
         problems = {name: problem for name, problem in found.items() if problem is not None}
         now = op.clock()
         status = evaluation_status(group, problems)
@@ -282,6 +279,26 @@ class Evaluations:
         status = {"conditions": merged(before, fresh, body["metadata"].get("generation", 1), op.clock())}
         if changes(body["status"], status):
             await op.patch(key, {"status": status}, subresource="status")
+
+
+async def _note(op: Operator, group: Group, run: Object, problem: str) -> None:
+    """Note at a run why a group can't measure it, whatever else is noted there at the same time."""
+    key, uid = key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"]
+    for _ in range(_WRITE_TRIES):
+        found = op.store.get(key)
+        if found is None or found["metadata"]["uid"] != uid or problem_of(group, found) is not None:
+            return
+        version = found["metadata"]["resourceVersion"]
+        noted = with_problem(group, found, problem)
+        try:
+            await op.patch(key, {"metadata": {"resourceVersion": version, "annotations": noted}})
+        except Conflict:
+            await op.refresh(key)
+        except NotFound:
+            return
+        else:
+            return
+    raise Conflict(f"{key}: it keeps changing", status=409)
 
 
 async def _update(
@@ -315,10 +332,6 @@ async def _update(
         else:
             return
     raise Conflict(f"{key}: its status keeps changing", status=409)
-
-
-def _case(group: Group, run: Object) -> tuple[str, str, str]:
-    return str(group.owner["uid"]), group.hash, str(run["metadata"]["uid"])
 
 
 def _names(job: Object) -> set[str]:

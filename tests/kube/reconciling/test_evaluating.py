@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs that cannot be measured, on a real control plane: what is told, and what a restarted operator knows.
+
+Pods are played, so the logs of evaluators are given here.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from testcluster.lab import condition_of, manifest, run, status_of, sweep, until
+
+from slamhive.jobs.lines import encode_all
+from slamhive.kube.client import Api
+from slamhive.kube.kinds import Key, Kind
+
+if TYPE_CHECKING:
+    from testcluster.lab import Lab
+
+    from slamhive.kube.operator import Operator
+
+SETTINGS = {"evaluation": {"delaySeconds": 0.1}}
+WHY = "its trajectory has 2 poses"
+
+
+class Evaluators:
+    """What evaluators' pods say: an error of each run, or nothing."""
+
+    def __init__(self) -> None:
+        self.silent = False
+        self.measured: list[tuple[str, ...]] = []
+        """The runs of each Job whose log was read."""
+
+    def log(self, op: Operator, namespace: str, pod: str) -> str:
+        """Return the log of a pod."""
+        found = op.store.get(Key(Kind.POD, namespace, pod))
+        assert found is not None
+        owner = found["metadata"]["ownerReferences"][0]["name"]
+        job = op.store.get(Key(Kind.JOB, namespace, owner))
+        assert job is not None
+        names = job["metadata"]["annotations"]["slamhive.io/runs"].split(",")
+        self.measured.append(tuple(names))
+        runs = [op.store.get(Key(Kind.MAPPING_RUN, namespace, name)) for name in names]
+        told = [
+            {"uid": one["metadata"]["uid"], "name": one["metadata"]["name"], "error": WHY}
+            for one in runs
+            if one
+        ]
+        return "" if self.silent else "\n".join(encode_all(told))
+
+
+@pytest.fixture
+def evaluators(monkeypatch: pytest.MonkeyPatch) -> Evaluators:
+    """The evaluators of all operators of the test."""
+    return Evaluators()
+
+
+@pytest.fixture
+def operating(lab: Lab, evaluators: Evaluators, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A function that runs an operator to which evaluators speak."""
+
+    def operator() -> Any:
+        context = lab.operator(**SETTINGS)
+        started: list[Operator] = []
+
+        async def logs(_: Api, namespace: str, pod: str, *__: Any, **___: Any) -> str:
+            return evaluators.log(started[0], namespace, pod)
+
+        class Running:
+            async def __aenter__(self) -> Operator:
+                monkeypatch.setattr(Api, "logs", logs)
+                started.append(await context.__aenter__())
+                return started[0]
+
+            async def __aexit__(self, *error: object) -> None:
+                await context.__aexit__(*error)
+
+        return Running()
+
+    return operator
+
+
+def told(status: dict[str, Any]) -> bool:
+    return bool(condition_of(status, "Evaluated").get("reason") == "NotEvaluable")
+
+
+@pytest.mark.parametrize("silent", [False, True], ids=["refused", "silent"])
+async def test_what_cannot_be_measured_is_not_tried_again_by_the_next_operator(
+    lab: Lab, operating: Any, evaluators: Evaluators, *, silent: bool
+) -> None:
+    evaluators.silent = silent
+    drift = manifest("Evaluation", "drift", runs={"names": ["one"]}, alignment="Origin")
+    async with operating() as op:
+        lab.apply(run("one", evaluate=True), drift)
+        await status_of(op, Kind.MAPPING_RUN, "one", told)
+        await status_of(op, Kind.EVALUATION, "drift", lambda status: status.get("failed") == 1)
+    tried = len(evaluators.measured)
+    assert tried == (6 if silent else 2)
+    async with operating() as op:
+        lab.apply(run("two", evaluate=True))
+        await status_of(op, Kind.MAPPING_RUN, "two", told)
+        status = await status_of(op, Kind.EVALUATION, "drift", lambda status: status.get("failed") == 1)
+    assert {*evaluators.measured[tried:]} == {("two",)}
+    assert ("exit" in status["conditions"][-1]["message"]) or not silent or "incomplete" in json.dumps(status)
+
+
+async def test_another_measurement_is_tried(lab: Lab, operating: Any, evaluators: Evaluators) -> None:
+    """A failure belongs to its settings, and whoever removes the note has it tried again."""
+    async with operating() as op:
+        lab.apply(sweep(sizes=2, template={"evaluate": True}))
+        runs = await until(lambda: _given_up(op, lab, 2), "both to be given up")
+        before = len(evaluators.measured)
+        change = {"spec": {"evaluation": {"alignment": "Origin"}}}
+        lab.cluster.kubectl(
+            "patch", "sweep", "study", "-n", lab.namespace, "--type=merge", "-p", json.dumps(change)
+        )
+        await until(lambda: len(evaluators.measured) > before, "another attempt")
+        await until(lambda: _noted(op, lab, runs[0]) != _noted_of(runs[0]), "another note")
+        before = len(evaluators.measured)
+        name = runs[1]["metadata"]["name"]
+        lab.cluster.kubectl("annotate", "mappingrun", name, "-n", lab.namespace, "slamhive.io/not-evaluable-")
+        await until(lambda: [*evaluators.measured[before:]][-1:] == [(name,)], "the run to be measured again")
+
+
+def _given_up(op: Operator, lab: Lab, count: int) -> list[dict[str, Any]]:
+    runs = [one for one in op.store.of(Kind.MAPPING_RUN, lab.namespace) if _noted_of(one)]
+    return runs if len(runs) == count else []
+
+
+def _noted_of(one: dict[str, Any]) -> str:
+    return str((one["metadata"].get("annotations") or {}).get("slamhive.io/not-evaluable", ""))
+
+
+def _noted(op: Operator, lab: Lab, one: dict[str, Any]) -> str:
+    found = op.store.get(Key(Kind.MAPPING_RUN, lab.namespace, one["metadata"]["name"]))
+    return _noted_of(found) if found else ""
