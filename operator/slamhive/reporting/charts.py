@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from slamhive.reporting.drawing import BAND, WIDTH, Drawing, Style, cut
 from slamhive.reporting.markup import keys_text, parse_metric, shown
 from slamhive.reporting.scales import Scale
+from slamhive.reporting.tables import failures_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
 
 MOST_ENTRIES = 30
 MOST_LANES = 8
+MOST_CROSSES = 3
+"""Series of a chart up to which each has its own failures counted above it."""
 
 _LEFT, _RIGHT = 52.0, 12.0
 _TOP, _PLOT, _BELOW = 24.0, 220.0, 40.0
@@ -235,6 +239,8 @@ def _draw_groups(drawing: Drawing, made: Study, panel: Panel, axes: tuple[Scale,
     for cell in panel.cells:
         lines.setdefault(made.series_of(cell.keys), []).append(cell)
     across, metric = parse_metric(made.question.x), parse_metric(made.question.y)
+    crowded = len(lines) > MOST_CROSSES
+    failed: Counter[float] = Counter()
     for turn, (number, cells) in enumerate(lines.items()):
         style, way = Style(number), []
         # Series that share an x stand side by side.
@@ -245,10 +251,19 @@ def _draw_groups(drawing: Drawing, made: Study, panel: Panel, axes: tuple[Scale,
                 continue
             factor = 1.0 if made.categories is not None else across.factor
             at = x.at(value * factor) + aside
-            point = _draw_group(drawing, cell, (at, top), (y, metric), style)
+            point = _draw_group(drawing, cell, at, (y, metric), style)
             way += [point] if point else []
+            failures = sum(cell.failures.values())
+            failed[at - aside if crowded else at] += failures
+            if failures and not crowded:
+                words = f"{keys_text(cell.keys.values())}: {failures_text(cell.failures)} of {cell.runs} runs"
+                drawing.cross(at, top - BAND / 2 - 7, style, words)
         if made.categories is None:
             drawing.path(way, style.colour)
+    for at, count in failed.items():
+        if count:
+            down = 11 if crowded else 5
+            drawing.text(at, top - down, f"{count:,}", anchor="middle", class_="small")
 
 
 def _crowd(made: Study, series: int) -> float:
@@ -257,9 +272,9 @@ def _crowd(made: Study, series: int) -> float:
 
 
 def _draw_group(
-    drawing: Drawing, cell: Cell, place: tuple[float, float], axis: tuple[Scale, Metric], style: Style
+    drawing: Drawing, cell: Cell, at: float, axis: tuple[Scale, Metric], style: Style
 ) -> tuple[float, float] | None:
-    (at, top), (y, metric) = place, axis
+    y, metric = axis
     figure = cell.figures[metric.column]
     median, ends = _median(figure), _ends(figure)
     keys = keys_text(cell.keys.values())
@@ -268,11 +283,6 @@ def _draw_group(
         drawing.line((at, low), (at, high), f"range {style.colour}")
     for value in figure.points if len(figure.points) > 1 else ():
         drawing.dot(at, y.at(value * metric.factor), style)
-    failed = sum(cell.failures.values())
-    if failed:
-        words = ", ".join(f"{count} {word}" for word, count in cell.failures.items())
-        drawing.cross(at, top - BAND / 2 - 7, style, f"{keys}: {words} of {cell.runs} runs")
-        drawing.text(at, top - 5, str(failed), anchor="middle", class_="small")
     if median is None or not math.isfinite(median):
         return None
     point = (at, y.at(median * metric.factor))

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from slamhive.analysis import Metric
     from slamhive.reporting.papertables import Figure, PaperTable, Place
 
+FEW = 4
+"""Columns up to which n stands under each, beyond once a row."""
+
 COLUMN, PAGE = 58, 118
 """Characters that stand side by side in a column and on a page of two."""
 
@@ -101,9 +104,10 @@ def _blocks(table: PaperTable) -> list[tuple[str, list[str]]]:
     """Return (heading, headings beneath it) of each block of columns of numbers."""
     beneath = [" ".join(map(escaped, column)) for column in table.columns]
     titles = [escaped(metric.title) for metric in table.metrics]
+    blocks = [(title, beneath) for title in titles]
     if table.shows_counts:
-        titles.append("$n$")
-    return [(title, beneath) for title in titles]
+        blocks.append(("$n$", beneath if len(beneath) <= FEW else [""]))
+    return blocks
 
 
 def _head(table: PaperTable, blocks: Sequence[tuple[str, list[str]]], *, turned: bool = False) -> list[str]:
@@ -150,13 +154,16 @@ def _cells(table: PaperTable, line: Sequence[Place | None]) -> list[str]:
     cells = []
     for number, metric in enumerate(table.metrics):
         cells += [_figure(metric, place, number) for place in line]
-    if table.shows_counts:
-        cells += ["--" if place is None else _count(place) for place in line]
+    if table.shows_counts and len(line) <= FEW:
+        cells += ["--" if place is None else _count(place.n, place.runs) for place in line]
+    elif table.shows_counts:
+        held = [place for place in line if place is not None]
+        cells.append(_count(sum(place.n for place in held), sum(place.runs for place in held)))
     return cells
 
 
-def _count(place: Place) -> str:
-    return str(place.n) if place.n == place.runs else f"{place.n}/{place.runs}"
+def _count(n: int, runs: int) -> str:
+    return str(n) if n == runs else f"{n}/{runs}"
 
 
 def _figure(metric: Metric, place: Place | None, number: int) -> str:

@@ -204,7 +204,7 @@ def _study(made: Study, number: int) -> Markup:
         "One mark a run; hollow ones were not tracked, crosses have no figure."
         if question.points
         else "Medians of all runs, failed ones ranked last. Below 10 runs lines are their range and dots the "
-        "runs, from 10 on lines are the 95 % interval of the median. Crosses count failed runs."
+        "runs, from 10 on lines are the 95 % interval of the median. Grey bands count failed runs."
     )
     if question.filters:
         words += f" Only {question.filters}."
