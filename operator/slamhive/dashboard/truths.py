@@ -11,11 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.groundtruth import ground_truth
 from slamhive.data.slamhive1 import GroundTruthFolder
-from slamhive.local.catalog import load_workshop
-from slamhive.local.home import Home
 from slamhive.model.errors import SlamHiveError
 from slamhive_eval import EvaluationError, Trajectory, read_tum
 
@@ -102,6 +98,12 @@ class Truths:
 
 
 def _of_home(home: Path, dataset: str) -> Truth | None:
+    # Readers of recordings come with these: seconds and megabytes that a dashboard in a cluster never needs.
+    from slamhive.data.entries import DatasetEntry  # noqa: PLC0415
+    from slamhive.data.groundtruth import ground_truth  # noqa: PLC0415
+    from slamhive.local.catalog import load_workshop  # noqa: PLC0415
+    from slamhive.local.home import Home  # noqa: PLC0415
+
     place = load_workshop(Home.at(home)).dataset_places.get(dataset)
     if place is None:
         return None

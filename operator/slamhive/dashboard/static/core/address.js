@@ -5,7 +5,7 @@ import { createContext, useContext } from './ui.js';
 /** Names that are settings of a page; every other one is a filter and goes to the API as it is. */
 const OWN = new Set([
   'kind', 'x', 'y', 'colour', 'size', 'facet', 'outcomes', 'figure', 'xlog', 'ylog', 'embed', 'sort', 'columns',
-  'limit', 'after', 'by', 'metric', 'metrics', 'uid', 'plane', 'title', 'axes', 'view', 'figures',
+  'limit', 'after', 'by', 'metric', 'metrics', 'plane', 'title', 'axes', 'view', 'figures',
 ]);
 
 const decode = (text) => {

@@ -7,6 +7,7 @@ import { Fault, Link, Status, useTitle, Waiting } from '../core/parts.js';
 import { html } from '../core/ui.js';
 
 const LONGEST = 2000;
+const LONG = 100;
 const ONE = { algorithms: 'algorithm', datasets: 'dataset' };
 
 export default function Catalog() {
@@ -40,7 +41,7 @@ function One({ kind, name }) {
   return html`<h1>${clip(name, 160)}</h1><${Fault} error=${error} />
     ${data ? html`<section class="card"><${Short} item=${data} kind=${kind} />
         <p class="row"><${Link} href=${address('/leaderboard', { [ONE[kind]]: name })}>Leaderboard</${Link}><${Link} href=${address('/explore', { [ONE[kind]]: name })}>Explore</${Link}></p></section>
-      ${pairs.length > 0 && html`<h2>Attributes</h2><section class="card"><dl class="facts">${pairs.map(([key, value]) => html`<dt>${clip(key, 120)}</dt><dd>${clip(cell(value), LONGEST)}</dd>`)}</dl></section>`}
+      ${pairs.length > 0 && html`<h2>Attributes</h2><section class="card"><dl class="facts">${pairs.map(([key, value]) => html`<dt>${clip(key, 120)}</dt><dd tabindex=${String(value).length > LONG ? 0 : null}>${clip(cell(value), LONGEST)}</dd>`)}</dl></section>`}
       ${data.manifest && html`<h2>Definition</h2><pre class="text" tabindex="0">${data.manifest}</pre>`}` : !error && html`<${Waiting} />`}
     <p><${Link} href=${`/${kind}`}>To all ${kind}</${Link}></p>`;
 }

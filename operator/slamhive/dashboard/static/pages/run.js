@@ -12,6 +12,8 @@ import { loads } from './loads.js';
 import { Tracks, trackTable } from './tracks.js';
 
 const LONGEST = 4000;
+/** Longer values than this scroll, so keys must reach them. */
+const LONG = 100;
 
 /** A page of one run. @param {{uid: string}} props */
 export default function RunPage({ uid }) {
@@ -57,7 +59,7 @@ const shown = (name, value) => clip(/bytes$/i.test(name) && typeof value === 'nu
 function Facts({ title, value, keep = null, folded = false }) {
   const pairs = flat(value, keep);
   if (pairs.length === 0) return null;
-  const list = html`<dl class="facts">${pairs.map(([name, one]) => html`<dt>${clip(name, 120)}</dt><dd>${shown(name, one)}</dd>`)}</dl>`;
+  const list = html`<dl class="facts">${pairs.map(([name, one]) => html`<dt>${clip(name, 120)}</dt><dd tabindex=${String(one).length > LONG ? 0 : null}>${shown(name, one)}</dd>`)}</dl>`;
   return folded ? html`<details class="card"><summary>${title} (${pairs.length})</summary>${list}</details>` : html`<section class="card"><h3>${title}</h3>${list}</section>`;
 }
 
