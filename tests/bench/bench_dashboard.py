@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How fast the dashboard answers over 80,000 runs with 20 parameters and 30 metrics, beside its limits.
 
-Each database is asked by a server process of its own over HTTP, as a browser would.
+Each database is asked by a server process of its own over HTTP, as a browser would. An archive is warm once
+a dashboard of this version has read it: the table that it made is in the home's cache, and only what differs
+in the database is read again. The very first start reads nine documents of each run; it is shown beside.
 """
 
 from __future__ import annotations
@@ -237,15 +239,23 @@ def last_page(server: Server) -> str:
 def measure(name: str, url: str, home: Path) -> None:
     """Print all figures of one database."""
     server = Server(url, home)
-    server.get("runs?limit=1")
-    took = time.perf_counter() - server.started
-    print(f"{name}: the very first start, nothing kept · {took * 1e3:.0f} ms · once an archive", flush=True)
-    wait_for_cache(home)
-    server.close()
+    try:
+        server.get("runs?limit=1")
+        took = time.perf_counter() - server.started
+        print(
+            f"{name}: the very first start, nothing kept · {took * 1e3:.0f} ms · once an archive", flush=True
+        )
+        wait_for_cache(home)
+        for _, question, _ in QUESTIONS:
+            server.get("runs?limit=1000" if question == "LAST" else question)
+        report(f"{name}: peak memory after the very first start", server.peak(), "MiB", 400)
+    finally:
+        server.close()
     server = Server(url, home)
     try:
         server.get("runs?limit=1")
-        report(f"{name}: start to first answer", (time.perf_counter() - server.started) * 1e3, "ms", 3000)
+        took = time.perf_counter() - server.started
+        report(f"{name}: start to first answer, warm archive", took * 1e3, "ms", 3000)
         for what, question, limit in QUESTIONS:
             times = []
             size = 0
@@ -313,14 +323,14 @@ def main() -> int:
         if options.only != "postgresql":
             if not file.exists():
                 fill(f"sqlite:///{file}", options.runs)
-            measure("SQLite", f"sqlite:///{file}", Path(folder))
+            measure("SQLite", f"sqlite:///{file}", Path(folder) / "sqlite")
         if options.only != "sqlite":
             with postgresql() as url:
                 if url is None:
                     print("PostgreSQL · not installed · apt-get install postgresql", flush=True)
                 else:
                     fill(url, options.runs)
-                    measure("PostgreSQL", url, Path(folder))
+                    measure("PostgreSQL", url, Path(folder) / "postgresql")
     return 0
 
 

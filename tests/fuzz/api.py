@@ -119,7 +119,8 @@ class Fuzzer:
         while time.monotonic() < self._deadline and not self.tally.faults:
             self._seed += 1
             for sort, strategy in self._sorts.items():
-                self._round(sort, strategy)
+                if time.monotonic() < self._deadline:
+                    self._round(sort, strategy)
         return self.tally
 
     def _round(self, sort: str, strategy: st.SearchStrategy[Any]) -> None:
