@@ -14,9 +14,11 @@ import sys
 import threading
 import time
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 from urllib.request import urlopen
 
+import numpy as np
 import pytest
 
 from slamhive.archive import Archive, CatalogEntry, SweepRecord
@@ -24,7 +26,6 @@ from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 FLAGS = (
     "--headless",
@@ -39,7 +40,11 @@ FLAGS = (
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
 )
-PATIENCE = 20.0
+PATIENCE = 30.0
+AXE = Path(__file__).parent / "vendor" / "axe.min.js.txt"
+FAULTS = """axe.run(document, {resultTypes: ['violations']}).then((found) => found.violations
+    .filter((one) => ['serious', 'critical'].includes(one.impact))
+    .map((one) => `${one.id}: ${one.nodes.map((node) => node.html.slice(0, 200)).join(' ')}`))"""
 
 
 def poll(probe: Callable[[], Any], what: str) -> Any:
@@ -111,18 +116,17 @@ class Browser:
         """Return the value of an expression once it is true."""
         return poll(lambda: self.run(script), script)
 
+    def look(self, *, width: int = 1280, dark: bool = False) -> None:
+        """Give the window a width, and the reader a taste."""
+        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        self.call("Emulation.setEmulatedMedia", features=scheme)
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
+
     def open(self, address: str, *, width: int = 1280, dark: bool = False) -> None:
         """Open an address in a window of a width, and wait until the page has its heading."""
         self.complaints.clear()
-        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
-        self.call("Emulation.setEmulatedMedia", features=scheme)
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=900,
-            deviceScaleFactor=1,
-            mobile=width < 600,
-        )
+        self.look(width=width, dark=dark)
         self.call("Page.navigate", url=address)
         self.wait(f"location.href === {json.dumps(address)} && document.readyState === 'complete'")
         ready = "!!document.querySelector('h1') && !document.body.innerText.includes('Loading…')"
@@ -152,12 +156,52 @@ class Browser:
         starts = f"(one) => one.innerText.startsWith({json.dumps(label)})"
         labelled = f"[...document.querySelectorAll('label')].find({starts})"
         field = f"{labelled}.querySelector('select, input')"
-        self.wait(f"!!{labelled}")
+        offered = f"[...field.options].some((one) => one.value === {json.dumps(value)})"
+        self.wait(f"!!{labelled} && ((field) => !field.options || {offered})({field})")
         self.run(
             f"{{ const field = {field}; field.value = {json.dumps(value)};"
             " field.dispatchEvent(new Event('input', {bubbles: true}));"
             " field.dispatchEvent(new Event('change', {bubbles: true})); }"
         )
+
+    def barriers(self) -> list[str]:
+        """Return the serious and critical faults that axe-core finds."""
+        if not self.run("!!window.axe"):
+            self.run(AXE.read_text(encoding="utf-8") + ";0")
+        return list(self.run(FAULTS))
+
+    def press(self, *keys: str) -> None:
+        """Press keys one after the other."""
+        for key in keys:
+            for kind in ("keyDown", "keyUp"):
+                text = {"Enter": "\r"}.get(key, key if len(key) == 1 else "")
+                more = {"text": text} if text and kind == "keyDown" else {}
+                code = {"Tab": 9, "Enter": 13}.get(key, 0)
+                self.call("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=code, **more)
+
+    def drag(self, selector: str, begin: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag the mouse over an element, between shares of its width and height; equal ones only hover."""
+        self.run(f"document.querySelector({selector!r}).scrollIntoView({{block: 'center'}})")
+        box = self.run(f"document.querySelector({selector!r}).getBoundingClientRect().toJSON()")
+        steps = [tuple(a + (b - a) * k / 4 for a, b in zip(begin, end, strict=True)) for k in range(5)]
+        places = [{"x": box["x"] + box["width"] * x, "y": box["y"] + box["height"] * y} for x, y in steps]
+        held = {"button": "left", "clickCount": 1} if begin != end else {}
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", **places[0])
+        if held:
+            self.call("Input.dispatchMouseEvent", type="mousePressed", **places[0], **held)
+        for place in places[1:]:
+            buttons = {"buttons": 1} if held else {}
+            self.call("Input.dispatchMouseEvent", type="mouseMoved", **place, **buttons)
+        if held:
+            self.call("Input.dispatchMouseEvent", type="mouseReleased", **places[-1], **held)
+
+    def click_at(self, selector: str, place: tuple[float, float]) -> None:
+        """Click the mouse at a place of an element, given in shares of its width and height."""
+        box = self.run(f"document.querySelector({selector!r}).getBoundingClientRect().toJSON()")
+        at = {"x": box["x"] + box["width"] * place[0], "y": box["y"] + box["height"] * place[1]}
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", **at)
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, **at, button="left", clickCount=1)
 
     def picture(self, path: Path) -> None:
         """Keep a picture of the entire page."""
@@ -189,24 +233,51 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 LONG = "<img src=x onerror=alert(1)>" + "long " * 2000
 
 
+WITH_FILES = 3
+SWEEP = {
+    "template": {
+        "spec": {"algorithmRef": {"name": "first"}, "datasetRef": {"name": "hall"}, "sensors": "mono"}
+    },
+    "matrix": [{"path": "parameters.nFeatures", "values": [500, 1000, 1500, 2000]}],
+    "repetitions": 15,
+}
+
+
+def write_files(home: Path) -> None:
+    """Write the paths and the load of the first runs, and their ground truth."""
+    t = np.arange(200) / 10
+    path = np.stack([t, np.cos(t), np.sin(t), t / 20], axis=1)
+    for number in range(WITH_FILES):
+        output = home / "runs" / "study" / f"run-{number:03d}" / "run" / "output"
+        output.mkdir(parents=True)
+        moved = path + np.array([0, 0.01 * (number + 1), 0, 0])
+        np.savetxt(output / "trajectory.txt", np.hstack([moved, np.eye(4)[np.full(200, 3)]]))
+        load = np.stack([t, 1 + np.sin(t) ** 2, 2e8 + 1e6 * t, 1e8 + 1e6 * t], axis=1)
+        header = "time_seconds,cpu_cores,memory_bytes,anonymous_bytes"
+        np.savetxt(output / "usage.csv", load, delimiter=",", header=header, comments="")
+    (home / "groundtruth").mkdir()
+    np.savetxt(home / "groundtruth" / "hall.txt", np.hstack([path, np.eye(4)[np.full(200, 3)]]))
+
+
 def make_record(number: int) -> RunRecord:
     """Return a run of two algorithms over four numbers of features; every sixth failed without a result."""
     failed = number % 6 == 5
     error = 0.1 / (1 + number // 2 % 4) + 0.01 * (number % 2)
     result = Result(
-        evaluation="se3",
+        evaluation="sim3",
         outcome=Outcome.PARTIAL if number % 6 == 4 else Outcome.TRACKED,
         coverage=0.8 if number % 6 == 4 else 0.99,
         values={
-            "alignment": "se3",
-            "scale": 1.0,
+            "alignment": "sim3",
+            "scale": 1.04 if number % 2 else 0.4 + 0.01 * number,
+            "transform": np.eye(4).tolist(),
             "ate": {"rmse": error, "mean": error, "median": error, "std": 0.0, "min": 0.0, "max": error},
         },
     )
     spec = {
         "algorithmRef": {"name": ("first", "second")[number % 2]},
         "datasetRef": {"name": ("hall", "yard")[number // 8 % 2]},
-        "sensors": "mono",
+        "sensors": ("mono", "stereo")[number % 2],
         "parameters": {"nFeatures": 500 * (1 + number // 2 % 4), "note": LONG},
         "input": {"pace": "Lockstep", "frameRate": 10.0, "resolution": 1.0},
         "repetition": number // 16,
@@ -235,7 +306,10 @@ def make_record(number: int) -> RunRecord:
                 "source": "cgroup",
                 "includesReader": False,
             },
+            "metrics": {"loops": number % 5, "ratio": float("nan"), "largest": float("inf"), "keyframes": 12},
+            "labels": {"camera": ("front", "back")[number // 4 % 2]},
             "results": [] if failed else [result],
+            "folder": f"runs/study/run-{number:03d}" if number < WITH_FILES else None,
             "provenance": {"contentHash": f"{number:064x}", "slamhiveVersion": "0.1.0"},
         }
     )
@@ -243,10 +317,12 @@ def make_record(number: int) -> RunRecord:
 
 @pytest.fixture(scope="session")
 def archive_url(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """An archive of 48 runs."""
-    url = f"sqlite:///{tmp_path_factory.mktemp('home') / 'archive.sqlite'}"
+    """An archive of 48 runs, in a home with the files of some."""
+    home = tmp_path_factory.mktemp("home")
+    write_files(home)
+    url = f"sqlite:///{home / 'archive.sqlite'}"
     with Archive.open(url) as archive:
-        archive.put_sweep(SweepRecord(uid="study", name="study", spec={}))
+        archive.put_sweep(SweepRecord(uid="study", name="study", spec=SWEEP))
         archive.put_catalog(
             *(CatalogEntry(kind="Algorithm", name=name, spec={}) for name in ("first", "second"))
         )
@@ -257,7 +333,8 @@ def archive_url(tmp_path_factory: pytest.TempPathFactory) -> str:
 @contextlib.contextmanager
 def serving(url: str, log: Path) -> Iterator[str]:
     """Serve an archive and give the address."""
-    environment = os.environ | {"SLAMHIVE_HOME": str(log.parent), "SLAMHIVE_ARCHIVE": url}
+    home = Path(url.removeprefix("sqlite:///")).parent
+    environment = os.environ | {"SLAMHIVE_HOME": str(home), "SLAMHIVE_ARCHIVE": url}
     command = [sys.executable, "-c", "from slamhive.cli.main import main; main()", "dashboard", "--port", "0"]
     with log.open("w") as written:
         process = subprocess.Popen(command, env=environment, stdout=written, stderr=subprocess.STDOUT)
@@ -278,10 +355,30 @@ def site(archive_url: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 
 @pytest.fixture
-def empty_site(tmp_path: Path) -> Iterator[str]:
-    """The address of a dashboard over an archive that holds nothing."""
+def empty_site(tmp_path: Path) -> Iterator[tuple[str, str]]:
+    """The address of a dashboard over an archive that holds nothing, and the archive's."""
     pytest.importorskip("fastapi")
     url = f"sqlite:///{tmp_path / 'archive.sqlite'}"
     Archive.open(url).close()
     with serving(url, tmp_path / "log.txt") as address:
-        yield address
+        yield address, url
+
+
+@pytest.fixture(scope="session")
+def make_run() -> Callable[[int], RunRecord]:
+    """Return the function that makes runs."""
+    return make_record
+
+
+@pytest.fixture(autouse=True)
+def quiet(request: pytest.FixtureRequest) -> Iterator[None]:
+    """After a test, nothing was written to the console that the test did not take away."""
+    if "browser" not in request.fixturenames:
+        yield
+        return
+    browser = request.getfixturevalue("browser")
+    browser.call("Page.navigate", url="about:blank")
+    browser.complaints.clear()
+    yield
+    browser.run("1")
+    assert [one for one in browser.complaints if "ERR_NETWORK_CHANGED" not in one] == []

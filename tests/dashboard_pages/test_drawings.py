@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Charts and tables under the hands of a reader: what is chosen, dragged, turned, kept and taken away."""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import pytest
+
+pytestmark = pytest.mark.browser
+
+DRAWN = "document.querySelectorAll('.canvas[data-drawn=yes] canvas').length"
+SPACE = "document.querySelector('canvas.space')"
+BLUE = """(() => {
+    const canvas = document.querySelector('.canvas canvas');
+    const { width, height } = canvas;
+    const { data } = canvas.getContext('2d').getImageData(0, 0, width, height);
+    for (let at = 0; at < data.length; at += 4)
+        if (data[at] < 60 && data[at + 1] > 90 && data[at + 2] > 150)
+            return [(at / 4 % width) / width, (Math.floor(at / 4 / width) + 3) / height];
+    return null;
+})()"""
+KEEP = """window.kept = []; window.texts = [];
+    const make = URL.createObjectURL;
+    URL.createObjectURL = (blob) => { blob.text().then((text) => texts.push(text)); return make(blob); };
+    HTMLAnchorElement.prototype.click = function () { kept.push([this.download, this.href]); };"""
+
+
+def picture_of(selector: str) -> str:
+    """Return what gives a number that differs with what is drawn on a canvas."""
+    drawn = f"document.querySelector({selector!r}).toDataURL()"
+    return f"[...{drawn}].reduce((sum, one) => (sum * 31 + one.charCodeAt(0)) % 1000003, 7)"
+
+
+def test_choices_are_kept_in_the_address(browser: Any, site: str) -> None:
+    browser.open(f"{site}/explore")
+    browser.choose("Draw", "line")
+    browser.choose("x", "parameters.nFeatures")
+    browser.choose("Condition", "coverage >= 0.9")
+    browser.wait(f"{DRAWN} > 0 && location.search.includes('where')")
+    browser.choose("Filter by", "algorithm")
+    browser.choose("is", "first")
+    browser.wait("location.search.includes('algorithm=first')")
+    address = browser.run("location.href")
+    browser.open(address)
+    assert browser.run("document.querySelector('.chip').innerText").startswith("algorithm = first")
+    chosen = browser.run("[...document.querySelectorAll('select')].map((one) => one.value)")
+    assert chosen[:2] == ["line", "parameters.nFeatures"]
+    browser.click(".chip button")
+    browser.wait("!location.search.includes('algorithm=first')")
+
+
+def test_runs_are_sorted_paged_and_compared(browser: Any, site: str) -> None:
+    browser.open(f"{site}/runs?limit=20")
+    browser.click("th button", "ATE")
+    browser.wait(
+        "location.search.includes('sort=ate.rmse') && !!document.querySelector('[aria-sort=ascending]')"
+    )
+    browser.click("a", "Next page")
+    browser.wait("location.search.includes('after=') && document.body.innerText.includes('First page')")
+    browser.click("td input")
+    browser.click("a", "Compare 1 run")
+    browser.wait("location.pathname === '/compare' && document.querySelectorAll('tbody tr').length === 1")
+
+
+def test_studies_keep_their_filters(browser: Any, site: str) -> None:
+    browser.open(f"{site}/leaderboard?dataset=hall")
+    browser.click("a", "Tests of pairs")
+    browser.wait("location.pathname === '/studies' && location.search.includes('dataset=hall')")
+    browser.choose("Measured by", "usage.cpu.meanCores")
+    browser.wait("document.body.innerText.includes('Who is better than whom: CPU')")
+    browser.click(".tabs a", "Repeatability")
+    browser.wait("document.body.innerText.includes('Repetitions over their median: CPU')")
+    assert browser.run("document.querySelector('.chip').innerText").startswith("dataset = hall")
+
+
+def test_dragging_over_points_filters_the_table(browser: Any, site: str) -> None:
+    browser.open(f"{site}/explore?kind=scatter&x=parameters.nFeatures&y=ate.rmse")
+    browser.wait(f"{DRAWN} === 1 && document.body.innerText.includes('Runs 48')")
+    browser.click("label.tick", "Select by dragging")
+    browser.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    browser.drag(".canvas", (0.3, 0.8), (0.03, 0.02))
+    browser.wait("document.body.innerText.includes('Selected runs 10')")
+    browser.click("button", "All runs again")
+    browser.wait("document.body.innerText.includes('Runs 48')")
+
+
+def test_a_point_opens_its_run(browser: Any, site: str) -> None:
+    browser.open(f"{site}/explore?kind=scatter&x=parameters.nFeatures&y=ate.rmse&uid=run-008")
+    browser.wait(f"{DRAWN} === 1 && document.body.innerText.includes('Runs 1')")
+    place = browser.wait(BLUE)
+    browser.click_at(".canvas", place)
+    browser.wait("location.pathname === '/runs/run-008'")
+
+
+def test_a_chart_has_its_table_and_csv(browser: Any, site: str) -> None:
+    browser.open(f"{site}/explore?kind=scatter&x=parameters.nFeatures&y=ate.rmse")
+    browser.wait(f"{DRAWN} === 1")
+    browser.click("figure button", "Table")
+    browser.wait("document.querySelectorAll('figure tbody tr').length === 48")
+    rows = browser.run("fetch(document.querySelector('figure a').href).then((answer) => answer.text())")
+    assert len(rows.strip().splitlines()) == 49
+
+
+@pytest.mark.parametrize(
+    ("path", "figure"),
+    [
+        ("/explore?kind=line&x=parameters.nFeatures", "figure"),
+        ("/compare?uid=run-000&uid=run-001", "figure:has(.space)"),
+    ],
+)
+def test_pictures_are_given(browser: Any, site: str, path: str, figure: str) -> None:
+    browser.open(f"{site}{path}")
+    browser.wait(f"{DRAWN} >= 1 && !!document.querySelector({figure!r})")
+    browser.run(KEEP)
+    for name in ("PNG", "SVG"):
+        browser.click(f"{figure} button", name)
+    browser.wait("kept.length === 2 && texts.length === 1")
+    kept = dict(browser.run("kept.map(([name, href]) => [name.split('.').at(-1), href])"))
+    assert kept["png"].startswith("data:image/png")
+    svg = browser.run("texts[0]")
+    assert ET.fromstring(svg).tag.endswith("svg")  # noqa: S314 - made by our own page
+    assert len(svg) > 2000
+
+
+def test_compared_runs_have_their_csv(browser: Any, site: str) -> None:
+    browser.open(f"{site}/compare?uid=run-000&uid=run-001")
+    browser.wait(f"!!{SPACE}")
+    browser.run(KEEP)
+    browser.click("figure:has(.space) button", "CSV")
+    browser.wait("texts.length === 1")
+    lines = browser.run("texts[0].split('\\n')")
+    assert lines[0] == "run,t,x,y,z,error"
+    assert len(lines) == 1 + 2 * 200
+
+
+def test_a_view_in_space_is_turned_by_keys_and_dragging_and_kept(browser: Any, site: str) -> None:
+    browser.open(f"{site}/runs/run-000")
+    browser.wait(f"{SPACE}?.dataset.drawn > 0")
+    first = browser.run(picture_of("canvas.space"))
+    browser.run(f"{SPACE}.focus()")
+    browser.press("ArrowRight", "ArrowUp", "+")
+    browser.wait("location.search.includes('view=-50%2C40%2C1.25')")
+    assert "seen from -50° round and 40° up" in browser.text()
+    turned = browser.run(picture_of("canvas.space"))
+    assert turned != first
+    browser.drag("canvas.space", (0.4, 0.5), (0.6, 0.5))
+    browser.wait("!location.search.includes('view=-50%2C40')")
+    assert browser.run(picture_of("canvas.space")) not in {first, turned}
+    address, seen = browser.run("[location.href, document.querySelector('.key span').innerText]")
+    browser.open(address)
+    browser.wait(f"{SPACE}?.dataset.drawn > 0")
+    assert browser.run("document.querySelector('.key span').innerText") == seen
+    browser.run(f"{SPACE}.focus()")
+    browser.press("Home")
+    browser.wait("!location.search.includes('view')")
+    assert "seen from -60° round and 30° up" in browser.text()
+
+
+def test_load_over_time_shares_its_cursor(browser: Any, site: str) -> None:
+    browser.open(f"{site}/compare?uid=run-000&uid=run-001")
+    browser.wait(f"{DRAWN} === 6")
+    browser.run("document.querySelectorAll('.canvas').forEach((one, at) => { one.id = `chart${at}`; })")
+    before = browser.run(picture_of("#chart5 canvas"))
+    browser.drag("#chart4", (0.5, 0.5), (0.5, 0.5))
+    browser.wait(f"{picture_of('#chart5 canvas')} !== {before!r}")
+
+
+def test_colours_tell_the_error_where_they_are_asked_to(browser: Any, site: str) -> None:
+    browser.open(f"{site}/compare?uid=run-000&uid=run-001")
+    browser.choose("Colours tell", "error")
+    browser.wait(
+        "location.search.includes('colour=error') && document.body.innerText.includes('coloured by error')"
+    )
+    assert "m error" in browser.text()
