@@ -19,7 +19,7 @@ from slamhive_eval.association import DEFAULT_GAP_SECONDS, Association, Matching
 from slamhive_eval.coverage import Coverage, measure_coverage
 from slamhive_eval.errors import AssociationError, OptionError
 from slamhive_eval.metrics import Statistics
-from slamhive_eval.pairs import Unit, find_pairs
+from slamhive_eval.pairs import MIN_RANKED_PAIRS, Unit, find_pairs
 from slamhive_eval.preparing import Clock, Preparation, Prepared, lay, set_clock
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ MIN_SCALE, MAX_SCALE = 0.5, 2.0
 MAX_ATE_SHARE = 0.1
 """An ATE above this share of the ground truth's path is a diverged run."""
 PARTIAL_COVERAGE = 0.5
-MIN_RANKED_PAIRS = 30
-"""A relative error of fewer pairs says too little to rank by."""
 MOTION_METRES = 0.1
 """Ground truth that extends further than this has moved; what stands still meanwhile has diverged."""
 

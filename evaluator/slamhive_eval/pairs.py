@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 Unit = Literal["frames", "m", "s", "deg", "rad"]
 UNITS: tuple[Unit, ...] = get_args(Unit)
 
+MIN_RANKED_PAIRS = 30
+"""A relative error of fewer pairs says too little to rank by."""
+
 _CHUNK = 4_000_000
 """Products held at once when all angles are compared with all (32 MB)."""
 

@@ -175,3 +175,13 @@ def test_preparations_that_make_no_sense(arguments: dict[str, Any], says: str) -
 def test_prepared(tmp_path: Path, truth: Trajectory) -> None:
     found = prepare(truth, read_tum(tmp_path / "gt"), Preparation(alignment="sim3", hand_eye=True))
     assert json.loads(json.dumps(found.as_dict()))["handEye"]["motions"] > 10
+
+
+@pytest.mark.parametrize(("poses", "ranked"), [(30, False), (31, True)])
+def test_few_pairs_are_not_ranked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], truth: Trajectory, poses: int, ranked: bool
+) -> None:
+    write_tum(tmp_path / "est", truth.select(slice(0, poses)))
+    found = ape(tmp_path, capsys, command="rpe")
+    assert (found["pairs"], found["ranked"]) == (poses - 1, ranked)
+    assert bool(found["notes"]) == (not ranked)

@@ -186,17 +186,20 @@ def test_command(tmp_path: Path, files: list[str], capsys: pytest.CaptureFixture
     assert capsys.readouterr().out == f"{page}\n"
 
 
+@pytest.mark.parametrize("command", ["report", "ape", "rpe"])
 def test_common_support(
-    tmp_path: Path, wander: Callable[..., Trajectory], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, wander: Callable[..., Trajectory], capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     parts = {"gt": slice(0, 200), "a": slice(0, 120), "b": slice(60, 200)}
     for name, part in parts.items():
         write_tum(tmp_path / name, wander().select(part))
-    words = ["report", *(str(tmp_path / name) for name in parts), "-o", str(tmp_path / "r.html"), "--json"]
+    words = [command, *(str(tmp_path / name) for name in parts), "--json"]
+    words += ["-o", str(tmp_path / "r.html")] if command == "report" else []
     for support, poses in (("own", [120, 140]), ("common", [60, 60])):
         assert main([*words, "--support", support]) == 0
-        told = json.loads(capsys.readouterr().out)["estimates"]
-        assert [told[name]["poses"] for name in "ab"] == poses
+        told = json.loads(capsys.readouterr().out)
+        each = told["estimates"].values() if command == "report" else told["results"]
+        assert [one["poses"] for one in each] == poses
 
 
 @pytest.mark.parametrize(

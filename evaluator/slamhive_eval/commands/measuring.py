@@ -11,7 +11,7 @@ from slamhive_eval.commands import output
 from slamhive_eval.preparing import Preparation, prepare
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from slamhive_eval.preparing import Clock
     from slamhive_eval.trajectory import Trajectory
@@ -33,6 +33,7 @@ def add_pair(parser: argparse.ArgumentParser) -> None:
     )
     add_reading(parser)
     add_preparation(parser)
+    add_support(parser)
     output.add_json(parser)
     output.add_writers(parser)
 
@@ -109,6 +110,16 @@ def add_preparation(parser: argparse.ArgumentParser, *, several: bool = False) -
     )
 
 
+def add_support(parser: argparse.ArgumentParser) -> None:
+    """Add where several estimates are compared."""
+    parser.add_argument(
+        "--support",
+        choices=("own", "common"),
+        default="own",
+        help="compare each estimate where it has poses, or only where all have (default: own)",
+    )
+
+
 def add_matching(parser: argparse.ArgumentParser) -> None:
     """Add what decides which poses are nearest in time."""
     _add_max_diff(parser)
@@ -177,6 +188,18 @@ def read_estimate(asked: argparse.Namespace, name: str) -> Trajectory:
     return files.read_trajectory(name, asked.format, times=times, topic=asked.topic, unsorted=unsorted)
 
 
+def read_estimates(asked: argparse.Namespace) -> Iterator[tuple[str, Trajectory]]:
+    """Names and poses of the estimates, one after the other, on the support asked for."""
+    if asked.support == "own":
+        yield from ((name, read_estimate(asked, name)) for name in asked.estimates)
+        return
+    from slamhive_eval import support  # noqa: PLC0415 - few ask for it
+
+    found = [read_estimate(asked, name) for name in asked.estimates]
+    spans = support.common_support(found)
+    yield from ((name, support.within(one, spans)) for name, one in zip(asked.estimates, found, strict=True))
+
+
 def measure(
     asked: argparse.Namespace,
     errors_of: Callable[[argparse.Namespace, str, Trajectory, Trajectory, dict[str, Any]], output.Measured],
@@ -193,8 +216,8 @@ def measure(
     how = preparation(asked)
     reference = read_reference(asked)
     measured = []
-    for name in asked.estimates:
-        prepared = prepare(reference, read_estimate(asked, name), how)
+    for name, estimate in read_estimates(asked):
+        prepared = prepare(reference, estimate, how)
         measured.append(errors_of(asked, name, prepared.reference, prepared.estimate, prepared.as_dict()))
     output.write(asked, measured)
     results = [one.result for one in measured]

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive_eval import evaluation, support
+from slamhive_eval import evaluation
 from slamhive_eval.commands import inputs, measuring, output
 from slamhive_eval.errors import FileError, OptionError
 
@@ -24,12 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "Example: slamhive-eval report groundtruth.txt a.txt b.txt --align se3 -o report.html"
     inputs.add_inputs(parser)
     inputs.add_alignment(parser)
-    parser.add_argument(
-        "--support",
-        choices=("own", "common"),
-        default="own",
-        help="compare each estimate where it has poses, or only where all have (default: own)",
-    )
+    measuring.add_support(parser)
     parser.add_argument("-o", "--output", metavar="FILE", help="the page (default: report.html)")
     parser.add_argument("--figure", metavar="FILE", help="a figure: .png, .svg or .pdf")
     parser.add_argument("--title", default="Trajectory evaluation", metavar="TEXT", help="of page and figure")
@@ -44,10 +39,7 @@ def run(asked: argparse.Namespace) -> int:
         has_scale=asked.align not in ("sim3", "scale"),
     )
     reference = measuring.read_reference(asked)
-    estimates = [measuring.read_estimate(asked, file) for file in asked.estimates]
-    if asked.support == "common":
-        spans = support.common_support(estimates)
-        estimates = [support.within(estimate, spans) for estimate in estimates]
+    estimates = [estimate for _, estimate in measuring.read_estimates(asked)]
     names = _names(asked.estimates)
     found = {
         name: evaluation.evaluate(reference, estimate, options)

@@ -9,6 +9,7 @@ from slamhive_eval import metrics, pairs
 from slamhive_eval.commands import measuring
 from slamhive_eval.commands.output import Measured
 from slamhive_eval.errors import EvaluationError
+from slamhive_eval.pairs import MIN_RANKED_PAIRS
 
 if TYPE_CHECKING:
     import argparse
@@ -59,6 +60,11 @@ def _errors(
             f"{name}: none of the {len(reference)} associated poses form a pair "
             f"{asked.delta:g} {asked.unit} apart"
         )
-    asked_for = {"pairs": len(errors), "delta": asked.delta, "unit": asked.unit, "allPairs": asked.all_pairs}
-    result = {"relation": asked.relation, **statistics.as_dict(), **about, **asked_for, "estimate": name}
+    ranked = len(errors) >= MIN_RANKED_PAIRS
+    if not ranked:
+        about = {**about, "notes": [*about["notes"], f"{len(errors)} pairs say too little to rank by"]}
+    asked_for = {"delta": asked.delta, "unit": asked.unit, "allPairs": asked.all_pairs}
+    counts = {"pairs": len(errors), "ranked": ranked}
+    result = {"relation": asked.relation, **statistics.as_dict(), **about, **counts, **asked_for}
+    result["estimate"] = name
     return Measured("rpe", name, reference, estimate, errors, found, statistics, result)
