@@ -49,7 +49,7 @@ export function SweepCard({ sweep, level = 'h3' }) {
     <${Progress} sweep=${sweep} /><${Statuses} statuses=${sweep.statuses} />
     <p class="quiet">${clip((sweep.algorithms ?? []).join(', '), 120)}<br />${clip((sweep.datasets ?? []).join(', '), 120)}</p>
     ${sweep.axes?.length > 0 && html`<p class="quiet">over ${clip(axesText(sweep.axes), 200)}</p>`}
-    ${sweep.best?.length > 0 && html`<p>smallest ATE: ${sweep.best.slice(0, 3).map((best, at) => html`${at > 0 && ', '}<${Link} href=${`/runs/${encodeURIComponent(best.uid)}`}>${number(best['ate.rmse'])} m</${Link}>`)}</p>`}
+    ${sweep.best?.length > 0 && html`<p>smallest ATE: ${sweep.best.slice(0, 3).map((best, at) => html`${at > 0 && ', '}<${Link} href=${address('/runs', { sweep: sweep.name, name: best.name })}>${number(best.ate)} m</${Link}> ${clip(best.dataset ?? '', 60)}`)}</p>`}
     ${sweep.started && html`<p class="quiet">since ${time(sweep.started)}</p>`}</article>`;
 }
 

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sweep that runs, and a dashboard that goes away and comes back, seen without loading the page again."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import pytest
+
+pytest.importorskip("uvicorn")
+
+import uvicorn
+
+from slamhive.dashboard.app import create_app
+from slamhive.dashboard.serving import listen
+from slamhive.dashboard.sources import Snapshot, Workstation
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Iterator
+
+pytestmark = pytest.mark.browser
+
+
+class Cluster(Workstation):
+    """An archive with a live sweep over it."""
+
+    phases: dict[str, int] = {"Succeeded": 40, "Failed": 8, "Running": 2, "Pending": 10}  # noqa: RUF012
+    problems: tuple[str, ...] = ()
+
+    async def fresh(self) -> Snapshot:
+        """Return the archive with the sweep as it is now."""
+        archived = await super().fresh()
+        condition = {
+            "type": "Progressing",
+            "status": "True",
+            "reason": "Running",
+            "message": "<b>2 runs</b> are running",
+            "lastTransitionTime": "2026-01-01T00:00:00Z",
+        }
+        best = {"name": "study-0", "index": 0, "ate": 0.0321, "coverage": 1.0, "dataset": "hall"}
+        live = {"live": bool(self.phases.get("Running")), "total": 60, "phases": self.phases}
+        sweep = {**live, "conditions": [condition], "best": [best], "spec": {}}
+        revision = f"{archived.revision} {self.phases} {self.problems}"
+        return replace(archived, sweeps={"study": sweep}, revision=revision, problems=self.problems)
+
+
+class Served:
+    """A dashboard in a thread."""
+
+    def __init__(self, source: Workstation, listening: socket.socket) -> None:
+        config = uvicorn.Config(
+            create_app(source), log_level="critical", timeout_graceful_shutdown=1, lifespan="on", ws="none"
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [listening]}, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.should_exit = True
+        self._thread.join(30)
+
+
+@pytest.fixture
+def cluster(archive_url: str) -> Cluster:
+    return Cluster(archive_url, Path(archive_url.removeprefix("sqlite:///")).parent)
+
+
+@pytest.fixture
+def port(cluster: Cluster) -> Iterator[int]:
+    listening = listen("127.0.0.1", 0)
+    with Served(cluster, listening):
+        yield listening.getsockname()[1]
+
+
+def test_a_live_sweep_goes_on(browser: Any, cluster: Cluster, port: int) -> None:
+    browser.open(f"http://127.0.0.1:{port}/")
+    browser.wait("document.querySelector('article .live')?.innerText === 'live'")
+    assert "smallest ATE: 0.0321 m hall" in browser.text()
+    browser.click("article a", "study")
+    browser.wait("document.body.innerText.includes('48 of 60 runs finished (80 %)')")
+    browser.wait("document.body.innerText.includes('<b>2 runs</b> are running')")
+    assert browser.barriers() == []
+    cluster.phases = {"Succeeded": 52, "Failed": 8}
+    cluster.problems = ("the API server does not answer: timeout",)
+    browser.wait("document.body.innerText.includes('60 of 60 runs finished')")
+    browser.wait("document.body.innerText.includes('the API server does not answer')")
+    browser.wait("!document.querySelector('h1 .live')")
+    browser.call("Page.navigate", url="about:blank")
+
+
+def test_the_page_waits_for_a_dashboard_that_is_away(browser: Any, cluster: Cluster) -> None:
+    listening = listen("127.0.0.1", 0)
+    port = listening.getsockname()[1]
+    with Served(cluster, listening):
+        browser.open(f"http://127.0.0.1:{port}/sweeps/study")
+        browser.wait("document.body.innerText.includes('48 of 60 runs finished')")
+    browser.wait("document.querySelector('.banner')?.innerText.includes('does not answer')")
+    assert "48 of 60 runs finished" in browser.text()
+    cluster.phases = {"Succeeded": 52, "Failed": 8}
+    with Served(cluster, listen("127.0.0.1", port)):
+        browser.wait("!document.querySelector('.banner')")
+        browser.wait("document.body.innerText.includes('60 of 60 runs finished')")
+        browser.call("Page.navigate", url="about:blank")
+    browser.complaints[:] = [one for one in browser.complaints if "net::ERR_" not in one]
