@@ -123,7 +123,7 @@ class ClusterSource:
             loop = asyncio.get_running_loop()
             removed, self._cluster.removed = self._cluster.removed, False
             if self._archive is not None:
-                await loop.run_in_executor(self._executor, partial(self._archive.look, again=removed))
+                await self._archive.follow(self._executor, again=removed)
                 if self._kept is None:
                     self._kept = loop.run_in_executor(self._executor, self._archive.keep)
             state = (self._cluster.changes, self._archive.revision if self._archive else "", self._problems())
@@ -206,8 +206,8 @@ class ClusterSource:
 
     def _problems(self) -> tuple[str, ...]:
         sentences = [sentence for sentence in self._troubles.values() if sentence]
-        if self._archive is not None and self._archive.problem:
-            sentences.append(self._archive.problem)
+        if self._archive is not None and self._archive.said:
+            sentences.append(self._archive.said)
         return tuple(dict.fromkeys(sentences[:3]))
 
     def _build(self, runs: list[Any], attributes: dict[tuple[str, str], dict[str, Any]]) -> Frame:

@@ -9,6 +9,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -41,8 +42,22 @@ _IMPORTED = frozenset({"traj.txt", "profiling.csv", "config.yaml"})
 LOOK_SECONDS = 0.5
 """How often the database is asked at most whether anything was written."""
 
+PATIENCE_SECONDS = 5.0
+"""How long answers wait for a look at the database before they show its last state."""
+
 _REST = 4.0
 """A look that found changes is followed by a rest of so many times its own length."""
+
+
+_LATE = "the archive does not answer at present: its last state is shown"
+_GIVING_UP = {
+    "connect_timeout": 10,
+    "tcp_user_timeout": 15_000,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+}
+"""Settings of libpq, in s and ms: without them a server that vanishes is waited for by the quarter hour."""
 
 
 @dataclass(frozen=True)
@@ -122,15 +137,17 @@ class ArchiveData:
         self._nonce = secrets.token_hex(4)
         self._count = 0
         self._next_look = 0.0
+        self._late = False
         self._loaded = Loaded()
         self._lock = threading.Lock()
+        self._looking: asyncio.Future[None] | None = None
         self.problem: str | None = None
         self.loaded_once = False
 
     @property
     def revision(self) -> str:
         """What differs after each change."""
-        return f"{self._nonce}-{self._count}"
+        return f"{self._nonce}-{self._count}{'-late' if self._late else ''}"
 
     @property
     def frame(self) -> Frame:
@@ -146,6 +163,27 @@ class ArchiveData:
     def is_absent(self) -> bool:
         """Whether there is no archive yet, which is no fault."""
         return self._engine is None and self.problem is None
+
+    @property
+    def said(self) -> str | None:
+        """What is to be said of the database at present: that it is away, or that it does not answer."""
+        return self.problem or (_LATE if self._late else None)
+
+    async def follow(self, executor: Executor | None, *, again: bool = False) -> None:
+        """Look in a thread, and don't wait for one that takes long where there is something to show.
+
+        Args:
+            executor: has the thread.
+            again: as for ``look``.
+        """
+        if self._looking is None or self._looking.done():
+            loop = asyncio.get_running_loop()
+            self._looking = loop.run_in_executor(executor, partial(self.look, again=again))
+        looking = self._looking
+        await asyncio.wait({looking}, timeout=PATIENCE_SECONDS if self.loaded_once else None)
+        self._late = not looking.done()
+        if looking.done():
+            looking.result()
 
     def look(self, *, again: bool = False) -> None:
         """Read again what changed, if it is time for that; a database that is away is remembered.
@@ -203,7 +241,7 @@ class ArchiveData:
                 self.loaded_once = True
                 return changed
             self._engine = connect(self._url)
-            _make_read_only(self._engine)
+            _set_up(self._engine)
             self._held = self._engine.connect()
             self._mark = None
         if self._held is None:
@@ -256,11 +294,10 @@ class Workstation:
 
     async def fresh(self) -> Snapshot:
         """Return the archive as it is now."""
-        loop = asyncio.get_running_loop()
-        await loop.run_in_executor(self._executor, self._data.look)
+        await self._data.follow(self._executor)
         if self._kept is None:
-            self._kept = loop.run_in_executor(self._executor, self._data.keep)
-        problems = (self._data.problem,) if self._data.problem else ()
+            self._kept = asyncio.get_running_loop().run_in_executor(self._executor, self._data.keep)
+        problems = (self._data.said,) if self._data.said else ()
         return Snapshot(self._data.frame, self._data.revision, problems)
 
     @property
@@ -312,7 +349,8 @@ def _is_missing(url: str) -> bool:
     return path != url and ":memory:" not in path and not Path(path).exists()
 
 
-def _make_read_only(engine: Engine) -> None:
+def _set_up(engine: Engine) -> None:
+    """Let connections only read, and give up on a server that has vanished."""
     statement = (
         "PRAGMA query_only = ON"
         if engine.dialect.name == "sqlite"
@@ -326,5 +364,11 @@ def _make_read_only(engine: Engine) -> None:
         if engine.dialect.name != "sqlite":
             connection.commit()
 
+    def give_up(_dialect: Any, _record: Any, _words: Any, settings: dict[str, Any]) -> None:
+        for name, value in _GIVING_UP.items():
+            settings.setdefault(name, value)
+
     event.listen(engine, "connect", prepare)
+    if engine.dialect.name == "postgresql":
+        event.listen(engine, "do_connect", give_up)
     engine.dispose()
