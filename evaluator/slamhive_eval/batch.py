@@ -27,6 +27,7 @@ from slamhive_eval.errors import EvaluationError, FileError, OptionError, Trajec
 from slamhive_eval.evaluation import Options, evaluate
 from slamhive_eval.files import Unsorted, read_text, read_trajectory
 from slamhive_eval.segments import NAME, beside, evaluate_pieces, read_segments
+from slamhive_eval.support import find_support
 from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -135,15 +136,15 @@ def evaluate_pairs(
 
     Args:
         pairs: What to evaluate.
-        options: How; every pair is evaluated by each.
+        options: How, one or more; every pair is evaluated by each.
         unsorted: What to do with decreasing stamps of estimates, see `read_trajectory`.
         processes: How many; None for as many as there are processors.
         with_segments: Whether to measure an estimate map by map where a ``segments.csv`` lies beside it.
 
     Yields:
         For each pair and option, as they finish: ``reference``, ``estimate`` and `Evaluation.as_dict`, or
-        what `evaluate_pieces` returns; for a pair that can't be evaluated ``reference``, ``estimate`` and
-        ``error``, a sentence.
+        what `evaluate_pieces` returns, and `Support.as_dict` as ``support``; for a pair that can't be
+        evaluated ``reference``, ``estimate`` and ``error``, a sentence.
 
     Raises:
         OptionError: An option that isn't allowed, whatever the pairs, or fewer than one process.
@@ -235,7 +236,8 @@ def _evaluate_group(
             else:
                 pieces = read_segments(path)
                 found = [evaluate_pieces(reference, estimate, pieces, one) for one in options]
-            results += [{**names, **one} for one in found]
+            support = find_support(reference, estimate.shifted(options[0].offset_seconds)).as_dict()
+            results += [{**names, **one, "support": support} for one in found]
         except EvaluationError as error:
             results.append({**names, "error": str(error)})
         except Exception as error:  # noqa: BLE001 - the others must go on

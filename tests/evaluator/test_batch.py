@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from slamhive_eval import FileError, OptionError, Options, Trajectory, batch, evaluate, read_tum, write_tum
+from slamhive_eval import (
+    FileError,
+    OptionError,
+    Options,
+    Trajectory,
+    batch,
+    evaluate,
+    find_support,
+    read_tum,
+    write_tum,
+)
 from slamhive_eval.command import main
 
 if TYPE_CHECKING:
@@ -48,8 +58,9 @@ def test_a_folder(runs: Path, processes: int) -> None:
     assert len(found) == 24
     for pair in pairs:
         assert pair.reference == str(runs / ("b/groundtruth.txt" if "/b/" in pair.estimate else "a/gt.tum"))
+        files = read_tum(pair.reference), read_tum(pair.estimate)
         for one in options:
-            expected = evaluate(read_tum(pair.reference), read_tum(pair.estimate), one).as_dict()
+            expected = evaluate(*files, one).as_dict() | {"support": find_support(*files).as_dict()}
             assert {"reference": pair.reference, "estimate": pair.estimate, **expected} in found
     assert not batch._shared
 
