@@ -57,7 +57,7 @@ def board_chart(board: Board, metric: Metric) -> Markup:
         if standing.summary is not None
         for end in (standing.summary.min, standing.summary.max)
     ]
-    scale = Scale.over([*numbers, *ends], 10.0, right)
+    scale = Scale.over([*numbers, *ends], 24.0, right)
     drawing.band(right + 6, _TOP, WIDTH - right - 6, bottom - _TOP)
     drawing.text(right + 10, _TOP - 6, "failed")
     drawing.x_axis(scale, _TOP, bottom, metric.title)

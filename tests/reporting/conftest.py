@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Archives with runs of every sort, the published runs, and the commands of this folder."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from typer.testing import CliRunner
+
+from slamhive.archive import Archive
+from slamhive.cli import importing
+from slamhive.cli.main import main
+from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from types import ModuleType
+
+TESTS = Path(__file__).parents[1]
+ICRA = TESTS.parents[1] / "shared" / "data" / "icra2023"
+HTML = "</td><script>alert(1)</script> & \"'"
+LONG = "ü" * 10_000
+
+
+def of_file(name: str, path: Path) -> ModuleType:
+    """Return a module of another folder of tests."""
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+def result(evaluation: str = "se3", outcome: Outcome = Outcome.TRACKED, **values: Any) -> Result:
+    given = {"alignment": evaluation, "ate": {"rmse": 0.1}, "rpe": [{"rmse": 0.01}], "scale": 1.0}
+    return Result(evaluation=evaluation, outcome=outcome, coverage=0.95, values=given | values)
+
+
+def run(number: int, **changes: Any) -> RunRecord:
+    """Return a run of two algorithms on three datasets; ``spec`` and ``parameters`` may be changed."""
+    algorithm, dataset = number % 2, number // 2 % 3
+    spec = {
+        "algorithmRef": {"name": f"algorithm-{algorithm}"},
+        "datasetRef": {"name": f"dataset-{dataset}"},
+        "sensors": "stereo",
+        "parameters": changes.pop("parameters", {"nFeatures": 500 * (1 + number // 6 % 2)}),
+        "input": {"pace": "Lockstep"},
+        "repetition": number // 12,
+        "seed": number,
+    } | changes.pop("spec", {})
+    error = 0.02 * (1 + algorithm) + 0.01 * dataset + 0.001 * (number // 12)
+    fields: dict[str, Any] = {
+        "uid": f"uid-{number:03d}",
+        "name": f"run-{number:03d}",
+        "sweep": "study" if number < 24 else "later",
+        "spec": spec,
+        "phase": Phase.SUCCEEDED,
+        "started": f"2026-01-02T03:04:{number % 60:02d}.25Z",
+        "finished": f"2026-01-02T03:05:{number % 60:02d}Z",
+        "usage": {
+            "cpu": {"meanCores": 1.5 + algorithm, "secondsPerDataSecond": 0.5 + 0.01 * number},
+            "memory": {"peakBytes": 2**28 + number * 2**20},
+            "wallSeconds": 20.0,
+        },
+        "results": [result(ate={"rmse": error})],
+    }
+    return RunRecord.model_validate(fields | changes)
+
+
+def failed(number: int, **changes: Any) -> RunRecord:
+    more: dict[str, Any] = {
+        "phase": Phase.FAILED,
+        "reason": Reason.OUT_OF_MEMORY,
+        "results": [],
+        "usage": None,
+    }
+    return run(number, **(more | changes))
+
+
+ASSORTED = (
+    *(run(number) for number in range(24)),
+    failed(24),
+    run(25, results=[result(outcome=Outcome.LOST), result("sim3")]),
+    run(26, results=[]),
+    run(27, name="run-html", parameters={"text": HTML}, spec={"algorithmRef": {"name": HTML}}),
+    run(28, parameters={"nFeatures": "many", "long": LONG}, spec={"datasetRef": {"name": LONG}}),
+    run(29, parameters={"nFeatures": None, "nested": {"a": [1, 2]}}, message="it ended\nbadly\x00"),
+)
+
+
+@pytest.fixture
+def fill(tmp_path: Path) -> Callable[[Iterable[RunRecord]], Path]:
+    """Write runs into a fresh home, and return it."""
+
+    def write(records: Iterable[RunRecord]) -> Path:
+        with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+            archive.put_runs(records)
+        return tmp_path
+
+    return write
+
+
+@pytest.fixture
+def assorted(fill: Callable[[Iterable[RunRecord]], Path]) -> Path:
+    return fill(ASSORTED)
+
+
+@pytest.fixture(scope="session")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A home with the 81 runs of the original paper."""
+    if not ICRA.is_dir():
+        pytest.skip("the runs of the original paper are not there (../shared/data/icra2023)")
+    home = tmp_path_factory.mktemp("published")
+    words = ["slam-hive", ICRA / "runs", "--ground-truth", ICRA / "groundtruth", "--alignment", "sim3"]
+    environment = {"SLAMHIVE_HOME": str(home), "SLAMHIVE_ARCHIVE": ""}
+    outcome = CliRunner().invoke(importing.app, list(map(str, words)), env=environment)
+    assert outcome.exit_code == 0, outcome.output
+    return home
+
+
+@pytest.fixture
+def slamhive(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """The command on a home: returns its exit code, its output and its complaints."""
+
+    def call(home: Path, *words: Any) -> tuple[int, str, str]:
+        monkeypatch.setenv("SLAMHIVE_HOME", str(home))
+        monkeypatch.setenv("SLAMHIVE_ARCHIVE", "")
+        monkeypatch.setattr("sys.argv", ["slamhive", *map(str, words)])
+        capsys.readouterr()
+        code = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        return (code, *capsys.readouterr())
+
+    return call
+
+
+@pytest.fixture
+def records() -> Any:
+    """What makes records."""
+    return sys.modules[__name__]
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A browser as the tests of the dashboard's pages have it."""
+    pages = of_file("dashboard_pages_browser", TESTS / "dashboard_pages" / "conftest.py")
+    yield from pages.browser.__wrapped__(tmp_path_factory)
