@@ -57,7 +57,7 @@ def test_page_shows_its_content_to_everyone(browser: Any, site: str, path: str) 
 
 
 @pytest.mark.parametrize(
-    "path", ["/runs/run-005", "/runs", "/sweeps/study", "/compare?uid=run-000&uid=run-005"]
+    "path", ["/runs/run-005", "/runs/run-002", "/runs", "/sweeps/study", "/compare?uid=run-000&uid=run-002"]
 )
 def test_markup_in_names_is_text(browser: Any, site: str, path: str) -> None:
     browser.open(f"{site}{path}")

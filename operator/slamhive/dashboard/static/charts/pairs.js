@@ -24,7 +24,7 @@ export function pairsChart(pairs) {
     height: Math.max(170, 60 + names.length * 34),
     option: ({ width }) => ({
       grid: { left: labelRoom(width, 220), right: width < NARROW ? 14 : 96, top: 34, bottom: 16 },
-      tooltip: { trigger: 'item', formatter: (item) => (item.data?.pair ? [`${names[item.data.value[1]]} against ${names[item.data.value[0]]}`, `effect ${number(item.data.value[2], 2)}, p after Holm ${number(item.data.pair.pHolm, 3)}`,
+      tooltip: { trigger: 'item', formatter: (item) => (item.data?.pair ? [`${clip(names[item.data.value[1]], 60)} against ${clip(names[item.data.value[0]], 60)}`, `effect ${number(item.data.value[2], 2)}, p after Holm ${number(item.data.pair.pHolm, 3)}`,
         `won ${item.data.won}, lost ${item.data.lost} of ${item.data.pair.n} datasets`].join('\n') : '') },
       // Columns are the rows' numbers: names would have to be turned, and not all would fit.
       xAxis: { type: 'category', position: 'top', data: names.map((_, at) => String(at + 1)), axisLabel: { interval: 0 }, axisTick: { show: false }, name: '' },

@@ -45,7 +45,7 @@ export default function Compare() {
 /** What a run is called in a legend: its number, and what tells it apart from the others. */
 function namesOf(runs) {
   const told = ['algorithm', 'sensors', 'dataset', 'repetition'].filter((key) => new Set(runs.map((run) => String(run.configuration?.[key]))).size > 1);
-  return runs.map((run) => [`run ${cell(run.run ?? run.uid)}`, ...told.map((key) => `${key === 'repetition' ? 'repetition ' : ''}${cell(run.configuration?.[key])}`)].join(', '));
+  return runs.map((run) => [`run ${clip(run.run ?? run.uid, 40)}`, ...told.map((key) => `${key === 'repetition' ? 'repetition ' : ''}${clip(cell(run.configuration?.[key]), 40)}`)].join(', '));
 }
 
 function Compared({ runs, tracks, usage, byError }) {

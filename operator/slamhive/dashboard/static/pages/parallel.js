@@ -31,7 +31,7 @@ export function Parallel({ set, columns, filters, onError }) {
     setActive(indices.length ? new Set(indices) : null);
   };
   return html`${query.get('embed') !== '1' && html`<p>${field}</p>`}
-    <${Chart} title=${`${number(data.items.length)} runs over ${axes.length} axes`} option=${option} height=${420} csv=${csvOf(address('/api/v1/runs', asked))} events=${{ axisareaselected: select }} />
+    <${Chart} title=${`${number(data.items.length)} runs over ${axes.length} axes`} option=${option} height=${420} csv=${csvOf(address('/api/v1/runs', asked))} table=${{ columns: dressed(data.columns), rows: data.items }} events=${{ axisareaselected: select }} />
     ${data.total > MOST && html`<p class="quiet">The first ${MOST} of ${number(data.total)} runs are drawn; filter them.</p>`}
     <h2>${active ? 'Selected runs' : 'Runs'} <span class="quiet">${number(rows.length)}</span></h2>
     <p class="quiet">Drag along an axis to select; click on it to select all again. Runs without a value on an axis are drawn with a gap.</p>

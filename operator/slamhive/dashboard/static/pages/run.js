@@ -20,18 +20,18 @@ export default function RunPage({ uid }) {
   const base = `/api/v1/runs/${encodeURIComponent(uid)}`;
   const state = useData(base);
   const run = state.data;
-  useTitle(run ? `Run ${run.run ?? run.name}` : 'Run');
+  useTitle(run ? `Run ${clip(run.run ?? run.name, 60)}` : 'Run');
   if (!run) return html`<h1>Run</h1>${state.error ? html`<${Fault} error=${state.error} /><p><${Link} href="/runs">To all runs</${Link}></p>` : html`<${Waiting} />`}`;
   const results = run.results ?? [];
   return html`<h1>${clip(run.name ?? uid, 160)}</h1>
-    <p class="row"><${Status} value=${results[0]?.outcome ?? run.reason ?? run.phase} />${run.run !== null && run.run !== undefined && html`<span>run ${cell(run.run)}</span>`}
+    <p class="row"><${Status} value=${results[0]?.outcome ?? run.reason ?? run.phase} />${run.run !== null && run.run !== undefined && run.run !== run.name && html`<span>run ${clip(cell(run.run), 80)}</span>`}
       ${run.sweep && html`<span>of <${Link} href=${`/sweeps/${encodeURIComponent(run.sweep)}`}>${clip(run.sweep, 80)}</${Link}></span>`}
       <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}><a href=${`${base}/manifest`} download>YAML to run it again</a></p>
     ${run.message && html`<p class="quiet">${clip(run.message, LONGEST)}</p>`}
     <${Results} results=${results} />
     <${SuspectNotes} keys=${{ algorithm: run.configuration?.algorithm, sensors: run.configuration?.sensors, dataset: run.configuration?.dataset }} evaluations=${results.map((one) => one.evaluation)} />
     ${results.length === 0 && run.phase !== 'Succeeded' && html`<p class="quiet">Nothing was measured: ${clip(run.reason ?? run.phase ?? 'no result', 200)}.</p>`}
-    ${run.files ? html`<${Trajectory} base=${base} results=${results} name=${`run ${run.run ?? ''}`} /><${Usage} base=${base} />` : html`<p class="quiet">The files of this run are not here: its trajectory and its load over time can't be drawn.</p>`}
+    ${run.files ? html`<${Trajectory} base=${base} results=${results} name=${`run ${clip(run.run ?? '', 40)}`} /><${Usage} base=${base} />` : html`<p class="quiet">The files of this run are not here: its trajectory and its load over time can't be drawn.</p>`}
     <div class="cards facts">
       <${Facts} title="Configuration" value=${run.configuration} keep=${/^parameters\./} />
       <${Facts} title="How it went" value=${{ phase: run.phase, reason: run.reason, attempts: run.attempts, created: time(run.created), started: time(run.started), finished: time(run.finished) }} />

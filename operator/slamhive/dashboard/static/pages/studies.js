@@ -20,6 +20,9 @@ const STUDIES = {
   repeatability: { text: 'Repeatability', path: 'repeatability', Shown: Repeatability, settings: ['metric'], says: 'Runs of the very same configuration. Equal trajectories count once.' },
   suspects: { text: 'Suspects', path: 'suspects', Shown: Suspects, settings: [], says: 'Scales that are off 1 by the same factor in all runs: the calibration is wrong, or the depth factor, not the algorithm.' },
 };
+const MOST_SUBJECTS = 12;
+const MOST_ROWS = 200;
+const SUBJECT = ['algorithm', 'sensors', 'dataset'];
 const WITHOUT = { pairs: 'No two competitors have a dataset in common.', importance: 'No setting varies over enough runs.', repeatability: 'No run fits these filters.', suspects: 'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs (it takes three tracked runs and an alignment with scale, sim3).' };
 
 export default function Studies() {
@@ -67,7 +70,7 @@ function Pairs({ data, csv, without }) {
 }
 
 function Importance({ data, csv, without }) {
-  const drawn = useMemo(() => data.subjects.filter((one) => one.parameters.length).map((subject) => ({ subject, ...importanceCharts(subject) })), [data]);
+  const drawn = useMemo(() => data.subjects.filter((one) => one.parameters.length).slice(0, MOST_SUBJECTS).map((subject) => ({ subject, ...importanceCharts(subject) })), [data]);
   if (drawn.length === 0) return without;
   const columns = [
     { name: 'name', title: 'setting', show: (name) => clip(name, 80) }, { name: 'distinct', title: 'values', kind: 'integer' }, { name: 'variance', title: 'variance explained', kind: 'number', show: (value) => share(value) },
@@ -75,7 +78,8 @@ function Importance({ data, csv, without }) {
   ];
   return html`<div class=${drawn.length > 1 ? 'facets' : ''}>${drawn.map(({ subject, option, height, rows }) => html`<section><${Chart} option=${option} height=${height} csv=${csv} table=${{ columns, rows }} title=${clip(keysText(subject.keys), 120)} />
     <${Table} columns=${columns} rows=${rows} caption=${`Settings of ${clip(keysText(subject.keys), 100)}`} />
-    <p class="quiet">${number(subject.n)} tracked runs of ${number(subject.runs)}; ${share(subject.unexplained)} of the variance stays unexplained.</p></section>`)}</div>`;
+    <p class="quiet">${number(subject.n)} tracked runs of ${number(subject.runs)}; ${share(subject.unexplained)} of the variance stays unexplained.</p></section>`)}</div>
+    ${data.subjects.length > MOST_SUBJECTS && html`<p class="quiet">${MOST_SUBJECTS} of ${data.subjects.length} are drawn: filter by algorithm or dataset; the CSV has all.</p>`}`;
 }
 
 const share = (value) => (value === null || value === undefined ? '–' : `${number(100 * value, 3)} %`);
@@ -87,14 +91,19 @@ function Repeatability({ data, csv, without }) {
   const told = names.filter((name) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
   const factor = data.metric.factor ?? 1;
   const scaled = (value) => (value === null || value === undefined ? null : value * factor);
+  const keyed = (wanted) => wanted.map((name) => ({ name: `key ${name}`, title: name.replace(/^parameters\./, ''), show: (_, group) => clip(cell(group.keys[name]), 48) }));
+  const settings = told.filter((name) => !SUBJECT.includes(name));
+  const few = settings.length <= 3;
   const columns = [
-    ...told.map((name) => ({ name: `key ${name}`, title: name.replace(/^parameters\./, ''), show: (_, group) => clip(cell(group.keys[name]), 48) })), { name: 'runs', title: 'runs', kind: 'integer' }, { name: 'n', title: 'tracked', kind: 'integer' },
+    ...keyed(told.filter((name) => SUBJECT.includes(name) || few)), { name: 'runs', title: 'runs', kind: 'integer' }, { name: 'n', title: 'tracked', kind: 'integer' },
     { name: 'distinct', title: 'different paths', kind: 'integer' }, { name: 'failures', title: 'failures', show: failureText },
     { name: 'figure', title: `${data.metric.title} median`, kind: 'number', show: (figure) => number(scaled(figure?.median)) }, { name: 'least', title: 'least', kind: 'number', show: (_, group) => number(scaled(group.figure?.min)) },
     { name: 'most', title: 'largest', kind: 'number', show: (_, group) => number(scaled(group.figure?.max)) }, { name: 'relativeSpread', title: 'spread', kind: 'number', show: share }, { name: 'verdict', title: 'in words', show: (text) => html`<span class="wrapped">${clip(text, 300)}</span>` },
+    ...(few ? [] : keyed(settings)),
   ];
   return html`${drawn && html`<${Chart} option=${drawn.option} height=${drawn.height} csv=${csv} table=${{ columns, rows: data.groups }} title=${`Repetitions over their median: ${clip(data.metric.title, 60)}`} />`}
-    <${Table} columns=${columns} rows=${data.groups} caption="Configurations and their repetitions" />`;
+    <${Table} columns=${columns} rows=${data.groups.slice(0, MOST_ROWS)} caption="Configurations and their repetitions" />
+    ${data.groups.length > MOST_ROWS && html`<p class="quiet">The ${MOST_ROWS} with most runs are shown; the CSV has all.</p>`}`;
 }
 
 function Suspects({ data, csv, without }) {
