@@ -227,6 +227,30 @@ def test_equal_runs_make_equal_pages_and_others_another_revision(
     assert before[1] != again[1]
 
 
+@pytest.mark.parametrize(
+    "selection",
+    [Selection(evaluation="sim3"), Selection(sweeps=("later",)), Selection(where="evaluation != 'se3'")],
+)
+def test_a_part_without_one_of_the_evaluations(
+    records: Any, fill: Callable[..., Path], selection: Selection
+) -> None:
+    other = [records.run(number, results=[records.result("sim3")]) for number in (24, 25)]
+    home = fill([records.run(0), *other, records.failed(26)])
+    frame = select(read_archive(archive_url(home)), selection, failed_everywhere=True)
+    found = page(frame)
+    board = found.files["leaderboard-1.csv"]
+    assert {row["algorithm"]: row["runs"] for row in board} == {"algorithm-0": "1", "algorithm-1": "1"}
+    statuses = sorted(row["status"] for row in found.files["runs.csv"])
+    assert "OutOfMemory" in statuses
+    assert statuses.count("Tracked") == 2
+
+
+@pytest.mark.parametrize("by", [(), ("dataset",), ("algorithm",), ("parameters.nFeatures", "sensors")])
+def test_other_competitors(study: Path, by: tuple[str, ...]) -> None:
+    found = page(rows(study), by=by)
+    assert all(name in row for row in found.files["leaderboard-1.csv"] for name in by)
+
+
 def test_a_setting_is_drawn_as_groups_and_a_measurement_as_points(study: Path) -> None:
     frame = rows(study)
     groups = parse_question("nFeatures:ate", frame, Outcomes.TRACKED)

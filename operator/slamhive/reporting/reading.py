@@ -131,7 +131,9 @@ def select(frame: Frame, selection: Selection, *, failed_everywhere: bool = Fals
     if selection.evaluation is not None:
         frame = _of_evaluation(frame, selection.evaluation, f"{selection.option}evaluation")
     if failed_everywhere:
-        frame = with_facets(frame)
+        # The column anew, so that it knows of no evaluation but those of the rows that are left.
+        evaluations = Column.of(frame.column("evaluation").tolist())
+        frame = with_facets(frame.replaced({"evaluation": evaluations}))
     if selection.where:
         frame = frame.select(parse_where(selection.where, frozenset(frame.names)).mask(frame))
     return frame

@@ -142,7 +142,7 @@ def comparison_section(
         datasets = list(dict.fromkeys(name for pair in board.pairs for name in pair.datasets))
         parts += [element("h3", _board_title(board.facets, datasets)), _pairs_sheet(board, number).html()]
     if not parts:
-        parts = [element("p", "No two competitors share a dataset.")]
+        parts = [element("p", "No two competitors share a dataset under equal conditions.")]
     return joined(parts), notes
 
 
@@ -213,7 +213,8 @@ def fronts_section(
     drawn = [front for front in found if any(math.isfinite(spot.x) for spot in front.spots)]
     if not drawn:
         return element("p", f"No run that counts has a figure for {axes[0]}."), []
-    names = [keys_text(key.values()) for key in Groups(frame, by).keys]
+    told = [name for name in by if name != "dataset"]  # each dataset has a chart of its own
+    names = [keys_text(key.values()) for key in Groups(frame, told).keys]
     there = {keys_text(spot.keys.values()) for front in drawn[:MOST_FRONTS] for spot in front.spots}
     charts = []
     for front in drawn[:MOST_FRONTS]:
@@ -226,7 +227,9 @@ def fronts_section(
             f"{unknown} competitors have no run that counts with this cost and are in the table alone"
         )
     sheet = _fronts_sheet(drawn, axes)
-    return joined([legend(names, there), element("div", *charts, class_="grid"), sheet.html()]), [
+    return joined(
+        [legend(names, there) if told else None, element("div", *charts, class_="grid"), sheet.html()]
+    ), [
         *notes,
         *more,
     ]
