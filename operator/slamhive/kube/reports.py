@@ -14,7 +14,7 @@ import math
 import re
 import unicodedata
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, TypeVar
 
@@ -28,6 +28,8 @@ from slamhive.playback.outcome import Played
 MESSAGE_BYTES = 16 * 1024
 DESCRIPTION_BYTES = 1 << 20
 _DEPTH = 12
+_SCALARS = (int, float, str)
+_MOST_METRICS = 64
 _EXACT = 2**53
 _SENTENCE = 1000
 _COLOURS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
@@ -64,6 +66,7 @@ class Report:
         frames: frames as the algorithm counted them.
         cpu_model: the processor.
         played: how playing to it ended, for a ROS 1 node.
+        metrics: what the algorithm and its player say of themselves, latency for one.
     """
 
     reason: Reason | None = None
@@ -77,6 +80,7 @@ class Report:
     frames: Frames | None = None
     cpu_model: str | None = None
     played: Played | None = None
+    metrics: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,7 @@ def read_report(text: object) -> Report | None:
         frames=_model(Frames, found.get("frames")),
         cpu_model=_text(found.get("cpuModel"), 200),
         played=_played(found.get("played")),
+        metrics=_metrics(found.get("metrics")),
     )
 
 
@@ -155,6 +160,20 @@ def _played(value: object) -> Played | None:
         return None
     reason = _reason(value.get("reason"), _PLAYERS)
     return Played(value.get("completed") is True, reason, _text(value.get("message")))
+
+
+def _metrics(value: object) -> dict[str, Any]:
+    """Return the numbers, texts and flags of an object, and those in objects in it."""
+    if not isinstance(value, dict):
+        return {}
+    kept = {
+        key: {name: inner for name, inner in item.items() if isinstance(inner, _SCALARS)}
+        if isinstance(item, dict)
+        else item
+        for key, item in value.items()
+        if isinstance(item, (*_SCALARS, dict))
+    }
+    return dict([*kept.items()][:_MOST_METRICS])
 
 
 def read_failure(text: object) -> Failure | None:

@@ -29,13 +29,15 @@ _TAKEN_OVER = (
     "cpuModel",
 )
 # Of these, in this order, as much goes as must; what can't be shortened goes altogether.
-_GIVEN_UP = ("message", "trajectoryProblem", "cpuModel", "frames", "played", "trajectory", "usage")
+_GIVEN_UP = ("metrics", "message", "trajectoryProblem", "cpuModel", "frames", "played", "trajectory", "usage")
 _SHORTEST_TEXT = 40
 
 
 def termination_message(summary: Mapping[str, Any], limit: int = LIMIT_BYTES) -> bytes:
     """Return what of a summary.json goes to the kubelet: compact JSON of at most `limit` bytes."""
     told = {"v": VERSION, **{name: _rounded(summary[name]) for name in _TAKEN_OVER if name in summary}}
+    if "metrics" in summary:
+        told["metrics"] = summary["metrics"]  # their digits are the algorithm's business
     for name in _GIVEN_UP:
         surplus = len(_encode(told)) - limit
         if surplus <= 0:
@@ -43,6 +45,8 @@ def termination_message(summary: Mapping[str, Any], limit: int = LIMIT_BYTES) ->
         text = told.get(name)
         if isinstance(text, str):
             told[name] = _shortened(text, surplus)
+        elif name == "metrics" and isinstance(text, dict):
+            told[name] = _lightened(text, surplus)
         elif name in told:
             told[name] = None
     return _encode(told)
@@ -69,6 +73,16 @@ def _shortened(text: str, surplus: int) -> str:
         middle = (low + high + 1) // 2
         low, high = (middle, high) if len(_encode(text[:middle])) <= room else (low, middle - 1)
     return text if low == len(text) else text[:low] + "…"
+
+
+def _lightened(values: dict[str, Any], surplus: int) -> dict[str, Any]:
+    """Leave out the largest values, until so many bytes are saved or none is left."""
+    kept = dict(values)
+    for key in sorted(values, key=lambda name: -len(_encode({name: values[name]}))):
+        if surplus <= 0:
+            break
+        surplus -= len(_encode({key: kept.pop(key)})) - 2
+    return kept
 
 
 def _encode(value: Any) -> bytes:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def attempt_fields(uid: str, attempted: Attempted, now: float) -> dict[str, Any]:
-    """Return what an attempt left: usage, frames, trajectory, folder and times.
+    """Return what an attempt left: usage, frames, metrics, trajectory, folder and times.
 
     Args:
         uid: the run's uid.
@@ -37,6 +37,7 @@ def attempt_fields(uid: str, attempted: Attempted, now: float) -> dict[str, Any]
     fields |= {
         "usage": usage.as_json() if usage else None,
         "frames": report.frames.as_json() if report.frames else None,
+        "metrics": report.metrics or None,
         "display": display(usage, ()) or None,
     }
     if report.started_at and report.finished_at:
