@@ -40,7 +40,7 @@ export function line(data, settings) {
   });
   return {
     grid: { left: 72, right: 24, top: all.length > 1 ? 40 : 16, bottom: 46 },
-    legend: all.length > 1 ? { data: all.map((one) => clip(one.name, 50)) } : undefined,
+    legend: all.length > 1 ? { icon: 'roundRect', itemHeight: 4, itemWidth: 18, data: all.map((one) => clip(one.name, 50)) } : undefined,
     tooltip: { trigger: 'item', formatter: (item) => tell(item.data?.point, item.seriesName, heading, settings.figure) },
     xAxis: { type: category ? 'category' : settings.xlog ? 'log' : 'value', scale: true, data: categories ?? undefined, name: clip(xHeading.title, 50), nameGap: 28 },
     yAxis: { type: settings.ylog ? 'log' : 'value', scale: true, name: `${clip(heading.title, 44)}, ${settings.figure}`, nameGap: 52 },

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Points, one a run; what failed is drawn above all others, as in the original SLAM Hive. */
+import { COLOURS } from '../core/chart.js';
 import { clip } from '../core/format.js';
 import { asCategories, axisOption, readAxis } from './points.js';
 
-const SHAPES = { Tracked: 'circle', Partial: 'emptyCircle', Lost: 'emptyTriangle', Diverged: 'emptyDiamond' };
+const SHAPES = { Tracked: 'circle', Partial: 'circle', Lost: 'triangle', Diverged: 'diamond' };
 const MANY = 3000;
 
 /** Return the option of a scatter chart.
@@ -18,18 +19,21 @@ export function scatter(data, indices, { xlog, ylog, top }) {
   const continuous = colour && !groups;
   const place = (index) => [x.at(index), y.at(index) ?? top, index, ...(continuous ? [colour.at(index)] : [])];
   const large = indices.length > MANY;
-  const dress = (point) => {
+  const dress = (point, ink) => {
     const value = place(point);
     if (large) return value;
     const state = status?.text(point) ?? 'Tracked';
-    return { value, symbol: y.at(point) === null ? 'path://M0 0L10 10M10 0L0 10' : SHAPES[state] ?? 'emptyRect' };
+    if (y.at(point) === null) return { value, symbol: 'path://M0 0L10 10M10 0L0 10', itemStyle: { borderColor: ink, borderWidth: 1.8 } };
+    // What did not track to the end is hollow. Where colours tell a number, the drawing library gives them to the fill alone.
+    if (state === 'Tracked' || continuous) return { value, symbol: SHAPES[state] ?? 'rect' };
+    return { value, symbol: SHAPES[state] ?? 'rect', itemStyle: { color: 'transparent', borderColor: ink, borderWidth: 1.8 } };
   };
   const kept = indices.filter((index) => x.at(index) !== null && place(index)[1] !== null);
   const shared = { type: 'scatter', symbolSize: large ? 3 : 9, large, largeThreshold: MANY, itemStyle: { opacity: large ? 0.5 : 0.85 }, progressive: 0 };
   const named = groups ? [...groups.categories, '–'] : ['runs'];
   const parts = new Map(named.map((name) => [name, []]));
   for (const index of kept) parts.get(groups ? named[groups.at(index) ?? named.length - 1] : 'runs').push(index);
-  const series = [...parts].map(([name, members], number) => ({ ...shared, name: clip(name, 40), data: members.map(dress), colorBy: 'series', id: String(number) }));
+  const series = [...parts].map(([name, members], number) => ({ ...shared, name: clip(name, 40), color: COLOURS[number % COLOURS.length], data: members.map((point) => dress(point, COLOURS[number % COLOURS.length])), id: String(number) }));
   const tell = (item) => {
     const index = item.value[2];
     return [`run ${data.run?.[index] ?? data.id?.[index] ?? ''}`, `${clip(x.heading.title, 40)}: ${clip(x.text(index), 40)}`, `${clip(y.heading.title, 40)}: ${clip(y.text(index), 40)}`,

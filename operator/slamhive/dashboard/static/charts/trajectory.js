@@ -20,6 +20,9 @@ export function ramp(share) {
   return `rgb(${mixed.join(',')})`;
 }
 
+/** Lines have a short line in the legend. */
+const BARS = { icon: 'roundRect', itemHeight: 4, itemWidth: 18 };
+
 const MARGIN = { left: 64, right: 20, top: 40, bottom: 52 };
 const GAP = 8;
 
@@ -52,7 +55,7 @@ export function plane(estimates, reference, a, b, range) {
     const [spanA, spanB] = equal([...estimates.map((one) => one.track), ...(reference ? [reference] : [])], a, b, (width - MARGIN.left - right) / (height - MARGIN.top - MARGIN.bottom));
     const points = (track) => broken(track, (index) => [track[a][index], track[b][index]]);
     return {
-      grid: { ...MARGIN, right }, legend: {}, tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${tell(item.value, a, b)}` },
+      grid: { ...MARGIN, right }, legend: BARS, tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${tell(item.value, a, b)}` },
       xAxis: { type: 'value', name: `${a} [m]`, nameGap: 26, ...spanA, ...EDGES }, yAxis: { type: 'value', name: `${b} [m]`, nameGap: 44, ...spanB, ...EDGES },
       visualMap: range ? {
         type: 'continuous', seriesIndex: estimates.map((_, at) => at + estimates.length + (reference ? 1 : 0)), dimension: 2, min: range.low, max: range.high, right: 0, top: 'middle', itemHeight: 110,
@@ -94,7 +97,7 @@ function equal(tracks, a, b, aspect) {
 /** Return the option of something over time. @param {Array<{name: string, t: number[], values: Array<number|null>}>} lines @param {string} title of the vertical axis */
 export function overTime(lines, title, from = 'time [s]') {
   return {
-    grid: { left: 72, right: 20, top: lines.length > 1 ? 40 : 14, bottom: 48 }, legend: lines.length > 1 ? {} : undefined,
+    grid: { left: 72, right: 20, top: lines.length > 1 ? 40 : 14, bottom: 48 }, legend: lines.length > 1 ? BARS : undefined,
     tooltip: { trigger: 'axis', axisPointer: { type: 'line' }, formatter: (items) => [`${number(items[0].value[0])} s`, ...items.filter((item) => typeof item.value[1] === 'number').map((item) => `${item.seriesName}: ${number(item.value[1])}`)].join('\n') },
     xAxis: { type: 'value', name: from, nameGap: 26, min: 'dataMin', max: 'dataMax', axisLabel: { formatter: short, showMaxLabel: false } }, yAxis: { type: 'value', name: title, nameGap: 52 },
     series: lines.map((line, index) => ({ type: 'line', name: clip(line.name, 40), showSymbol: false, color: COLOURS[index % COLOURS.length], lineStyle: { width: 1.5 }, data: broken(line, (at) => [line.t[at], line.values[at] ?? '-']) })),

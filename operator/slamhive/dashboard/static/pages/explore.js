@@ -27,8 +27,10 @@ function settingsOf(query, columns) {
   const varied = columns.filter((one) => one.distinct > 1);
   const guess = varied.find((one) => one.group === 'parameters' && isNumeric(one)) ?? varied.find((one) => one.name === 'usage.cpu.meanCores') ?? varied.find(isNumeric);
   const at = (name, otherwise) => query.get(name, otherwise);
+  const kind = KINDS.some(([one]) => one === at('kind')) ? at('kind') : 'scatter';
+  const y = at('y', 'ate.rmse');
   return {
-    kind: KINDS.some(([kind]) => kind === at('kind')) ? at('kind') : 'scatter', x: at('x', guess?.name ?? 'algorithm'), y: at('y', 'ate.rmse'),
+    kind, x: at('x', guess?.name ?? 'algorithm'), y: kind === 'line' ? y : y.split(',')[0], // only lines are drawn of several columns
     colour: at('colour'), facet: at('facet'), outcomes: at('outcomes', 'tracked'),
     figure: at('figure') === 'mean' ? 'mean' : 'median', xlog: at('xlog') === '1', ylog: at('ylog') === '1',
   };
@@ -103,7 +105,7 @@ function Drawing({ set, data, title, csv }) {
   const open = (event) => openRun(data, event);
   const many = parts.length > 1;
   return html`${set.kind === 'scatter' && html`<p class="row"><${Tick} label="Select by dragging" checked=${brushing} onChange=${setBrushing} />
-      ${area && html`<button type="button" onClick=${() => setArea(null)}>All runs again</button>`}<span class="quiet">A click on a point opens its run. Crosses have no value: they are drawn above the others.</span></p>`}
+      ${area && html`<button type="button" onClick=${() => setArea(null)}>All runs again</button>`}<span class="quiet">A click on a point opens its run. Hollow: not tracked to the end. Crosses have no value: they are drawn above the others.</span></p>`}
     <div class=${many ? 'facets' : ''}>${parts.map((part) => (part.option
       ? html`<${Chart} key=${`${part.name} ${part.metric}`} option=${part.option} height=${many ? 320 : 440} brushing=${brushing} onClick=${open} events=${{ brushEnd: (event) => setArea(ranges(event, data)) }}
           title=${part.name ? `${part.title ?? title}: ${clip(part.name, 80)}` : part.title ?? title} csv=${csv} table=${part.table} summary=${`${title}; the table has its numbers`} />`

@@ -25,7 +25,8 @@ function pareto(data, front, set) {
   const points = front.points.map((point) => ({ ...point, sx: scaled(point.x, data.x), sy: scaled(point.y, data.y) })).filter((point) => point.sx !== null);
   const top = Math.max(0, ...points.map((point) => point.sy ?? 0)) * 1.15 || 1;
   const best = points.filter((point) => point.front && point.sy !== null).sort((a, b) => a.sx - b.sx);
-  const symbol = (point) => (point.sy === null ? 'path://M0 0L10 10M10 0L0 10' : point.front ? 'circle' : 'emptyCircle');
+  const mark = (point) => (point.sy === null ? { symbol: 'path://M0 0L10 10M10 0L0 10', itemStyle: { borderColor: COLOURS[0], borderWidth: 1.8 } }
+    : point.front ? {} : { itemStyle: { color: 'transparent', borderColor: COLOURS[0], borderWidth: 1.8 } });
   const columns = [...Object.keys(points[0]?.keys ?? {}).map((name) => ({ name, title: name })), { ...data.x, name: 'x' }, { ...data.y, name: 'y' }, { name: 'front', title: 'on the front' },
     ...['n', 'runs', 'failed'].map((name) => ({ name, title: name, kind: 'integer' })), { name: 'coverage', title: 'coverage', kind: 'number' }];
   return {
@@ -37,7 +38,7 @@ function pareto(data, front, set) {
       xAxis: { type: set.xlog ? 'log' : 'value', scale: true, name: clip(data.x.title, 44), nameGap: 28 }, yAxis: { type: set.ylog ? 'log' : 'value', scale: true, name: `${clip(data.y.title, 44)}, median`, nameGap: 52 },
       series: [
         { type: 'line', step: 'end', symbol: 'none', data: best.map((point) => [point.sx, point.sy]), lineStyle: { color: COLOURS[1], type: 'dashed' }, silent: true },
-        { type: 'scatter', symbolSize: 11, color: COLOURS[0], data: points.map((point) => ({ value: [point.sx, point.sy ?? top], symbol: symbol(point), point })),
+        { type: 'scatter', symbolSize: 11, color: COLOURS[0], data: points.map((point) => ({ value: [point.sx, point.sy ?? top], ...mark(point), point })),
           label: { show: points.length <= 14, position: 'top', fontSize: 11, formatter: (item) => clip(keysText(item.data.point.keys), 30) }, labelLayout: { hideOverlap: true } },
       ],
     },
