@@ -181,7 +181,7 @@ def _integers(characters: npt.NDArray[np.uint8], end: IndexArray, length: IndexA
 def _words(words: Words, end: IndexArray, length: IndexArray) -> tuple[Words, Flags]:
     """Integers of the last eight of so many digits, and whether there is something else."""
     word = words[end - _WORD] ^ np.uint64(0x3030303030303030)
-    shift = np.maximum(8 * _WORD - 8 * length, 0).view(np.uint64)
+    shift = np.maximum(8 * _WORD - 8 * length, 0).astype(np.uint64)
     word = (word >> shift) << shift
     wrong = ((word + np.uint64(0x7676767676767676)) | word) & np.uint64(0x8080808080808080)
     word = (word * np.uint64((10 << 8) + 1)) >> np.uint64(8)

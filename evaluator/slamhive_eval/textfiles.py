@@ -124,8 +124,8 @@ def _numbers(data: bytes, *, commas: bool) -> FloatArray:
     Raises:
         ValueError: Something is no number, or lines differ in length.
     """
-    rows = np.empty((0, 0))
-    count = start = 0
+    parts: list[FloatArray] = []
+    start = 0
     if len(data) > _BLOCK:
         # Once it has freed so much, glibc keeps smaller pieces instead of giving them back to the system,
         # which would have to clear the temporary arrays of each block anew: that takes as long as parsing.
@@ -134,17 +134,13 @@ def _numbers(data: bytes, *, commas: bool) -> FloatArray:
         end = data.find(b"\n", start + _BLOCK) + 1 or len(data)
         found = _block(data[start:end], commas=commas)
         start = end
-        if not len(found):
-            continue
-        if start >= len(data) and not count:
-            return found
-        if not count:
-            rows = np.empty((data.count(b"\n") + 1, found.shape[1]))
-        if found.shape[1] != rows.shape[1]:
-            raise ValueError("lines of different lengths")
-        rows[count : count + len(found)] = found
-        count += len(found)
-    return rows[:count]
+        if len(found):
+            parts.append(found)
+    if not parts:
+        return np.empty((0, 0))
+    if len({part.shape[1] for part in parts}) > 1:
+        raise ValueError("lines of different lengths")
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _block(block: bytes, *, commas: bool) -> FloatArray:

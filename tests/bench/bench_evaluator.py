@@ -21,11 +21,11 @@ from typing import Any, NamedTuple
 EVO = "evo==1.38.1"
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "icra2023"
 COMMAND_POSES, LIBRARY_POSES, MANY_POSES = 3_000, 100_000, 1_000_000
-REPETITIONS = 5
+REPETITIONS, PEER_REPETITIONS = 5, 2
 NINE_DECIMALS = "%.9f"
 """As most SLAM programs write them."""
 ALL_DIGITS = "%.17g"
-"""As many as float64 holds: reading them exactly takes twice as long, in C as well."""
+"""As many as float64 holds."""
 
 MAKE = """
 import sys
@@ -220,7 +220,9 @@ def bench_library(folder: Path, peer: Path | None) -> None:
             ("RPE, 1 m, all pairs", "rpe", 10),
         ):
             found = run([sys.executable, "-c", OURS, work, *files], folder, REPETITIONS)
-            beside = run([str(peer), "-c", PEER, work, *files], folder) if peer is not None else None
+            beside = None
+            if peer is not None:
+                beside = run([str(peer), "-c", PEER, work, *files], folder, PEER_REPETITIONS)
             report(f"{what}, {LIBRARY_POSES:,} poses{digits}, in process", found, beside, share)
 
 
