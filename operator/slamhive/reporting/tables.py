@@ -63,9 +63,8 @@ class Sheet:
         caption = element("p", clip(self.caption, 400), *link, class_="caption")
         body = element("thead", element("tr", *head)), element("tbody", *rows)
         table = element("table", *body, aria_label=clip(self.caption))
-        scroll = element(
-            "div", table, class_="scroll", tabindex="0", role="region", aria_label=clip(self.caption)
-        )
+        about = f"{clip(self.caption)} ({self.name})"  # landmarks need names of their own
+        scroll = element("div", table, class_="scroll", tabindex="0", role="region", aria_label=about)
         return joined([caption, scroll, *more])
 
 
