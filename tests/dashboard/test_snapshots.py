@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any
 
+import anyio
 import numpy as np
 import pytest
 
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect
-from slamhive.dashboard import snapshots
+from slamhive.dashboard import snapshots, sources
 from slamhive.dashboard.loading import load
-from slamhive.dashboard.sources import ArchiveData
+from slamhive.dashboard.sources import ArchiveData, Workstation
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
@@ -90,3 +92,19 @@ def test_large_tables_are_kept_and_small_ones_not(
     assert rows_of(again.frame) == rows_of(data.frame)
     assert kept.stat().st_mtime_ns == before
     again.close()
+
+
+async def test_a_server_keeps_its_table_after_the_first_answers(
+    assorted: str, tmp_path: Path, open_app: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(snapshots, "LEAST_ROWS", 1)
+    monkeypatch.setattr(sources, "KEEP_SECONDS", (0.01, 0.01))
+    async with open_app(Workstation(assorted, tmp_path)) as client:
+        total = (await client.get("/runs"))["total"]
+        deadline = time.monotonic() + 60
+        while not (kept := list((tmp_path / "cache").glob("dashboard-*.npz"))):
+            assert time.monotonic() < deadline
+            await anyio.sleep(0.05)
+    restored = snapshots.restore(kept[0])
+    assert restored is not None
+    assert len(restored.frame) == total

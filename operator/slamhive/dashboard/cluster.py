@@ -89,7 +89,6 @@ class ClusterSource:
         self._lock = asyncio.Lock()
         self._api: Api | None = None
         self._executor: Executor | None = None
-        self._kept: asyncio.Future[None] | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
 
     async def start(self, executor: Executor) -> None:
@@ -115,7 +114,7 @@ class ClusterSource:
         if self._api is not None:
             await self._api.close()
         if self._archive is not None:
-            self._archive.close()
+            await self._archive.stop()
 
     async def fresh(self) -> Snapshot:
         """Return the data as they are now."""
@@ -124,8 +123,6 @@ class ClusterSource:
             removed, self._cluster.removed = self._cluster.removed, False
             if self._archive is not None:
                 await self._archive.follow(self._executor, again=removed)
-                if self._kept is None:
-                    self._kept = loop.run_in_executor(self._executor, self._archive.keep)
             state = (self._cluster.changes, self._archive.revision if self._archive else "", self._problems())
             if state != self._built and time.monotonic() >= self._next_build:
                 begun = time.monotonic()

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     Part = tuple[dict[str, Column], int]
 
-BATCH = 1000
+BATCH = 2000
 """Runs read at a time: their documents are what loading needs memory for."""
 
 _SOME = 500

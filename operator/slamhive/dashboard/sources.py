@@ -45,10 +45,14 @@ LOOK_SECONDS = 0.5
 PATIENCE_SECONDS = 5.0
 """How long answers wait for a look at the database before they show its last state."""
 
+KEEP_SECONDS = (3.0, 600.0)
+"""When the table is kept for the next start: once the first answers are out, and how often after that."""
+
 _REST = 4.0
 """A look that found changes is followed by a rest of so many times its own length."""
 
 
+_CLOSE_SECONDS = 2.0
 _LATE = "the archive does not answer at present: its last state is shown"
 _GIVING_UP = {
     "connect_timeout": 10,
@@ -138,9 +142,11 @@ class ArchiveData:
         self._count = 0
         self._next_look = 0.0
         self._late = False
+        self._again = False
         self._loaded = Loaded()
         self._lock = threading.Lock()
         self._looking: asyncio.Future[None] | None = None
+        self._keeping: asyncio.Task[None] | None = None
         self.problem: str | None = None
         self.loaded_once = False
 
@@ -176,14 +182,18 @@ class ArchiveData:
             executor: has the thread.
             again: as for ``look``.
         """
+        self._again |= again
         if self._looking is None or self._looking.done():
             loop = asyncio.get_running_loop()
-            self._looking = loop.run_in_executor(executor, partial(self.look, again=again))
+            self._looking = loop.run_in_executor(executor, partial(self.look, again=self._again))
+            self._again = False
         looking = self._looking
         await asyncio.wait({looking}, timeout=PATIENCE_SECONDS if self.loaded_once else None)
         self._late = not looking.done()
         if looking.done():
             looking.result()
+        if self._keeping is None and self._cache is not None:
+            self._keeping = asyncio.create_task(self._keep_on(executor), name="keep the table")
 
     def look(self, *, again: bool = False) -> None:
         """Read again what changed, if it is time for that; a database that is away is remembered.
@@ -229,10 +239,26 @@ class ArchiveData:
             snapshots.save(self._cache, loaded)
             self._saved = Loaded(marks=loaded.marks)
 
+    async def _keep_on(self, executor: Executor | None) -> None:
+        pause, later = KEEP_SECONDS
+        while True:
+            await asyncio.sleep(pause)
+            await asyncio.get_running_loop().run_in_executor(executor, self.keep)
+            pause = later
+
+    async def stop(self) -> None:
+        """Let go of the database, from the loop that ``follow`` was called in."""
+        if self._keeping is not None:
+            self._keeping.cancel()
+        self.close()
+
     def close(self) -> None:
-        """Let go of the database."""
-        with self._lock:
-            self._close()
+        """Let go of the database; one that hangs is left to the end of the process."""
+        if self._lock.acquire(timeout=_CLOSE_SECONDS):
+            try:
+                self._close()
+            finally:
+                self._lock.release()
 
     def _refresh(self) -> bool:
         if self._engine is None:
@@ -282,7 +308,6 @@ class Workstation:
         self._home = home
         self._truths = Truths(ground_truth, home)
         self._executor: Executor | None = None
-        self._kept: asyncio.Future[None] | None = None
 
     async def start(self, executor: Executor) -> None:
         """Read the archive for the first time."""
@@ -290,13 +315,11 @@ class Workstation:
 
     async def stop(self) -> None:
         """Let go of the archive."""
-        self._data.close()
+        await self._data.stop()
 
     async def fresh(self) -> Snapshot:
         """Return the archive as it is now."""
         await self._data.follow(self._executor)
-        if self._kept is None:
-            self._kept = asyncio.get_running_loop().run_in_executor(self._executor, self._data.keep)
         problems = (self._data.said,) if self._data.said else ()
         return Snapshot(self._data.frame, self._data.revision, problems)
 
