@@ -64,6 +64,28 @@ def test_runs_are_sorted_paged_and_compared(browser: Any, site: str) -> None:
     browser.wait("location.pathname === '/compare' && document.querySelectorAll('tbody tr').length === 1")
 
 
+def test_columns_are_chosen(browser: Any, site: str) -> None:
+    browser.open(f"{site}/runs")
+    browser.click("summary", "Columns")
+    browser.click("label.tick", "peak memory")
+    browser.wait(
+        "![...document.querySelectorAll('th')].some((one) => one.innerText.startsWith('peak memory'))"
+    )
+    browser.click("label.tick", "seed")
+    browser.wait("[...document.querySelectorAll('th')].some((one) => one.innerText === 'seed')")
+    assert "seed" in browser.run("location.search")
+
+
+def test_runs_are_added_to_the_compared_and_taken_away(browser: Any, site: str) -> None:
+    browser.open(f"{site}/compare?uid=run-000")
+    browser.choose("Add a run by its uid", "run-002")
+    browser.run("document.querySelector('form').requestSubmit()")
+    browser.wait("document.querySelectorAll('.chip').length === 2")
+    browser.wait("document.querySelector('main').innerText.includes('parameters.nFeatures')")
+    browser.click(".chip button")
+    browser.wait("document.querySelectorAll('.chip').length === 1 && location.search === '?uid=run-002'")
+
+
 def test_studies_keep_their_filters(browser: Any, site: str) -> None:
     browser.open(f"{site}/leaderboard?dataset=hall")
     browser.click("a", "Tests of pairs")
@@ -156,6 +178,14 @@ def test_a_view_in_space_is_turned_by_keys_and_dragging_and_kept(browser: Any, s
     browser.press("Home")
     browser.wait("!location.search.includes('view')")
     assert "seen from -60° round and 30° up" in browser.text()
+
+
+def test_dragging_along_an_axis_selects_runs(browser: Any, site: str) -> None:
+    browser.open(f"{site}/explore?kind=parallel&axes=parameters.nFeatures,ate.rmse")
+    browser.wait(f"{DRAWN} === 1 && document.body.innerText.includes('Runs 48')")
+    left = browser.run("60 / document.querySelector('.canvas').clientWidth")
+    browser.drag(".canvas", (left, 0.98), (left, 0.8))
+    browser.wait("document.body.innerText.includes('Selected runs 12')")
 
 
 def test_load_over_time_shares_its_cursor(browser: Any, site: str) -> None:

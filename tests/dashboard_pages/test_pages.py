@@ -40,6 +40,7 @@ PAGES = {
     "/algorithms": "first",
     "/algorithms/first": "Leaderboard",
     "/datasets": "Datasets",
+    "/nowhere": "There is no such page",
 }
 
 
@@ -101,6 +102,7 @@ def test_mistakes_are_shown_where_they_are(
     browser.open(site + path)
     browser.wait(f"!!document.querySelector({place!r})")
     browser.wait(f"document.querySelector('.fault')?.innerText.includes({sentence!r})")
+    assert browser.barriers() == []
     browser.complaints[:] = [one for one in browser.complaints if "status of 40" not in one]
 
 
@@ -153,6 +155,7 @@ def test_new_runs_come_by_themselves(
     address, url = empty_site
     browser.open(f"{address}/")
     browser.wait("document.body.innerText.includes('slamhive import')")
+    assert browser.barriers() == []
     with Archive.open(url) as archive:
         archive.put_run(make_run(0))
     browser.wait("document.body.innerText.includes('1 of 1 runs finished')")

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** A heat map: one figure over two columns. */
+import { labelRoom } from '../charts/points.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
@@ -9,6 +10,7 @@ import { html, useEffect, useMemo } from '../core/ui.js';
 import { failureText, groupTable } from './groups.js';
 
 const MOST = 40;
+const NARROW = 400;
 
 /** @param {{set: object, filters: import('../core/address.js').Query, title: string, onError: (error: Error|null) => void}} props of explore */
 export function Heat({ set, columns, filters, title, onError }) {
@@ -54,13 +56,13 @@ function heat(data, groups, set, rows) {
   const inked = cells.map((one) => ({ ...one, label: { color: typeof one.value[2] === 'number' && one.value[2] - least > 0.5 * (most - least) && most > least ? '#fff' : '#16191d' } }));
   return {
     height: Math.max(220, 120 + down.length * 34), table: groupTable({ ...data, groups }),
-    option: {
-      grid: { left: 130, right: 90, top: 12, bottom: 70 },
+    option: ({ width }) => ({
+      grid: { left: labelRoom(width, 130), right: width < NARROW ? 14 : 90, top: 12, bottom: 76 },
       tooltip: { trigger: 'item', formatter: (item) => (item.data?.group ? `${clip(metric.title, 40)} (${set.figure}): ${text(item.data) || '–'}\nn = ${item.data.group.n} of ${item.data.group.runs}; ${failureText(item.data.group.failures)}` : '') },
-      xAxis: { type: 'category', data: across.map((value) => clip(cell(value, heading(set.x)), 24)), name: clip(heading(set.x).title, 40), nameGap: 46, axisLabel: { rotate: across.length > 6 ? 25 : 0 } },
-      yAxis: { type: 'category', data: down.map((value) => clip(cell(value, heading(rows)), 20)), name: '' },
-      visualMap: { min: least, max: most, precision: 3, right: 0, top: 'middle', itemHeight: 100, inRange: { color: ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'] } },
-      series: [{ type: 'heatmap', data: inked, label: { show: known, formatter: (item) => text(item.data) } }],
-    },
+      xAxis: { type: 'category', data: across.map((value) => clip(cell(value, heading(set.x)), 24)), name: clip(heading(set.x).title, 40), nameGap: 46, axisLabel: { interval: 0, hideOverlap: known ? false : true, rotate: across.length > 6 || width < NARROW ? 25 : 0 } },
+      yAxis: { type: 'category', data: down.map((value) => clip(cell(value, heading(rows)), 20)), name: '', axisLabel: { width: labelRoom(width, 130) - 12, overflow: 'truncate' } },
+      visualMap: { show: width >= NARROW && most > least, min: least, max: most, precision: 3, right: 0, top: 'middle', itemHeight: 100, inRange: { color: ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'] } },
+      series: [{ type: 'heatmap', data: inked, label: { show: known, fontSize: width < NARROW ? 10 : 12, formatter: (item) => text(item.data) } }],
+    }),
   };
 }

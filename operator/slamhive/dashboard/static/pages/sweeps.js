@@ -76,7 +76,7 @@ function One({ name }) {
     ${varied.length > 0 && html`<h2>Drawn</h2><ul class="questions">${varied.filter(isNumeric).slice(0, MOST_DRAWN).flatMap((axis) => [['ate.rmse', 'ATE'], ['usage.cpu.meanCores', 'CPU'], ['usage.memory.peakBytes', 'RAM']]
       .map(([y, text]) => html`<li><${Link} href=${address('/explore', only.with({ kind: 'line', x: axis.name, y, ...(sweep.datasets?.length > 1 ? { facet: 'dataset' } : {}) }))}>${clip(axis.title.replace(/^parameters\./, ''), 60)} vs ${text}</${Link}></li>`))}</ul>`}
     <${Best} sweep=${sweep} name=${name} settings=${varied} />
-    <${RunRows} title="Points" filters=${only} extra=${[...varied.slice(0, MOST_SETTINGS).map((one) => one.name), 'ate.rmse', 'finished']} sort="-finished" />
+    <${RunRows} title="Points" filters=${only} extra=${[...varied.slice(0, MOST_SETTINGS).map((one) => one.name), 'ate.rmse', ...(sweep.finished ? ['finished'] : [])]} sort="-finished" />
     ${sweep.manifest && html`<details><summary>Definition</summary><pre class="text" tabindex="0">${sweep.manifest}</pre></details>`}
     <p><${Link} href="/sweeps">To all sweeps</${Link}></p>`;
 }
