@@ -211,6 +211,7 @@ def fronts_section(
     """
     found, notes = pareto(frame, *axes, by, outcomes)
     drawn = [front for front in found if any(math.isfinite(spot.x) for spot in front.spots)]
+    drawn.sort(key=lambda front: len(front.spots) < 2)
     if not drawn:
         return element("p", f"No run that counts has a figure for {axes[0]}."), []
     told = [name for name in by if name != "dataset"]  # each dataset has a chart of its own
