@@ -13,6 +13,7 @@ from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.points import decode
 from slamhive.kube.reconciling.records import record_of
 from slamhive.kube.reconciling.sweep_runs import FILES, is_settled, point_of, state_of
+from slamhive.kube.status import result_field
 from slamhive.model.errors import UnknownNameError
 
 if TYPE_CHECKING:
@@ -25,6 +26,19 @@ if TYPE_CHECKING:
 _AT_ONCE = 50
 
 Object = dict[str, Any]
+
+
+async def at_its_end(op: Operator, run: Object) -> Object:
+    """Return a run that is gone, with the results that it had in the end.
+
+    Another operator may have measured, archived and removed it since it was last seen here.
+    """
+    if op.archive is None or is_settled(run):
+        return run
+    record = await asyncio.to_thread(op.archive.get, run["metadata"]["uid"])
+    if record is None:
+        return run
+    return run | {"status": run["status"] | {"results": [result_field(item) for item in record.results]}}
 
 
 class Retirement:

@@ -23,7 +23,7 @@ from slamhive.engine import (
 )
 from slamhive.kube.errors import AlreadyExists, Conflict, Forbidden
 from slamhive.kube.kinds import Key, Kind, Label, key_of
-from slamhive.kube.reconciling.archiving import Retirement
+from slamhive.kube.reconciling.archiving import Retirement, at_its_end
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.points import decode, encode
 from slamhive.kube.reconciling.sweep_memory import SweepMemory, remember
@@ -160,7 +160,7 @@ class SweepReconciler:
                 runs[index] = run
         gone = [index for index in memory.finished if index not in runs]
         for index in gone:
-            memory.archived.add(memory.finished.pop(index))
+            memory.archived.add(await at_its_end(op, memory.finished.pop(index)))
         tally = Tally(
             memory.archived.reused,
             memory.archived.evaluated,
