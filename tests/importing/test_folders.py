@@ -289,3 +289,15 @@ def test_euroc_folders_are_kept_by_the_datasets_name(tmp_path: Path) -> None:
     (tmp_path / "to").mkdir()
     assert GroundTruthFolder(tmp_path / "from").copy("MH_01", tmp_path / "to")
     assert (tmp_path / "to" / "mh-01.csv").read_text() == "#timestamp\n"
+
+
+@pytest.mark.parametrize("beside", ["runs", "."])
+def test_a_folder_alone_brings_its_ground_truth(
+    make_run: MakeRun, take: Command, tmp_path: Path, beside: str
+) -> None:
+    make_run()
+    told = take(tmp_path / beside).exception
+    assert isinstance(told, InputError)
+    assert "--ground-truth DIR" in str(told)
+    (tmp_path / "truth").rename(tmp_path / "groundtruth")
+    assert "1 run imported, 1 run evaluated" in take(tmp_path / beside).output

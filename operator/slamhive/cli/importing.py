@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import track
+from typer.core import TyperGroup
 
 from slamhive.analysis.measuring import Subject, measure, method
 from slamhive.archive import Archive, CatalogEntry, SweepRecord
@@ -27,7 +28,18 @@ if TYPE_CHECKING:
 
     from slamhive_eval import Trajectory
 
-app = typer.Typer(no_args_is_help=True, help="Bring results of other systems into the archive.")
+
+class _Systems(TyperGroup):
+    """The systems whose results can be taken in; a folder alone is one of the original SLAM Hive."""
+
+    def resolve_command(self, ctx: typer.Context, args: list[str]) -> tuple[str | None, Any, list[str]]:  # type: ignore[override]
+        """Find the command that the words name."""
+        if args and args[0] not in self.commands and Path(args[0]).is_dir():
+            args = ["slam-hive", *args]
+        return super().resolve_command(ctx, args)
+
+
+app = typer.Typer(cls=_Systems, no_args_is_help=True, help="Bring results of other systems into the archive.")
 
 
 @app.callback()
@@ -38,12 +50,19 @@ def _imports() -> None:
 @app.command("slam-hive")
 def import_slam_hive(
     directory: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder with a folder for each run.", exists=True)
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Folder with a folder for each run, or with those in `runs`.", exists=True
+        ),
     ],
     ground_truth: Annotated[
-        Path,
-        typer.Option(metavar="DIR", help="Folder with the ground truth, by dataset name.", exists=True),
-    ],
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder with the ground truth, by dataset name; else `groundtruth` in DIR or beside it.",
+            exists=True,
+        ),
+    ] = None,
     *,
     alignment: Annotated[
         Alignment, typer.Option(help="Auto: Sim3 for mono, SE3 for all others.", case_sensitive=False)
@@ -55,7 +74,14 @@ def import_slam_hive(
 
     Example: slamhive import slam-hive results --ground-truth groundtruth --alignment sim3
     """
-    folders = slamhive1.find_runs(directory)
+    beside = next(filter(Path.is_dir, (directory / "groundtruth", directory.parent / "groundtruth")), None)
+    if (ground_truth := ground_truth or beside) is None:
+        raise InputError(
+            f"{directory}: no folder groundtruth in it or beside it; --ground-truth DIR names the one with "
+            "a file for each dataset"
+        )
+    runs = directory / "runs"
+    folders = slamhive1.find_runs(runs if runs.is_dir() else directory)
     settings = EvaluationSettings(alignment=alignment, frame="None")
     method(settings, Subject(SensorMode.STEREO))  # refuses what no run could be measured by
     home = Home.from_environment()
