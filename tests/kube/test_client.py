@@ -305,6 +305,40 @@ async def test_without_a_cluster_a_sentence(tmp_path: Path) -> None:
         await Api.connect(tmp_path / "none")
 
 
+@pytest.mark.parametrize(
+    "proxies", [{}, {"no_proxy": "*"}, {"https_proxy": "http://127.0.0.1:1", "no_proxy": "*"}]
+)
+async def test_a_kubeconfig_alone_says_who_calls(
+    script: Script,
+    server: TestServer,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    proxies: dict[str, str],
+) -> None:
+    """Unless there is a proxy, whose way of reading the environment comes along with it."""
+    for name in ("http_proxy", "https_proxy", "all_proxy", "no_proxy"):
+        monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.upper(), raising=False)
+    for name, value in proxies.items():
+        monkeypatch.setenv(name, value)
+    (tmp_path / "netrc").write_text("default login somebody password else\n")
+    (tmp_path / "netrc").chmod(0o600)
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
+    named = {"name": "here", "context": {"cluster": "here", "user": "me"}}
+    config = {
+        "current-context": "here",
+        "clusters": [{"name": "here", "cluster": {"server": str(server.make_url("")).rstrip("/")}}],
+        "users": [{"name": "me", "user": {}}],
+        "contexts": [named],
+    }
+    (tmp_path / "config").write_text(json.dumps(config))
+    script.say(200, BODY)
+    api = await Api.connect(tmp_path / "config")
+    assert await api.get(RUN) == BODY
+    await api.close()
+    assert ("Authorization" in script.headers[0]) is ("https_proxy" in proxies)
+
+
 async def test_kopf_gets_the_same_access_and_no_token_is_shown(api: Api) -> None:
     access = await api.access()
     assert access.token == TOKEN

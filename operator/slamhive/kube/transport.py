@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import urlencode
+from urllib.request import getproxies_environment
 
 import aiohttp
 from kubernetes.aio.client import ApiClient, Configuration
@@ -116,6 +117,8 @@ class Transport:
         """
         configuration = Configuration()
         configuration.connection_pool_maxsize = CONNECTIONS
+        # Otherwise each call looks for a netrc file, in a thread; nothing in one is for this server.
+        configuration.client_session_kwargs = {"trust_env": _has_proxies()}
         try:
             if kubeconfig is None and context is None:
                 try:
@@ -236,6 +239,11 @@ class Transport:
         )
         content: bytes = await answer.read()
         return answer.status, content, answer.headers
+
+
+def _has_proxies() -> bool:
+    """Tell whether the environment names a proxy."""
+    return any(name != "no" for name in getproxies_environment())
 
 
 def _kubeconfig(given: Path | None) -> str:
