@@ -93,3 +93,24 @@ async def test_mistakes_say_where_they_are(api: Any, query: str, field: str, par
     answer = await api.get(f"/analysis/{query}", 400)
     assert answer["field"] == field
     assert part in answer["error"]
+
+
+@pytest.mark.parametrize("asked", ["evaluation=se3", "where=evaluation == 'se3'", "alignment=se3"])
+async def test_a_filter_of_evaluations_keeps_the_runs_that_failed(api: Any, asked: str) -> None:
+    points = await api.get(f"/analysis/points?x=seed&y=ate.rmse&{asked}")
+    statuses = [points["status"]["categories"][code] for code in points["status"]["codes"]]
+    assert "OutOfMemory" in statuses
+    board = await api.get(f"/analysis/leaderboard?{asked}")
+    failures = [
+        standing["failures"]
+        for part in board["boards"]
+        for entry in part["entries"]
+        for standing in entry["datasets"]
+    ]
+    assert any(item.get("OutOfMemory") for item in failures)
+
+
+async def test_an_evaluation_that_is_only_elsewhere_troubles_nobody(api: Any) -> None:
+    failed = await api.get("/runs?columns=uid,status&where=status == 'OutOfMemory'")
+    names = ",".join(f"'{row['uid']}'" for row in failed["items"])
+    await api.get(f"/analysis/leaderboard?where=uid in ({names}, 'uid-025')")

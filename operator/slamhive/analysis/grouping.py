@@ -258,7 +258,8 @@ def with_facets(frame: Frame) -> Frame:
 
 
 def _codes_in(column: Column, values: list[Any]) -> npt.NDArray[np.int32]:
-    lookup = np.array([*(values.index(value) for value in column.values), -1], dtype=np.int32)
+    places = {value: place for place, value in enumerate(values)}
+    lookup = np.array([*(places.get(value, -1) for value in column.values), -1], dtype=np.int32)
     return lookup[column.codes]
 
 

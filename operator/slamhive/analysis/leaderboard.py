@@ -226,7 +226,7 @@ def _scores(medians: Floats) -> Floats:
 def _ratios(medians: Floats) -> Floats:
     """Return the geometric mean of medians over the best of each dataset, (draws, competitors)."""
     best = np.min(np.where(np.isnan(medians), np.inf, medians), axis=1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         ratios = medians / best
         # All failed: nobody is worse than the best; an error of 0 is equalled by another one alone.
         ratios[(medians == best) & ~np.isnan(medians)] = 1.0

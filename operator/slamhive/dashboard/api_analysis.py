@@ -12,7 +12,7 @@ from slamhive.analysis.columns import Column
 from slamhive.analysis.grouping import aggregate, varies
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.dashboard.encoding import Body, plain
-from slamhive.dashboard.selecting import column, columns, number_column, outcomes, select
+from slamhive.dashboard.selecting import column, columns, number_column, outcomes, select_analysed
 from slamhive.dashboard.tables import (
     as_columns,
     coded,
@@ -58,7 +58,7 @@ def points(snapshot: Snapshot, pairs: Pairs, axes: dict[str, str | None], digits
     for axis, name in axes.items():
         if name is not None:
             column(snapshot.frame, name, axis)
-    frame = select(snapshot.frame, pairs, POINTS_RESERVED)
+    frame = select_analysed(snapshot.frame, pairs, POINTS_RESERVED)
     exact = len(frame) <= EXACT
     shown = digits if digits is not None else (None if exact else DIGITS)
     content: dict[str, Any] = {
@@ -108,7 +108,7 @@ def aggregated(snapshot: Snapshot, pairs: Pairs, by: str | None, metrics: str | 
         metrics: list of columns; default: those of DEFAULT_METRICS that hold something.
         which: tracked or all.
     """
-    frame = select(snapshot.frame, pairs, AGGREGATE_RESERVED)
+    frame = select_analysed(snapshot.frame, pairs, AGGREGATE_RESERVED)
     asked = None if by is None else columns(snapshot.frame, by, "by")
     usual = [name for name in DEFAULT_METRICS if not frame.column(name).is_empty]
     shown = columns(snapshot.frame, metrics, "metrics", usual)
@@ -164,7 +164,7 @@ def ranked(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, which:
     """
     number_column(snapshot.frame, metric, "metric")
     told = columns(snapshot.frame, by, "by", COMPETITORS)
-    frame = select(snapshot.frame, pairs, LEADERBOARD_RESERVED)
+    frame = select_analysed(snapshot.frame, pairs, LEADERBOARD_RESERVED)
     found = leaderboard(frame, metric, told, outcomes(which))
     content = {
         "revision": snapshot.revision,

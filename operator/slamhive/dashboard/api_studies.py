@@ -11,7 +11,7 @@ from slamhive.analysis.importance import importance
 from slamhive.analysis.pareto import pareto
 from slamhive.analysis.repeating import repeatability, suspects
 from slamhive.dashboard.encoding import Body, plain
-from slamhive.dashboard.selecting import columns, number_column, outcomes, select
+from slamhive.dashboard.selecting import columns, number_column, outcomes, select_analysed
 from slamhive.dashboard.tables import (
     as_columns,
     figure_json,
@@ -39,7 +39,7 @@ def compared(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, whic
     """Return competitors two by two."""
     number_column(snapshot.frame, metric, "metric")
     told = columns(snapshot.frame, by, "by", COMPETITORS)
-    frame = select(snapshot.frame, pairs, RESERVED)
+    frame = select_analysed(snapshot.frame, pairs, RESERVED)
     boards, notes = compare(frame, metric, told, outcomes(which))
     content = {
         "revision": snapshot.revision,
@@ -100,7 +100,7 @@ def fronts(snapshot: Snapshot, pairs: Pairs, axes: tuple[str, str], by: str | No
     """Return error against cost, one front a dataset."""
     x, y = (number_column(snapshot.frame, name, field) for name, field in zip(axes, "xy", strict=True))
     told = columns(snapshot.frame, by, "by", COMPETITORS)
-    frame = select(snapshot.frame, pairs, RESERVED)
+    frame = select_analysed(snapshot.frame, pairs, RESERVED)
     found, notes = pareto(frame, x, y, told, outcomes(which))
     content = {
         "revision": snapshot.revision,
@@ -146,7 +146,7 @@ def _flat(item: dict[str, Any]) -> dict[str, Any]:
 def influences(snapshot: Snapshot, pairs: Pairs, metric: str, adaptive: Collection[str]) -> Body:
     """Return which settings matter."""
     number_column(snapshot.frame, metric, "metric")
-    frame = select(snapshot.frame, pairs, RESERVED)
+    frame = select_analysed(snapshot.frame, pairs, RESERVED)
     found, notes = importance(frame, metric, adaptive)
     content = {
         "revision": snapshot.revision,
@@ -194,7 +194,7 @@ def _subject_rows(subject: Influences) -> list[dict[str, Any]]:
 def repeated(snapshot: Snapshot, pairs: Pairs, metric: str) -> Body:
     """Return configurations with their repetitions."""
     number_column(snapshot.frame, metric, "metric")
-    frame = select(snapshot.frame, pairs, RESERVED)
+    frame = select_analysed(snapshot.frame, pairs, RESERVED)
     found, notes = repeatability(frame, metric)
     if len(found) > MAX_GROUPS:
         notes.append(f"of {len(found):,} configurations the {MAX_GROUPS:,} with most runs are shown")
@@ -239,7 +239,7 @@ def _repetitions_row(one: Repetitions, metric: str) -> dict[str, Any]:
 
 def suspicions(snapshot: Snapshot, pairs: Pairs) -> Body:
     """Return the subjects whose scale is off by the same factor in all runs."""
-    frame = select(snapshot.frame, pairs, RESERVED)
+    frame = select_analysed(snapshot.frame, pairs, RESERVED)
     items = [
         {"keys": one.keys, "scale": one.scale, "spread": one.spread, "n": one.n, "sentence": one.sentence}
         for one in suspects(frame)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.conditions import All, Comparison, Literal, Membership, Name
 from slamhive.analysis.expressions import parse_where
+from slamhive.analysis.grouping import with_facets
 from slamhive.analysis.pivot import Outcomes
 from slamhive.dashboard.problems import BadRequest, within
 from slamhive.model.errors import suggestion
@@ -45,6 +46,18 @@ def select(frame: Frame, pairs: Pairs, reserved: Iterable[str]) -> Frame:
     """
     node = _filters(frame, pairs, frozenset(reserved))
     return frame if node is None else frame.select(node.mask(frame))
+
+
+def select_analysed(frame: Frame, pairs: Pairs, reserved: Iterable[str]) -> Frame:
+    """Return the rows that an analysis is asked for: as ``select``, but no filter loses failed runs.
+
+    They have no evaluation; asked for those of one, they count as failed in it.
+
+    Raises:
+        BadRequest: with the parameter that is wrong.
+    """
+    asked = any(word in text for pair in pairs for text in pair for word in ("evaluation", "alignment"))
+    return select(with_facets(frame) if asked else frame, pairs, reserved)
 
 
 def _filters(frame: Frame, pairs: Pairs, reserved: frozenset[str]) -> Node | None:
