@@ -50,6 +50,7 @@ def test_page_shows_its_content_to_everyone(browser: Any, site: str, path: str) 
     browser.wait(f"document.body.innerText.includes({PAGES[path]!r})")
     assert browser.run("document.querySelector('.fault')?.innerText ?? null") is None
     assert browser.run("document.querySelectorAll('h1').length") == 1
+    assert browser.run("document.querySelector('main').querySelector('h1, h2, h3, table').tagName") == "H1"
     for width, dark in ((1280, False), (390, True)):
         browser.look(width=width, dark=dark)
         browser.wait(f"matchMedia('(prefers-color-scheme: dark)').matches === {str(dark).lower()}")

@@ -51,6 +51,7 @@ function heat(data, groups, set, rows) {
   const numbers = cells.map((one) => one.value[2]).filter((value) => value !== '-');
   const text = (one) => (one.value[2] === '-' ? (one.group.failed ? 'failed' : '') : number(one.value[2], 3));
   const known = across.length <= 12;
+  const room = (width) => (width - labelRoom(width, 130) - (width < NARROW ? 14 : 90)) / across.length;
   const [least, most] = [Math.min(...numbers, Infinity), Math.max(...numbers, -Infinity)];
   // The upper half of the colours is dark.
   const inked = cells.map((one) => ({ ...one, label: { color: typeof one.value[2] === 'number' && one.value[2] - least > 0.5 * (most - least) && most > least ? '#fff' : '#16191d' } }));
@@ -61,8 +62,10 @@ function heat(data, groups, set, rows) {
       tooltip: { trigger: 'item', formatter: (item) => (item.data?.group ? `${clip(metric.title, 40)} (${set.figure}): ${text(item.data) || '–'}\nn = ${item.data.group.n} of ${item.data.group.runs}; ${failureText(item.data.group.failures)}` : '') },
       xAxis: { type: 'category', data: across.map((value) => clip(cell(value, heading(set.x)), 24)), name: clip(heading(set.x).title, 40), nameGap: 46, axisLabel: { interval: 0, hideOverlap: known ? false : true, rotate: across.length > 6 || width < NARROW ? 25 : 0 } },
       yAxis: { type: 'category', data: down.map((value) => clip(cell(value, heading(rows)), 20)), name: '', axisLabel: { width: labelRoom(width, 130) - 12, overflow: 'truncate' } },
-      visualMap: { show: width >= NARROW && most > least, min: least, max: most, precision: 3, right: 0, top: 'middle', itemHeight: 100, inRange: { color: ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'] } },
-      series: [{ type: 'heatmap', data: inked, label: { show: known, fontSize: width < NARROW ? 10 : 12, formatter: (item) => text(item.data) } }],
+      visualMap: { seriesIndex: 0, show: width >= NARROW && most > least, min: least, max: most, precision: 3, right: 0, top: 'middle', itemHeight: 100, inRange: { color: ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'] } },
+      series: [{ type: 'heatmap', data: inked, label: { show: known && room(width) >= 34, fontSize: room(width) < 52 ? 10 : 12, formatter: (item) => text(item.data) } },
+        // A cell without a number gets no label of its own.
+        { type: 'scatter', silent: true, symbolSize: 0.1, data: cells.filter((one) => one.value[2] === '-' && one.group.failed).map((one) => one.value.slice(0, 2)), itemStyle: { opacity: 0 }, label: { show: known && room(width) >= 34, position: 'inside', formatter: 'failed', color: '#d7301f', fontSize: room(width) < 52 ? 10 : 12, opacity: 1 } }],
     }),
   };
 }

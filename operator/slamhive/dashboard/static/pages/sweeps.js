@@ -57,7 +57,7 @@ function One({ name }) {
   useTitle(name);
   const { data: sweep, error } = useData(`/api/v1/sweeps/${encodeURIComponent(name)}`);
   const columns = useData(address('/api/v1/columns', { sweep: name }));
-  if (!sweep) return html`<h1>${clip(name, 160)}</h1>${error ? html`<${Fault} error=${error} /><p><${Link} href="/sweeps">To all sweeps</${Link}></p>` : html`<${Waiting} />`}`;
+  if (!sweep) return html`<div key="waiting"><h1>${clip(name, 160)}</h1>${error ? html`<${Fault} error=${error} /><p><${Link} href="/sweeps">To all sweeps</${Link}></p>` : html`<${Waiting} />`}</div>`;
   const varied = (columns.data?.items ?? []).filter((one) => GROUPS.includes(one.group) && one.distinct > 1);
   const links = (list, kind) => list.map((one, at) => html`${at > 0 && ', '}<${Link} href=${`/${kind}/${encodeURIComponent(one)}`}>${clip(one, 60)}</${Link}>`);
   const facts = [
@@ -67,18 +67,18 @@ function One({ name }) {
   ].filter(([, value]) => value);
   const only = new Query([['sweep', name]]);
   const finished = (sweep.phases?.Succeeded ?? 0) + (sweep.phases?.Failed ?? 0);
-  return html`<h1>${clip(name, 160)}${sweep.live && html` <span class="status live">live</span>`}</h1>
+  return html`<div key="there"><h1>${clip(name, 160)}${sweep.live && html` <span class="status live">live</span>`}</h1>
     <section class="card" aria-label="Progress"><${Progress} sweep=${sweep} /><${Statuses} statuses=${sweep.statuses} label="Runs by status" />
       <dl class="facts">${facts.map(([key, value]) => html`<dt>${key}</dt><dd>${value}</dd>`)}</dl>
       <p class="row"><${Link} href=${address('/leaderboard', only)}>Leaderboard</${Link}><${Link} href=${address('/studies', only)}>Studies</${Link}><${Link} href=${address('/explore', only)}>Explore</${Link}></p></section>
     <${Conditions} conditions=${sweep.conditions} />
     ${finished === 0 && html`<p class="quiet">No run of it has finished yet; results appear here by themselves.</p>`}
-    ${varied.length > 0 && html`<h2>Drawn</h2><ul class="questions">${varied.filter(isNumeric).slice(0, MOST_DRAWN).flatMap((axis) => [['ate.rmse', 'ATE'], ['usage.cpu.meanCores', 'CPU'], ['usage.memory.peakBytes', 'RAM']]
-      .map(([y, text]) => html`<li><${Link} href=${address('/explore', only.with({ kind: 'line', x: axis.name, y, ...(sweep.datasets?.length > 1 ? { facet: 'dataset' } : {}) }))}>${clip(axis.title.replace(/^parameters\./, ''), 60)} vs ${text}</${Link}></li>`))}</ul>`}
+    ${varied.length > 0 && html`<section><h2>Drawn</h2><ul class="questions">${varied.filter(isNumeric).slice(0, MOST_DRAWN).flatMap((axis) => [['ate.rmse', 'ATE'], ['usage.cpu.meanCores', 'CPU'], ['usage.memory.peakBytes', 'RAM']]
+      .map(([y, text]) => html`<li><${Link} href=${address('/explore', only.with({ kind: 'line', x: axis.name, y, ...(sweep.datasets?.length > 1 ? { facet: 'dataset' } : {}) }))}>${clip(axis.title.replace(/^parameters\./, ''), 60)} vs ${text}</${Link}></li>`))}</ul></section>`}
     <${Best} sweep=${sweep} name=${name} settings=${varied} />
     <${RunRows} title="Points" filters=${only} extra=${[...varied.slice(0, MOST_SETTINGS).map((one) => one.name), 'ate.rmse', ...(sweep.finished ? ['finished'] : [])]} sort="-finished" />
     ${sweep.manifest && html`<details><summary>Definition</summary><pre class="text" tabindex="0">${sweep.manifest}</pre></details>`}
-    <p><${Link} href="/sweeps">To all sweeps</${Link}></p>`;
+    <p><${Link} href="/sweeps">To all sweeps</${Link}></p></div>`;
 }
 
 function Conditions({ conditions }) {
@@ -87,7 +87,7 @@ function Conditions({ conditions }) {
     { name: 'type', title: 'condition' }, { name: 'status', title: 'holds', show: (value) => ({ True: 'yes', False: 'no' }[value] ?? cell(value)) }, { name: 'reason', title: 'reason' },
     { name: 'message', title: 'what it says', show: (value) => html`<span class="wrapped">${clip(cell(value), 600)}</span>` }, { name: 'lastTransitionTime', title: 'since', show: (value) => time(value) },
   ];
-  return html`<h2>Conditions</h2><${Table} columns=${columns} rows=${conditions} caption="Conditions of the sweep" />`;
+  return html`<section><h2>Conditions</h2><${Table} columns=${columns} rows=${conditions} caption="Conditions of the sweep" /></section>`;
 }
 
 /** The run with the smallest error on each dataset: metres of several datasets are not put in one order. */
@@ -97,8 +97,8 @@ function Best({ sweep, name, settings }) {
   const asked = { columns: ['uid', 'run', 'algorithm', 'sensors', 'dataset', 'evaluation', ...chosen, 'coverage', 'ate.rmse'].join(','), sort: 'ate.rmse', limit: 1 };
   const found = useAll(datasets.map((dataset) => address('/api/v1/runs', { sweep: name, dataset, status: 'Tracked', ...asked })));
   const answers = (found ?? []).map((one) => one.data).filter((data) => data?.items.length && data.items[0]['ate.rmse'] !== null);
-  if (answers.length === 0) return null;
+  if (answers.length === 0) return html`<section></section>`;
   const columns = [{ name: 'dataset', title: 'dataset' }, { name: 'run', title: 'run', show: (run, row) => (row.uid ? runLink(row.uid, cell(run ?? row.uid)) : cell(run)) },
     ...answers[0].columns.filter((one) => !['uid', 'run', 'dataset'].includes(one.name))];
-  return html`<h2>Smallest ATE on each dataset</h2><${Table} columns=${columns} rows=${answers.map((data) => data.items[0])} caption="The tracked run with the smallest ATE on each dataset" />`;
+  return html`<section><h2>Smallest ATE on each dataset</h2><${Table} columns=${columns} rows=${answers.map((data) => data.items[0])} caption="The tracked run with the smallest ATE on each dataset" /></section>`;
 }
