@@ -40,7 +40,8 @@ def test_help_comes_with_an_example(path: tuple[str, ...], group: bool) -> None:
 def test_the_commands_are_those_promised() -> None:
     names = {" ".join(path) for path, _ in COMMANDS}
     promised = {
-        *("demo", "run", "plan", "validate", "import slam-hive"),
+        *("demo", "run", "plan", "validate", "import slam-hive", "dashboard", "report", "paper-table"),
+        *("submit", "status", "logs", "cancel", "fetch"),
         *(f"results {name}" for name in ("list", "show", "table", "export")),
         *(f"dataset {name}" for name in ("list", "show", "add", "make", "prepare", "check")),
         *(f"algorithm {name}" for name in ("list", "show", "check")),
