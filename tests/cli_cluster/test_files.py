@@ -9,19 +9,24 @@ import json
 import subprocess
 import sys
 from contextlib import asynccontextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import yaml
 
-from slamhive.kube.errors import ServerFault
+from slamhive.kube.builders.sending import sender_job
+from slamhive.kube.errors import NotFound, ServerFault
+from slamhive.kube.user import sending
 from slamhive.kube.user.filing import Filed, Filing, Wanted
 from slamhive.kube.user.folders import RunFolder
 from slamhive.model.errors import DataError, SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, AsyncIterator, Callable
-    from pathlib import Path
+
+    from slamhive.kube.transport import Request
 
 POSES = b"0 1 2 3 0 0 0 1\n" * 5000
 
@@ -284,3 +289,33 @@ def test_a_full_disk_ends_it_in_a_sentence(
     monkeypatch.setattr("slamhive.kube.user.folders.Incoming.write", full)
     with pytest.raises(SystemFault, match="No space left"):
         fetch(volume.put("one"))
+
+
+CHART = Path(__file__).parents[1] / "helm" / "golden" / "default.yaml"
+
+
+async def test_where_the_jobs_are_gone_the_collector_shows_how_pods_are() -> None:
+    [collector] = [one for one in yaml.safe_load_all(CHART.read_text()) if one and one["kind"] == "CronJob"]
+    asked: list[Request] = []
+
+    class Api:
+        async def get(self, *_: Any) -> Any:
+            raise NotFound("gone", verb="get", resource="jobs.batch")
+
+        async def json(self, request: Request) -> Any:
+            asked.append(request)
+            return {"items": [collector]}
+
+    cluster: Any = SimpleNamespace(api=Api(), namespace="lab")
+    run = {"metadata": {"name": "one"}, "status": {"attempts": 1}}
+    body = sender_job("lab", "fetch-1", await sending._like(cluster, [run]))
+    assert asked[0].query is not None
+    wanted = dict(pair.split("=") for pair in asked[0].query["labelSelector"].split(","))
+    assert wanted.items() <= collector["metadata"]["labels"].items()
+    template = collector["spec"]["jobTemplate"]["spec"]["template"]["spec"]
+    pod = body["spec"]["template"]["spec"]
+    assert pod["containers"][0]["image"] == template["containers"][0]["image"]
+    assert pod["securityContext"] == template["securityContext"]
+    assert pod["volumes"][0]["persistentVolumeClaim"] == {"claimName": "slamhive-results", "readOnly": True}
+    assert "serviceAccountName" not in pod
+    assert body["spec"]["ttlSecondsAfterFinished"] <= 60
