@@ -50,6 +50,13 @@ async def test_errors_are_those_of_the_reference(api: Any) -> None:
         assert item["coverage"] == pytest.approx(run["coverage"], abs=1e-3)
 
 
+async def test_a_lost_run_is_drawn_over_all_of_the_ground_truth(api: Any) -> None:
+    uid = (await api.get("/runs?where=run == 63&columns=uid"))["items"][0]["uid"]
+    drawn = await api.get(f"/runs/{uid}/trajectory")
+    lengths = [drawn[part]["t"][-1] - drawn[part]["t"][0] for part in ("estimate", "reference")]
+    assert lengths[0] < 0.6 * lengths[1]
+
+
 @pytest.mark.parametrize("outcomes", ["tracked", "all"])
 async def test_groups_are_the_lines_of_slamhive_results(api: Any, home: Path, outcomes: str) -> None:
     metrics = ["ate.rmse", "usage.cpu.meanCores", "usage.memory.peakBytes"]

@@ -130,7 +130,9 @@ def trajectory(snapshot: Snapshot, source: Source, uid: str, evaluation: str | N
     dataset = str((record.spec.get("datasetRef") or {}).get("name"))
     truth = source.truth(dataset, record.labels.get("dataset"))
     extrinsic = extrinsic_of(record, place, source.catalog("Algorithm"), truth)
-    found = drawn(read_poses(content, name), result, truth, extrinsic, most)
+    given = record.spec.get("input") or {}
+    whole = not given.get("start") and given.get("duration") is None
+    found = drawn(read_poses(content, name), result, truth, extrinsic, most, whole=whole)
     return Body({"revision": snapshot.revision, **found}, lambda: found["estimate"])
 
 

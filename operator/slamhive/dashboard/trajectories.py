@@ -80,7 +80,13 @@ def read_poses(content: bytes, name: str) -> Trajectory:
 
 
 def drawn(
-    poses: Trajectory, result: Result | None, truth: Truth | None, extrinsic: Matrix | None, most: int
+    poses: Trajectory,
+    result: Result | None,
+    truth: Truth | None,
+    extrinsic: Matrix | None,
+    most: int,
+    *,
+    whole: bool = True,
 ) -> dict[str, Any]:
     """Return a run's path over its ground truth, thinned, with the error of each pose.
 
@@ -90,6 +96,8 @@ def drawn(
         truth: ground truth of the dataset.
         extrinsic: T_truth_estimate, (4, 4); None when unknown.
         most: poses shown at most.
+        whole: whether the run had all of the recording: then all of the ground truth is shown, also what the
+            estimate misses; else that of the estimate's time.
     """
     notes: list[str] = []
     transform = _transform(result)
@@ -116,7 +124,7 @@ def drawn(
         "poses": len(poses),
         "shown": len(shown),
         "estimate": estimate,
-        "reference": _reference(reference, poses, most),
+        "reference": _reference(reference, None if whole else poses, most),
         "notes": notes,
     }
 
@@ -172,12 +180,12 @@ def _columns(stamps: Floats, positions: Floats) -> dict[str, Any]:
     return {"t": np.ascontiguousarray(stamps), "x": x, "y": y, "z": z}
 
 
-def _reference(reference: Trajectory | None, poses: Trajectory, most: int) -> dict[str, Any] | None:
+def _reference(reference: Trajectory | None, during: Trajectory | None, most: int) -> dict[str, Any] | None:
     if reference is None:
         return None
-    inside = np.flatnonzero(
-        (reference.stamps >= poses.stamps[0] - 1) & (reference.stamps <= poses.stamps[-1] + 1)
-    )
+    stamps = reference.stamps
+    first, last = (during.stamps[0] - 1, during.stamps[-1] + 1) if during else (-np.inf, np.inf)
+    inside = np.flatnonzero((stamps >= first) & (stamps <= last))
     if not len(inside):
         return None
     shown = inside[_thinned(np.full(len(inside), np.nan), len(inside), most)]
