@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 WORKERS ?= 3
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-packages constraints cluster-build cluster-up cluster-down images lint bench fuzz install crds clean help
+.PHONY: demo test test-packages constraints cluster-build cluster-up cluster-down images lint bench fuzz fuzz-api install crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -17,6 +17,7 @@ help:
 	@echo 'make images  build the container images'
 	@echo 'make cluster-up, cluster-down   a real Kubernetes for tests, on this machine'
 	@echo 'make fuzz    ten minutes of broken files for all readers'
+	@echo 'make fuzz-api   five minutes of made-up questions for the API'
 	@echo 'make bench   speed and memory, beside the limits'
 
 $(STAMP): pyproject.toml constraints.txt
@@ -64,6 +65,9 @@ bench: $(STAMP)
 
 fuzz: $(STAMP)
 	$(BIN)/python tests/fuzz/readers.py --seconds 600
+
+fuzz-api: $(STAMP)
+	$(BIN)/python tests/fuzz/api.py --seconds 300
 
 # The newest versions that fit, for the next machines to install.
 constraints:
