@@ -19,6 +19,7 @@ FIRST = ("e2e", "kube/reconciling", "kube/faults", "shows", "system", "local", "
 """Folders whose tests take longest: begun first, they don't end last."""
 
 
+@pytest.hookimpl(tryfirst=True)  # before the workers take note of groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Say what side-by-side workers share out: files, and all that needs a node together."""
 
