@@ -37,7 +37,7 @@ demo: $(STAMP)
 	$(BIN)/slamhive demo
 
 test: $(STAMP) test-packages cluster-build
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup --no-loadscope-reorder
+	$(BIN)/python -m pytest -n $(WORKERS) --no-loadscope-reorder
 
 # What the test cluster is made of; without root, Go or Debian its tests are skipped and say how to have them.
 cluster-build:

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
 from slamhive.data.store import materialise
 from slamhive.local.home import Home
@@ -16,21 +18,31 @@ from slamhive.model.loading import load_file
 TESTS = Path(__file__).parent
 ACTOR = TESTS / "actor"
 FIRST = ("e2e", "kube/reconciling", "kube/faults", "shows", "system", "local", "helm", "cluster")
-"""Folders whose tests take longest: begun first, they don't end last."""
+"""Folders whose tests take longest."""
+ON_NODE = ("tests/e2e/", "tests/helm/test_cluster.py", "tests/cluster/test_local.py")
 
 
-@pytest.hookimpl(tryfirst=True)  # before the workers take note of groups
+class Sharing(LoadScopeScheduling):
+    """What workers side by side share out: whole files, and all that needs a node together."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        path = nodeid.partition("::")[0]
+        return "node" if path.startswith(ON_NODE) else path
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Sharing:
+    """Share tests out in our way."""
+    return Sharing(config, log)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Say what side-by-side workers share out: files, and all that needs a node together."""
+    """Begin with what takes longest, so that it doesn't end last."""
 
     def rank(item: pytest.Item) -> int:
         folder = item.path.parent.relative_to(TESTS).as_posix()
         return FIRST.index(folder) if folder in FIRST else len(FIRST)
 
-    for item in items:
-        on_node = {"node_cluster", "local_cluster"} & set(getattr(item, "fixturenames", ()))
-        group = "node" if on_node else item.path.relative_to(TESTS).as_posix()
-        item.add_marker(pytest.mark.xdist_group(group))
     items.sort(key=rank)
 
 
