@@ -250,7 +250,8 @@ def write_files(home: Path) -> None:
     for number in range(WITH_FILES):
         output = home / "runs" / "study" / f"run-{number:03d}" / "run" / "output"
         output.mkdir(parents=True)
-        moved = path + np.array([0, 0.01 * (number + 1), 0, 0])
+        moved = path + np.array([0, 0.01, 0, 0]) * (number + 1)
+        moved[:, 3] += 0.01 * (number + 1) * np.sin(7 * t)
         np.savetxt(output / "trajectory.txt", np.hstack([moved, np.eye(4)[np.full(200, 3)]]))
         load = np.stack([t, 1 + np.sin(t) ** 2, 2e8 + 1e6 * t, 1e8 + 1e6 * t], axis=1)
         header = "time_seconds,cpu_cores,memory_bytes,anonymous_bytes"

@@ -129,6 +129,7 @@ def test_a_chart_has_its_table_and_csv(browser: Any, site: str) -> None:
     ("path", "figure"),
     [
         ("/explore?kind=line&x=parameters.nFeatures", "figure"),
+        ("/studies?kind=common&uid=run-000&uid=run-001", "figure"),
         ("/compare?uid=run-000&uid=run-001", "figure:has(.space)"),
     ],
 )
@@ -155,6 +156,31 @@ def test_compared_runs_have_their_csv(browser: Any, site: str) -> None:
     lines = browser.run("texts[0].split('\\n')")
     assert lines[0] == "run,t,x,y,z,error"
     assert len(lines) == 1 + 2 * 200
+
+
+def test_compared_runs_are_measured_over_their_common_support(browser: Any, site: str) -> None:
+    browser.open(f"{site}/compare?uid=run-000&uid=run-001&uid=run-002")
+    browser.click("a", "Measure these over their common support")
+    browser.wait(f"location.pathname === '/studies' && {DRAWN} === 1")
+    assert browser.run("document.querySelectorAll('.chip').length") == 3
+    assert "19.9 s" in browser.run("document.querySelector('.counts').innerText")
+    changes = "[...document.querySelector('table').querySelectorAll('.status')].map((one) => one.innerText)"
+    assert browser.run(changes) == ["↑ up 1", "↑ up 1", "↓ down 2"]
+    assert browser.run("document.querySelectorAll('main td b').length") == 0
+    browser.click("td a", "<b>run</b> 0")
+    browser.wait("location.pathname === '/runs/run-000'")
+    browser.run("history.back()")
+    browser.wait(f"location.pathname === '/studies' && {DRAWN} === 1")
+    browser.run(KEEP)
+    browser.click("figure button", "CSV")
+    browser.wait("texts.length === 1")
+    lines = browser.run("texts[0].split('\\n')")
+    assert lines[0] == "algorithm,sensors,run,rank,gained,ownRank,common,own,n,runs"
+    assert [line.rsplit(",", 7)[1:4] for line in lines[1:]] == [
+        ["1", "1", "2"],
+        ["2", "1", "3"],
+        ["3", "-2", "1"],
+    ]
 
 
 def test_a_view_in_space_is_turned_by_keys_and_dragging_and_kept(browser: Any, site: str) -> None:

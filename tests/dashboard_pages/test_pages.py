@@ -34,6 +34,7 @@ PAGES = {
     "/studies": "p after Holm",
     "/studies?kind=importance": "rank correlation",
     "/studies?kind=repeatability": "around the mean",
+    "/studies?kind=common": "seconds in common",
     "/studies?kind=suspects": "calibration suspect: in",
     "/table?by=algorithm&figures=mean": "failures",
     "/compare?uid=run-000&uid=run-001": "Memory over time",
@@ -88,6 +89,7 @@ def test_numbers_that_are_none_have_a_dash(browser: Any, site: str) -> None:
         ("/explore?kind=pie", "There is no drawing pie", "label.wrong select"),
         ("/studies?metric=ate.rmsee", "did you mean 'ate.rmse'", "label.wrong select"),
         ("/studies?kind=suspects&where=" + quote("run == a ?"), "unexpected", ".filters .wrong input"),
+        ("/studies?kind=common&by=algorithn", "did you mean 'algorithm'", "label.wrong select"),
         ("/table?by=algorithn", "did you mean 'algorithm'", "label.wrong input"),
         ("/runs?algorithn=first", "did you mean 'algorithm'", ".chip.wrong"),
         ("/runs?after=tampered", "page", ".fault"),
@@ -104,6 +106,28 @@ def test_mistakes_are_shown_where_they_are(
     browser.wait(f"!!document.querySelector({place!r})")
     browser.wait(f"document.querySelector('.fault')?.innerText.includes({sentence!r})")
     assert browser.barriers() == []
+    browser.complaints[:] = [one for one in browser.complaints if "status of 40" not in one]
+
+
+def test_too_many_for_common_support_are_narrowed_by_dataset(
+    browser: Any, empty_site: tuple[str, str], make_run: Callable[[int], RunRecord]
+) -> None:
+    address, url = empty_site
+    with Archive.open(url) as archive:
+        archive.put_runs(map(make_run, range(80)))
+    browser.open(f"{address}/studies?kind=common")
+    browser.wait("document.querySelector('.filters .fault')?.innerText.includes('at most 60')")
+    assert browser.run("document.querySelector('.filters .wrong').innerText").startswith("Filter by")
+    assert browser.barriers() == []
+    browser.click(".filters a", "hall (40)")
+    browser.wait("document.body.innerText.includes('the ground truth of this dataset is not at hand')")
+    assert "0 of 33 measured" in browser.text()
+    assert browser.run("document.querySelectorAll('.fault, .canvas, .counts').length") == 0
+    browser.choose("Runs", "tracked")
+    browser.wait("document.body.innerText.includes('Partial: only tracked runs count here')")
+    browser.choose("Condition", "coverage > 2")
+    browser.wait("document.querySelector('.empty')?.innerText.startsWith('No evaluated run')")
+    browser.call("Page.navigate", url="about:blank")
     browser.complaints[:] = [one for one in browser.complaints if "status of 40" not in one]
 
 

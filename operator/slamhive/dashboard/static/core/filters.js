@@ -23,8 +23,8 @@ export const isNumeric = (column) => ['number', 'integer', 'time'].includes(colu
 
 const text = (pair) => (pair[1] === null ? pair[0] : /[<>!]$/.test(pair[0]) ? `${pair[0]}=${pair[1]}` : `${pair[0]} = ${pair[1]}`);
 
-/** The filters of a page. @param {{columns: object[], error?: import('./api.js').ApiError}} props */
-export function Filters({ columns, error }) {
+/** The filters of a page. @param {{columns: object[], error?: import('./api.js').ApiError, hint?: any}} props hint: what stands below an error that is shown here */
+export function Filters({ columns, error, hint }) {
   const { query, follow, change } = useAddress();
   const [column, setColumn] = useState('');
   const where = query.get('where');
@@ -37,11 +37,14 @@ export function Filters({ columns, error }) {
     setColumn('');
   };
   const wrongChip = (pair) => error?.field && pair[0].startsWith(error.field);
+  // An error of all filters together is the condition's only where there is one.
+  const wrongWhere = error?.field === 'where' && where !== '';
+  const wrongChoice = error?.field === 'where' && where === '';
   return html`<section class="filters" aria-label="Filters">
     <div class="row">
       ${chosen.map((pair) => html`<span class=${`chip ${wrongChip(pair) ? 'wrong' : ''}`}>${clip(text(pair), 60)}
         <button type="button" aria-label=${`Remove the filter ${clip(text(pair), 80)}`} onClick=${() => follow(query.without(pair))}>×</button></span>`)}
-      <label class="field"><span>Filter by</span><select value=${column} onChange=${(event) => setColumn(event.target.value)}>
+      <label class=${`field ${wrongChoice ? 'wrong' : ''}`}><span>Filter by</span><select value=${column} aria-invalid=${wrongChoice ? 'true' : null} onChange=${(event) => setColumn(event.target.value)}>
         <option value="">column…</option>
         ${columnOptions(columns).map((group) => html`<optgroup label=${group.label}>${group.options.map(([name, title]) => html`<option value=${name}>${clip(title, 60)}</option>`)}</optgroup>`)}
       </select></label>
@@ -49,11 +52,11 @@ export function Filters({ columns, error }) {
         ? html`<label class="field"><span>is</span><select value="" onChange=${(event) => add(event.target.value)}><option value="">value…</option>
             ${heading.values.map((one) => html`<option value=${String(one.value)}>${clip(cell(one.value, heading), 60)} (${one.count})</option>`)}</select></label>`
         : html`<label class="field"><span>is</span><input type="text" placeholder="value, then Enter" onChange=${(event) => add(event.target.value)} /></label>`)}
-      <label class=${`field wide ${error?.field === 'where' ? 'wrong' : ''}`}><span>Condition</span>
-        <input type="text" spellcheck="false" maxlength="8000" placeholder="coverage >= 0.9 and run not in (53, 103)" value=${draft} aria-invalid=${error?.field === 'where' ? 'true' : null}
+      <label class=${`field wide ${wrongWhere ? 'wrong' : ''}`}><span>Condition</span>
+        <input type="text" spellcheck="false" maxlength="8000" placeholder="coverage >= 0.9 and run not in (53, 103)" value=${draft} aria-invalid=${wrongWhere ? 'true' : null}
           onInput=${(event) => setDraft(event.target.value)} onChange=${(event) => change({ where: event.target.value.trim() })} /></label>
     </div>
-    ${error && (error.field === 'where' || chosen.some(wrongChip)) && html`<${Fault} error=${error} />`}
+    ${error && (error.field === 'where' || chosen.some(wrongChip)) && html`<${Fault} error=${error} />${hint}`}
   </section>`;
 }
 

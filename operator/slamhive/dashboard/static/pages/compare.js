@@ -8,6 +8,7 @@ import { bytes, cell, clip, number } from '../core/format.js';
 import { Choice, Fault, Link, Notes, runLink, Status, Table, useTitle, Waiting } from '../core/parts.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
 import { html, useMemo, useState } from '../core/ui.js';
+import { CommonLink } from './common.js';
 import { loads } from './loads.js';
 import { Tracks, trackTable } from './tracks.js';
 
@@ -32,7 +33,8 @@ export default function Compare() {
   return html`<h1>Compare runs</h1>
     ${!embedded && html`<form class="controls" onSubmit=${add}><div class="row middle">${uids.map((uid, at) => html`<span class=${`chip ${runs?.[at].error ? 'wrong' : ''}`}>${clip(runs?.[at].data?.name ?? uid, 60)}
         <button type="button" aria-label=${`Remove ${clip(uid, 80)}`} onClick=${() => change({ uid: uids.filter((one) => one !== uid) })}>×</button></span>`)}
-      <${Link} href="/runs">Choose in the table</${Link}></div>
+      <${Link} href="/runs">Choose in the table</${Link}>
+      ${runs && html`<${CommonLink} runs=${runs.filter((one) => one.data).map((one) => one.data)} />`}</div>
       <div class="row"><label class="field wide"><span>Add a run by its uid, then Enter</span><input type="text" value=${draft} onInput=${(event) => setDraft(event.target.value)} /></label>
       <${Choice} label="Colours tell" value=${query.get('colour', 'run')} options=${[['run', 'the run'], ['error', 'the error']]} onChange=${(colour) => change({ colour: colour === 'run' ? null : colour })} /></div>
       ${runs?.map((one) => html`<${Fault} error=${one.error} />`)}</form>`}

@@ -10,6 +10,7 @@ import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filte
 import { cell, clip, keysText, number } from '../core/format.js';
 import { Choice, Fault, Link, Notes, Table, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
+import { Common, EACH_RUN, Narrowing } from './common.js';
 import { failureText } from './groups.js';
 import { COMPETITORS } from './leaderboard.js';
 
@@ -18,12 +19,14 @@ const STUDIES = {
   pairs: { text: 'Pairs', path: 'compare', Shown: Pairs, settings: ['metric', 'by', 'outcomes'], says: 'Competitors two by two over the datasets that both have: medians are paired, a failed median loses, p is of an exact test by flipping signs and corrected after Holm.' },
   importance: { text: 'What matters', path: 'importance', Shown: Importance, settings: ['metric'], says: 'How much of the variation each setting explains. Points that a search chose by their results are left out.' },
   repeatability: { text: 'Repeatability', path: 'repeatability', Shown: Repeatability, settings: ['metric'], says: 'Runs of the very same configuration. Equal trajectories count once.' },
+  common: { text: 'Common support', path: 'common', Shown: Common, settings: ['by', 'outcomes'], says: 'Runs of a dataset are measured again, each aligned anew, over the time in which all of them have poses: who gave up before the hard part gains nothing by it.' },
   suspects: { text: 'Suspects', path: 'suspects', Shown: Suspects, settings: [], says: 'Scales that are off 1 by the same factor in all runs: the calibration is wrong, or the depth factor, not the algorithm.' },
 };
 const MOST_SUBJECTS = 12;
 const MOST_ROWS = 200;
 const SUBJECT = ['algorithm', 'sensors', 'dataset'];
-const WITHOUT = { pairs: 'No two competitors have a dataset in common.', importance: 'No setting varies over enough runs.', repeatability: 'No run fits these filters.', suspects: 'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs (it takes three tracked runs and an alignment with scale, sim3).' };
+const EVALUATED = { common: 'all' };
+const WITHOUT = { pairs: 'No two competitors have a dataset in common.', importance: 'No setting varies over enough runs.', repeatability: 'No run fits these filters.', common: 'No evaluated run fits these filters. Take one of them away.', suspects: 'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs (it takes three tracked runs and an alignment with scale, sim3).' };
 
 export default function Studies() {
   const { query, change } = useAddress();
@@ -32,7 +35,7 @@ export default function Studies() {
   useTitle(query.get('title') || study.text);
   const columns = useData('/api/v1/columns');
   const all = columns.data?.items ?? [];
-  const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', 'algorithm,sensors'), outcomes: query.get('outcomes', 'tracked') };
+  const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', 'algorithm,sensors'), outcomes: query.get('outcomes', EVALUATED[kind] ?? 'tracked') };
   const asked = Object.fromEntries(study.settings.map((name) => [name, set[name]]));
   const url = address(`/api/v1/analysis/${study.path}`, query.filters().with(asked));
   const state = useData(url);
@@ -42,12 +45,13 @@ export default function Studies() {
   return html`<h1>${clip(query.get('title') || study.text, 120)}</h1>
     ${query.get('embed') !== '1' && html`<nav class="tabs" aria-label="Studies">${Object.entries(STUDIES).map(tab)}</nav>
       ${study.settings.length > 0 && html`<section class="controls" aria-label="What is studied"><div class="row">
-        <${Choice} label="Measured by" value=${set.metric} options=${columnOptions(all, isNumeric)} error=${wrong('metric')} onChange=${(metric) => change({ metric })} />
-        ${study.settings.includes('by') && html`<${Choice} label="Competitors" value=${set.by} options=${COMPETITORS} error=${wrong('by')} onChange=${(by) => change({ by })} />`}
+        ${study.settings.includes('metric') && html`<${Choice} label="Measured by" value=${set.metric} options=${columnOptions(all, isNumeric)} error=${wrong('metric')} onChange=${(metric) => change({ metric })} />`}
+        ${study.settings.includes('by') && html`<${Choice} label="Competitors" value=${set.by} options=${kind === 'common' ? [...COMPETITORS, [EACH_RUN, 'each run']] : COMPETITORS} error=${wrong('by')} onChange=${(by) => change({ by })} />`}
         ${study.settings.includes('outcomes') && html`<${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} error=${wrong('outcomes')} onChange=${(outcomes) => change({ outcomes })} />`}
-      </div></section>`}<${Filters} columns=${all} error=${state.error} />`}
+      </div></section>`}<${Filters} columns=${all} error=${state.error} hint=${html`<${Narrowing} columns=${all} error=${state.error} />`} />`}
     ${elsewhere && html`<${Fault} error=${state.error} />`}
-    ${state.current ? html`<p class="quiet">${study.says} <a href=${csvOf(url)} download>CSV</a></p><${study.Shown} key=${kind} data=${state.current} csv=${csvOf(url)} without=${html`<p class="empty">${WITHOUT[kind]}</p>`} />
+    <p class="quiet">${study.says}${state.current && html` <a href=${csvOf(url)} download>CSV</a>`}</p>
+    ${state.current ? html`<${study.Shown} key=${kind} data=${state.current} csv=${csvOf(url)} without=${html`<p class="empty">${WITHOUT[kind]}</p>`} />
       <${Notes} notes=${state.current.notes} />` : !state.error && html`<${Waiting} />`}`;
 }
 
