@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import gc
 import sys
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,15 +13,16 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 from faultlab import arena as arenas
+from testcluster.labs import *  # noqa: F403
 
 from slamhive.kube.client import Api
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterator
+    from collections.abc import AsyncIterator, Callable
 
     from faultlab.arena import Arena
     from testcluster.access import Cluster
-    from testcluster.kwok import Kwok, Play, Pool
+    from testcluster.kwok import Play, Pool
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -34,29 +34,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.filterwarnings("ignore::ResourceWarning"))
 
 
-@pytest.fixture(scope="session")
-def fault_plays(kwok: Kwok) -> Iterator[Callable[[Play], Pool]]:
-    """Pools of played nodes by how their pods end, kept for the session."""
-    pools: dict[str, Pool] = {}
-    with ExitStack() as stack:
-
-        def play(how: Play) -> Pool:
-            key = repr(how)
-            if key not in pools:
-                pools[key] = stack.enter_context(kwok.play(how, pool=f"fault{len(pools)}"))
-            return pools[key]
-
-        yield play
-
-
 @pytest.fixture
 async def arena(
-    crds: Cluster, fault_plays: Callable[[Play], Pool], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    crds: Cluster, plays: Callable[[Play], Pool], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> AsyncIterator[Arena]:
     """Where instances of scenarios are played."""
     monkeypatch.setattr(Api, "logs", arenas.played_logs)
     gc.freeze()  # kopf collects garbage whenever it ends
-    async with arenas.arena_on(crds, fault_plays, tmp_path) as found:
+    async with arenas.arena_on(crds, plays, tmp_path) as found:
         yield found
     gc.unfreeze()
     gc.collect()  # what is thrown away by kopf and by killed operators warns now or at the session's end
