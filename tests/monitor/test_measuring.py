@@ -154,7 +154,10 @@ def test_contention(run: Run) -> None:
     finally:
         other.kill()
         other.wait()
-    assert 0.4 < usage["contendedSeconds"] < usage["wallSeconds"]
+    # What it did not get of its core while it wanted it: how much that is, other groups of processes decide.
+    waited = usage["wallSeconds"] - usage["cpu"]["seconds"]
+    assert waited / 2 < usage["contendedSeconds"] <= usage["wallSeconds"]
+    assert usage["contendedSeconds"] > 0.1
 
 
 def test_import_stays_light() -> None:
