@@ -187,6 +187,14 @@ def test_equal_trajectories_count_once() -> None:
     assert "deterministic so far" in same.verdict
 
 
+@pytest.mark.parametrize("again", [0, 2])
+def test_a_single_run_says_nothing_of_repeatability(again: int) -> None:
+    rows = [make_row("a", "x", 1.0), make_row("b", "x", 1.0), *[make_row("c", "x", 2.0)] * again]
+    found, notes = repeatability(frame_of(rows))
+    assert [one.cell.keys["algorithm"] for one in found] == ["c"] * bool(again)
+    assert notes == ["2 configurations ran once: a single run says nothing of repeatability"]
+
+
 @pytest.mark.parametrize(
     ("scales", "found"),
     [([0.957, 0.9571, 0.9569], 1), ([0.95, 1.02, 1.0], 0), ([1.001, 1.001, 1.001], 0), ([0.957, 0.957], 0)],

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from slamhive.archive import Archive
 
-SECONDS = 60.0
+SECONDS = 120.0
 API_VERSION = "slamhive.io/v1alpha1"
 
 
@@ -82,6 +82,21 @@ def volumes(namespace: str) -> list[dict[str, Any]]:
             },
         ]
     return objects
+
+
+def bound_volumes(namespace: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the same as disks, and claims that count as bound: the controller that binds takes up to 15 s.
+
+    The disks are to be available before the claims are made.
+    """
+    objects = volumes(namespace)
+    disks = [body for body in objects if body["kind"] == "PersistentVolume"]
+    claims = [body for body in objects if body["kind"] != "PersistentVolume"]
+    for body in disks:
+        del body["spec"]["claimRef"]
+    for body in claims:
+        body["metadata"]["annotations"] = {"pv.kubernetes.io/bind-completed": "yes"}
+    return disks, claims
 
 
 def run(name: str = "one", **spec: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from testcluster.kwok import Play
-from testcluster.lab import Lab, algorithm, dataset, volumes
+from testcluster.lab import Lab, algorithm, bound_volumes, dataset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -40,7 +40,11 @@ def plays(kwok: Kwok) -> Iterator[Callable[[Play], Pool]]:
 @pytest.fixture
 def make_lab(crds: Cluster, namespace: str, plays: Callable[[Play], Pool]) -> Iterator[Callable[..., Lab]]:
     """A function that gives the test's namespace a catalog, and pods that end in a given way."""
-    crds.apply(*volumes(namespace))
+    disks, claims = bound_volumes(namespace)
+    names = [f"pv/{body['metadata']['name']}" for body in disks]
+    crds.apply(*disks)
+    crds.kubectl("wait", "--for=jsonpath={.status.phase}=Available", "--timeout=60s", *names)
+    crds.apply(*claims)
 
     def make(*, catalog: bool = True, **play: Any) -> Lab:
         lab = Lab(crds, namespace, plays(Play(**play)))
@@ -49,8 +53,7 @@ def make_lab(crds: Cluster, namespace: str, plays: Callable[[Play], Pool]) -> It
         return lab
 
     yield make
-    names = [f"{namespace}-{claim}" for claim in ("results", "data")]
-    crds.kubectl("delete", "pv", *names, "--wait=false", "--ignore-not-found")
+    crds.kubectl("delete", *names, "--wait=false", "--ignore-not-found")
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from testcluster.lab import run, sweep
 from slamhive.kube.kinds import Key, Kind
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from typing import Any
 
     from faultlab.arena import Arena, Instance
@@ -40,29 +41,30 @@ def sweep_key(instance: Instance) -> Key:
     return Key(Kind.SWEEP, instance.namespace, "study")
 
 
+def goes_no_further(instance: Instance) -> bool:
+    """Tell whether all has ended, or where runs never do, whether as many run as may."""
+    jobs = instance.arena.seen.alive("jobs", instance.namespace)
+    running = [job for job in jobs if (job.get("status") or {}).get("active")]
+    return instance.is_over() if instance.archive else len(running) == 2
+
+
 async def undisturbed(instance: Instance) -> list[Point]:
     faults = Faults()
-
-    def is_over() -> bool:
-        jobs = instance.arena.seen.alive("jobs", instance.namespace)
-        running = [job for job in jobs if (job.get("status") or {}).get("active")]
-        return instance.is_over() if instance.archive else len(running) == 2
-
     async with instance.operator(faults):
-        await instance.until(is_over, "the end")
+        await instance.until(lambda: goes_no_further(instance), "the end")
     # After a call is before the next one.
     return [point for point in faults.points if point.verb != ARCHIVE and point.moment == "before"]
 
 
-class Quiet:
-    """Tells whether nothing has been there for a while: a create that was on its way may come late."""
+class Lasting:
+    """Tells whether something has held for a while: a call that was on its way may come late."""
 
-    def __init__(self, instance: Instance) -> None:
-        self._instance = instance
+    def __init__(self, condition: Callable[[], Any]) -> None:
+        self._condition = condition
         self._since = time.monotonic()
 
     def __call__(self) -> bool:
-        if left(self._instance):
+        if not self._condition():
             self._since = time.monotonic()
         return time.monotonic() - self._since > QUIET_SECONDS
 
@@ -71,11 +73,12 @@ async def deleted_at(point: Point, instance: Instance) -> list[str] | None:
     arena = instance.arena
     faults = Faults(point, lambda: arena.order(arena.admin.delete(sweep_key(instance))))
     async with instance.operator(faults):
-        await instance.until(lambda: faults.reached or instance.is_over(), "the moment")
+        over = Lasting(lambda: goes_no_further(instance))
+        await instance.until(lambda: faults.reached or over(), "the moment")
         if not faults.reached:
             return None  # this time there were fewer calls of that sort
         try:
-            await instance.until(Quiet(instance), "all to go", SECONDS)
+            await instance.until(Lasting(lambda: not left(instance)), "all to go", SECONDS)
         except TimeoutError:
             return left(instance)
     return []

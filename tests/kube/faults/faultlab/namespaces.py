@@ -9,7 +9,7 @@ import os
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from testcluster.lab import until, volumes
+from testcluster.lab import bound_volumes, until, volumes
 
 from slamhive.kube.errors import ApiError
 from slamhive.kube.kinds import OUR_KINDS, Kind
@@ -84,15 +84,8 @@ class Namespaces:
             self._free.append(name)
 
     async def _provide_volumes(self, namespace: str) -> None:
-        """Make volumes with claims that count as bound: the controller that binds them takes up to 15 s."""
-        disks, claims = [], []
-        for body in volumes(namespace):
-            if body["kind"] == "PersistentVolume":
-                del body["spec"]["claimRef"]
-                disks.append(body)
-            else:
-                body["metadata"]["annotations"] = {"pv.kubernetes.io/bind-completed": "yes"}
-                claims.append(body)
+        """Make volumes and claims on them."""
+        disks, claims = bound_volumes(namespace)
         await asyncio.gather(*map(self._create, disks))
         names = {body["metadata"]["name"] for body in disks}
         await until(lambda: names <= self._seen.available(), "volumes", SECONDS)
