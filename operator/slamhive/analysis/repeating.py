@@ -52,8 +52,6 @@ class Repetitions:
     @property
     def verdict(self) -> str:
         """What it means, in a sentence."""
-        if self.cell.runs < 2:
-            return "a single run says nothing of repeatability"
         if self.distinct == 1 and not self.cell.failures:
             return f"the same trajectory {self.cell.n} times: deterministic so far, and one sample alone"
         parts = []
@@ -66,7 +64,7 @@ class Repetitions:
 
 
 def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetitions], list[str]]:
-    """Return the configurations, those with most runs first, and notes.
+    """Return the configurations that ran more than once, those with most runs first, and notes.
 
     Args:
         frame: one row a run and evaluation.
@@ -74,7 +72,17 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
     """
     frame = with_facets(frame)
     settings = [name for name in varying(frame) if not name.startswith("dataset.attributes.")]
-    found = aggregate(frame, [metric], [*SUBJECT, *settings])
+    keys = [*SUBJECT, *settings]
+    all_of_them = Groups(frame, [*varying_facets(frame, keys), *keys])
+    counts = np.bincount(all_of_them.of_row, minlength=all_of_them.count)
+    alone = int((counts == 1).sum())
+    pooled = [name for name in varying(frame) if name not in all_of_them.names]
+    notes = pooling_notes(pooled)
+    if alone:
+        ran = "configuration" if alone == 1 else "configurations"
+        notes = [*notes, f"{alone} {ran} ran once: a single run says nothing of repeatability"]
+    frame = frame.select(counts[all_of_them.of_row] > 1)
+    found = aggregate(frame, [metric], keys)
     groups = Groups(frame, found.keys)
     numbers = frame.column(metric).floats()
     trajectories = frame.column("trajectory.sha256")
@@ -92,8 +100,7 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
         distinct = int((hashes[firsts] >= 0).sum())
         repetitions.append(Repetitions(cell, distinct, tuple(values.tolist()), spread))
     repetitions.sort(key=lambda one: -one.cell.runs)
-    pooled = [name for name in varying(frame) if name not in found.keys]
-    return repetitions, pooling_notes(pooled)
+    return repetitions, notes
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ const MOST_SUBJECTS = 12;
 const MOST_ROWS = 200;
 const SUBJECT = ['algorithm', 'sensors', 'dataset'];
 const EVALUATED = { common: 'all' };
-const WITHOUT = { pairs: 'No two competitors have a dataset in common.', importance: 'No setting varies over enough runs.', repeatability: 'No run fits these filters.', common: 'No evaluated run fits these filters. Take one of them away.', suspects: 'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs (it takes three tracked runs and an alignment with scale, sim3).' };
+const WITHOUT = { pairs: 'No two competitors have a dataset in common.', importance: 'No setting varies over enough runs.', repeatability: 'No configuration that fits these filters ran more than once.', common: 'No evaluated run fits these filters. Take one of them away.', suspects: 'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs (it takes three tracked runs and an alignment with scale, sim3).' };
 
 export default function Studies() {
   const { query, change } = useAddress();
