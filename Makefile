@@ -6,6 +6,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 # How many tests run side by side; many wait for a cluster most of the time.
 WORKERS ?= 3
+# Which tests; all when empty.
+TESTS ?=
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: demo test test-packages constraints cluster-build cluster-up cluster-down images lint bench fuzz fuzz-api install crds clean help
@@ -37,7 +39,9 @@ demo: $(STAMP)
 	$(BIN)/slamhive demo
 
 test: $(STAMP) test-packages cluster-build
-	$(BIN)/python -m pytest -n $(WORKERS) --no-loadscope-reorder
+	@$(BIN)/python -m pytest -n $(WORKERS) --no-loadscope-reorder $(TESTS) || { \
+	  [ $$? = 1 ] && echo 'Once more, alone, what failed side by side:' && \
+	  $(BIN)/python -m pytest --last-failed --last-failed-no-failures none --maxfail 5 -v $(TESTS); }
 
 # What the test cluster is made of; without root, Go or Debian its tests are skipped and say how to have them.
 cluster-build:
