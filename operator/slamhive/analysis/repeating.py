@@ -71,13 +71,12 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
         metric: a column of numbers.
     """
     frame = with_facets(frame)
-    settings = [name for name in varying(frame) if not name.startswith("dataset.attributes.")]
-    keys = [*SUBJECT, *settings]
+    changing = varying(frame)
+    keys = [*SUBJECT, *(name for name in changing if not name.startswith("dataset.attributes."))]
     all_of_them = Groups(frame, [*varying_facets(frame, keys), *keys])
     counts = np.bincount(all_of_them.of_row, minlength=all_of_them.count)
     alone = int((counts == 1).sum())
-    pooled = [name for name in varying(frame) if name not in all_of_them.names]
-    notes = pooling_notes(pooled)
+    notes = pooling_notes([name for name in changing if name not in all_of_them.names])
     if alone:
         ran = "configuration" if alone == 1 else "configurations"
         notes = [*notes, f"{alone} {ran} ran once: a single run says nothing of repeatability"]
