@@ -19,9 +19,14 @@ def results(
     columns: str | Sequence[str] | None = None,
     sweep: str | Sequence[str] | None = None,
     evaluation: str | None = None,
+    superseded: bool = False,
+    reused: bool = False,
     frame: str = "pandas",
 ) -> Any:
     """Return finished runs as a data frame, one row a run and evaluation.
+
+    They are those that ``slamhive results table`` averages: results of earlier versions of an algorithm,
+    dataset or sweep are left out, and equal content is there once, however many sweeps refer to it.
 
     The columns are those of ``slamhive results``: ``ate.rmse`` (m), ``usage.cpu.meanCores``,
     ``usage.memory.peakBytes``, ``parameters.NAME``, ``input.frameRate``, ``outcome`` and so on, in stored
@@ -41,7 +46,9 @@ def results(
         where: only rows that meet a condition, as ``slamhive results --where`` takes it.
         columns: names, as a list or joined by commas; by default all of them.
         sweep: only runs of this sweep, or of these.
-        evaluation: only this evaluation; a run without it gives one row without results.
+        evaluation: only this evaluation; failed runs that it was meant to measure are there without figures.
+        superseded: whether results of earlier versions are there too; column ``superseded`` says which.
+        reused: whether runs that took over an equal one's result are there too.
         frame: ``pandas`` or ``polars``; each is an extra of slamhive.
 
     Returns:
@@ -57,5 +64,12 @@ def results(
 
     made = importlib.import_module("slamhive.reporting.dataframes")
     return made.results(
-        home_or_url, where=where, columns=columns, sweep=sweep, evaluation=evaluation, frame=frame
+        home_or_url,
+        where=where,
+        columns=columns,
+        sweep=sweep,
+        evaluation=evaluation,
+        superseded=superseded,
+        reused=reused,
+        frame=frame,
     )

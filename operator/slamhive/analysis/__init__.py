@@ -1,28 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Meta analysis over results, pure: records become rows, rows are selected, grouped and averaged.
+"""Meta analysis over results, pure: a table of runs is selected from, grouped and averaged.
 
-``slamhive results`` and the dashboard use the same functions, so that both mean the same by a column,
-a condition or a mean.
+Commands, pages, reports and data frames use the same functions, so that all mean the same by a column, a
+condition or a mean.
 """
 
-from slamhive.analysis.expressions import ExpressionError, compile_where
-from slamhive.analysis.flattening import CORE_COLUMNS, columns_of, flatten
+from slamhive.analysis.expressions import ExpressionError, parse_where
+from slamhive.analysis.frame import Frame
+from slamhive.analysis.grouping import Outcomes, aggregate, varying
 from slamhive.analysis.metrics import Metric
-from slamhive.analysis.ordering import order_by
-from slamhive.analysis.pivot import Group, Outcomes, PivotTable, Summary, table, varying
+from slamhive.analysis.selection import Selection, choose
+from slamhive.analysis.statistics import Summary
 
 __all__ = [
-    "CORE_COLUMNS",
     "ExpressionError",
-    "Group",
+    "Frame",
     "Metric",
     "Outcomes",
-    "PivotTable",
+    "Selection",
     "Summary",
-    "columns_of",
-    "compile_where",
-    "flatten",
-    "order_by",
-    "table",
+    "aggregate",
+    "choose",
+    "parse_where",
     "varying",
 ]

@@ -9,18 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.grouping import (
+    LOAD,
+    SUBJECT,
     Groups,
+    apart,
     counting,
+    covered,
     disturbance_notes,
+    failing,
     pooling_notes,
     ranked_errors,
     sound,
+    unranked_notes,
     varies,
     varying,
-    varying_facets,
-    with_facets,
 )
-from slamhive.analysis.pivot import SUBJECT
 from slamhive.analysis.statistics import median_of_sorted
 
 if TYPE_CHECKING:
@@ -28,13 +31,10 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Floats, Indices, Mask
     from slamhive.analysis.frame import Frame
-    from slamhive.analysis.pivot import Outcomes
+    from slamhive.analysis.grouping import Outcomes
 
 COMPETITORS = ("algorithm", "sensors")
 """What is compared unless told."""
-
-_OF_LOAD = "usage."
-_ONLY_OF_LOAD = ("provenance.cpuModel", "usage.includesReader")
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,9 @@ class Grid:
         members: rows of the runs of a competitor on a dataset.
         numbers: the metric of each row, (n,).
         counted: rows with a figure that counts, (n,).
-        medians: (c, d), failed runs last: infinite for a failed one, NaN where there is no run.
+        failed: rows that failed of themselves, (n,): they rank behind all figures.
+        coverage: of each row, 0 where it failed of itself, NaN where that isn't known, (n,).
+        medians: (c, d), failed runs last: infinite for a failed one, NaN where no run has a rank.
     """
 
     facets: dict[str, Any]
@@ -59,12 +61,33 @@ class Grid:
     members: dict[tuple[int, int], Indices]
     numbers: Floats
     counted: Mask
+    failed: Mask
+    coverage: Floats
     medians: Floats
 
     def ranked(self, place: tuple[int, int]) -> Floats:
         """Return the sorted figures of a competitor on a dataset, failed runs last."""
         rows = self.members[place]
-        return ranked_errors(self.numbers[rows], self.counted[rows])
+        return ranked_errors(self.numbers[rows], self.counted[rows], self.failed[rows])
+
+    def mean_coverage(self, place: tuple[int, int]) -> float | None:
+        """Return the mean coverage of a competitor on a dataset; None where nothing is known of it."""
+        known = self.coverage[self.members[place]]
+        known = known[~np.isnan(known)]
+        return float(known.mean()) if len(known) else None
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What each row of a table counts for; fields as in ``Grid``."""
+
+    counted: Mask
+    failed: Mask
+    coverage: Floats
+
+    def of(self, rows: Indices) -> Marks:
+        """Return the marks of some rows."""
+        return Marks(self.counted[rows], self.failed[rows], self.coverage[rows])
 
 
 @dataclass(frozen=True)
@@ -76,7 +99,7 @@ class Prepared:
 
 
 def prepare(
-    frame: Frame, metrics: Sequence[str], by: Sequence[str], outcomes: Outcomes, *, apart: bool = False
+    frame: Frame, metrics: Sequence[str], by: Sequence[str], outcomes: Outcomes, *, by_dataset: bool = False
 ) -> Prepared:
     """Split runs into grids of what can be compared.
 
@@ -87,27 +110,30 @@ def prepare(
         metrics: columns of numbers; the grids hold the first.
         by: columns that tell competitors apart.
         outcomes: which runs have a figure that counts.
-        apart: whether each dataset is a grid of its own.
+        by_dataset: whether each dataset is a grid of its own.
     """
-    frame = with_facets(frame)
-    facets = varying_facets(frame, (*by, *SUBJECT))
+    frame, facets = apart(frame, (*by, *SUBJECT), metrics)
     notes: list[str] = []
-    if not any(metric.startswith(_OF_LOAD) for metric in metrics):
-        facets = [name for name in facets if name not in _ONLY_OF_LOAD]
+    if not any(metric.startswith(LOAD) for metric in metrics):
         if varies(frame, "provenance.cpuModel") and "provenance.cpuModel" not in by:
             notes.append("runs of different processors are compared with each other")
+    elif "provenance.cpuModel" in facets:
+        notes.append("runs of different processors are ranked apart: their loads can't be compared")
+    if "alignment" in facets or "evaluation" in facets:
+        notes.append("runs of different evaluations are ranked apart: their errors can't be compared")
     pooled = [name for name in varying(frame) if name not in (*by, *facets)]
-    notes += [*pooling_notes(pooled), *disturbance_notes(frame, metrics)]
-    if apart:
+    notes += [*pooling_notes(pooled), *disturbance_notes(frame, metrics), *unranked_notes(frame, outcomes)]
+    if by_dataset:
         facets = [*facets, "dataset"]
     counted = counting(frame, outcomes) & sound(frame, metrics[0])
+    marks = Marks(counted, failing(frame, outcomes), covered(frame))
     groups = Groups(frame, facets)
     told = [name for name in by if name not in facets]
     grids = []
     for rows, shared in zip(groups.members(), groups.keys, strict=True):
         inside = frame.select(rows)
         for part in _comparable(inside, told):
-            grids.append(_grid(inside.select(part), shared, metrics[0], told, counted[rows][part]))  # noqa: PERF401
+            grids.append(_grid(inside.select(part), shared, metrics[0], told, marks.of(rows[part])))  # noqa: PERF401
     grids.sort(key=lambda grid: -len(grid.frame))
     return Prepared(grids, tuple(notes))
 
@@ -129,7 +155,7 @@ def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
     return parts
 
 
-def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], counted: Mask) -> Grid:
+def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], marks: Marks) -> Grid:
     competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
     numbers = frame.column(metric).floats()
     medians = np.full((competitors.count, datasets.count), np.nan)
@@ -137,6 +163,8 @@ def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], 
     for rows in Groups(frame, (*by, "dataset")).members():
         place = (int(competitors.of_row[rows[0]]), int(datasets.of_row[rows[0]]))
         members[place] = rows
-        medians[place] = median_of_sorted(ranked_errors(numbers[rows], counted[rows]))
+        ranked = ranked_errors(numbers[rows], marks.counted[rows], marks.failed[rows])
+        if len(ranked):
+            medians[place] = median_of_sorted(ranked)
     names = [key["dataset"] for key in datasets.keys]
-    return Grid(facets, frame, competitors.keys, names, members, numbers, counted, medians)
+    return Grid(facets, frame, competitors.keys, names, members, numbers, **vars(marks), medians=medians)

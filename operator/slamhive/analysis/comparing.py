@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS, prepare
-from slamhive.analysis.pivot import Outcomes
+from slamhive.analysis.grouping import Outcomes
 from slamhive.analysis.statistics import (
     Interval,
     average_ranks,
@@ -127,9 +127,9 @@ def _pairs(grid: Grid) -> list[Pair]:
     chosen = sorted(sorted(range(len(runs)), key=lambda number: -runs[number])[:MAX_COMPETITORS])
     generator = np.random.default_rng(_SEED)
     drawn = {
-        place: resampled_medians(grid.ranked(place), DRAWS, generator)
+        place: resampled_medians(ordered, DRAWS, generator)
         for place in grid.members
-        if place[0] in set(chosen)
+        if place[0] in set(chosen) and len(ordered := grid.ranked(place))
     }
     pairs = [
         pair

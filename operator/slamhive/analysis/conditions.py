@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conditions as trees, which are tried on one row or on all rows of a table at once.
-
-The meaning is that of ``holds``; ``mask`` gives the same for each row, and is there because a table of
-80,000 runs is filtered while somebody waits.
-"""
+"""Conditions as trees, tried on all rows of a table at once."""
 
 from __future__ import annotations
 
@@ -17,12 +13,10 @@ import numpy as np
 from slamhive.analysis.columns import Column, ColumnKind
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from slamhive.analysis.columns import Mask
     from slamhive.analysis.frame import Frame
-
-    Row = Mapping[str, Any]
 
 ORDERS: dict[str, Callable[[Any, Any], Any]] = {
     "<": operator.lt,
@@ -36,18 +30,12 @@ _TURNED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "=="}
 class Node(Protocol):
     """A condition or a part of one."""
 
-    def holds(self, row: Row) -> bool:
-        """Tell whether a row meets it."""
-
     def mask(self, frame: Frame) -> Mask:
         """Tell for each row of a table whether it meets it, (n,)."""
 
 
 class Operand(Protocol):
     """One side of a comparison."""
-
-    def value(self, row: Row) -> Any:
-        """Return its value in a row."""
 
     def column(self, frame: Frame) -> Column | None:
         """Return its values in all rows; None for a literal."""
@@ -58,10 +46,6 @@ class Name:
     """A column."""
 
     name: str
-
-    def value(self, row: Row) -> Any:
-        """Return the row's value."""
-        return row.get(self.name)
 
     def column(self, frame: Frame) -> Column:
         """Return the table's column."""
@@ -74,10 +58,6 @@ class Literal:
 
     literal: Any
 
-    def value(self, row: Row) -> Any:  # noqa: ARG002
-        """Return itself."""
-        return self.literal
-
     def column(self, frame: Frame) -> None:
         """Return None: it has none."""
 
@@ -87,10 +67,6 @@ class AnyOf:
     """At least one of several."""
 
     parts: tuple[Node, ...]
-
-    def holds(self, row: Row) -> bool:
-        """Tell whether a row meets one."""
-        return any(part.holds(row) for part in self.parts)
 
     def mask(self, frame: Frame) -> Mask:
         """Tell for each row."""
@@ -103,10 +79,6 @@ class All:
 
     parts: tuple[Node, ...]
 
-    def holds(self, row: Row) -> bool:
-        """Tell whether a row meets all."""
-        return all(part.holds(row) for part in self.parts)
-
     def mask(self, frame: Frame) -> Mask:
         """Tell for each row."""
         return reduce(np.logical_and, (part.mask(frame) for part in self.parts))
@@ -118,10 +90,6 @@ class Negation:
 
     part: Node
 
-    def holds(self, row: Row) -> bool:
-        """Tell whether a row doesn't meet it."""
-        return not self.part.holds(row)
-
     def mask(self, frame: Frame) -> Mask:
         """Tell for each row."""
         return ~self.part.mask(frame)
@@ -132,10 +100,6 @@ class Truth:
     """A value that is neither missing, false, 0 nor empty."""
 
     operand: Operand
-
-    def holds(self, row: Row) -> bool:
-        """Tell for one row."""
-        return bool(self.operand.value(row))
 
     def mask(self, frame: Frame) -> Mask:
         """Tell for each row."""
@@ -149,10 +113,6 @@ class NullTest:
     operand: Operand
     wanted: bool
 
-    def holds(self, row: Row) -> bool:
-        """Tell for one row."""
-        return (self.operand.value(row) is None) == self.wanted
-
     def mask(self, frame: Frame) -> Mask:
         """Tell for each row."""
         return _by_value(self.operand, frame, lambda value: (value is None) == self.wanted)
@@ -165,10 +125,6 @@ class Membership:
     operand: Operand
     values: tuple[Any, ...]
     negated: bool
-
-    def holds(self, row: Row) -> bool:
-        """Tell for one row."""
-        return self._test(self.operand.value(row))
 
     def mask(self, frame: Frame) -> Mask:
         """Tell for each row."""
@@ -192,19 +148,15 @@ class Comparison:
     left: Operand
     right: Operand
 
-    def holds(self, row: Row) -> bool:
-        """Tell for one row."""
-        return _compare(self.symbol, self.left.value(row), self.right.value(row))
-
     def mask(self, frame: Frame) -> Mask:
         """Tell for each row."""
         left, right = self.left.column(frame), self.right.column(frame)
         if left is None and right is None:
-            return np.full(len(frame), self.holds({}))
+            return np.full(len(frame), _compare(self.symbol, _literal(self.left), _literal(self.right)))
         if left is None or right is None:
             operand, other = (self.right, self.left) if left is None else (self.left, self.right)
             symbol = _TURNED[self.symbol] if left is None else self.symbol
-            literal = other.value({})
+            literal = _literal(other)
             column = right if left is None else left
             if column is not None and _is_plain(column) and _is_number(literal):
                 return _compare_numbers(symbol, column.numbers, np.float64(literal))
@@ -214,6 +166,10 @@ class Comparison:
             return same | ~(left.present | right.present) if self.symbol == "==" else same
         pairs = zip(left.tolist(), right.tolist(), strict=True)
         return np.array([_compare(self.symbol, *pair) for pair in pairs], dtype=bool)
+
+
+def _literal(operand: Operand) -> Any:
+    return operand.literal if isinstance(operand, Literal) else None
 
 
 def equal(left: Any, right: Any) -> bool:
@@ -245,7 +201,7 @@ def _by_value(operand: Operand, frame: Frame, test: Callable[[Any], bool]) -> Ma
     """Try each distinct value once."""
     column = operand.column(frame)
     if column is None:
-        return np.full(len(frame), test(operand.value({})))
+        return np.full(len(frame), test(_literal(operand)))
     if column.kind.is_numeric:
         codes, values = column.factorized()
         return np.array([test(value) for value in values], dtype=bool)[codes]

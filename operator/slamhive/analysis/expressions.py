@@ -36,11 +36,9 @@ from slamhive.analysis.conditions import (
 from slamhive.model.errors import InputError, suggestion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Collection
 
     from slamhive.analysis.conditions import Node, Operand
-
-    Condition = Callable[[Mapping[str, Any]], bool]
 
 MAX_LENGTH = 10_000
 MAX_DEPTH = 50
@@ -85,8 +83,8 @@ class _Token(NamedTuple):
     position: int
 
 
-def compile_where(text: str, columns: Collection[str]) -> Condition:
-    """Return a function that tells whether a row meets a condition.
+def parse_where(text: str, columns: Collection[str]) -> Node:
+    """Return a condition as a tree.
 
     Args:
         text: the condition.
@@ -95,11 +93,6 @@ def compile_where(text: str, columns: Collection[str]) -> Condition:
     Raises:
         ExpressionError: with the place, and the nearest known column for an unknown one.
     """
-    return parse_where(text, columns).holds
-
-
-def parse_where(text: str, columns: Collection[str]) -> Node:
-    """Return a condition as a tree; arguments and errors as ``compile_where``."""
     if len(text) > MAX_LENGTH:
         raise ExpressionError(text[:100], 0, f"a condition may have {MAX_LENGTH} characters")
     return _Parser(text, columns).parse()

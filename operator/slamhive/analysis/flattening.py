@@ -1,20 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A record of a run as flat rows, one a run and evaluation, under the names the field uses."""
+"""Columns from records of runs: one row a run and evaluation, under the names the field uses.
+
+The archive's reader and the dashboard's live runs both come through here, so a column that is added here is
+there for commands, pages, reports and data frames.
+"""
 
 from __future__ import annotations
 
 import re
-import sys
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from itertools import chain
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from slamhive.analysis.columns import Column, times
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from datetime import datetime
+    from collections.abc import Mapping, Sequence
 
-    from slamhive.model.results import Result, RunRecord
+    from slamhive.analysis.columns import Indices
 
-Row = dict[str, Any]
+    Document = Mapping[str, Any]
+    Part = tuple[dict[str, Column], int]
 
 _STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
 
@@ -31,107 +38,233 @@ CORE_COLUMNS: tuple[str, ...] = (
     *("trajectory.poses", "trajectory.durationSeconds", "provenance.cpuModel"),
     *("name", "uid", "index", "created", "started", "finished", "folder"),
 )
-"""Columns that every row has, None where nothing is known; others depend on what was run."""
+"""Columns that every table has, of nothing where nothing is known; others depend on what was run."""
+
+OF_RUN: Mapping[str, str] = {
+    "index": "point",
+    "sweep.uid": "sweep_uid",
+    **{
+        name: name
+        for name in (
+            *("id", "uid", "name", "sweep", "namespace", "cluster", "algorithm", "dataset", "sensors"),
+            *("repetition", "seed", "phase", "reason", "message", "attempts", "folder"),
+            *("created", "started", "finished"),
+        )
+    },
+}
+"""Columns by the name of what the archive holds of each run."""
+
+DOCUMENTS: tuple[tuple[str, str, str | None], ...] = (
+    ("parameters", "spec", "parameters"),
+    ("input", "spec", "input"),
+    ("resources", "spec", "resources"),
+    ("dataset.attributes", "attributes", None),
+    ("label", "labels", None),
+    ("metrics", "metrics", None),
+    ("usage", "usage", None),
+    ("frames", "frames", None),
+    ("trajectory", "trajectory", None),
+    ("provenance", "provenance", None),
+)
+"""(prefix of the columns, JSON document of the archive, field of it): nested names are joined by dots."""
+
+TIMES = frozenset({"created", "started", "finished"})
+
+MAX_COLUMNS = 1500
+"""Columns that a table has at most; an evaluator that invents a name for each run fills no memory."""
+
+LEFT_OUT = frozenset({"transform", "notes"})
+"""Names of results that are no figures."""
+
+_KEPT = frozenset({"id", "uid", "name", "evaluation", "outcome", "coverage"})
+"""What an evaluator's own names never replace."""
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_EMPTY: dict[str, Any] = {}
+_MAX_ITEMS = 16
 
 
-def flatten(record: RunRecord, evaluation: str | None = None) -> list[Row]:
-    """Return a run's rows: one for each evaluation, or a single one without.
+class Results(NamedTuple):
+    """Results of runs, one a run and evaluation, in any order.
 
-    Beside the core columns there are ``parameters.NAME``, ``input.NAME``, ``resources.NAME``,
-    ``dataset.attributes.NAME``, ``label.NAME``, ``metrics.NAME``, ``provenance.NAME`` and whatever an
-    evaluator found, nested names joined by dots, lists of records numbered as in ``rpe[0].rmse``.
-    ``run`` is the label ``run`` where there is one (a number if it looks like one), else the name.
+    Attributes:
+        runs: the id of each one's run.
+        evaluations: their names.
+        outcomes: what became of the runs.
+        coverages: shares of the ground truth's path.
+        values: what the evaluator found.
+    """
+
+    runs: list[int]
+    evaluations: list[str]
+    outcomes: list[str | None]
+    coverages: list[float | None]
+    values: list[Any]
+
+
+def columns_of_runs(
+    runs: Mapping[str, Sequence[Any]], results: Results, left_out: frozenset[str] = LEFT_OUT
+) -> Part:
+    """Return the rows of some runs as columns, with their number.
+
+    A run has a row for each of its results, and for each evaluation that it was meant to be measured by and
+    was not; one that has neither has a single row. ``run`` is the label ``run`` where there is one (a number
+    if it looks like one), else the name.
 
     Args:
-        record: the run.
-        evaluation: only this evaluation; a run without it gives one row without results.
+        runs: by the names that the archive has for them, values of each run; JSON documents as objects.
+        results: of these runs.
+        left_out: names of results that make no columns.
     """
-    base = _of_run(record)
-    results = record.results
-    if evaluation is not None:
-        results = [result for result in results if result.evaluation == evaluation]
-        base["evaluation"] = evaluation
-    if not results:
-        return [base]
-    return [_of_result(dict(base), result) for result in results]
+    found: dict[str, Sequence[Any]] = {}
+    for prefix, document, key in DOCUMENTS:
+        held = runs[document]
+        spread(found, prefix, [item and item.get(key) for item in held] if key else held)
+    columns = {name: Column.of(values) for name, values in found.items()}
+    for name, of_archive in OF_RUN.items():
+        if of_archive in runs:
+            values = runs[of_archive]
+            columns[name] = times(values) if name in TIMES else Column.of(values)
+    columns["run"] = Column.of(
+        [_label_of_run(labels, name) for labels, name in zip(runs["labels"], runs["name"], strict=True)]
+    )
+    places = {run: place for place, run in enumerate(runs["id"])}
+    complete = _with_intended(runs, results)
+    have = np.array([places[run] for run in complete.runs], dtype=np.intp)
+    without = np.setdiff1d(np.arange(len(runs["id"])), have)
+    return _joined(columns, np.concatenate([have, without]), complete, left_out)
 
 
-def columns_of(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return the columns that rows have: the core ones, then the others sorted."""
-    known = dict.fromkeys(CORE_COLUMNS)
-    others: dict[str, None] = {}
-    for row in rows:
-        others.update(dict.fromkeys(row.keys() - known.keys()))
-    return [*known, *sorted(others)]
+def _with_intended(runs: Mapping[str, Sequence[Any]], results: Results) -> Results:
+    """Return results with an empty one for each evaluation that a run was meant to have and has not."""
+    measured = set(zip(results.runs, results.evaluations, strict=True))
+    complete = Results(*(list(column) for column in results))
+    for run, intended in zip(runs["id"], runs["evaluations"], strict=True):
+        for item in intended or ():
+            if (run, item["evaluation"]) not in measured:
+                complete.runs.append(run)
+                complete.evaluations.append(item["evaluation"])
+                complete.outcomes.append(None)
+                complete.coverages.append(None)
+                complete.values.append({name: item.get(name) for name in ("alignment", "settings")})
+    return complete
 
 
-def _of_run(record: RunRecord) -> Row:
-    row: Row = dict.fromkeys(CORE_COLUMNS)
-    spec = record.spec
-    row |= {
-        "run": number_or_text(record.labels["run"]) if "run" in record.labels else record.name,
-        "name": record.name,
-        "uid": record.uid,
-        "sweep": record.sweep,
-        "index": record.index,
-        "algorithm": (spec.get("algorithmRef") or {}).get("name"),
-        "dataset": (spec.get("datasetRef") or {}).get("name"),
-        "sensors": spec.get("sensors"),
-        "repetition": spec.get("repetition"),
-        "seed": spec.get("seed"),
-        "phase": record.phase.value,
-        "reason": record.reason.value if record.reason else None,
-        "message": record.message,
-        "attempts": record.attempts,
-        "created": _time(record.created),
-        "started": _time(record.started),
-        "finished": _time(record.finished),
-        "folder": record.folder,
-    }
-    for prefix, value in (
-        ("parameters", spec.get("parameters")),
-        ("input", spec.get("input")),
-        ("resources", spec.get("resources")),
-        ("dataset.attributes", record.attributes),
-        ("label", record.labels),
-        ("metrics", record.metrics),
-        ("usage", record.usage.as_json() if record.usage else None),
-        ("frames", record.frames.as_json() if record.frames else None),
-        ("trajectory", record.trajectory.as_json() if record.trajectory else None),
-        ("provenance", record.provenance.as_json()),
-    ):
-        if value:
-            _spread(row, prefix, value)
-    return row
+def _joined(columns: dict[str, Column], places: Indices, results: Results, left_out: frozenset[str]) -> Part:
+    """Return rows of runs beside those of their results.
+
+    Args:
+        columns: of the runs.
+        places: the run of each row, (n,): first the rows with results, then those of runs without.
+        results: of the first rows.
+        left_out: names of results that make no columns.
+    """
+    padding = [None] * (len(places) - len(results.evaluations))
+    found: dict[str, Sequence[Any]] = {}
+    spread(found, "", results.values, left_out)
+    joined = {name: column.take(places) for name, column in columns.items()}
+    messages = [item or None for item in found.pop("message", ())]
+    for name, items in found.items():
+        if name in _KEPT:
+            continue
+        column = Column.of([*items, *padding])
+        joined[name] = _first(column, joined[name]) if name in joined else column
+    if any(messages):
+        joined["message"] = _first(joined["message"], Column.of([*messages, *padding]))
+    joined["evaluation"] = Column.of([*results.evaluations, *padding])
+    joined["outcome"] = Column.of([*results.outcomes, *padding])
+    joined["coverage"] = Column.of([*results.coverages, *padding])
+    order = np.argsort(places, kind="stable")
+    return {name: column.take(order) for name, column in joined.items()}, len(places)
 
 
-def _of_result(row: Row, result: Result) -> Row:
-    message = row["message"]
-    for name, value in result.values.items():
-        _spread(row, name, value)
-    row["evaluation"] = result.evaluation
-    row["outcome"] = result.outcome.value
-    row["coverage"] = result.coverage
-    row["message"] = message or row["message"] or None
-    return row
+def _first(column: Column, other: Column) -> Column:
+    """Return a column's values, another one's where it has none."""
+    if other.is_empty:
+        return column
+    pairs = zip(column.tolist(), other.tolist(), strict=True)
+    return Column.of([second if first is None else first for first, second in pairs])
 
 
-def _spread(row: Row, name: str, value: Any) -> None:
-    if isinstance(value, dict):
-        for key, item in value.items():
-            _spread(row, _join(name, str(key)), item)
-    elif isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
-        for number, item in enumerate(value):
-            _spread(row, f"{name}[{number}]", item)
+def stack(parts: list[Part]) -> Part:
+    """Return columns one below the other, with their length; takes the parts to pieces to save memory.
+
+    Args:
+        parts: columns by name and their length.
+    """
+    length = sum(count for _, count in parts)
+    stacked: dict[str, Column] = {}
+    for name in dict.fromkeys(name for columns, _ in parts for name in columns):
+        pieces = [columns.pop(name) if name in columns else Column.missing(count) for columns, count in parts]
+        stacked[name] = Column.concatenate(pieces)
+    return stacked, length
+
+
+def spread(
+    found: dict[str, Sequence[Any]],
+    prefix: str,
+    documents: Sequence[Document | None],
+    left_out: frozenset[str] = LEFT_OUT,
+) -> None:
+    """Write nested documents, one a row, as lists of values by joined names.
+
+    Args:
+        found: gets the lists; a name that is there keeps its values where the new ones are None.
+        prefix: put in front of the names.
+        documents: JSON objects; None where a row has none.
+        left_out: names that are passed over where there is no prefix.
+    """
+    shapes = {tuple(document) for document in documents if document}
+    if len(shapes) == 1:
+        # Nearly always: the documents are turned round without a look-up for each value.
+        (names,) = shapes
+        nothing = (None,) * len(names)
+        turned = zip(*[document.values() if document else nothing for document in documents], strict=True)
+        values_by_name: dict[str, Sequence[Any]] = dict(zip(names, turned, strict=True))
     else:
-        row[sys.intern(name)] = value
+        filled = [document or _EMPTY for document in documents]
+        names = tuple(dict.fromkeys(chain(*sorted(shapes))))
+        values_by_name = {name: [document.get(name) for document in filled] for name in names}
+    for name, values in values_by_name.items():
+        if not prefix and name in left_out:
+            continue
+        if len(found) >= MAX_COLUMNS:
+            return
+        _spread_values(found, f"{prefix}.{name}" if prefix else name, values)
 
 
-@cache
-def _join(prefix: str, name: str) -> str:
-    return sys.intern(f"{prefix}.{name}")
+def _spread_values(found: dict[str, Sequence[Any]], name: str, values: Sequence[Any]) -> None:
+    types = set(map(type, values))
+    if dict in types:
+        spread(found, name, [value if type(value) is dict else None for value in values])
+        if types <= {dict, type(None)}:
+            return
+        values = [None if type(value) is dict else value for value in values]
+    if list in types:
+        values = _spread_lists(found, name, values)
+        types = set(map(type, values))
+    if types <= {type(None)}:
+        return
+    earlier = found.get(name)
+    if earlier is not None:
+        values = [old if new is None else new for old, new in zip(earlier, values, strict=True)]
+    found[name] = values
+
+
+def _spread_lists(found: dict[str, Sequence[Any]], name: str, values: Sequence[Any]) -> list[Any]:
+    """Write lists of records item by item; return what is no such list."""
+    records = [
+        value if type(value) is list and value and all(type(item) is dict for item in value) else ()
+        for value in values
+    ]
+    for number in range(min(max(map(len, records)), _MAX_ITEMS)):
+        items = [held[number] if number < len(held) else None for held in records]
+        spread(found, f"{name}[{number}]", items)
+    return [None if held or value == [] else value for held, value in zip(records, values, strict=True)]
+
+
+def _label_of_run(labels: Mapping[str, str] | None, name: str) -> int | float | str:
+    return number_or_text(labels["run"]) if labels and "run" in labels else name
 
 
 def number_or_text(text: str) -> int | float | str:
@@ -139,7 +272,3 @@ def number_or_text(text: str) -> int | float | str:
     if not _NUMBER.fullmatch(text):
         return text
     return int(text) if text.lstrip("+-").isdecimal() else float(text)
-
-
-def _time(value: datetime | None) -> str | None:
-    return value.isoformat() if value else None

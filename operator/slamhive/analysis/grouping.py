@@ -1,29 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of runs in a table of columns: what ``pivot.table`` does for rows, for 80,000 of them.
+"""Groups of runs and their figures: the one table behind commands, pages, reports and data frames.
 
-Both give the same groups and the same numbers; the tests compare them.
+Figures are over tracked runs unless asked otherwise; beside them stand the number of runs, what became of
+those that don't count, and the coverage. What must never be averaged together (algorithms, datasets,
+evaluations, settings, paces, processors, versions) becomes a key by itself where it varies.
+docs/results.md, "What counts", says the same in words.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive.analysis.columns import Column
-from slamhive.analysis.pivot import CONFIGURATION, DISTURBED, FACETS, SUBJECT, Outcomes, Summary
 from slamhive.analysis.statistics import (
     ENOUGH,
     Interval,
+    Summary,
     edges,
     mean_interval,
     median_interval,
     median_of_sorted,
     summarize,
 )
-from slamhive.model.results import Outcome
+from slamhive.model.base import Choice
+from slamhive.model.results import Outcome, Reason
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -33,10 +37,63 @@ if TYPE_CHECKING:
     from slamhive.analysis.columns import Floats, Indices, Mask
     from slamhive.analysis.frame import Frame
 
+SUBJECT = ("algorithm", "sensors", "dataset")
+"""What a setting is compared within."""
+
+FACETS = (
+    *SUBJECT,
+    "evaluation",
+    "alignment",
+    "settings",
+    "input.pace",
+    "algorithm.version",
+    "dataset.version",
+)
+"""Columns that are never pooled: they become keys where they vary."""
+
+LOAD_FACETS = ("provenance.cpuModel", "usage.includesReader")
+"""Columns that are never pooled where a figure of load is asked for."""
+
+OWNERS = {
+    "alignment": "evaluation",
+    "settings": "evaluation",
+    "algorithm.version": "algorithm",
+    "dataset.version": "dataset",
+}
+"""Facets that need not be told where they follow from another one."""
+
+LOAD = "usage."
+"""What the names of figures of load begin with."""
+
+DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
+"""Columns that say nothing where a run shared its cores with other work or was throttled."""
+
+CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
+"""What the names of settings begin with."""
+
 ERRORS = ("ate.", "rpe[", "relations.", "ateRotationDeg.")
-"""What the names of errors begin with: only they rank a failed run last."""
+"""What the names of errors begin with: they rank failed runs last, and equal trajectories have equal ones."""
+
+FAILED_OF_ITSELF = frozenset(
+    {
+        Reason.OUT_OF_MEMORY.value,
+        Reason.DEADLINE_EXCEEDED.value,
+        Reason.ALGORITHM_FAILED.value,
+        Reason.OUTPUT_TOO_LARGE.value,
+        Reason.NO_TRAJECTORY.value,
+        Reason.INVALID_TRAJECTORY.value,
+    }
+)
+"""Reasons that are the algorithm's own. What the machine or the user ended says nothing of it."""
 
 _MOST_NAMES = 6
+
+
+class Outcomes(Choice):
+    """Which runs enter the figures."""
+
+    TRACKED = "tracked"
+    ALL = "all"
 
 
 @dataclass(frozen=True)
@@ -47,7 +104,7 @@ class Figure:
         summary: of the numbers that count; None for none.
         points: the numbers themselves, where they are few.
         mean_interval, median_interval: from 10 numbers on.
-        censored: runs without a number, ranked behind all others: the failed ones.
+        censored: runs that failed, ranked behind all others.
         censored_median: median of all runs so ranked; infinite when it is a failed run.
     """
 
@@ -65,19 +122,23 @@ class Cell:
 
     Attributes:
         keys: the values that its runs share, by column.
-        runs: number of rows: runs, each once an evaluation.
-        n: number of runs that enter the figures.
-        failures: number of runs that weren't tracked, by what became of them.
-        coverage: of all evaluated runs.
+        runs: number of rows: runs, each once an evaluation; n and all failures together.
+        n: number of runs that count.
+        failures: number of runs that don't, by what became of them.
+        untracked: number of runs that count without being tracked, by what became of them.
+        coverage: of the evaluated runs, and 0 for those that failed of themselves.
         figures: by column.
+        deterministic: whether the runs that count, more than one, have the very same trajectory.
     """
 
     keys: dict[str, Any]
     runs: int
     n: int
     failures: dict[str, int]
+    untracked: dict[str, int]
     coverage: Summary | None
     figures: dict[str, Figure]
+    deterministic: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,6 +150,7 @@ class Aggregate:
         facets: those of the keys that nobody asked for.
         metrics: what was summarised.
         cells: the groups.
+        members: places of the rows of each.
         notes: sentences on what is pooled and left out.
     """
 
@@ -96,6 +158,7 @@ class Aggregate:
     facets: tuple[str, ...]
     metrics: tuple[str, ...]
     cells: list[Cell]
+    members: list[Indices]
     notes: tuple[str, ...] = field(default=())
 
 
@@ -139,6 +202,7 @@ def aggregate(
     metrics: Sequence[str],
     by: Sequence[str] | None = None,
     outcomes: Outcomes = Outcomes.TRACKED,
+    across: Sequence[str] = (),
 ) -> Aggregate:
     """Group rows and summarise metrics over each group; never pools what must not be pooled.
 
@@ -147,17 +211,25 @@ def aggregate(
         metrics: columns of numbers.
         by: columns to group by; None for algorithm, sensors, dataset and what varies between their runs.
         outcomes: which runs enter the figures.
+        across: further columns to group by, which come last.
     """
-    frame = with_facets(frame)
     changing = varying(frame)
-    asked = list(dict.fromkeys([*SUBJECT, *changing] if by is None else by))
-    facets = varying_facets(frame, asked)
+    asked = [
+        name for name in dict.fromkeys([*SUBJECT, *changing] if by is None else by) if name not in across
+    ]
+    asked += across
+    frame, facets = apart(frame, asked, metrics)
     groups = Groups(frame, [*facets, *asked])
-    material = _Material(frame, metrics, counting(frame, outcomes))
-    cells = [material.cell(rows, keys) for rows, keys in zip(groups.members(), groups.keys, strict=True)]
+    material = _Material(frame, metrics, outcomes)
+    members = list(groups.members())
+    cells = [material.cell(rows, keys) for rows, keys in zip(members, groups.keys, strict=True)]
     pooled = [name for name in changing if name not in groups.names]
     notes = [*pooling_notes(pooled), *disturbance_notes(frame, metrics)]
-    return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, tuple(notes))
+    same = sum(cell.deterministic for cell in cells)
+    if same and any(name.startswith(ERRORS) for name in metrics):
+        rows = "1 row" if same == 1 else f"{same} rows"
+        notes.append(f"{rows} with an = beside n: deterministic: one result, n equal runs")
+    return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, members, tuple(notes))
 
 
 def pooling_notes(pooled: Sequence[str]) -> list[str]:
@@ -185,6 +257,36 @@ def counting(frame: Frame, outcomes: Outcomes) -> Mask:
     if outcomes is Outcomes.ALL:
         return frame.column("outcome").present
     return where_equal(frame, "status", Outcome.TRACKED.value)
+
+
+def failing(frame: Frame, outcomes: Outcomes) -> Mask:
+    """Tell which rows failed of themselves, (n,): they rank behind all numbers.
+
+    Runs that the machine or the user ended, or that nothing measured, say nothing of the algorithm.
+    """
+    status = frame.column("status")
+    words = FAILED_OF_ITSELF
+    if outcomes is Outcomes.TRACKED:
+        words = words | {Outcome.PARTIAL.value, Outcome.LOST.value, Outcome.DIVERGED.value}
+    verdicts = np.array([value in words for value in (*status.values, None)], dtype=bool)
+    found: Mask = verdicts[status.codes]
+    return found
+
+
+def covered(frame: Frame) -> Floats:
+    """Return the coverage that each row stands for, (n,): 0 where a run failed of itself, NaN if unknown."""
+    coverage = frame.column("coverage").floats()
+    return np.where(np.isnan(coverage) & failing(frame, Outcomes.ALL), 0.0, coverage)
+
+
+def unranked_notes(frame: Frame, outcomes: Outcomes) -> list[str]:
+    """Say which runs have no rank: nobody knows what they would have come to."""
+    left = ~(counting(frame, outcomes) | failing(frame, outcomes))
+    if not left.any():
+        return []
+    status = frame.column("status")
+    words = [f"{count} {word}" for word, count in tally(status.values, status.codes[left]).items()]
+    return [f"{', '.join(words)}: no rank, as the algorithm is not to blame"]
 
 
 def where_equal(frame: Frame, name: str, value: Any) -> Mask:
@@ -215,15 +317,88 @@ def varying(frame: Frame) -> list[str]:
     return sorted(name for name in names if _differs(frame.glance(name), example))
 
 
-def varying_facets(frame: Frame, asked: Iterable[str]) -> list[str]:
-    """Return the columns that must not be pooled and that differ, but for those asked for."""
-    given = set(asked)
-    facets = [name for name in FACETS if name not in given and varies(frame, name)]
-    if "evaluation" in facets and "alignment" in facets:
-        pairs, evaluations = Groups(frame, ("evaluation", "alignment")), Groups(frame, ("evaluation",))
-        if pairs.count == evaluations.count:
-            facets.remove("alignment")
-    return facets
+def apart(frame: Frame, asked: Iterable[str], metrics: Iterable[str]) -> tuple[Frame, list[str]]:
+    """Return the rows, and the columns by which they must be kept apart beside those asked for.
+
+    A value that isn't known does not keep a row apart: where all rows like it have the same one, it takes
+    that. A missing evaluation is told apart all the same: such a run belongs to no other's.
+
+    Args:
+        frame: the rows.
+        asked: columns that tell them apart already.
+        metrics: what is asked of them.
+    """
+    given = list(dict.fromkeys(asked))
+    candidates = [*FACETS, *(LOAD_FACETS if any(name.startswith(LOAD) for name in metrics) else ())]
+    facets = [name for name in candidates if name not in given and _differ(frame, name)]
+    filled = _filled(frame, given, facets)
+    kept = []
+    for name in facets:
+        owner = OWNERS.get(name)
+        if owner is not None and (owner in facets or owner in given) and _follows(filled, name, owner):
+            continue
+        kept.append(name)
+    return filled, kept
+
+
+def _differ(frame: Frame, name: str) -> bool:
+    column = frame.column(name)
+    if name == "evaluation":
+        return varies(frame, name)
+    if column.kind.is_numeric:
+        return len(np.unique(column.numbers[column.present])) > 1
+    return len(np.unique(column.codes[column.codes >= 0])) > 1
+
+
+def _follows(frame: Frame, name: str, owner: str) -> bool:
+    return Groups(frame, (owner, name)).count == Groups(frame, (owner,)).count
+
+
+def _filled(frame: Frame, asked: Sequence[str], facets: Sequence[str]) -> Frame:
+    """Return the rows with facets that they lack taken from rows like them, where those agree."""
+    partly = [name for name in facets if name != "evaluation" and not frame.column(name).present.all()]
+    if not partly:
+        return frame
+    whole = [name for name in facets if name not in partly]
+    same = list(dict.fromkeys([*asked, *whole, "evaluation"]))
+    groups, alike = Groups(frame, [*same, *partly]), Groups(frame, same)
+    first = np.array([group[0] for group in groups.members()], dtype=np.intp)
+    values = {name: _places(frame.column(name))[first] for name in partly}
+    of_alike = alike.of_row[first]
+    taken = {name: places.copy() for name, places in values.items()}
+    members: dict[int, list[int]] = {}
+    for group, number in enumerate(of_alike.tolist()):
+        members.setdefault(number, []).append(group)
+    lacking = np.flatnonzero(np.logical_or.reduce([places < 0 for places in values.values()]))
+    for group in lacking.tolist():
+        others = np.array(members[int(of_alike[group])])
+        agree = np.ones(len(others), dtype=bool)
+        for places in values.values():
+            theirs = places[others]
+            agree &= (places[group] < 0) | (theirs < 0) | (theirs == places[group])
+        for name, places in values.items():
+            known = set(places[others[agree]].tolist()) - {-1}
+            if places[group] < 0 and len(known) == 1:
+                taken[name][group] = known.pop()
+    columns = {}
+    for name in partly:
+        codes, values_of = taken[name][groups.of_row], _values(frame.column(name))
+        columns[name] = Column.of([values_of[code] if code >= 0 else None for code in codes.tolist()])
+    return frame.replaced(columns)
+
+
+def _places(column: Column) -> npt.NDArray[np.int64]:
+    """Return the place of each value among those of a column, -1 where missing, (n,)."""
+    if not column.kind.is_numeric:
+        return column.codes.astype(np.int64)
+    uniques = np.unique(column.numbers[column.present])
+    return np.where(column.present, np.searchsorted(uniques, column.numbers), -1)
+
+
+def _values(column: Column) -> list[Any]:
+    if not column.kind.is_numeric:
+        return list(column.values)
+    return [column.plain(number) for number in np.unique(column.numbers[column.present]).tolist()]
 
 
 def varies(frame: Frame, name: str) -> bool:
@@ -239,85 +414,54 @@ def _differs(column: Column, example: Indices) -> bool:
     return not same.all()
 
 
-def with_facets(frame: Frame) -> Frame:
-    """Give failed runs the evaluations that the others have, so that they are counted beside them."""
-    outcome, evaluation = frame.column("outcome"), frame.column("evaluation")
-    orphans = ~outcome.present & ~evaluation.present
-    names = evaluation.factorized()[1] if evaluation.present.any() else []
-    names = [name for name in names if name is not None]
-    if not orphans.any() or not names:
-        return frame
-    repeats = np.where(orphans, len(names), 1)
-    rows = np.repeat(np.arange(len(frame)), repeats)
-    starts = np.cumsum(repeats) - repeats
-    turn = np.arange(len(rows)) - starts[rows]
-    grown = frame.select(rows)
-    codes = np.where(orphans[rows], turn, _codes_in(evaluation, names)[rows])
-    given = grown.replaced({"evaluation": Column.of_codes(codes, names)})
-    return given.replaced({"alignment": _alignments(given)})
-
-
-def _codes_in(column: Column, values: list[Any]) -> npt.NDArray[np.int32]:
-    places = {value: place for place, value in enumerate(values)}
-    lookup = np.array([*(places.get(value, -1) for value in column.values), -1], dtype=np.int32)
-    return lookup[column.codes]
-
-
-def _alignments(frame: Frame) -> Column:
-    """Return the alignment of each row; where missing, that of others like it if they agree.
-
-    Those are of its evaluation, algorithm and sensors, then of its evaluation and sensors, then of its
-    evaluation: an algorithm all of whose runs failed still stands beside the others.
-    """
-    alignment = frame.column("alignment")
-    if alignment.kind.is_numeric:
-        return alignment
-    codes = alignment.codes
-    have = alignment.present
-    for names in (("evaluation", "algorithm", "sensors"), ("evaluation", "sensors"), ("evaluation",)):
-        groups = Groups(frame, names)
-        low = np.full(groups.count, len(alignment.values), dtype=np.int32)
-        high = np.full(groups.count, -1, dtype=np.int32)
-        np.minimum.at(low, groups.of_row[have], alignment.codes[have])
-        np.maximum.at(high, groups.of_row[have], alignment.codes[have])
-        known = np.where(low == high, low, -1)
-        codes = np.where(codes >= 0, codes, known[groups.of_row]).astype(np.int32)
-    return Column.of_codes(codes, alignment.values)
-
-
 class _Material:
     """What cells are made of: arrays over all rows, taken out of their columns once.
 
     Args:
         frame: the rows.
         metrics: what to summarise.
-        counted: which rows enter the figures, (n,).
+        outcomes: which rows enter the figures.
     """
 
-    def __init__(self, frame: Frame, metrics: Sequence[str], counted: Mask) -> None:
+    def __init__(self, frame: Frame, metrics: Sequence[str], outcomes: Outcomes) -> None:
         status = frame.column("status")
         self._words = status.values
         self._status = status.codes
-        self._counted = counted
-        self._coverage = frame.column("coverage").floats()
+        self._counted = counting(frame, outcomes)
+        self._failed = failing(frame, outcomes)
+        self._coverage = covered(frame)
+        trajectory = frame.column("trajectory.sha256")
+        self._trajectories = None if trajectory.kind.is_numeric else trajectory.codes
         self._metrics = {
-            name: (frame.column(name).floats(), counted & sound(frame, name), name.startswith(ERRORS))
+            name: (frame.column(name).floats(), self._counted & sound(frame, name), name.startswith(ERRORS))
             for name in metrics
         }
 
     def cell(self, rows: Indices, keys: dict[str, Any]) -> Cell:
         """Return what the runs of some rows came to."""
-        coverage = self._coverage[rows]
+        coverage, counted, status = self._coverage[rows], self._counted[rows], self._status[rows]
+        untracked = tally(self._words, status[counted])
+        untracked.pop(Outcome.TRACKED.value, None)
+        same = self._are_equal(rows[counted])
         return Cell(
             keys=keys,
             runs=len(rows),
-            n=int(np.count_nonzero(self._counted[rows])),
-            failures=failures_of(self._words, self._status[rows]),
+            n=int(np.count_nonzero(counted)),
+            failures=tally(self._words, status[~counted]),
+            untracked=untracked,
             coverage=summarize(coverage[~np.isnan(coverage)]),
-            figures={name: self._figure(rows, name) for name in self._metrics},
+            figures={name: self._figure(rows, name, same=same) for name in self._metrics},
+            deterministic=same,
         )
 
-    def _figure(self, rows: Indices, name: str) -> Figure:
+    def _are_equal(self, rows: Indices) -> bool:
+        """Tell whether more than one run wrote the very same trajectory, and none another one."""
+        if self._trajectories is None or len(rows) < 2:
+            return False
+        codes = self._trajectories[rows]
+        return bool(codes[0] >= 0 and (codes == codes[0]).all())
+
+    def _figure(self, rows: Indices, name: str, *, same: bool) -> Figure:
         everywhere, counting_, is_error = self._metrics[name]
         numbers, inside = everywhere[rows], counting_[rows]
         inside &= ~np.isnan(numbers)
@@ -327,19 +471,22 @@ class _Material:
         interval = mean_interval(summary) if summary else None
         if not is_error:
             return Figure(summary, points, interval, median_interval(np.sort(values)))
-        ranked = ranked_errors(numbers, inside)
-        failed = len(rows) - len(values)
-        return Figure(summary, points, interval, median_interval(ranked), failed, median_of_sorted(ranked))
+        failed = int(np.count_nonzero(self._failed[rows]))
+        ranked = ranked_errors(numbers, inside, self._failed[rows])
+        middle = median_of_sorted(ranked) if len(ranked) else None
+        if same and summary is not None:
+            # One result, however often it came out: there is no sample that could have a spread.
+            return Figure(replace(summary, std=None), points, None, None, failed, middle)
+        return Figure(summary, points, interval, median_interval(ranked), failed, middle)
 
 
-def failures_of(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:
-    """Return how many runs failed, by what became of them; tracked ones did not."""
+def tally(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:
+    """Return how often each word occurs, by their codes, the words sorted."""
     counts = np.bincount(codes, minlength=len(words)).tolist()
-    found = {word: count for word, count in zip(words, counts, strict=True) if count}
-    found.pop(Outcome.TRACKED.value, None)
-    return dict(sorted(found.items()))
+    return dict(sorted((word, count) for word, count in zip(words, counts, strict=True) if count))
 
 
-def ranked_errors(numbers: Floats, inside: Mask) -> Floats:
-    """Return errors sorted, runs that don't count or have none as +inf behind all others."""
-    return np.sort(np.where(inside & ~np.isnan(numbers), numbers, np.inf))
+def ranked_errors(numbers: Floats, inside: Mask, failed: Mask) -> Floats:
+    """Return the errors of the runs that count, sorted, with those that failed as +inf behind all others."""
+    values = numbers[inside & ~np.isnan(numbers)]
+    return np.sort(np.concatenate([values, np.full(int(np.count_nonzero(failed)), np.inf)]))

@@ -18,15 +18,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.grouping import (
+    SUBJECT,
     Groups,
+    Outcomes,
+    apart,
     counting,
     disturbance_notes,
+    failing,
     sound,
     varying,
-    varying_facets,
-    with_facets,
 )
-from slamhive.analysis.pivot import SUBJECT, Outcomes
 from slamhive.analysis.statistics import rank_correlation
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from slamhive.analysis.columns import Floats, Indices
+    from slamhive.analysis.columns import Floats, Mask
     from slamhive.analysis.frame import Frame
 
 LEAST_RUNS = 8
@@ -101,21 +102,23 @@ def importance(
         metric: a column of numbers.
         adaptive: names of sweeps whose points were chosen by earlier results.
     """
-    frame, notes = _without(with_facets(frame), adaptive)
+    frame, notes = _without(frame, adaptive)
+    frame, facets = apart(frame, SUBJECT, [metric])
     names = [name for name in varying(frame) if not name.startswith("dataset.")][:MAX_PARAMETERS]
-    groups = Groups(frame, [*varying_facets(frame, SUBJECT), *SUBJECT])
+    groups = Groups(frame, [*facets, *SUBJECT])
     counted = counting(frame, Outcomes.TRACKED) & sound(frame, metric)
     numbers = frame.column(metric).floats()
     logarithms = np.full(len(frame), np.nan)
     positive = counted & (numbers > 0)
     logarithms[positive] = np.log(numbers[positive])
+    failed = failing(frame, Outcomes.TRACKED)
     subjects: list[Influences] = []
     small = 0
     for rows, keys in zip(groups.members(), groups.keys, strict=True):
         if int((~np.isnan(logarithms[rows])).sum()) < LEAST_RUNS:
             small += 1
         elif len(subjects) < MAX_SUBJECTS:
-            subjects.append(_subject(frame, rows, keys, names, logarithms))
+            subjects.append(_subject(frame.select(rows), keys, names, logarithms[rows], failed[rows]))
     if small:
         notes.append(f"{small} subjects with fewer than {LEAST_RUNS} tracked runs are left out")
     return subjects, [*notes, *disturbance_notes(frame, [metric])]
@@ -132,12 +135,12 @@ def _without(frame: Frame, sweeps: Collection[str]) -> tuple[Frame, list[str]]:
 
 
 def _subject(
-    frame: Frame, rows: Indices, keys: dict[str, Any], names: list[str], logarithms: Floats
+    inside: Frame, keys: dict[str, Any], names: list[str], logarithms: Floats, failing_: Mask
 ) -> Influences:
-    known = ~np.isnan(logarithms[rows])
-    values = logarithms[rows][known]
-    failed = (~known).astype(np.float64)
-    inside = frame.select(rows)
+    known = ~np.isnan(logarithms)
+    values = logarithms[known]
+    judged = known | failing_  # what the machine ended says nothing of a setting
+    failed = failing_[judged].astype(np.float64)
     codes: dict[str, npt.NDArray[np.int32]] = {}
     influences = []
     for name in names:
@@ -154,7 +157,7 @@ def _subject(
                 len(distinct),
                 explained(places[known], values),
                 rank_correlation(order, values) if ordered else None,
-                explained(places, failed),
+                explained(places[judged], failed),
             )
         )
     influences.sort(key=lambda influence: -influence.variance)
@@ -168,7 +171,7 @@ def _subject(
     interactions.sort(key=lambda interaction: -interaction.variance)
     told = sum(shares.values()) + sum(interaction.variance for interaction in interactions)
     return Influences(
-        keys, len(rows), len(values), influences, interactions[:MAX_INTERACTIONS], max(0.0, 1.0 - told)
+        keys, len(inside), len(values), influences, interactions[:MAX_INTERACTIONS], max(0.0, 1.0 - told)
     )
 
 

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS, prepare
-from slamhive.analysis.grouping import failures_of
-from slamhive.analysis.pivot import Outcomes, Summary
+from slamhive.analysis.grouping import Outcomes, tally
 from slamhive.analysis.statistics import (
     Interval,
+    Summary,
     average_ranks,
     percentiles,
     resampled_medians,
@@ -42,12 +42,12 @@ class Standing:
 
     Attributes:
         dataset: its name.
-        runs, n: runs, and those with a figure that counts.
-        failures: runs by what became of them, tracked ones left out.
-        median: of all runs, failed ones last; infinite when it is a failed one.
-        rank: among the competitors on the dataset, from 1.
+        runs, n: runs, and those that count.
+        failures: runs that don't, by what became of them.
+        median: of the figures, failed runs last; infinite when it is a failed one, NaN where none has a rank.
+        rank: among the competitors on the dataset, from 1; NaN where no run has one.
         summary: of the figures that count.
-        coverage: mean coverage of the evaluated runs.
+        coverage: mean over the evaluated runs, with 0 for those that failed of themselves.
     """
 
     dataset: Any
@@ -152,7 +152,8 @@ def _board(grid: Grid, draws: int) -> Board:
     drawn = np.full((draws, *shape), np.nan)
     for number, place in grid.members:
         ordered = grid.ranked((number, place))
-        drawn[:, number, place] = resampled_medians(ordered, draws, generator)
+        if len(ordered):
+            drawn[:, number, place] = resampled_medians(ordered, draws, generator)
     chosen = generator.integers(0, shape[1], (draws, shape[1]))
     drawn = np.take_along_axis(drawn, chosen[:, None, :], axis=2)
     scores, ratios = _scores(grid.medians[None])[0], _ratios(grid.medians[None])[0]
@@ -184,17 +185,15 @@ def _standing(grid: Grid, place: tuple[int, int], rank: float) -> Standing:
     numbers, counted = grid.numbers[rows], grid.counted[rows]
     values = numbers[counted & ~np.isnan(numbers)]
     status = grid.frame.column("status")
-    coverage = grid.frame.column("coverage").floats()[rows]
-    coverage = coverage[~np.isnan(coverage)]
     return Standing(
         dataset=grid.datasets[place[1]],
         runs=len(rows),
-        n=len(values),
-        failures=failures_of(status.values, status.codes[rows]),
+        n=int(np.count_nonzero(counted)),
+        failures=tally(status.values, status.codes[rows][~counted]),
         median=float(grid.medians[place]),
         rank=rank,
         summary=summarize(values),
-        coverage=float(coverage.mean()) if len(coverage) else None,
+        coverage=grid.mean_coverage(place),
     )
 
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from slamhive.model.base import seconds
 from slamhive.model.canonical import digest, normalize
+from slamhive.model.dataset import TruthFormat
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Alignment, EvaluationSettings
-from slamhive.model.results import Outcome, Result
+from slamhive.model.results import IntendedEvaluation, Outcome, Result
 from slamhive_eval import (
     Options,
     Relations,
@@ -33,11 +34,15 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
+    from slamhive.model.dataset import DatasetSpec
     from slamhive.model.sensors import SensorMode
     from slamhive_eval import Piece, RelationErrors
 
 SETTINGS_KEY = "settings"
 """Key of a result's values under which the hash of its settings stands."""
+
+RELATIONS = "relations"
+"""Name of the evaluation against relative poses, unless an Evaluation names it."""
 
 SEGMENTS = "segments.csv"
 """Beside a run's trajectory: when it tracked without a break, in which of its maps."""
@@ -90,6 +95,34 @@ def method(settings: EvaluationSettings, subject: Subject) -> Method:
     return _METHODS[settings.alignment]
 
 
+def intended_evaluations(
+    settings: EvaluationSettings, mode: SensorMode, dataset: DatasetSpec | None, name: str | None = None
+) -> list[IntendedEvaluation]:
+    """Return what a run is meant to be measured by: one evaluation, none where nothing can measure it.
+
+    It is recorded with each run, so that one that fails counts in the evaluation that it would have had and
+    in no other.
+
+    Args:
+        settings: how runs are measured.
+        mode: the run's sensor mode.
+        dataset: its dataset; None when that isn't known any more.
+        name: the evaluation's name; default: the alignment.
+    """
+    alignment: Method = "se3" if mode.has_scale else "sim3"
+    if settings.alignment is not Alignment.AUTO:
+        alignment = _METHODS[settings.alignment]
+    usual: str = alignment
+    if dataset is not None:
+        truth = dataset.ground_truth
+        if truth is None and dataset.recording.synthetic is None:
+            return []
+        if truth is not None and truth.format is TruthFormat.RELATIONS:
+            alignment, usual = "none", RELATIONS
+    hashed = settings_hash(settings)
+    return [IntendedEvaluation(evaluation=name or usual, alignment=alignment, settings=hashed)]
+
+
 def settings_hash(settings: EvaluationSettings) -> str:
     """Return what tells apart settings that may give different results."""
     return digest(normalize(EvaluationSettings.as_json(settings)))[:16]
@@ -120,7 +153,7 @@ def measure(
         EvaluationError: no pose is in a piece.
     """
     if isinstance(reference, Relations):
-        name = name or "relations"
+        name = name or RELATIONS
         return _measure_relations(reference, estimate, settings, subject, name, pieces=pieces)
     alignment = method(settings, subject)
     options = Options(

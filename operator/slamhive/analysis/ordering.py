@@ -5,10 +5,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
+
+    from slamhive.analysis.columns import Floats, Indices
+    from slamhive.analysis.frame import Frame
 
 T = TypeVar("T")
+
+UNIQUE = ("id", "evaluation")
+"""What every order ends with, so that no two rows are equal in it."""
 
 
 def sort_key(value: Any) -> tuple[int, float, str]:
@@ -34,3 +42,25 @@ def order_by(items: Iterable[T], columns: Iterable[str], get: Callable[[T, str],
         present.sort(key=lambda item: sort_key(get(item, name)), reverse=column.startswith("-"))
         found = present + absent
     return found
+
+
+def order_rows(frame: Frame, sort: Sequence[str]) -> Indices:
+    """Return the places of the rows in the order of some columns.
+
+    Args:
+        frame: the rows.
+        sort: names; a dash before one turns its order round. What is missing comes last either way.
+    """
+    keys = [direction(frame, name) for name in complete(sort)]
+    return np.lexsort(keys[::-1])
+
+
+def complete(sort: Sequence[str]) -> list[str]:
+    """Return the columns of an order, with those that leave no two rows equal in it."""
+    return [*sort, *UNIQUE]
+
+
+def direction(frame: Frame, name: str) -> Floats:
+    """Return numbers, (n,), in the order of a column, turned round by a dash; +inf where missing."""
+    ranks = frame.column(name.removeprefix("-")).ranks()
+    return np.where(np.isinf(ranks), np.inf, -ranks) if name.startswith("-") else ranks

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS, prepare
-from slamhive.analysis.grouping import failures_of, sound
-from slamhive.analysis.pivot import Outcomes
+from slamhive.analysis.grouping import Outcomes, sound, tally
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,8 +29,8 @@ class Spot:
         x_range, y_range: smallest and largest of the runs that count.
         front: whether no other competitor is at least as good in both and better in one.
         runs, n: runs, and those that count.
-        failures: runs by what became of them.
-        coverage: mean coverage of the evaluated runs.
+        failures: runs that don't, by what became of them.
+        coverage: mean over the evaluated runs, with 0 for those that failed of themselves.
     """
 
     keys: dict[str, Any]
@@ -70,7 +69,7 @@ def pareto(
         by: columns that tell competitors apart.
         outcomes: which runs have a figure that counts.
     """
-    found = prepare(frame, [y, x], by, outcomes, apart=True)
+    found = prepare(frame, [y, x], by, outcomes, by_dataset=True)
     return [_front(grid, x) for grid in found.grids], found.notes
 
 
@@ -89,8 +88,7 @@ def _spot(grid: Grid, place: tuple[int, int], costs: Floats) -> Spot:
     cost = costs[rows]
     # What a run costs is known even where it failed, but then it says nothing of the algorithm.
     cost = cost[inside & ~np.isnan(cost)]
-    coverage = grid.frame.column("coverage").floats()[rows]
-    coverage = coverage[~np.isnan(coverage)]
+    coverage = grid.mean_coverage(place)
     status = grid.frame.column("status")
     return Spot(
         keys=grid.competitors[place[0]],
@@ -100,9 +98,9 @@ def _spot(grid: Grid, place: tuple[int, int], costs: Floats) -> Spot:
         y_range=_range(errors[inside]),
         front=False,
         runs=len(rows),
-        n=int(inside.sum()),
-        failures=failures_of(status.values, status.codes[rows]),
-        coverage=float(coverage.mean()) if len(coverage) else np.nan,
+        n=int(np.count_nonzero(grid.counted[rows])),
+        failures=tally(status.values, status.codes[rows][~grid.counted[rows]]),
+        coverage=np.nan if coverage is None else coverage,
     )
 
 

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.grouping import (
+    ERRORS,
+    SUBJECT,
     Cell,
     Groups,
+    Outcomes,
     aggregate,
+    apart,
     pooling_notes,
     varying,
-    varying_facets,
-    with_facets,
 )
-from slamhive.analysis.pivot import SUBJECT, Outcomes
 
 if TYPE_CHECKING:
     from slamhive.analysis.columns import Floats
@@ -40,7 +41,7 @@ class Repetitions:
     Attributes:
         cell: what they came to.
         distinct: number of different trajectories, equal ones counted once; 0 when none is known.
-        figures: numbers of different trajectories alone, (k,).
+        figures: the numbers, (k,); errors of different trajectories alone.
         relative_spread: standard deviation over mean of those; None below 2.
     """
 
@@ -52,9 +53,9 @@ class Repetitions:
     @property
     def verdict(self) -> str:
         """What it means, in a sentence."""
-        if self.distinct == 1 and not self.cell.failures:
-            return f"the same trajectory {self.cell.n} times: deterministic so far, and one sample alone"
         parts = []
+        if self.cell.deterministic:
+            parts.append(f"deterministic: one result, {self.cell.n} equal runs")
         if self.relative_spread is not None:
             word = "repeatable" if self.relative_spread <= _SAME else "varies"
             parts.append(f"{word}: {100 * self.relative_spread:.2g} % around the mean")
@@ -70,10 +71,10 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
         frame: one row a run and evaluation.
         metric: a column of numbers.
     """
-    frame = with_facets(frame)
     changing = varying(frame)
     keys = [*SUBJECT, *(name for name in changing if not name.startswith("dataset.attributes."))]
-    all_of_them = Groups(frame, [*varying_facets(frame, keys), *keys])
+    frame, facets = apart(frame, keys, [metric])
+    all_of_them = Groups(frame, [*facets, *keys])
     counts = np.bincount(all_of_them.of_row, minlength=all_of_them.count)
     alone = int((counts == 1).sum())
     notes = pooling_notes([name for name in changing if name not in all_of_them.names])
@@ -82,15 +83,15 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
         notes = [*notes, f"{alone} {ran} ran once: a single run says nothing of repeatability"]
     frame = frame.select(counts[all_of_them.of_row] > 1)
     found = aggregate(frame, [metric], keys)
-    groups = Groups(frame, found.keys)
     numbers = frame.column(metric).floats()
     trajectories = frame.column("trajectory.sha256")
     counted = frame.column("status")
     repetitions = []
-    for cell, rows in zip(found.cells, groups.members(), strict=True):
+    for cell, rows in zip(found.cells, found.members, strict=True):
         tracked = np.array([counted.values[code] == "Tracked" for code in counted.codes[rows]], dtype=bool)
         inside = rows[tracked & ~np.isnan(numbers[rows])]
-        hashes = np.full(len(inside), -1) if trajectories.kind.is_numeric else trajectories.codes[inside]
+        unnamed = trajectories.kind.is_numeric or not metric.startswith(ERRORS)
+        hashes = np.full(len(inside), -1) if unnamed else trajectories.codes[inside]
         _, firsts = np.unique(hashes, return_index=True)
         unknown = np.flatnonzero(hashes < 0)
         kept = np.union1d(firsts[hashes[firsts] >= 0], unknown).astype(np.intp)
@@ -141,7 +142,7 @@ def suspects(frame: Frame) -> list[Suspect]:
     if not len(inside):
         return []
     numbers = inside.column("scale").floats()
-    facets = [name for name in varying_facets(inside, SUBJECT) if name == "evaluation"]
+    facets = [name for name in apart(inside, SUBJECT, ())[1] if name == "evaluation"]
     alone = _suspects_by(inside, numbers, [*SUBJECT, *facets])
     known = {(item.keys["algorithm"], item.keys["sensors"]) for item in alone}
     # With few runs a dataset, all datasets together may tell.

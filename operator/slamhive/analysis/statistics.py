@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.analysis.pivot import Summary
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -32,6 +30,25 @@ _FLIPS = 20_000
 
 
 @dataclass(frozen=True)
+class Summary:
+    """Some numbers in short.
+
+    Attributes:
+        n: how many.
+        mean: arithmetic mean.
+        std: standard deviation of the sample (n − 1 in the denominator), None for one number.
+        median, min, max: as their names say.
+    """
+
+    n: int
+    mean: float
+    std: float | None
+    median: float
+    min: float
+    max: float
+
+
+@dataclass(frozen=True)
 class Interval:
     """Where a figure lies with 95 % confidence.
 
@@ -46,7 +63,7 @@ class Interval:
 
 
 def summarize(values: Floats) -> Summary | None:
-    """Return the ``Summary`` of finite numbers, (n,), as ``Summary.of`` but fast for many."""
+    """Return the summary of finite numbers, (n,), None for none; sums are exact before the last rounding."""
     count = len(values)
     if not count:
         return None

@@ -6,7 +6,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Self
 
-from sqlalchemy import Table, case, delete, exists, func, literal, select, update
+from sqlalchemy import Table, case, delete, exists, func, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from slamhive.archive import schema
@@ -24,7 +24,7 @@ from slamhive.archive.records import (
     to_result,
 )
 from slamhive.model.errors import UnknownNameError
-from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
+from slamhive.model.results import IntendedEvaluation, Outcome, Phase, Reason, Result, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -35,7 +35,19 @@ if TYPE_CHECKING:
 BATCH = 500
 """Runs read or written at a time."""
 
-FILTERS = ("uid", "name", "sweep", "algorithm", "dataset", "sensors", "pace", "phase", "reason", "outcome")
+FILTERS = (
+    "uid",
+    "name",
+    "sweep",
+    "sweep_uid",
+    "algorithm",
+    "dataset",
+    "sensors",
+    "pace",
+    "phase",
+    "reason",
+    "outcome",
+)
 """What ``runs`` and ``count`` can select by; everything else is the analysis' business."""
 
 _CATALOG = {"Algorithm": schema.algorithms, "Dataset": schema.datasets}
@@ -138,66 +150,32 @@ class Archive:
         with writing(self._engine) as connection:
             return connection.execute(delete(schema.runs).where(schema.runs.c.uid == uid)).rowcount > 0
 
-    def set_aside(self, sweep: str, kept: str) -> int:
-        """Give the runs of an earlier version of a sweep another sweep name, ``NAME@`` and 8 digits.
+    def put_evaluations(self, uid: str, evaluations: Iterable[IntendedEvaluation]) -> None:
+        """Add evaluations that a run is meant to be measured by, in the place of earlier ones of their names.
 
-        Those of the present version that were set aside before come back. Runs that were fetched from a
-        cluster stay together: their digits are those of the Sweep's UID there, as when they are fetched after
-        this.
-
-        Args:
-            sweep: name of the sweep.
-            kept: what the UIDs of the runs of its present version begin with.
-
-        Returns:
-            How many runs were set aside.
+        Raises:
+            UnknownNameError: no run has this UID.
         """
-        runs, sweeps = schema.runs.c, schema.sweeps.c
-        others = (runs.sweep == sweep, func.substr(runs.uid, 1, len(kept)) != kept)
-        fetched = (
-            select(sweeps.uid)
-            .where(sweeps.name == sweep, _is_of_a_cluster(sweeps.uid))
-            .order_by(sweeps.created.desc())
-            .limit(1)
-        )
-        change = (
-            update(schema.runs)
-            .where(*others)
-            .values(sweep=literal(f"{sweep}@") + func.substr(runs.uid, 1, 8))
-        )
-        back = (
-            update(schema.runs)
-            .where(runs.sweep == f"{sweep}@{kept[:8]}", func.substr(runs.uid, 1, len(kept)) == kept)
-            .values(sweep=sweep)
-        )
-        with writing(self._engine) as connection:
-            connection.execute(back)
-            count = 0
-            if (owner := connection.execute(fetched).scalar()) is not None:
-                aside = f"{sweep}@{owner[:8]}"
-                theirs = update(schema.runs).where(*others, _is_of_a_cluster(runs.uid)).values(sweep=aside)
-                count = connection.execute(theirs).rowcount
-                named = update(schema.sweeps).where(sweeps.name == sweep, sweeps.uid == owner)
-                connection.execute(named.values(name=aside))
-            return count + connection.execute(change).rowcount
-
-    def retire(self, sweep: str, uid: str) -> int:
-        """Give the runs of earlier sweeps of a name the name ``NAME@`` and 8 digits of that sweep's UID.
-
-        Args:
-            sweep: name of the sweep.
-            uid: UID of the one that keeps the name.
-
-        Returns:
-            How many runs were renamed.
-        """
-        earlier = self.sweep(sweep)
-        if earlier is None or earlier.uid == uid:
-            return 0
         runs = schema.runs.c
-        change = update(schema.runs).where(runs.sweep == sweep).values(sweep=f"{sweep}@{earlier.uid[:8]}")
         with writing(self._engine) as connection:
-            return connection.execute(change).rowcount
+            found = connection.execute(select(runs.evaluations).where(runs.uid == uid)).one_or_none()
+            if found is None:
+                raise UnknownNameError("run UID", uid, [], f"archive {self.location}")
+            known = {item["evaluation"]: item for item in found[0]}
+            wanted = known | {one.evaluation: clean(one.as_json()) for one in evaluations}
+            change = update(schema.runs).where(runs.uid == uid)
+            connection.execute(change.values(evaluations=list(wanted.values())))
+
+    def rename_run(self, record: RunRecord, uid: str) -> None:
+        """Write a record in the place of the run of another UID, which thereby is called otherwise.
+
+        Args:
+            record: what is to stand there.
+            uid: what the run was called so far.
+        """
+        row = run_row(record)
+        with writing(self._engine) as connection:
+            connection.execute(update(schema.runs).where(schema.runs.c.uid == uid).values(**row))
 
     def get(self, uid: str) -> RunRecord | None:
         """Return a run by its UID."""
@@ -242,8 +220,12 @@ class Archive:
         with reading(self._engine) as connection:
             return connection.execute(query).scalar_one()
 
-    def finished(self, sweep: str) -> dict[str, FinishedPoint]:
-        """Return what became of the finished runs of a sweep, by UID."""
+    def finished(self, sweep_uid: str) -> dict[str, FinishedPoint]:
+        """Return what became of the finished runs of a sweep, by UID.
+
+        Args:
+            sweep_uid: the sweep's identity; two sweeps may have one name.
+        """
         runs, results = schema.runs.c, schema.results.c
         query = (
             select(
@@ -251,7 +233,7 @@ class Archive:
                 *(results.evaluation, results.outcome),
             )
             .select_from(schema.runs.outerjoin(schema.results))
-            .where(runs.sweep == sweep, runs.phase.in_(_FINISHED))
+            .where(runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED))
             .order_by(runs.id)
         )
         found: dict[str, FinishedPoint] = {}
@@ -264,25 +246,20 @@ class Archive:
                     found[uid].outcomes[evaluation] = Outcome(outcome)
         return found
 
-    def finished_uids(self, sweep: str) -> set[str]:
-        """Return the UIDs of the finished runs of a sweep."""
-        runs = schema.runs.c
-        query = select(runs.uid).where(runs.sweep == sweep, runs.phase.in_(_FINISHED))
-        with reading(self._engine) as connection:
-            return set(connection.execute(query).scalars())
-
-    def cpu_seconds(self, sweep: str) -> float:
+    def cpu_seconds(self, sweep_uid: str) -> float:
         """Return the CPU time of a sweep's finished runs in s, those left out that took over a result."""
         runs = schema.runs.c
-        query = select(func.sum(runs.cpu_seconds)).where(runs.sweep == sweep, runs.reused_from.is_(None))
+        query = select(func.sum(runs.cpu_seconds)).where(
+            runs.sweep_uid == sweep_uid, runs.reused_from.is_(None)
+        )
         with reading(self._engine) as connection:
             return float(connection.execute(query).scalar() or 0.0)
 
-    def totals(self, sweep: str, without: Iterable[str] = ()) -> Totals:
+    def totals(self, sweep_uid: str, without: Iterable[str] = ()) -> Totals:
         """Return sums over the finished runs of a sweep.
 
         Args:
-            sweep: name of the sweep.
+            sweep_uid: the sweep's identity.
             without: UIDs of runs to leave out, at most some thousands.
         """
         runs, results = schema.runs.c, schema.results.c
@@ -293,7 +270,7 @@ class Archive:
             func.sum(case((computed, 0), else_=1)),
             func.sum(case((evaluated, 1), else_=0)),
             func.sum(case((computed, runs.cpu_seconds))),
-        ).where(runs.sweep == sweep, runs.phase.in_(_FINISHED), runs.uid.not_in(list(without)))
+        ).where(runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED), runs.uid.not_in(list(without)))
         with reading(self._engine) as connection:
             count, reused, measured, cpu = connection.execute(query).one()
         return Totals(count, int(reused or 0), int(measured or 0), float(cpu or 0.0))
@@ -321,9 +298,13 @@ class Archive:
             rows, found = _fetch(connection, query)
         return to_record(rows[0], found.get(rows[0]["id"], [])) if rows else None
 
-    def sweep(self, name: str) -> SweepRecord | None:
-        """Return the sweep of a name, the latest one of several."""
-        return next((sweep for sweep in reversed(self.sweeps()) if sweep.name == name), None)
+    def sweep(
+        self, name: str, *, namespace: str | None = None, cluster: str | None = None
+    ) -> SweepRecord | None:
+        """Return the sweep of a name in its place, the latest one of several; no place is a workstation."""
+        place = (name, namespace, cluster)
+        found = (one for one in reversed(self.sweeps()) if (one.name, one.namespace, one.cluster) == place)
+        return next(found, None)
 
     def sweeps(self) -> list[SweepRecord]:
         """Return all sweeps in the order of their creation."""
@@ -398,11 +379,6 @@ class Archive:
         """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""
         dialect = postgresql if self._engine.dialect.name == "postgresql" else sqlite
         return dialect.insert(table)
-
-
-def _is_of_a_cluster(uid: ColumnElement[str]) -> ColumnElement[bool]:
-    """Tell whether a UID is one of Kubernetes': a UUID, whose dash no digest of a workstation has there."""
-    return func.substr(uid, 9, 1) == "-"
 
 
 def _conditions(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import Connection, Engine, create_engine, event, exc, insert, inspect, select, text, update
 from sqlalchemy.engine import URL, make_url
 
-from slamhive.archive import schema
+from slamhive.archive import migrations, schema
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def _prepare(engine: Engine, name: str) -> None:
 
 def _migrate(connection: Connection, found: int, name: str) -> None:
     for version in range(found, schema.VERSION):
-        step = schema.MIGRATIONS.get(version)
+        step = migrations.STEPS.get(version)
         if step is None:
             raise SlamHiveError(f"archive {name}: schema {version} can't be brought to {schema.VERSION}")
         step(connection)

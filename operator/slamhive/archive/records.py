@@ -22,10 +22,12 @@ if TYPE_CHECKING:
 
 
 class SweepRecord(Model):
-    """A sweep as it was asked for.
+    """A version of a sweep as it was asked for.
 
     Attributes:
         evaluation: the settings its runs are measured by.
+        created: when it was last asked for: of the sweeps of a name, the latest is the current one.
+        namespace, cluster: where; None on a workstation.
     """
 
     uid: str
@@ -34,6 +36,8 @@ class SweepRecord(Model):
     spec: dict[str, Any]
     evaluation: dict[str, Any] | None = None
     created: datetime | None = None
+    namespace: str | None = None
+    cluster: str | None = None
 
 
 class CatalogEntry(Model):
@@ -109,14 +113,18 @@ def clean_text(text: str) -> str:
     return text.replace("\0", "").encode("utf-8", "replace").decode("utf-8")
 
 
+_SAME = ("uid", "name", "sweep", "sweep_uid", "namespace", "cluster")
+
+
 def run_row(record: RunRecord) -> dict[str, Any]:
     """Return a run's columns, without those of its results and of the catalog."""
     spec, usage = record.spec, record.usage
     row: dict[str, Any] = {
         name: getattr(record, name)
-        for name in ("uid", "name", "sweep", "message", "attempts", "created", "started", "finished")
+        for name in (*_SAME, "message", "attempts", "created", "started", "finished")
     }
     row |= {
+        "evaluations": [one.as_json() for one in record.evaluations],
         "point": record.index,
         "algorithm": _ref(spec, "algorithmRef"),
         "dataset": _ref(spec, "datasetRef"),
@@ -178,7 +186,7 @@ def _number(value: Any) -> float | None:
 
 def to_record(run: Mapping[str, Any], results: Iterable[Result]) -> RunRecord:
     """Return the record of a row of ``runs``."""
-    fields = ("uid", "name", "sweep", "message", "attempts", "created", "started", "finished")
+    fields = (*_SAME, "message", "attempts", "created", "started", "finished", "evaluations")
     return RunRecord.model_validate(
         {name: run[name] for name in fields}
         | {

@@ -4,7 +4,7 @@
 ::
 
     runs ──< results        one row a run (by uid), one a run and evaluation
-    sweeps                  what was asked for
+    sweeps                  what was asked for, one row a version of a sweep; runs name theirs by sweep_uid
     algorithms, datasets    the catalog as it was, by name and content hash; runs point to both
 """
 
@@ -31,15 +31,10 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import JSONB
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from sqlalchemy import Dialect
 
-    from sqlalchemy import Connection, Dialect
-
-VERSION = 1
-"""Version of the tables below; a change to them adds one and a step to MIGRATIONS."""
-
-MIGRATIONS: dict[int, Callable[[Connection], None]] = {}
-"""By version: how tables of that version become those of the next."""
+VERSION = 2
+"""Version of the tables below; a change to them adds one and a step to ``migrations.STEPS``."""
 
 metadata = MetaData()
 _Json = JSON(none_as_null=True).with_variant(JSONB(none_as_null=True), "postgresql")
@@ -91,6 +86,8 @@ sweeps = Table(
     Column("spec", _Json, nullable=False),
     Column("evaluation", _Json),
     Column("created", UtcDateTime),
+    Column("namespace", String(253)),
+    Column("cluster", String(253)),
 )
 
 runs = Table(
@@ -135,7 +132,12 @@ runs = Table(
     Column("provenance", _Json, nullable=False),
     Column("folder", Text),
     Column("log_tail", Text),
+    Column("sweep_uid", String(253)),
+    Column("namespace", String(253)),
+    Column("cluster", String(253)),
+    Column("evaluations", _Json, nullable=False, server_default="[]"),
     Index("runs_of_sweep", "sweep", "phase"),
+    Index("runs_of_sweep_uid", "sweep_uid", "phase"),
     sqlite_autoincrement=True,
 )
 

@@ -12,14 +12,14 @@ import typer
 from rich.progress import track
 from typer.core import TyperGroup
 
-from slamhive.analysis.measuring import Subject, measure, method
+from slamhive.analysis.measuring import Subject, intended_evaluations, measure, method
 from slamhive.archive import Archive, CatalogEntry, SweepRecord
 from slamhive.cli.console import FAILED, complain, err, out, plural
 from slamhive.data import slamhive1
 from slamhive.local.home import Home
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.evaluation import Alignment, EvaluationSettings
-from slamhive.model.results import Phase, Reason, RunRecord, TrajectoryInfo
+from slamhive.model.results import IntendedEvaluation, Phase, Reason, RunRecord, TrajectoryInfo
 from slamhive.model.sensors import SensorMode
 from slamhive_eval import EvaluationError
 
@@ -143,7 +143,7 @@ class SlamHiveImporter:
         self._archive = archive
         self._truth = truth
         self._settings = settings
-        self._known = {record.uid: record for record in archive.runs(sweep=slamhive1.SOURCE)}
+        self._known = {record.uid: record for record in archive.runs({"sweep_uid": slamhive1.SOURCE})}
         self._repetitions: dict[str, set[int]] = {}
         for record in self._known.values():
             taken = self._repetitions.setdefault(record.provenance.spec_hash or "", set())
@@ -174,7 +174,9 @@ class SlamHiveImporter:
         subject = Subject(run.sensors)
         evaluation = method(self._settings, subject)
         known = self._known.get(run.uid)
+        intended = intended_evaluations(self._settings, run.sensors, None)
         if known is not None:
+            self._archive.put_evaluations(run.uid, intended)
             done = [result for result in known.results if result.evaluation == evaluation]
             if known.phase is not Phase.SUCCEEDED or done:
                 report.unchanged += 1
@@ -184,7 +186,7 @@ class SlamHiveImporter:
         try:
             estimate = run.read_trajectory()
         except EvaluationError as error:
-            return self._keep_failed(run, str(error), report)
+            return self._keep_failed(run, intended, str(error), report)
         result = measure(reference, estimate, self._settings, subject)
         report.outcomes[result.outcome.value] += 1
         report.evaluated += 1
@@ -193,13 +195,20 @@ class SlamHiveImporter:
             return None
         record = self._new_record(run)
         info = _trajectory_info(estimate, run.trajectory_sha256 or "")
-        self._put(run, record.replace(trajectory=info, results=[result]), report)
+        self._put(run, record.replace(trajectory=info, evaluations=intended, results=[result]), report)
         return None
 
-    def _keep_failed(self, run: slamhive1.OriginalRun, problem: str, report: Report) -> str:
+    def _keep_failed(
+        self,
+        run: slamhive1.OriginalRun,
+        intended: list[IntendedEvaluation],
+        problem: str,
+        report: Report,
+    ) -> str:
         reason = Reason.NO_TRAJECTORY if run.trajectory_is_empty else Reason.INVALID_TRAJECTORY
         message = f"{problem}; kept as a failed run ({reason})"
-        record = self._new_record(run).replace(phase=Phase.FAILED, reason=reason, message=message)
+        ended = {"phase": Phase.FAILED, "reason": reason, "message": message}
+        record = self._new_record(run).replace(**ended, evaluations=intended)
         self._put(run, record, report)
         return message
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import typer
 
 from slamhive import __version__
-from slamhive.analysis import Metric, Outcomes
+from slamhive.analysis import Metric, Outcomes, Selection, choose
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.cli.console import remark
 from slamhive.local.home import Home
@@ -24,8 +25,8 @@ from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
 from slamhive.reporting.presets import Preset, preset
 from slamhive.reporting.questions import parse_question, usual_questions
-from slamhive.reporting.reading import Selection, read_archive, revision, select
 from slamhive.reporting.writing import csv_text
+from slamhive.tables.reading import read_archive, revision
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,6 +44,9 @@ Sweeps = Annotated[
 ]
 EvaluationName = Annotated[
     str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as se3 or sim3.")
+]
+Superseded = Annotated[
+    bool, typer.Option("--superseded", help="Results of earlier versions too: of an edited algorithm, …")
 ]
 Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to a file.")]
 
@@ -85,15 +89,14 @@ def report(
     where: Where = None,
     sweep: Sweeps = None,
     evaluation: EvaluationName = None,
+    superseded: Superseded = False,
 ) -> None:
     """Write one HTML page that needs nothing else: leaderboard, comparison, charts, every run.
 
     Example: slamhive report --analysis input.frameRate:usage.cpu.meanCores -o report.html
     """
-    selection = _selection(sweep, evaluation, where)
-    frame = select(read_archive(Home.from_environment().archive_url), selection, failed_everywhere=True)
-    if not len(frame):
-        raise InputError("no run is meant: there is nothing to report")
+    selection = _selection(sweep, evaluation, where, superseded=superseded)
+    frame, notes = _choose(selection, "there is nothing to report")
     metric = metric or next((name for name in RANKED_BY if not frame.column(name).is_empty), RANKED_BY[0])
     for field, names in (("--metric", [metric]), ("--cost", cost or []), ("--by", _names(by, ""))):
         frame.require(names, field)
@@ -113,6 +116,7 @@ def report(
         costs=tuple(cost or ()),
         questions=tuple(questions),
         filters=tuple(selection.sentences),
+        notes=notes,
     )
     page = report_html(frame, contents)
     _write(page, None if str(output) == "-" else output)
@@ -164,6 +168,7 @@ def paper_table(
     where: Where = None,
     sweep: Sweeps = None,
     evaluation: EvaluationName = None,
+    superseded: Superseded = False,
     form: Annotated[TableFormat, typer.Option("--format", help="latex or csv.")] = TableFormat.LATEX,
     output: Output = None,
 ) -> None:
@@ -181,16 +186,15 @@ def paper_table(
         spread=spread,
         best=best,
     )
-    selection = _selection(sweep, evaluation, where, given)
-    frame = select(read_archive(Home.from_environment().archive_url), selection, failed_everywhere=True)
-    if not len(frame):
-        raise InputError("no run is meant: there is nothing to make a table of")
+    selection = _selection(sweep, evaluation, where, given, superseded=superseded)
+    frame, left_out = _choose(selection, "there is nothing to make a table of")
     frame.require(layout.rows, "--rows")
     frame.require(layout.columns, "--columns")
     names = [one.column for one in layout.metrics]
     frame.require(names, "--metric")
     _check_numbers(frame, names, "--metric")
     table = make_table(frame, layout)
+    table = replace(table, notes=(*left_out, *table.notes))
     if form is TableFormat.CSV:
         _write(csv_text(flat(table)), output)
         return
@@ -205,12 +209,30 @@ def paper_table(
 
 
 def _selection(
-    sweep: list[str] | None, evaluation: str | None, where: str | None, given: Preset | None = None
+    sweep: list[str] | None,
+    evaluation: str | None,
+    where: str | None,
+    given: Preset | None = None,
+    *,
+    superseded: bool,
 ) -> Selection:
     conditions = [text for text in (given.where if given else None, where) if text and text.strip()]
     both = " and ".join(f"({text})" for text in conditions) if len(conditions) > 1 else "".join(conditions)
     chosen = evaluation if evaluation is not None else given.evaluation if given else None
-    return Selection(tuple(sweep or ()), chosen, both or None, "--")
+    return Selection(tuple(sweep or ()), chosen, both or None, superseded=superseded, option="--")
+
+
+def _choose(selection: Selection, otherwise: str) -> tuple[Frame, tuple[str, ...]]:
+    """Return the rows that are meant, and sentences on what is left out.
+
+    Raises:
+        InputError: there are none.
+    """
+    home = Home.from_environment()
+    chosen = choose(read_archive(home.archive_url, home.path / "cache"), selection)
+    if not len(chosen.frame):
+        raise InputError("; ".join(chosen.notes) or f"no run is meant: {otherwise}")
+    return chosen.frame, chosen.notes
 
 
 def _names(text: str | None, default: str) -> tuple[str, ...]:

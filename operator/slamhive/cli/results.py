@@ -11,30 +11,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slamhive.analysis import Metric, Outcomes, columns_of, compile_where, flatten, order_by, table
+from slamhive.analysis.flattening import Results, columns_of_runs
+from slamhive.analysis.frame import Frame
+from slamhive.analysis.grouping import Outcomes, aggregate, where_equal
+from slamhive.analysis.metrics import Metric
+from slamhive.analysis.ordering import order_by, order_rows
+from slamhive.analysis.selection import Chosen, Selection, choose
 from slamhive.archive import Archive
+from slamhive.archive.connection import connect
+from slamhive.archive.records import run_row
 from slamhive.cli.console import out, remark
-from slamhive.cli.tables import (
-    Format,
-    cell,
-    constants,
-    implied,
-    key_text,
-    pivot_lines,
-    pivot_rows,
-    show,
-    write_csv,
-    write_json,
-    write_markdown,
-)
+from slamhive.cli.tables import Format, show, write_csv, write_json, write_markdown
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.tables.reading import read_archive
+from slamhive.tables.text import constants, flat_cells, implied, key_text, table_lines, value_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from typing import TextIO
 
-    from slamhive.analysis import Group, PivotTable
+    from slamhive.analysis.grouping import Aggregate, Cell
     from slamhive.model.results import Result, RunRecord
 
     Row = dict[str, Any]
@@ -65,6 +62,9 @@ Sort = Annotated[
 Columns = Annotated[
     str | None, typer.Option(metavar="COLUMN,…", help="What to show, each as COLUMN[:UNIT][:.3f].")
 ]
+Superseded = Annotated[
+    bool, typer.Option("--superseded", help="Results of earlier versions too: of an edited algorithm, …")
+]
 Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to a file.")]
 
 
@@ -76,28 +76,30 @@ def list_results(
     evaluation: EvaluationName = None,
     sort: Sort = None,
     columns: Columns = None,
+    superseded: Superseded = False,
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
 ) -> None:
     """List runs with their results, one line a run and evaluation.
 
     Example: slamhive results list --where "outcome != 'Tracked'" --sort=-coverage
     """
-    with _archive() as archive:
-        rows, known = _select(archive, sweep, evaluation, where)
-        location = archive.location
+    found = _select(
+        Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=True, option="--")
+    )
+    frame = found.frame
     shown = [Metric.parse(name) for name in _names(columns) or LIST_COLUMNS]
-    _check_columns([metric.column for metric in shown], known)
-    rows = _sorted(rows, sort, known)
     names = [metric.column for metric in shown]
+    frame.require(names)
+    rows = _sorted(frame, sort).records(names)
     match form:
         case Format.JSON:
-            write_json(sys.stdout, ({name: row.get(name) for name in names} for row in rows))
+            write_json(sys.stdout, rows)
         case Format.CSV:
             write_csv(sys.stdout, names, rows)
         case _:
-            lines = [[cell(metric, row.get(metric.column)) for metric in shown] for row in rows]
+            lines = [[value_text(metric, row[metric.column]) for metric in shown] for row in rows]
             _print(form, [metric.title for metric in shown], lines)
-            _remark_empty(rows, location)
+            _remark(found)
 
 
 @app.command("show")
@@ -113,7 +115,7 @@ def show_run(
     with _archive() as archive:
         records = _find(archive, run)
     for record in records:
-        rows = flatten(record)
+        rows = _rows_of(record)
         if as_json:
             write_json(sys.stdout, rows)
             continue
@@ -140,6 +142,7 @@ def show_table(
     sweep: SweepName = None,
     evaluation: EvaluationName = None,
     sort: Sort = None,
+    superseded: Superseded = False,
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
 ) -> None:
     """Average over repetitions: mean ± standard deviation (n − 1), coverage, n, and what failed.
@@ -148,34 +151,31 @@ def show_table(
 
     Example: slamhive results table --rows parameters.nFeatures -m ate.rmse:cm:.3f -m usage.cpu.meanCores
     """
-    with _archive() as archive:
-        selected, known = _select(archive, sweep, evaluation, where)
-        location = archive.location
-    metrics = [Metric.parse(text) for text in metric or _usual_metrics(selected, known)]
-    by, across = _names(rows), _names(columns)
-    _check_columns([*(one.column for one in metrics), *(by or ()), *(across or ())], known)
-    found = table(selected, [one.column for one in metrics], by, across or (), outcomes)
+    chosen = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded, option="--"))
+    frame = chosen.frame
+    metrics = [Metric.parse(text) for text in metric or _usual_metrics(frame)]
+    by, across = _names(rows), _names(columns) or []
+    frame.require([*(one.column for one in metrics), *(by or ()), *across])
+    found = aggregate(frame, [one.column for one in metrics], by, outcomes, across)
     if not metric:
-        metrics = [one for one in metrics if any(group.metrics[one.column] for group in found.groups)]
-    found = _sorted_groups(found, sort)
-    flat = pivot_rows(found)
+        metrics = [one for one in metrics if any(cell.figures[one.column].summary for cell in found.cells)]
+    found = _sorted_cells(found, sort)
+    flat = flat_cells(found)
     match form:
         case Format.JSON:
             write_json(sys.stdout, flat)
         case Format.CSV:
             write_csv(sys.stdout, list(flat[0]) if flat else [], flat)
         case _:
-            shared = constants(found, by or ())
+            shared = {name: value for name, value in constants(found, by or ()).items() if name not in across}
             if shared:
                 out.print(
                     ", ".join(f"{name} {key_text(value)}" for name, value in shared.items()), markup=False
                 )
-            dropped = {*shared, *implied(found, by or ())}
-            kept = tuple(name for name in found.rows if name not in dropped)
-            _print(form, *pivot_lines(replace(found, rows=kept), metrics))
+            _print(form, *table_lines(found, across, metrics, {*shared, *implied(found, by or ())}))
             for note in found.notes:
                 remark(note)
-            _remark_empty(selected, location)
+            _remark(chosen, found)
 
 
 @app.command("export")
@@ -190,6 +190,10 @@ def export(
     columns: Annotated[
         str | None, typer.Option(metavar="COLUMN,…", help="What to write; default: everything.")
     ] = None,
+    superseded: Superseded = False,
+    reused: Annotated[
+        bool, typer.Option("--reused", help="Runs that took over an equal one's result, each by itself.")
+    ] = False,
 ) -> None:
     """Write every run and evaluation as a row, numbers with all their digits.
 
@@ -197,31 +201,23 @@ def export(
     """
     if form is Format.TABLE:
         raise InputError("--format: export writes csv, json or markdown; results list prints a table")
-    with _archive() as archive:
-        rows, known = _select(archive, sweep, evaluation, where)
-    rows = _sorted(rows, sort, known)
-    asked = _names(columns)
-    _check_columns(asked or (), known)
-    wanted = asked or known
+    chosen = _select(
+        Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=reused, option="--")
+    )
+    frame = chosen.frame
+    wanted = _names(columns) or frame.names
+    frame.require(wanted)
+    rows = _sorted(frame, sort).records(wanted)
     with _stream(output) as stream:
         match form:
             case Format.JSON:
-                picked = ({name: row.get(name) for name in asked} for row in rows) if asked else rows
-                write_json(stream, picked)
+                write_json(stream, rows)
             case Format.CSV:
                 write_csv(stream, wanted, rows)
             case _:
-                plain = Metric("", "", 1.0, "")
-                lines = (
-                    [
-                        repr(row.get(name))
-                        if isinstance(row.get(name), float)
-                        else cell(plain, row.get(name))
-                        for name in wanted
-                    ]
-                    for row in rows
-                )
-                write_markdown(stream, wanted, lines)
+                write_markdown(stream, wanted, ([key_text(row[name]) for name in wanted] for row in rows))
+    for note in chosen.notes:
+        remark(note)
 
 
 @contextmanager
@@ -230,24 +226,31 @@ def _archive() -> Iterator[Archive]:
         yield archive
 
 
-def _select(
-    archive: Archive, sweep: str | None, evaluation: str | None, where: str | None
-) -> tuple[list[Row], list[str]]:
-    """Return the rows asked for, and the columns that there are."""
-    if sweep is not None and not archive.count(sweep=sweep):
-        raise UnknownNameError("sweep", sweep, archive.sweep_names(), "--sweep")
-    rows: list[Row] = []
-    evaluations: set[str] = set()
-    for record in archive.runs(sweep=sweep):
-        evaluations.update(result.evaluation for result in record.results)
-        rows += flatten(record, evaluation)
-    if evaluation is not None and evaluation not in evaluations:
-        raise UnknownNameError("evaluation", evaluation, evaluations, "--evaluation")
-    known = columns_of(rows)
-    if where:
-        condition = compile_where(where, frozenset(known))
-        rows = [row for row in rows if condition(row)]
-    return rows, known
+def _select(selection: Selection) -> Chosen:
+    """Return the rows asked for; an archive that isn't there yet is an empty one."""
+    home = Home.from_environment()
+    connect(home.archive_url).dispose()
+    return choose(read_archive(home.archive_url, home.path / "cache"), selection)
+
+
+def _sweeps(name: str | None) -> tuple[str, ...]:
+    return () if name is None else (name,)
+
+
+def _rows_of(record: RunRecord) -> list[Row]:
+    """Return all that is known of a run, one row an evaluation."""
+    row = run_row(record) | {"id": 0}
+    results = record.results
+    found = Results(
+        [0] * len(results),
+        [result.evaluation for result in results],
+        [result.outcome.value for result in results],
+        [result.coverage for result in results],
+        [result.values for result in results],
+    )
+    columns, length = columns_of_runs({name: [value] for name, value in row.items()}, found, frozenset())
+    frame = Frame(columns, length)
+    return frame.records([name for name in frame.names if not frame.column(name).is_empty])
 
 
 def _find(archive: Archive, run: str) -> list[RunRecord]:
@@ -269,23 +272,20 @@ def _find(archive: Archive, run: str) -> list[RunRecord]:
 
 
 def _show_record(record: RunRecord, rows: Sequence[Row]) -> None:
-    names = [
-        name
-        for name in columns_of(rows)
-        if name != "transform"
-        and not name.startswith(_BY_TIME)
-        and any(row.get(name) not in (None, {}, []) for row in rows)
-    ]
+    names = [name for name in rows[0] if not name.startswith(("transform", "id", _BY_TIME))]
     common = [name for name in names if all(name in row and row[name] == rows[0][name] for row in rows)]
     out.print(record.name, style="bold", markup=False)
     plain = {name: Metric.parse(name) for name in names}
     show(
-        out, ["of the run", ""], [[plain[name].heading, cell(plain[name], rows[0][name])] for name in common]
+        out,
+        ["of the run", ""],
+        [[plain[name].heading, value_text(plain[name], rows[0][name])] for name in common],
     )
     results = [name for name in names if name not in common]
     if results:
         lines = [
-            [plain[name].heading, *(cell(plain[name], row.get(name)) for row in rows)] for name in results
+            [plain[name].heading, *(value_text(plain[name], row.get(name)) for row in rows)]
+            for name in results
         ]
         show(out, ["by evaluation", *(str(row["evaluation"]) for row in rows)], lines)
     for result in record.results:
@@ -313,44 +313,40 @@ def _show_relations(result: Result) -> None:
     show(out, ["relations by time", "n", *units], lines)
 
 
-def _usual_metrics(rows: Sequence[Row], known: Sequence[str]) -> list[str]:
+def _usual_metrics(frame: Frame) -> list[str]:
     """Return what a table shows unless told: mean cores only where the clock set the pace."""
-    realtime = any(row.get("input.pace") == "Realtime" for row in rows)
+    realtime = where_equal(frame, "input.pace", "Realtime").any()
     left_out = set() if realtime else {"usage.cpu.meanCores"}
-    return [name for name in TABLE_METRICS if name in known and name not in left_out]
+    return [name for name in TABLE_METRICS if name not in left_out and not frame.column(name).is_empty]
 
 
 def _names(text: str | None) -> list[str] | None:
     return [name.strip() for name in text.split(",") if name.strip()] if text else None
 
 
-def _check_columns(names: Sequence[str], known: Sequence[str]) -> None:
-    for name in names:
-        if name not in known:
-            raise UnknownNameError("column", name, known)
-
-
-def _sorted(rows: list[Row], sort: str | None, known: Sequence[str]) -> list[Row]:
+def _sorted(frame: Frame, sort: str | None) -> Frame:
     asked = _names(sort) or []
-    _check_columns([name.removeprefix("-") for name in asked], known)
-    return order_by(rows, asked, lambda row, name: row.get(name))
+    frame.require((name.removeprefix("-") for name in asked), "--sort")
+    return frame.select(order_rows(frame, asked)) if asked else frame
 
 
-def _sorted_groups(found: PivotTable, sort: str | None) -> PivotTable:
-    """Sort a pivot table's groups by keys, means of metrics, coverage or n."""
+def _sorted_cells(found: Aggregate, sort: str | None) -> Aggregate:
+    """Sort a table's groups by keys, means of metrics, coverage or n."""
     asked = _names(sort) or []
-    known = [*found.rows, *found.columns, *found.metrics, "coverage", "n"]
-    _check_columns([name.removeprefix("-") for name in asked], known)
+    known = [*found.keys, *found.metrics, "coverage", "n"]
+    for name in asked:
+        if name.removeprefix("-") not in known:
+            raise UnknownNameError("column", name.removeprefix("-"), known, "--sort")
 
-    def get(group: Group, name: str) -> Any:
-        if name in group.keys:
-            return group.keys[name]
+    def get(cell: Cell, name: str) -> Any:
+        if name in cell.keys:
+            return cell.keys[name]
         if name == "n":
-            return group.n
-        summary = group.coverage if name == "coverage" else group.metrics[name]
+            return cell.n
+        summary = cell.coverage if name == "coverage" else cell.figures[name].summary
         return summary.mean if summary else None
 
-    return replace(found, groups=order_by(found.groups, asked, get))
+    return replace(found, cells=order_by(found.cells, asked, get))
 
 
 def _print(form: Format, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
@@ -360,9 +356,15 @@ def _print(form: Format, headings: Sequence[str], lines: Sequence[Sequence[str]]
         show(out, headings, lines)
 
 
-def _remark_empty(rows: Sequence[Row], location: str) -> None:
-    if not rows:
+def _remark(chosen: Chosen, found: Aggregate | None = None) -> None:
+    """Say what was left out, and what a table that shows little lacks."""
+    for note in chosen.notes:
+        remark(f"{note}; --superseded shows them" if "earlier versions left out" in note else note)
+    if not len(chosen.frame) and not chosen.superseded:
+        location = Home.from_environment().archive_url.removeprefix("sqlite:///")
         remark(f"no such run in {location}; slamhive demo, run and import bring some")
+    elif found is not None and found.cells and not any(cell.n for cell in found.cells):
+        remark("none of these runs counts: nothing is averaged; --outcomes all takes all that were evaluated")
 
 
 @contextmanager

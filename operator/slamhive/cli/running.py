@@ -29,7 +29,6 @@ from slamhive.cli.console import (
 from slamhive.cli.planning import planned, sweeps_of
 from slamhive.cli.progress import Display
 from slamhive.cli.results import show_table
-from slamhive.cli.tables import short_name
 from slamhive.engine import PointState, Verdict
 from slamhive.local.catalog import bundled, load_workshop, read_files
 from slamhive.local.environments import availability
@@ -42,6 +41,7 @@ from slamhive.model.evaluation import Evaluation
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep
 from slamhive.plan import local_uid
+from slamhive.tables.text import short_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -210,7 +210,7 @@ def _run_files(
         if jobs:
             interrupted = _drive(jobs, bench, parallelism, rerun=rerun, retry_failed=retry_failed)
         for job in [] if interrupted else jobs:
-            for problem in bring_up_to_date(bench, job.sweep.name, job.sweep.spec.evaluation):
+            for problem in bring_up_to_date(bench, job.uid, job.sweep.spec.evaluation):
                 remark(problem)
         for evaluation in [] if interrupted else evaluations:
             done, problems = evaluate_again(bench, evaluation)

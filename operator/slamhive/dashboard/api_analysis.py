@@ -8,29 +8,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS
-from slamhive.analysis.columns import Column
-from slamhive.analysis.grouping import aggregate, varies
+from slamhive.analysis.grouping import FACETS, LOAD_FACETS, SUBJECT, aggregate, varies
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.dashboard.encoding import Body, plain
-from slamhive.dashboard.selecting import column, columns, number_column, outcomes, select_analysed
 from slamhive.dashboard.tables import (
-    as_columns,
     coded,
     figure_json,
-    flat_summary,
     heading,
     interval_json,
     summary_json,
 )
+from slamhive.tables.queries import column, columns, number_column, outcomes, select
+from slamhive.tables.text import as_columns, flat_cells, flat_summary
 
 if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.grouping import Aggregate
     from slamhive.analysis.leaderboard import Board, Entry, Leaderboard, Standing
-    from slamhive.dashboard.selecting import Pairs
+    from slamhive.analysis.selection import Chosen
     from slamhive.dashboard.sources import Snapshot
+    from slamhive.tables.queries import Pairs
 
-KEPT_APART = (*("evaluation", "alignment", "input.pace", "provenance.cpuModel", "usage.includesReader"),)
+KEPT_APART = tuple(name for name in (*FACETS, *LOAD_FACETS) if name not in {*SUBJECT, "settings"})
 """Columns whose mixture a chart must not pass over in silence."""
 
 EXACT = 5000
@@ -58,7 +57,8 @@ def points(snapshot: Snapshot, pairs: Pairs, axes: dict[str, str | None], digits
     for axis, name in axes.items():
         if name is not None:
             column(snapshot.frame, name, axis)
-    frame = select_analysed(snapshot.frame, pairs, POINTS_RESERVED)
+    chosen = select(snapshot.frame, pairs, POINTS_RESERVED)
+    frame = chosen.frame
     exact = len(frame) <= EXACT
     shown = digits if digits is not None else (None if exact else DIGITS)
     content: dict[str, Any] = {
@@ -74,6 +74,7 @@ def points(snapshot: Snapshot, pairs: Pairs, axes: dict[str, str | None], digits
         "id": frame.column("id").floats().astype(np.int64),
         "uid": frame.column("uid").tolist() if exact else None,
         "run": frame.column("run").tolist() if exact else None,
+        "notes": list(chosen.notes),
         "mixed": mixtures(frame, [name for name in axes.values() if name]),
     }
     names = list(dict.fromkeys(["uid", "run", "status", *(name for name in axes.values() if name)]))
@@ -108,17 +109,19 @@ def aggregated(snapshot: Snapshot, pairs: Pairs, by: str | None, metrics: str | 
         metrics: list of columns; default: those of DEFAULT_METRICS that hold something.
         which: tracked or all.
     """
-    frame = select_analysed(snapshot.frame, pairs, AGGREGATE_RESERVED)
+    chosen = select(snapshot.frame, pairs, AGGREGATE_RESERVED)
+    frame = chosen.frame
     asked = None if by is None else columns(snapshot.frame, by, "by")
     usual = [name for name in DEFAULT_METRICS if not frame.column(name).is_empty]
     shown = columns(snapshot.frame, metrics, "metrics", usual)
     for name in shown:
         number_column(snapshot.frame, name, "metrics")
     found = aggregate(frame, shown, asked, outcomes(which))
-    return Body(_aggregate_json(snapshot, frame, found), lambda: as_columns(aggregate_rows(found)))
+    return Body(_aggregate_json(snapshot, chosen, found), lambda: as_columns(flat_cells(found)))
 
 
-def _aggregate_json(snapshot: Snapshot, frame: Frame, found: Aggregate) -> dict[str, Any]:
+def _aggregate_json(snapshot: Snapshot, chosen: Chosen, found: Aggregate) -> dict[str, Any]:
+    frame = chosen.frame
     return {
         "revision": snapshot.revision,
         "rows": len(frame),
@@ -131,25 +134,15 @@ def _aggregate_json(snapshot: Snapshot, frame: Frame, found: Aggregate) -> dict[
                 "n": cell.n,
                 "failed": sum(cell.failures.values()),
                 "failures": cell.failures,
+                "untracked": cell.untracked,
+                "deterministic": cell.deterministic,
                 "coverage": summary_json(cell.coverage),
                 "figures": {name: figure_json(figure) for name, figure in cell.figures.items()},
             }
             for cell in found.cells
         ],
-        "notes": list(found.notes),
+        "notes": [*chosen.notes, *found.notes],
     }
-
-
-def aggregate_rows(found: Aggregate) -> list[dict[str, Any]]:
-    """Return groups as flat records, under the names that ``slamhive results table`` gives them."""
-    rows = []
-    for cell in found.cells:
-        row: dict[str, Any] = {**cell.keys, "runs": cell.runs, "n": cell.n}
-        row |= {"failures": sum(cell.failures.values()), "failures.by": cell.failures}
-        for name, figure in cell.figures.items():
-            row |= flat_summary(name, figure.summary)
-        rows.append(row | flat_summary("coverage", cell.coverage))
-    return rows
 
 
 def ranked(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, which: str) -> Body:
@@ -164,7 +157,8 @@ def ranked(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, which:
     """
     number_column(snapshot.frame, metric, "metric")
     told = columns(snapshot.frame, by, "by", COMPETITORS)
-    frame = select_analysed(snapshot.frame, pairs, LEADERBOARD_RESERVED)
+    chosen = select(snapshot.frame, pairs, LEADERBOARD_RESERVED)
+    frame = chosen.frame
     found = leaderboard(frame, metric, told, outcomes(which))
     content = {
         "revision": snapshot.revision,
@@ -172,7 +166,7 @@ def ranked(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, which:
         "metric": heading(frame, metric),
         "by": list(found.by),
         "boards": [_board_json(board) for board in found.boards],
-        "notes": list(found.notes),
+        "notes": [*chosen.notes, *found.notes],
     }
     return Body(content, lambda: as_columns(_board_rows(found)))
 
@@ -190,7 +184,7 @@ def _entry_json(entry: Entry) -> dict[str, Any]:
         "keys": entry.keys,
         "rank": entry.rank,
         "rankInterval": interval_json(entry.rank_interval),
-        "score": entry.score,
+        "score": plain(entry.score),
         "ratio": plain(entry.ratio),
         "ratioInterval": interval_json(entry.ratio_interval),
         "ratioFailed": plain(entry.ratio) is None,
@@ -209,7 +203,7 @@ def _standing_json(standing: Standing) -> dict[str, Any]:
         "failures": standing.failures,
         "median": plain(standing.median),
         "medianFailed": plain(standing.median) is None,
-        "rank": standing.rank,
+        "rank": plain(standing.rank),
         "summary": summary_json(standing.summary),
         "coverage": standing.coverage,
     }
@@ -240,6 +234,3 @@ def _board_rows(found: Leaderboard) -> list[dict[str, Any]]:
         for entry in board.entries
         for standing in entry.standings
     ]
-
-
-__all__ = ["Column", "aggregate_rows", "aggregated", "mixtures", "points", "ranked"]

@@ -10,13 +10,15 @@ import numpy as np
 import yaml
 
 from slamhive import __version__
+from slamhive.analysis.grouping import where_equal
+from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.encoding import Body
-from slamhive.dashboard.problems import Missing
-from slamhive.dashboard.tables import as_columns
+from slamhive.dashboard.problems import BadRequest, Missing
 from slamhive.model.base import API_VERSION
 from slamhive.model.errors import SlamHiveError, suggestion
 from slamhive.model.sweep import Sweep
 from slamhive.plan import FixedCatalog, Plan
+from slamhive.tables.text import as_columns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -37,16 +39,19 @@ def index(snapshot: Snapshot, source: Source) -> Body:
 
 def state(snapshot: Snapshot, source: Source) -> dict[str, Any]:
     """Return the state of the data in short."""
-    runs = single(snapshot.frame)
+    frame = current(snapshot.frame)
+    runs = single(frame)
     counts = {
         name: len(_names(runs.column(column)))
-        for name, column in (("sweeps", "sweep"), ("algorithms", "algorithm"), ("datasets", "dataset"))
+        for name, column in (("algorithms", "algorithm"), ("datasets", "dataset"))
     }
-    counts["evaluations"] = len(_names(snapshot.frame.column("evaluation")))
+    counts["sweeps"] = len(_sweep_names(runs))
+    counts["evaluations"] = len(_names(frame.column("evaluation")))
+    counts["superseded"] = len(single(snapshot.frame)) - len(runs)
     return {
         "revision": snapshot.revision,
-        "counts": {"runs": len(runs), "rows": len(snapshot.frame), **counts, "live": source.live_runs()},
-        "statuses": tally(snapshot.frame.column("status")),
+        "counts": {"runs": len(runs), "rows": len(frame), **counts, "live": source.live_runs()},
+        "statuses": tally(frame.column("status")),
         "phases": tally(runs.column("phase")),
         "problems": list(snapshot.problems),
     }
@@ -54,8 +59,12 @@ def state(snapshot: Snapshot, source: Source) -> dict[str, Any]:
 
 def single(frame: Frame) -> Frame:
     """Return one row a run."""
-    _, firsts = np.unique(frame.column("id").floats(), return_index=True)
-    return frame.select(np.sort(firsts))
+    return frame.select(first_rows(frame))
+
+
+def current(frame: Frame) -> Frame:
+    """Return the rows of runs that are not superseded."""
+    return frame.select(~frame.column("superseded").present)
 
 
 def tally(column: Column) -> dict[str, int]:
@@ -71,20 +80,26 @@ def _names(column: Column) -> list[Any]:
     return list(tally(column))
 
 
-def _where(frame: Frame, name: str, value: str) -> Mask:
-    column = frame.column(name)
-    if column.kind.is_numeric or value not in column.values:
-        return np.zeros(len(frame), dtype=bool)
-    mask: Mask = column.codes == column.values.index(value)
-    return mask
+def _sweep_names(runs: Frame) -> list[tuple[str, str]]:
+    """Return the (namespace, name) of the sweeps that runs belong to; no namespace is a workstation."""
+    pairs = zip(runs.column("namespace").tolist(), runs.column("sweep").tolist(), strict=True)
+    return list(dict.fromkeys((space or "", name) for space, name in pairs if name is not None))
+
+
+def _of_sweep(frame: Frame, namespace: str, name: str) -> Mask:
+    spaces = frame.column("namespace")
+    inside = where_equal(frame, "namespace", namespace) if namespace else ~spaces.present
+    return where_equal(frame, "sweep", name) & inside
 
 
 def sweeps(snapshot: Snapshot, source: Source) -> Body:
-    """Return the sweeps, the latest first."""
+    """Return the sweeps, the latest first, all versions of one together."""
     runs = single(snapshot.frame)
-    known = {sweep.name: sweep for sweep in source.sweeps()}
-    names = dict.fromkeys([*reversed(known), *snapshot.sweeps, *_names(runs.column("sweep"))])
-    items = [_sweep(snapshot, runs, name, known.get(name)) for name in names]
+    known: dict[tuple[str, str], list[SweepRecord]] = {}
+    for sweep in source.sweeps():
+        known.setdefault((sweep.namespace or "", sweep.name), []).append(sweep)
+    names = dict.fromkeys([*reversed(known), *snapshot.sweeps, *_sweep_names(runs)])
+    items = [_sweep(snapshot, runs, name, known.get(name, [])) for name in names]
     items.sort(key=lambda item: (not item["live"], -_moment(item["created"] or item["finished"])))
     flat = ("name", "uid", "created", "live", "total", "runs", "started", "finished")
     return Body(
@@ -97,15 +112,23 @@ def _moment(text: str | None) -> float:
     return datetime.fromisoformat(text).timestamp() if text else 0.0
 
 
-def _sweep(snapshot: Snapshot, runs: Frame, name: str, record: SweepRecord | None) -> dict[str, Any]:
-    inside = runs.select(_where(runs, "sweep", name))
-    rows = snapshot.frame.select(_where(snapshot.frame, "sweep", name))
-    live = snapshot.sweeps.get(name) or {}
+def _sweep(
+    snapshot: Snapshot, runs: Frame, address: tuple[str, str], records: Sequence[SweepRecord]
+) -> dict[str, Any]:
+    namespace, name = address
+    everything = runs.select(_of_sweep(runs, namespace, name))
+    inside = current(everything)
+    rows = current(snapshot.frame.select(_of_sweep(snapshot.frame, namespace, name)))
+    live = snapshot.sweeps.get(address) or {}
+    record = records[-1] if records else None
     phases = tally(inside.column("phase"))
     total = live.get("total")
     created = live.get("created") or (record.created.isoformat() if record and record.created else None)
     return {
         "name": name,
+        "namespace": namespace or None,
+        "superseded": len(everything) - len(inside),
+        "versions": len({one.uid for one in records} | ({live["uid"]} if live else set())),
         "uid": live.get("uid") or (record.uid if record else None),
         "created": created,
         "live": bool(live.get("live")) or bool(_LIVE & phases.keys()),
@@ -151,17 +174,38 @@ def _axes(spec: Mapping[str, Any]) -> list[dict[str, Any]]:
     return found
 
 
-def sweep(snapshot: Snapshot, source: Source, name: str) -> Body:
-    """Return one sweep with its spec."""
+def sweep(snapshot: Snapshot, source: Source, name: str, namespace: str | None) -> Body:
+    """Return one sweep with its spec.
+
+    Args:
+        snapshot: the data.
+        source: where they come from.
+        name: the sweep's name.
+        namespace: where it is, needed where several sweeps have the name; empty for a workstation.
+
+    Raises:
+        Missing: no sweep is called so.
+        BadRequest: several are.
+    """
     runs = single(snapshot.frame)
-    record = next((item for item in reversed(source.sweeps()) if item.name == name), None)
-    live = snapshot.sweeps.get(name)
-    if record is None and live is None and not _where(runs, "sweep", name).any():
-        known = [*_names(runs.column("sweep")), *snapshot.sweeps]
-        raise Missing(f"unknown sweep {name[:100]!r}{suggestion(name[:100], known)}", "name")
+    stored = source.sweeps()
+    known = {*_sweep_names(runs), *snapshot.sweeps, *((one.namespace or "", one.name) for one in stored)}
+    found = [(space, title) for space, title in known if title == name and namespace in {None, space}]
+    if not found:
+        names = [title for _, title in known]
+        raise Missing(f"unknown sweep {name[:100]!r}{suggestion(name[:100], names)}", "name")
+    if len(found) > 1:
+        places = ", ".join(sorted(space or "this workstation" for space, _ in found))
+        raise BadRequest(
+            f"several sweeps are called {name!r}: say in which namespace ({places})", "namespace"
+        )
+    address = found[0]
+    records = [one for one in stored if (one.namespace or "", one.name) == address]
+    record = records[-1] if records else None
+    live = snapshot.sweeps.get(address)
     spec = (live or {}).get("spec") or (record.spec if record else {})
     return Body(
-        _sweep(snapshot, runs, name, record)
+        _sweep(snapshot, runs, address, records)
         | {
             "revision": snapshot.revision,
             "spec": spec,
@@ -180,10 +224,10 @@ def _manifest(kind: str, name: str, labels: Mapping[str, str], spec: Mapping[str
 
 def evaluations(snapshot: Snapshot) -> Body:
     """Return the evaluations that there are results of."""
-    frame = snapshot.frame
+    frame = current(snapshot.frame)
     items = []
     for name in _names(frame.column("evaluation")):
-        rows = frame.select(_where(frame, "evaluation", name))
+        rows = frame.select(where_equal(frame, "evaluation", name))
         items.append(
             {
                 "name": name,
@@ -210,7 +254,7 @@ def catalog(snapshot: Snapshot, source: Source, kind: str) -> Body:
 
 
 def _entry(snapshot: Snapshot, column: str, name: str, entry: CatalogEntry | None) -> dict[str, Any]:
-    rows = snapshot.frame.select(_where(snapshot.frame, column, name))
+    rows = current(snapshot.frame.select(where_equal(snapshot.frame, column, name)))
     runs = single(rows)
     spec = entry.spec if entry else {}
     return {
@@ -243,7 +287,7 @@ def catalog_entry(snapshot: Snapshot, source: Source, kind: str, name: str) -> B
     """Return one Algorithm or Dataset with its manifest."""
     entries: Sequence[CatalogEntry] = [entry for entry in source.catalog(kind) if entry.name == name]
     column = kind.lower()
-    if not entries and not _where(snapshot.frame, column, name).any():
+    if not entries and not where_equal(snapshot.frame, column, name).any():
         known = _names(snapshot.frame.column(column))
         raise Missing(f"unknown {column} {name[:100]!r}{suggestion(name[:100], known)}", "name")
     entry = entries[-1] if entries else None

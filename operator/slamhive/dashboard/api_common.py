@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.common import measure_in_common, ranked_medians
-from slamhive.analysis.pivot import Outcomes
+from slamhive.analysis.grouping import Outcomes
 from slamhive.dashboard.encoding import Body, plain
 from slamhive.dashboard.problems import BadRequest, Problem
-from slamhive.dashboard.selecting import columns, outcomes, select
-from slamhive.dashboard.tables import as_columns
 from slamhive.dashboard.trajectories import TRAJECTORIES, extrinsic_of, first_of, read_poses
 from slamhive.model.results import Outcome
+from slamhive.tables.queries import columns, outcomes, select
+from slamhive.tables.text import as_columns
 from slamhive_eval import EvaluationError, Options, RpeOptions, Trajectory, evaluate
 
 if TYPE_CHECKING:
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.analysis.common import Common
-    from slamhive.dashboard.selecting import Pairs
     from slamhive.dashboard.sources import Snapshot, Source
     from slamhive.dashboard.truths import Truth
     from slamhive.model.results import Result, RunRecord
+    from slamhive.tables.queries import Pairs
     from slamhive_eval import Evaluation
 
 RESERVED = ("by", "outcomes", "format")
@@ -81,8 +81,8 @@ def common(snapshot: Snapshot, source: Source, pairs: Pairs, by: str | None, whi
     """
     told = columns(snapshot.frame, by, "by", COMPETITORS)
     tracked = outcomes(which) is Outcomes.TRACKED
-    frame = select(snapshot.frame, pairs, RESERVED)
-    frame = frame.select(frame.column("evaluation").present)
+    chosen = select(snapshot.frame, pairs, RESERVED)
+    frame = chosen.frame.select(chosen.frame.column("outcome").present)
     if len(frame) > MOST_RESULTS:
         raise BadRequest(
             f"{len(frame):,} results are meant, and at most {MOST_RESULTS} are measured again at a time: "
@@ -98,6 +98,7 @@ def common(snapshot: Snapshot, source: Source, pairs: Pairs, by: str | None, whi
         for _, rows in sorted(groups.items(), key=lambda item: [str(part) for part in item[0]])
     ]
     content = {"revision": snapshot.revision, "rows": len(frame), "by": told, "groups": found}
+    content["notes"] = list(chosen.notes)
     return Body(
         content,
         lambda: as_columns([{**group["facets"], **run} for group in found for run in group["runs"]]),

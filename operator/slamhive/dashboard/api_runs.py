@@ -6,15 +6,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
+from slamhive.analysis.ordering import order_rows
 from slamhive.dashboard import paging
 from slamhive.dashboard.encoding import Body
-from slamhive.dashboard.selecting import columns, names, select
 from slamhive.dashboard.tables import heading, profile
+from slamhive.tables.queries import columns, names, select
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from slamhive.analysis.frame import Frame
-    from slamhive.dashboard.selecting import Pairs
     from slamhive.dashboard.sources import Snapshot
+    from slamhive.tables.queries import Pairs
 
 DEFAULT_COLUMNS = (
     *("id", "uid", "run", "name", "sweep", "algorithm", "sensors", "dataset", "repetition"),
@@ -25,6 +28,12 @@ DEFAULT_COLUMNS = (
 DEFAULT_LIMIT = 100
 MAX_LIMIT = 1000
 RESERVED = ("sort", "columns", "limit", "after", "format")
+
+
+def chosen(snapshot: Snapshot, pairs: Pairs, reserved: Sequence[str]) -> tuple[Frame, list[str]]:
+    """Return the rows of runs that are meant, each by itself, and sentences on what is left out."""
+    found = select(snapshot.frame, pairs, reserved, each=True)
+    return found.frame, list(found.notes)
 
 
 def runs_page(
@@ -48,7 +57,7 @@ def runs_page(
         limit: rows at most.
         after: token of the page.
     """
-    frame = select(snapshot.frame, pairs, RESERVED)
+    frame, left_out = chosen(snapshot, pairs, RESERVED)
     order = columns(snapshot.frame, sort, "sort")
     shown = columns(snapshot.frame, wanted, "columns", DEFAULT_COLUMNS)
     question = _question(pairs)
@@ -57,22 +66,22 @@ def runs_page(
         place = paging.read_token(after, question, paging.token_length(order))
         frame = frame.select(paging.rows_behind(frame, order, place))
     left = len(frame)
-    frame = frame.select(paging.order_rows(frame, order)[:limit])
+    frame = frame.select(order_rows(frame, order)[:limit])
     link = None
     if left > limit:
         token = paging.token(question, paging.last_values(frame, len(frame) - 1, order))
         kept = [(name, value) for name, value in pairs if name != "after"]
         link = f"{path}?{urlencode([*kept, ('after', token)])}"
-    return _table(snapshot, frame, shown, {"total": total, "next": link}, link)
+    return _table(snapshot, frame, shown, {"total": total, "next": link, "notes": left_out}, link)
 
 
 def whole_table(snapshot: Snapshot, pairs: Pairs, *, sort: str | None, wanted: str | None) -> Body:
     """Return all rows that the filters mean, as one file."""
-    frame = select(snapshot.frame, pairs, RESERVED)
+    frame, left_out = chosen(snapshot, pairs, RESERVED)
     order = columns(snapshot.frame, sort, "sort")
     shown = columns(snapshot.frame, wanted, "columns", DEFAULT_COLUMNS)
-    frame = frame.select(paging.order_rows(frame, order))
-    return _table(snapshot, frame, shown, {"total": len(frame), "next": None}, None)
+    frame = frame.select(order_rows(frame, order))
+    return _table(snapshot, frame, shown, {"total": len(frame), "next": None, "notes": left_out}, None)
 
 
 def _table(
@@ -107,7 +116,7 @@ def columns_list(snapshot: Snapshot, pairs: Pairs, wanted: str | None) -> Body:
         pairs: the query string: filters.
         wanted: list of columns; default: all that hold something.
     """
-    frame = select(snapshot.frame, pairs, ("columns", "format"))
+    frame, _ = chosen(snapshot, pairs, ("columns", "format"))
     columns(snapshot.frame, wanted, "columns")
     listed = names(wanted) or [
         name for name in snapshot.frame.names if not snapshot.frame.column(name).is_empty

@@ -11,15 +11,14 @@ from slamhive.analysis.importance import importance
 from slamhive.analysis.pareto import pareto
 from slamhive.analysis.repeating import repeatability, suspects
 from slamhive.dashboard.encoding import Body, plain
-from slamhive.dashboard.selecting import columns, number_column, outcomes, select_analysed
 from slamhive.dashboard.tables import (
-    as_columns,
     figure_json,
-    flat_summary,
     heading,
     interval_json,
     summary_json,
 )
+from slamhive.tables.queries import columns, number_column, outcomes, select
+from slamhive.tables.text import as_columns, flat_summary
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -28,8 +27,8 @@ if TYPE_CHECKING:
     from slamhive.analysis.importance import Influences
     from slamhive.analysis.pareto import Spot
     from slamhive.analysis.repeating import Repetitions
-    from slamhive.dashboard.selecting import Pairs
     from slamhive.dashboard.sources import Snapshot
+    from slamhive.tables.queries import Pairs
 
 RESERVED = ("metric", "x", "y", "by", "outcomes", "format")
 MAX_GROUPS = 1000
@@ -39,7 +38,8 @@ def compared(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, whic
     """Return competitors two by two."""
     number_column(snapshot.frame, metric, "metric")
     told = columns(snapshot.frame, by, "by", COMPETITORS)
-    frame = select_analysed(snapshot.frame, pairs, RESERVED)
+    chosen = select(snapshot.frame, pairs, RESERVED)
+    frame = chosen.frame
     boards, notes = compare(frame, metric, told, outcomes(which))
     content = {
         "revision": snapshot.revision,
@@ -49,7 +49,7 @@ def compared(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, whic
         "boards": [
             {"facets": board.facets, "pairs": [_pair_json(pair) for pair in board.pairs]} for board in boards
         ],
-        "notes": notes,
+        "notes": [*chosen.notes, *notes],
     }
     return Body(
         content,
@@ -100,7 +100,8 @@ def fronts(snapshot: Snapshot, pairs: Pairs, axes: tuple[str, str], by: str | No
     """Return error against cost, one front a dataset."""
     x, y = (number_column(snapshot.frame, name, field) for name, field in zip(axes, "xy", strict=True))
     told = columns(snapshot.frame, by, "by", COMPETITORS)
-    frame = select_analysed(snapshot.frame, pairs, RESERVED)
+    chosen = select(snapshot.frame, pairs, RESERVED)
+    frame = chosen.frame
     found, notes = pareto(frame, x, y, told, outcomes(which))
     content = {
         "revision": snapshot.revision,
@@ -111,7 +112,7 @@ def fronts(snapshot: Snapshot, pairs: Pairs, axes: tuple[str, str], by: str | No
         "fronts": [
             {"facets": front.facets, "points": [_spot_json(spot) for spot in front.spots]} for front in found
         ],
-        "notes": list(notes),
+        "notes": [*chosen.notes, *notes],
     }
     return Body(
         content,
@@ -146,14 +147,15 @@ def _flat(item: dict[str, Any]) -> dict[str, Any]:
 def influences(snapshot: Snapshot, pairs: Pairs, metric: str, adaptive: Collection[str]) -> Body:
     """Return which settings matter."""
     number_column(snapshot.frame, metric, "metric")
-    frame = select_analysed(snapshot.frame, pairs, RESERVED)
+    chosen = select(snapshot.frame, pairs, RESERVED)
+    frame = chosen.frame
     found, notes = importance(frame, metric, adaptive)
     content = {
         "revision": snapshot.revision,
         "rows": len(frame),
         "metric": heading(frame, metric),
         "subjects": [_subject_json(subject) for subject in found],
-        "notes": notes,
+        "notes": [*chosen.notes, *notes],
     }
     return Body(content, lambda: as_columns([row for subject in found for row in _subject_rows(subject)]))
 
@@ -194,7 +196,8 @@ def _subject_rows(subject: Influences) -> list[dict[str, Any]]:
 def repeated(snapshot: Snapshot, pairs: Pairs, metric: str) -> Body:
     """Return configurations with their repetitions."""
     number_column(snapshot.frame, metric, "metric")
-    frame = select_analysed(snapshot.frame, pairs, RESERVED)
+    chosen = select(snapshot.frame, pairs, RESERVED)
+    frame = chosen.frame
     found, notes = repeatability(frame, metric)
     if len(found) > MAX_GROUPS:
         notes.append(f"of {len(found):,} configurations the {MAX_GROUPS:,} with most runs are shown")
@@ -204,7 +207,7 @@ def repeated(snapshot: Snapshot, pairs: Pairs, metric: str) -> Body:
         "rows": len(frame),
         "metric": heading(frame, metric),
         "groups": [_repetitions_json(one, metric) for one in shown],
-        "notes": notes,
+        "notes": [*chosen.notes, *notes],
     }
     return Body(content, lambda: as_columns([_repetitions_row(one, metric) for one in found]))
 
@@ -218,6 +221,7 @@ def _repetitions_json(one: Repetitions, metric: str) -> dict[str, Any]:
         "failures": one.cell.failures,
         "coverage": summary_json(one.cell.coverage),
         "distinct": one.distinct,
+        "deterministic": one.cell.deterministic,
         "figure": figure_json(one.cell.figures[metric]),
         "relativeSpread": one.relative_spread,
         "verdict": one.verdict,
@@ -239,12 +243,13 @@ def _repetitions_row(one: Repetitions, metric: str) -> dict[str, Any]:
 
 def suspicions(snapshot: Snapshot, pairs: Pairs) -> Body:
     """Return the subjects whose scale is off by the same factor in all runs."""
-    frame = select_analysed(snapshot.frame, pairs, RESERVED)
+    chosen = select(snapshot.frame, pairs, RESERVED)
+    frame = chosen.frame
     items = [
         {"keys": one.keys, "scale": one.scale, "spread": one.spread, "n": one.n, "sentence": one.sentence}
         for one in suspects(frame)
     ]
     return Body(
-        {"revision": snapshot.revision, "rows": len(frame), "items": items},
+        {"revision": snapshot.revision, "rows": len(frame), "items": items, "notes": list(chosen.notes)},
         lambda: as_columns([_flat(dict(item)) for item in items]),
     )

@@ -97,7 +97,9 @@ def _answer_problems(app: FastAPI) -> None:
 
     @app.exception_handler(InputError)
     async def wrong_input(_: Request, error: InputError) -> Response:
-        return _json({"error": str(error), "field": None}, 400)
+        body = {"error": str(error), "field": getattr(error, "field", None)}
+        position = getattr(error, "position", None)
+        return _json(body if position is None else body | {"position": position}, 400)
 
     @app.exception_handler(SystemFault)
     async def fault(_: Request, error: SystemFault) -> Response:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import secrets
 import time
 from functools import partial
@@ -11,12 +12,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from slamhive.analysis.frame import Frame, stack, with_derived
+from slamhive.analysis.derived import SweepVersion, with_derived
+from slamhive.analysis.flattening import stack
+from slamhive.analysis.frame import Frame
 from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.live import (
     Cluster,
     catalog_entry,
-    columns_of_runs,
+    columns_of_live,
     narrow_other,
     narrow_run,
     sweep_in_short,
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.archive.records import CatalogEntry, SweepRecord
+    from slamhive.dashboard.live import LiveRun
     from slamhive.dashboard.truths import Truth
     from slamhive.model.results import RunRecord
 
@@ -126,20 +130,10 @@ class ClusterSource:
             state = (self._cluster.changes, self._archive.revision if self._archive else "", self._problems())
             if state != self._built and time.monotonic() >= self._next_build:
                 begun = time.monotonic()
-                taken = (
-                    self._cluster.all_runs(),
-                    {
-                        (obj["metadata"].get("namespace", ""), obj["metadata"]["name"]): obj["spec"].get(
-                            "attributes"
-                        )
-                        or {}
-                        for obj in self._cluster.of(Kind.DATASET)
-                    },
-                )
+                sweeps = {_address(obj): sweep_in_short(obj) for obj in self._cluster.of(Kind.SWEEP)}
+                datasets = {_address(obj): obj["spec"] for obj in self._cluster.of(Kind.DATASET)}
+                taken = (self._cluster.all_runs(), datasets, sweeps)
                 frame = await loop.run_in_executor(self._executor, partial(self._build, *taken))
-                sweeps = {
-                    obj["metadata"]["name"]: sweep_in_short(obj) for obj in self._cluster.of(Kind.SWEEP)
-                }
                 self._count += 1
                 revision = f"{self._nonce}-{self._count}"
                 self._snapshot = Snapshot(frame, revision, state[2], sweeps)
@@ -207,25 +201,35 @@ class ClusterSource:
             sentences.append(self._archive.said)
         return tuple(dict.fromkeys(sentences[:3]))
 
-    def _build(self, runs: list[Any], attributes: dict[tuple[str, str], dict[str, Any]]) -> Frame:
+    def _build(
+        self,
+        runs: list[LiveRun],
+        datasets: dict[tuple[str, str], dict[str, Any]],
+        sweeps: dict[tuple[str, str], dict[str, Any]],
+    ) -> Frame:
         archived = self._archive.frame if self._archive is not None else Frame({}, 0)
         if not runs:
             return archived
         for run in runs:
             self._numbers.setdefault(run.uid, -1 - len(self._numbers))
-        live = columns_of_runs(runs, self._numbers, attributes)
+        settings = {sweep["uid"]: sweep["settings"] for sweep in sweeps.values() if sweep["settings"]}
+        live = columns_of_live(runs, self._numbers, datasets, settings)
         parts = [live]
         if len(archived):
             uids = archived.column("uid")
             names = {run.uid for run in runs}
             hidden = np.array([value in names for value in (*uids.values, None)], dtype=bool)[uids.codes]
             kept = archived.select(~hidden)
-            derived = {"status", "disturbed", "ate.extended"}
-            parts.append(
-                ({name: kept.column(name) for name in kept.stored if name not in derived}, len(kept))
-            )
+            parts.append(({name: kept.column(name) for name in kept.stored}, len(kept)))
         columns, length = stack([part for part in parts if part[1]])
-        return with_derived(columns, length)
+        # A Sweep that the cluster holds is the current one of its name, whenever it was made.
+        current = [
+            SweepVersion(sweep["uid"], name, None, namespace, math.inf)
+            for (namespace, name), sweep in sweeps.items()
+        ]
+        known = {one.uid for one in current}
+        earlier = self._archive.sweeps if self._archive is not None else ()
+        return with_derived(columns, length, [*current, *(one for one in earlier if one.uid not in known)])
 
     def _follower(self, api: Api, kind: Kind, namespace: str) -> Follower:
         def trouble(sentence: str | None) -> None:
@@ -264,3 +268,7 @@ class ClusterSource:
         except (ApiError, TimeoutError):
             future.cancel()
             return None
+
+
+def _address(obj: dict[str, Any]) -> tuple[str, str]:
+    return obj["metadata"].get("namespace", ""), obj["metadata"]["name"]

@@ -8,24 +8,24 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import ValidationError
 
-from slamhive.analysis import flatten
-from slamhive.analysis.columns import Column, times
-from slamhive.analysis.frame import LEFT_OUT
-from slamhive.archive.records import CatalogEntry
+from slamhive.analysis.flattening import Results, columns_of_runs
+from slamhive.analysis.measuring import intended_evaluations
+from slamhive.archive.records import CatalogEntry, run_row
 from slamhive.kube.reconciling.records import record_of
-from slamhive.model.results import Phase
+from slamhive.model.dataset import DatasetSpec
+from slamhive.model.evaluation import EvaluationSettings
+from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from slamhive.analysis.flattening import Row
+    from slamhive.analysis.flattening import Part
     from slamhive.kube.kinds import Kind
+    from slamhive.model.results import Result
 
 Object = dict[str, Any]
 
-_TIMES = frozenset({"created", "started", "finished"})
 _PHASES = {"pending": "Pending", "running": "Running", "succeeded": "Succeeded", "failed": "Failed"}
-_NO_COLUMNS = frozenset({"folder", *LEFT_OUT})
 
 
 @dataclass(frozen=True)
@@ -35,44 +35,41 @@ class LiveRun:
     Attributes:
         namespace, name, uid: which.
         version: the object's version.
-        dataset: name of its Dataset, whose attributes it has.
         live: whether it has not finished.
-        rows: flat rows, one an evaluation.
+        row: what the archive would hold of it.
+        results: what was measured of it.
     """
 
     namespace: str
     name: str
     uid: str
     version: str
-    dataset: str | None
     live: bool
-    rows: tuple[Row, ...]
+    row: dict[str, Any]
+    results: tuple[Result, ...]
+
+    @property
+    def dataset(self) -> str:
+        """Return the name of its Dataset, whose attributes it has."""
+        return str(self.row["dataset"])
 
 
 def narrow_run(obj: Object) -> LiveRun | None:
     """Return a MappingRun in short; None for one that does not follow the language."""
     try:
         record = record_of(obj)
-        rows = flatten(record)
+        row = run_row(record) | {"folder": None}
     except (ValidationError, KeyError, TypeError, ValueError):
         return None
-    kept = tuple(
-        {
-            name: value
-            for name, value in row.items()
-            if value is not None and not isinstance(value, dict) and name not in _NO_COLUMNS
-        }
-        for row in rows
-    )
     metadata = obj["metadata"]
     return LiveRun(
         namespace=metadata.get("namespace", ""),
         name=record.name,
         uid=record.uid,
         version=str(metadata.get("resourceVersion", "")),
-        dataset=kept[0].get("dataset"),
-        live=not Phase(record.phase).is_finished,
-        rows=kept,
+        live=not record.phase.is_finished,
+        row=row,
+        results=tuple(record.results),
     )
 
 
@@ -90,6 +87,7 @@ def sweep_in_short(obj: Object) -> dict[str, Any]:
     status, metadata = obj["status"], obj["metadata"]
     return {
         "uid": metadata.get("uid"),
+        "settings": _settings(obj["spec"].get("evaluation") or {}),
         "created": metadata.get("creationTimestamp"),
         "live": not status.get("completionTime") and not obj["spec"].get("suspend"),
         "total": status.get("total"),
@@ -98,6 +96,13 @@ def sweep_in_short(obj: Object) -> dict[str, Any]:
         "conditions": status.get("conditions") or [],
         "best": status.get("best") or [],
     }
+
+
+def _settings(evaluation: Object) -> EvaluationSettings | None:
+    try:
+        return EvaluationSettings.model_validate(evaluation)
+    except ValidationError:
+        return None
 
 
 def catalog_entry(kind: Literal["Algorithm", "Dataset"], obj: Object) -> CatalogEntry:
@@ -111,34 +116,66 @@ def catalog_entry(kind: Literal["Algorithm", "Dataset"], obj: Object) -> Catalog
     )
 
 
-def columns_of_runs(
+def columns_of_live(
     runs: Iterable[LiveRun],
     numbers: Mapping[str, int],
-    attributes: Mapping[tuple[str, str], Mapping[str, Any]],
-) -> tuple[dict[str, Column], int]:
+    datasets: Mapping[tuple[str, str], Object],
+    settings: Mapping[str, EvaluationSettings],
+) -> Part:
     """Return live runs as columns, with their number of rows.
 
     Args:
         runs: the runs.
         numbers: the ``id`` of each by its UID.
-        attributes: of Datasets by (namespace, name).
+        datasets: specs of Datasets by (namespace, name).
+        settings: how Sweeps are measured, by their UIDs.
     """
-    rows: list[Row] = []
+    rows: list[dict[str, Any]] = []
+    results = Results([], [], [], [], [])
+    intended = _Intended(datasets, settings)
     for run in runs:
-        found = attributes.get((run.namespace, run.dataset or ""), {})
-        more = {f"dataset.attributes.{name}": value for name, value in found.items()}
-        rows += [{"id": numbers[run.uid], **more, **row} for row in run.rows]
-    names = dict.fromkeys(name for row in rows for name in row)
-    columns = {}
-    for name in names:
-        values = [row.get(name) for row in rows]
-        columns[name] = times([_naive(value) for value in values]) if name in _TIMES else Column.of(values)
-    return columns, len(rows)
+        number = numbers[run.uid]
+        spec = datasets.get((run.namespace, run.dataset), {})
+        more = {"attributes": spec.get("attributes") or {}, "evaluations": intended.of(run)}
+        rows.append({**run.row, "id": number, **more})
+        for result in run.results:
+            results.runs.append(number)
+            results.evaluations.append(result.evaluation)
+            results.outcomes.append(result.outcome.value)
+            results.coverages.append(result.coverage)
+            results.values.append(result.values)
+    names = rows[0] if rows else {}
+    return columns_of_runs({name: [row[name] for row in rows] for name in names}, results)
 
 
-def _naive(text: str | None) -> str | None:
-    """Return an ISO 8601 text in UTC without its zone, as numpy reads it."""
-    return text.removesuffix("Z").removesuffix("+00:00") if text else None
+class _Intended:
+    """The evaluations that live runs are meant to be measured by, found out once for runs that are alike."""
+
+    def __init__(
+        self, datasets: Mapping[tuple[str, str], Object], settings: Mapping[str, EvaluationSettings]
+    ) -> None:
+        self._datasets = datasets
+        self._settings = settings
+        self._known: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+
+    def of(self, run: LiveRun) -> list[dict[str, Any]]:
+        """Return them as the archive would hold them."""
+        owner, sensors = run.row["sweep_uid"], run.row["sensors"]
+        if not run.row["spec"].get("evaluate", True) or sensors not in set(SensorMode):
+            return []
+        key = (owner, sensors, run.namespace, run.dataset)
+        if key not in self._known:
+            settings = self._settings.get(owner) if owner else EvaluationSettings()
+            mode, dataset = SensorMode(sensors), self._dataset(run)
+            found = intended_evaluations(settings, mode, dataset) if settings else []
+            self._known[key] = [one.as_json() for one in found]
+        return self._known[key]
+
+    def _dataset(self, run: LiveRun) -> DatasetSpec | None:
+        try:
+            return DatasetSpec.model_validate(self._datasets[run.namespace, run.dataset])
+        except (KeyError, ValidationError):
+            return None
 
 
 @dataclass

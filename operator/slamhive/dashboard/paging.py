@@ -19,31 +19,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.columns import ColumnKind
-from slamhive.analysis.ordering import sort_key
+from slamhive.analysis.ordering import complete, direction, sort_key
 from slamhive.dashboard.problems import BadRequest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.analysis.columns import Column, Floats, Indices, Mask
+    from slamhive.analysis.columns import Column, Mask
     from slamhive.analysis.frame import Frame
-
-UNIQUE = ("id", "evaluation")
-"""What every order ends with, so that no two rows are equal in it."""
 
 _CHECK_BYTES = 12
 _PURPOSE = b"slamhive.page.1"
-
-
-def order_rows(frame: Frame, sort: Sequence[str]) -> Indices:
-    """Return the places of the rows in the order of some columns, as ``order_by``.
-
-    Args:
-        frame: the rows.
-        sort: names; a dash before one turns its order round. What is missing comes last either way.
-    """
-    keys = [_direction(frame, name) for name in _complete(sort)]
-    return np.lexsort(keys[::-1])
 
 
 def rows_behind(frame: Frame, sort: Sequence[str], values: Sequence[Any]) -> Mask:
@@ -56,9 +42,9 @@ def rows_behind(frame: Frame, sort: Sequence[str], values: Sequence[Any]) -> Mas
     """
     behind = np.zeros(len(frame), dtype=bool)
     equal = np.ones(len(frame), dtype=bool)
-    for name, value in zip(_complete(sort), values, strict=True):
+    for name, value in zip(complete(sort), values, strict=True):
         column = frame.column(name.removeprefix("-"))
-        keys = _direction(frame, name)
+        keys = direction(frame, name)
         place = _place(column, value)
         if name.startswith("-") and np.isfinite(place):
             place = -place
@@ -103,23 +89,14 @@ def read_token(text: str, question: str, length: int) -> list[Any]:
 
 def last_values(frame: Frame, place: int, sort: Sequence[str]) -> list[Any]:
     """Return what the token of the page behind a row holds."""
-    names = [name.removeprefix("-") for name in _complete(sort)]
+    names = [name.removeprefix("-") for name in complete(sort)]
     row = frame.row(place, names)
     return [row[name] for name in names]
 
 
 def token_length(sort: Sequence[str]) -> int:
     """Return the number of values in a token."""
-    return len(_complete(sort))
-
-
-def _complete(sort: Sequence[str]) -> list[str]:
-    return [*sort, *UNIQUE]
-
-
-def _direction(frame: Frame, name: str) -> Floats:
-    ranks = frame.column(name.removeprefix("-")).ranks()
-    return np.where(np.isinf(ranks), np.inf, -ranks) if name.startswith("-") else ranks
+    return len(complete(sort))
 
 
 def _place(column: Column, value: Any) -> float:

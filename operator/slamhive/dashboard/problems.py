@@ -12,13 +12,9 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from slamhive.model.errors import InputError, SlamHiveError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from slamhive.model.errors import SlamHiveError
 
 
 class Problem(SlamHiveError):  # noqa: N818 - some are no errors
@@ -65,16 +61,3 @@ class Unavailable(Problem):
     """What the answer comes from does not answer at present."""
 
     status = 503
-
-
-@contextmanager
-def within(field: str) -> Iterator[None]:
-    """Say of mistakes found inside in which parameter they were made.
-
-    Raises:
-        BadRequest: in the place of an InputError.
-    """
-    try:
-        yield
-    except InputError as error:
-        raise BadRequest(str(error), field, getattr(error, "position", None)) from None

@@ -54,9 +54,15 @@ def _add_lists(routes: APIRouter, service: Service) -> None:
         return await service.answer(request, lambda data: api_catalog.sweeps(data, source))
 
     @routes.get("/sweeps/{name}", summary="One sweep with its spec")
-    async def sweep(request: Request, name: Name) -> Response:
-        """Return a sweep."""
-        return await service.answer(request, lambda data: api_catalog.sweep(data, source, name))
+    async def sweep(
+        request: Request,
+        name: Name,
+        namespace: Annotated[
+            str | None, Query(max_length=253, description="Where it is; empty for a workstation.")
+        ] = None,
+    ) -> Response:
+        """Return a sweep; several may have one name in different namespaces."""
+        return await service.answer(request, lambda data: api_catalog.sweep(data, source, name, namespace))
 
     @routes.get("/evaluations", summary="Evaluations that there are results of")
     async def evaluations(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001

@@ -18,13 +18,13 @@ from sqlalchemy import event
 from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect, reading
-from slamhive.dashboard import snapshots
 from slamhive.dashboard.artifacts import Place
-from slamhive.dashboard.loading import Loaded, change_mark, load
 from slamhive.dashboard.problems import Unavailable
 from slamhive.dashboard.truths import Truths
 from slamhive.data import slamhive1
 from slamhive.model.errors import SlamHiveError
+from slamhive.tables import snapshots
+from slamhive.tables.loading import Loaded, change_mark, load
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy import Connection, Engine
 
+    from slamhive.analysis.derived import SweepVersion
     from slamhive.archive.records import CatalogEntry, SweepRecord
     from slamhive.dashboard.truths import Truth
     from slamhive.model.results import RunRecord
@@ -72,13 +73,13 @@ class Snapshot:
         frame: one row a run and evaluation.
         revision: differs whenever anything differs.
         problems: sentences on what does not answer at present.
-        sweeps: live sweeps of the cluster: their status by name.
+        sweeps: live sweeps of the cluster: their status by (namespace, name).
     """
 
     frame: Frame = field(default_factory=lambda: Frame({}, 0))
     revision: str = "0"
     problems: tuple[str, ...] = ()
-    sweeps: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    sweeps: Mapping[tuple[str, str], Mapping[str, Any]] = field(default_factory=dict)
 
 
 class Source(Protocol):
@@ -144,6 +145,7 @@ class ArchiveData:
         self._late = False
         self._again = False
         self._loaded = Loaded()
+        self._frame = self._loaded.frame
         self._lock = threading.Lock()
         self._looking: asyncio.Future[None] | None = None
         self._keeping: asyncio.Task[None] | None = None
@@ -157,8 +159,13 @@ class ArchiveData:
 
     @property
     def frame(self) -> Frame:
-        """The rows as they were last read."""
-        return self._loaded.frame
+        """The rows as they were last read, without the folders of runs: pages need not know them."""
+        return self._frame
+
+    @property
+    def sweeps(self) -> tuple[SweepVersion, ...]:
+        """The versions of sweeps as they were last read."""
+        return self._loaded.sweeps or ()
 
     @property
     def is_open(self) -> bool:
@@ -232,11 +239,7 @@ class ArchiveData:
     def keep(self) -> None:
         """Write the table for the next start, if it is large and much of it is news."""
         loaded = self._loaded
-        if self._cache is None or len(loaded.frame) < snapshots.LEAST_ROWS:
-            return
-        known = self._saved.marks if self._saved is not None else {}
-        if len(loaded.marks.items() - known.items()) > len(loaded.marks) // 20:
-            snapshots.save(self._cache, loaded)
+        if self._cache is not None and snapshots.keep(self._cache, loaded, self._saved):
             self._saved = Loaded(marks=loaded.marks)
 
     async def _keep_on(self, executor: Executor | None) -> None:
@@ -280,6 +283,7 @@ class ArchiveData:
             self._saved = snapshots.restore(self._cache)
             self._loaded = self._saved or self._loaded
         self._loaded = load(self._engine, self._loaded)
+        self._frame = self._loaded.frame.without(["folder"])
         self._mark = mark
         self.loaded_once = True
         return True

@@ -8,19 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.columns import ColumnKind
+from slamhive.analysis.flattening import OF_RUN
 from slamhive.analysis.metrics import Metric
 from slamhive.dashboard.encoding import plain
+from slamhive.tables.text import PARTS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from slamhive.analysis.columns import Column, Floats
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.grouping import Figure
-    from slamhive.analysis.pivot import Summary
-    from slamhive.analysis.statistics import Interval
+    from slamhive.analysis.statistics import Interval, Summary
 
-PARTS = ("n", "mean", "std", "median", "min", "max")
 _MAX_DISTINCT = 200
 _MAX_NUMBERS = 40
 
@@ -84,13 +82,7 @@ def group_of(name: str) -> str:
     return "run" if name in _OF_RUN else "result"
 
 
-_OF_RUN = frozenset(
-    (
-        *("id", "run", "name", "uid", "sweep", "index", "algorithm", "sensors", "dataset", "repetition"),
-        *("seed", "phase", "reason", "message", "attempts", "created", "started", "finished", "folder"),
-        *("status", "disturbed"),
-    )
-)
+_OF_RUN = frozenset(OF_RUN) | {"run", "status", "disturbed", "superseded"}
 
 
 def coded(column: Column, digits: int | None = None) -> dict[str, Any]:
@@ -142,17 +134,3 @@ def figure_json(figure: Figure) -> dict[str, Any]:
         "medianInterval": interval_json(figure.median_interval),
         "censored": censored,
     }
-
-
-def flat_summary(prefix: str, summary: Summary | None) -> dict[str, Any]:
-    """Return a summary as columns of a table."""
-    return {
-        f"{prefix}.{part}": getattr(summary, part) if summary else (0 if part == "n" else None)
-        for part in PARTS
-    }
-
-
-def as_columns(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Return records as columns, names in the order of first being seen."""
-    names = dict.fromkeys(name for row in rows for name in row)
-    return {name: [row.get(name) for row in rows] for name in names}

@@ -144,6 +144,7 @@ class OriginalRun:
             uid=self.uid,
             name=f"{self.algorithm}-{self.sensors}-{self.dataset}-{catalog_name(self.number)}",
             sweep=SOURCE,
+            sweep_uid=SOURCE,
             labels={
                 "source": SOURCE,
                 "run": self.number,

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finished runs whose algorithm or dataset is another one today: set aside, never mixed or lost."""
+"""Finished runs whose algorithm or dataset is another one today: kept beside the new ones, never mixed."""
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from slamhive.local.run import Point
     from slamhive.local.workbench import Program, Workbench
 
-_WHY = "their algorithm, its environment or their dataset has changed; the earlier results are set aside"
+_WHY = "their algorithm, its environment or their dataset has changed; the earlier results stay as superseded"
 
 
 class Changes:
@@ -61,19 +62,26 @@ class Changes:
 
 
 def set_aside(archive: Archive, uid: str) -> None:
-    """Move a run, record and folder, to the sweep ``NAME@`` and 8 digits of its content."""
+    """Give a run, record and folder, another identity, so that it stays beside the one that follows it.
+
+    Its UID gets ``@`` and 8 digits of its content. It stays a run of its sweep: that it is superseded follows
+    from what it was made of. A reused result whose original is kept already only goes.
+    """
     record = archive.get(uid)
     if record is None:
         return
-    mark = (record.provenance.content_hash or "unknown")[:8]
+    aside = f"{uid}@{(record.provenance.content_hash or 'unknown')[:8]}"
+    if archive.get(aside) is not None:
+        if record.provenance.reused_from is not None:
+            archive.remove_run(uid)
+            return
+        aside = next(name for number in count(2) if archive.get(name := f"{aside}.{number}") is None)
     folder, trajectory = record.folder, record.trajectory
     if folder is not None and Path(folder).is_dir() and record.provenance.reused_from is None:
-        target = Path(folder).with_name(f"{Path(folder).name}@{mark}")
+        target = Path(folder).with_name(f"{Path(folder).name}@{aside.rpartition('@')[2]}")
         if not target.exists():
             Path(folder).rename(target)
         if trajectory is not None:
             trajectory = trajectory.replace(path=trajectory.path.replace(folder, str(target), 1))
         folder = str(target)
-    aside = {"uid": f"{uid}@{mark}", "sweep": f"{record.sweep}@{mark}"}
-    archive.put_run(record.replace(**aside, folder=folder, trajectory=trajectory))
-    archive.remove_run(uid)
+    archive.rename_run(record.replace(uid=aside, folder=folder, trajectory=trajectory), uid)

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
+from slamhive.analysis.measuring import SETTINGS_KEY, intended_evaluations, settings_hash
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.results import Phase, RunRecord
+from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,6 +27,7 @@ def evaluate_again(bench: Workbench, evaluation: Evaluation) -> tuple[int, list[
     """
     done, problems = 0, []
     for record in list(select(bench.archive, evaluation.spec.runs)):
+        _intend(bench, record, evaluation.spec, evaluation.name)
         problem = measure_record(bench, record, evaluation.spec, evaluation.name)
         if problem is None:
             done += 1
@@ -35,7 +38,7 @@ def evaluate_again(bench: Workbench, evaluation: Evaluation) -> tuple[int, list[
     return done, problems
 
 
-def bring_up_to_date(bench: Workbench, sweep: str, settings: EvaluationSettings) -> list[str]:
+def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSettings) -> list[str]:
     """Measure a sweep's finished runs whose results were made with other settings than these.
 
     Returns:
@@ -43,8 +46,10 @@ def bring_up_to_date(bench: Workbench, sweep: str, settings: EvaluationSettings)
     """
     wanted = settings_hash(settings)
     problems = []
-    for record in list(bench.archive.runs(sweep=sweep)):
+    for record in list(bench.archive.runs({"sweep_uid": sweep_uid})):
         current = any(result.values.get(SETTINGS_KEY) == wanted for result in record.results)
+        if not current and record.spec.get("evaluate", True):
+            _intend(bench, record, settings)
         if record.phase is not Phase.SUCCEEDED or current or not record.spec.get("evaluate", True):
             continue
         if not record.folder:
@@ -81,10 +86,29 @@ def measure_record(
     return None
 
 
+def _intend(
+    bench: Workbench, record: RunRecord, settings: EvaluationSettings, name: str | None = None
+) -> None:
+    """Note with a run that it is meant to be measured like this: a failed one counts as failed in it."""
+    dataset = None
+    with suppress(SlamHiveError):
+        dataset = bench.workshop.dataset(record.spec["datasetRef"]["name"]).dataset.spec
+    found = intended_evaluations(settings, SensorMode(record.spec["sensors"]), dataset, name)
+    if not set(found) <= set(record.evaluations):
+        bench.archive.put_evaluations(record.uid, found)
+
+
 def select(archive: Archive, selector: RunSelector) -> Iterator[RunRecord]:
-    """Return the finished runs that a selector names; several conditions must all hold."""
-    sweep = selector.sweep_ref.name if selector.sweep_ref else None
-    for record in archive.runs(sweep=sweep):
+    """Return the finished runs that a selector names; several conditions must all hold.
+
+    Of a sweep, those of its current version are meant.
+    """
+    where: dict[str, str] = {}
+    name = selector.sweep_ref.name if selector.sweep_ref else None
+    if name is not None:
+        sweep = archive.sweep(name)
+        where = {"sweep_uid": sweep.uid} if sweep else {"sweep": name}
+    for record in archive.runs(where):
         if selector.names and record.name not in selector.names:
             continue
         if any(record.labels.get(key) != value for key, value in selector.match_labels.items()):

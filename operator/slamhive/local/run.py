@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Protocol
 
+from slamhive.analysis.measuring import intended_evaluations
 from slamhive.engine import (
     AttemptState,
     Decision,
@@ -29,7 +30,8 @@ from slamhive.local.attempt import Attempt, AttemptOrder
 from slamhive.local.environments import Unavailable
 from slamhive.model.configuration import PreparedRecording
 from slamhive.model.errors import InputError, SlamHiveError
-from slamhive.model.results import Phase, Provenance, Reason, Result, RunRecord
+from slamhive.model.results import IntendedEvaluation, Phase, Provenance, Reason, Result, RunRecord
+from slamhive.model.sensors import SensorMode
 from slamhive.plan import run_configuration
 
 if TYPE_CHECKING:
@@ -71,7 +73,7 @@ class RunOrder:
     Attributes:
         uid: its identity in the archive.
         point: what the plan says of it.
-        sweep: name of the sweep it belongs to.
+        sweep, sweep_uid: name and identity of the sweep it belongs to.
         labels: labels that it carries.
         settings: how it is measured.
         reuse: whether an equal run's result may be taken.
@@ -81,6 +83,7 @@ class RunOrder:
     uid: str
     point: Point
     sweep: str
+    sweep_uid: str
     labels: dict[str, str]
     settings: EvaluationSettings
     reuse: bool
@@ -169,9 +172,11 @@ class RunDriver:
             uid=order.uid,
             name=order.point.name,
             sweep=order.sweep,
+            sweep_uid=order.sweep_uid,
             index=order.point.index,
             labels=order.labels,
             spec=self._spec,
+            evaluations=self._intended(),
             phase=Phase.FAILED,
             reason=Reason.SYSTEM_FAULT,
             message=message,
@@ -193,7 +198,9 @@ class RunDriver:
         progress.provenance = known = bench.circumstances(order.point.spec_hash)
         try:
             program = bench.program(self._spec["algorithmRef"]["name"])
-            progress.provenance = known.replace(environment=program.environment)
+            progress.provenance = known.replace(
+                algorithm_hash=program.algorithm_hash, environment=program.environment
+            )
             progress.provenance = bench.provenance(self._spec, order.point.spec_hash, program)
         except (SlamHiveError, OSError):
             return  # preparing meets it again and gives it its reason
@@ -298,9 +305,11 @@ class RunDriver:
             uid=order.uid,
             name=order.point.name,
             sweep=order.sweep,
+            sweep_uid=order.sweep_uid,
             index=order.point.index,
             labels=order.labels,
             spec=self._spec,
+            evaluations=self._intended(),
             attributes=self._bench.attributes(self._spec["datasetRef"]["name"]),
             phase=state.phase,
             reason=state.reason,
@@ -331,6 +340,15 @@ class RunDriver:
             folder=str(attempt.folder),
             log_tail=attempt.log_tail(),
         )
+
+    def _intended(self) -> list[IntendedEvaluation]:
+        """Return what the run is meant to be measured by, whether it comes to that or not."""
+        if not self._spec["evaluate"]:
+            return []
+        dataset = None
+        with suppress(SlamHiveError):
+            dataset = self._bench.workshop.dataset(self._spec["datasetRef"]["name"]).dataset.spec
+        return intended_evaluations(self._order.settings, SensorMode(self._spec["sensors"]), dataset)
 
     @property
     def _evaluator(self) -> Evaluator:

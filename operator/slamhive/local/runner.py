@@ -164,9 +164,8 @@ class Runner:
         self._interrupted = True
 
     def _resume(self, job: Job) -> None:
-        """Mark the points that are done; runs of an earlier version of the sweep stay under another name."""
+        """Mark the points that are done; from now on this is the current version of the sweep."""
         archive, sweep = self._bench.archive, job.sweep
-        archive.set_aside(sweep.name, f"{job.uid[:16]}-")
         archive.put_sweep(
             SweepRecord(
                 uid=job.uid,
@@ -179,7 +178,7 @@ class Runner:
         if self._rerun:
             return
         changed = Changes(self._bench)
-        for uid, point in archive.finished(sweep.name).items():
+        for uid, point in archive.finished(job.uid).items():
             index = point.index
             if index is None or index >= len(job.points) or uid != job.run_uid(index):
                 continue
@@ -193,7 +192,7 @@ class Runner:
                 job.afresh.add(index)
         changed.set_aside(sweep.name)
         job.kept = job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
-        job.cpu_seconds = archive.cpu_seconds(sweep.name)
+        job.cpu_seconds = archive.cpu_seconds(job.uid)
 
     def _again(self, reason: Reason | None) -> bool:
         return self._retry_failed or (reason is not None and reason.is_infrastructure)
@@ -273,6 +272,7 @@ class Runner:
             uid=job.run_uid(index),
             point=point,
             sweep=job.sweep.name,
+            sweep_uid=job.uid,
             labels=dict(job.sweep.spec.template.metadata.labels),
             settings=job.sweep.spec.evaluation,
             reuse=not self._rerun and job.sweep.spec.cache_policy is CachePolicy.REUSE,

@@ -128,7 +128,11 @@ class Workbench:
         checksum = self.checksum(spec["datasetRef"]["name"])
         hashed = content_hash(spec_hash, program.algorithm_hash, checksum, str(VERSION), program.environment)
         return self.circumstances(spec_hash).replace(
-            content_hash=hashed, environment=program.environment, dataset_sha256=checksum
+            content_hash=hashed,
+            algorithm_hash=program.algorithm_hash,
+            environment=program.environment,
+            dataset_sha256=checksum,
+            preparation=str(VERSION),
         )
 
     def circumstances(self, spec_hash: str) -> Provenance:

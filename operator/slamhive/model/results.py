@@ -128,9 +128,11 @@ class Provenance(Model):
 
     content_hash: str | None = None
     spec_hash: str | None = None
+    algorithm_hash: str | None = None
     environment: str | None = None
     image_id: str | None = Field(default=None, alias="imageID")
     dataset_sha256: str | None = None
+    preparation: str | None = None
     variant: str | None = None
     node: str | None = None
     cpu_model: str | None = None
@@ -147,12 +149,35 @@ class Result(Model):
     values: dict[str, Any] = Field(default_factory=dict)
 
 
+class IntendedEvaluation(Model):
+    """An evaluation that a run was meant to be measured by, whether it came to that or not.
+
+    Attributes:
+        evaluation: its name.
+        alignment: as a result of it would name it; None when that isn't known.
+        settings: hash of its settings.
+    """
+
+    evaluation: str
+    alignment: str | None = None
+    settings: str | None = None
+
+
 class RunRecord(Model):
-    """A run with all that is recorded of it."""
+    """A run with all that is recorded of it.
+
+    Attributes:
+        sweep, sweep_uid: name and identity of its Sweep; versions of a Sweep share the name.
+        namespace, cluster: where it ran; None on a workstation.
+        evaluations: what it was meant to be measured by.
+    """
 
     uid: str
     name: str
     sweep: str | None = None
+    sweep_uid: str | None = None
+    namespace: str | None = None
+    cluster: str | None = None
     index: int | None = None
     labels: dict[str, str] = Field(default_factory=dict)
     spec: dict[str, Any]
@@ -168,6 +193,7 @@ class RunRecord(Model):
     frames: Frames | None = None
     metrics: dict[str, Any] = Field(default_factory=dict)
     trajectory: TrajectoryInfo | None = None
+    evaluations: list[IntendedEvaluation] = Field(default_factory=list)
     results: list[Result] = Field(default_factory=list)
     provenance: Provenance = Field(default_factory=Provenance)
     folder: str | None = None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from slamhive.reporting.drawing import BAND, WIDTH, Drawing, Style, cut
 from slamhive.reporting.markup import keys_text, parse_metric, shown
 from slamhive.reporting.scales import Scale
-from slamhive.reporting.tables import failures_text
+from slamhive.tables.text import counts_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -256,7 +256,7 @@ def _draw_groups(drawing: Drawing, made: Study, panel: Panel, axes: tuple[Scale,
             failures = sum(cell.failures.values())
             failed[at - aside if crowded else at] += failures
             if failures and not crowded:
-                words = f"{keys_text(cell.keys.values())}: {failures_text(cell.failures)} of {cell.runs} runs"
+                words = f"{keys_text(cell.keys.values())}: {counts_text(cell.failures)} of {cell.runs} runs"
                 drawing.cross(at, top - BAND / 2 - 7, style, words)
         if made.categories is None:
             drawing.path(way, style.colour)

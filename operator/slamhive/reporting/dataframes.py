@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.columns import ColumnKind
+from slamhive.analysis.selection import Selection, choose
 from slamhive.model.errors import InputError, UnknownNameError
-from slamhive.reporting.reading import Selection, archive_url, read_archive, select
+from slamhive.tables.reading import archive_url, read_archive
 
 if TYPE_CHECKING:
     import os
@@ -30,6 +31,8 @@ def results(
     columns: str | Sequence[str] | None,
     sweep: str | Sequence[str] | None,
     evaluation: str | None,
+    superseded: bool,
+    reused: bool,
     frame: str,
 ) -> Any:
     """Return the archive's rows as a data frame; see ``slamhive.results``."""
@@ -37,7 +40,8 @@ def results(
         raise UnknownNameError("kind of data frame", str(frame), MAKERS, "frame")
     library = _library(frame)
     sweeps = () if sweep is None else (sweep,) if isinstance(sweep, str) else tuple(sweep)
-    chosen = select(read_archive(archive_url(place)), Selection(sweeps, evaluation, where))
+    selection = Selection(sweeps, evaluation, where, superseded=superseded, each=reused)
+    chosen = choose(read_archive(archive_url(place)), selection).frame
     wanted = columns.split(",") if isinstance(columns, str) else columns
     names = chosen.names if wanted is None else list(dict.fromkeys(name.strip() for name in wanted))
     chosen.require(names, "columns")

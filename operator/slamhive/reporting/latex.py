@@ -181,7 +181,7 @@ def _figure(metric: Metric, place: Place | None, number: int) -> str:
         text += rf" $\pm$ {ends[0]}"
     elif ends:
         text += rf" [{ends[0]}, {ends[1]}]"
-    return text + (_DAGGER if place.failures and not number else "")
+    return text + (_DAGGER if place.untracked and not number else "")
 
 
 def _caption(table: PaperTable, caption: str) -> str:

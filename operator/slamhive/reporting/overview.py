@@ -46,8 +46,13 @@ def runs_of(frame: Frame) -> int:
     return len(np.unique(frame.column("id").floats()))
 
 
-def overview_section(frame: Frame) -> Markup:
-    """Return what was compared: sweeps, algorithms, datasets, settings, and what became of the runs."""
+def overview_section(frame: Frame, notes: Sequence[str] = ()) -> Markup:
+    """Return what was compared: sweeps, algorithms, datasets, settings, and what became of the runs.
+
+    Args:
+        frame: the rows.
+        notes: sentences on what is left out of them.
+    """
     facts = [("runs", f"{runs_of(frame):,}")]
     for name, title in (
         ("sweep", "sweeps"),
@@ -63,7 +68,7 @@ def overview_section(frame: Frame) -> Markup:
         facts.append(("settings that vary", _listed(settings)))
     parts = [_facts(facts), _outcomes_sheet(frame).html()]
     warnings = [f"{', '.join(map(shown, one.keys.values()))}: {one.sentence}" for one in suspects(frame)]
-    return joined([*parts, notes_html(warnings)])
+    return joined([*parts, notes_html([*notes, *warnings])])
 
 
 def _outcomes_sheet(frame: Frame) -> Sheet:

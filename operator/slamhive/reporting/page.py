@@ -21,7 +21,6 @@ from slamhive.reporting.charts import study_chart
 from slamhive.reporting.drawing import legend
 from slamhive.reporting.markup import Markup, clip, element, joined, keys_text, parse_metric, shown
 from slamhive.reporting.overview import overview_section, provenance_section, runs_of, runs_section
-from slamhive.reporting.reading import revision, with_figure
 from slamhive.reporting.sections import (
     comparison_section,
     figure,
@@ -29,15 +28,16 @@ from slamhive.reporting.sections import (
     leaderboard_section,
 )
 from slamhive.reporting.studies import study
-from slamhive.reporting.tables import (
-    Sheet,
+from slamhive.reporting.tables import Sheet, notes_html
+from slamhive.tables.reading import revision, with_figure
+from slamhive.tables.text import (
     as_columns,
     failures_text,
-    notes_html,
+    flat_summary,
+    n_text,
     number_text,
     range_text,
     spread_text,
-    summary_columns,
 )
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ class Contents:
         costs: columns that accuracy is drawn against; empty for processor time and memory.
         questions: what else is drawn.
         filters: what was chosen, in words.
+        notes: sentences on what is left out.
     """
 
     title: str = "SLAM comparison"
@@ -75,6 +76,7 @@ class Contents:
     costs: tuple[str, ...] = ()
     questions: tuple[Question, ...] = ()
     filters: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def report_html(frame: Frame, contents: Contents, now: datetime | None = None) -> str:
@@ -92,7 +94,7 @@ def report_html(frame: Frame, contents: Contents, now: datetime | None = None) -
     }
     ranked, left = with_figure(frame, contents.metric)
     sections = [
-        ("what", "What was compared", overview_section(frame)),
+        ("what", "What was compared", overview_section(frame, contents.notes)),
         _ranked("leaderboard", "Leaderboard", _leaderboard_words(contents), _board(ranked, contents, left)),
         _ranked("comparison", "Two by two", _COMPARED, comparison_section(ranked, *_asked(contents))),
         *_fronts(ranked, contents),
@@ -239,16 +241,14 @@ def _study_sheet(made: Study, number: int) -> Sheet:
                 _median_text(cell, metric.column),
                 spread_text(metric, summary),
                 range_text(metric, summary),
-                f"{cell.n}/{cell.runs}",
+                f"{n_text(cell)} / {cell.runs}" if cell.deterministic else f"{cell.n}/{cell.runs}",
                 number_text(cell.coverage.mean if cell.coverage else None),
-                failures_text(cell.failures),
+                failures_text(cell),
             ]
         )
-        row = {**cell.keys, "runs": cell.runs, "failures": cell.failures}
+        row = {**cell.keys, "runs": cell.runs, "n": cell.n, "failures": cell.failures}
         row |= {"median.censored": cell.figures[metric.column].censored_median}
-        rows.append(
-            row | summary_columns(metric.column, summary) | summary_columns("coverage", cell.coverage)
-        )
+        rows.append(row | flat_summary(metric.column, summary) | flat_summary("coverage", cell.coverage))
     caption = f"{metric.title} by {', '.join(names)}"
     return Sheet(f"analysis-{number}", caption, headings, lines, as_columns(rows))
 

@@ -87,24 +87,26 @@ class Place:
 
     Attributes:
         runs, n: runs, and those in the figures.
-        failures: runs that weren't tracked, by what became of them.
+        failures: runs that aren't, by what became of them.
+        untracked: runs that weren't tracked, in the figures or not, by what became of them.
         figures: one a metric.
     """
 
     runs: int
     n: int
     failures: dict[str, int]
+    untracked: dict[str, int]
     figures: tuple[Figure, ...]
 
     @property
     def tracked(self) -> int:
         """Number of runs that were tracked."""
-        return self.runs - sum(self.failures.values())
+        return self.runs - sum(self.untracked.values())
 
     @property
     def verdict(self) -> str:
         """What became of most of the runs that weren't tracked."""
-        return max(self.failures, key=lambda word: self.failures[word], default="–")
+        return max(self.untracked, key=lambda word: self.untracked[word], default="–")
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class PaperTable:
     @property
     def has_failures(self) -> bool:
         """Whether any run wasn't tracked."""
-        return any(place.failures for line in self.places for place in line if place is not None)
+        return any(place.untracked for line in self.places for place in line if place is not None)
 
     @property
     def shows_counts(self) -> bool:
@@ -152,10 +154,10 @@ class PaperTable:
     def failures(self) -> list[tuple[tuple[Any, ...], tuple[Any, ...], dict[str, int]]]:
         """Return (row, column, what became of the runs that weren't tracked) of each place that has some."""
         return [
-            (row, column, place.failures)
+            (row, column, place.untracked)
             for row, line in zip(self.rows, self.places, strict=True)
             for column, place in zip(self.columns, line, strict=True)
-            if place is not None and place.failures
+            if place is not None and place.untracked
         ]
 
 
@@ -276,7 +278,8 @@ def _place(cell: Cell | None, layout: Layout) -> Place | None:
             ends = (summary.std,) if layout.statistic is Statistic.MEAN else (summary.min, summary.max)
             spread = tuple(end * metric.factor for end in ends)
         figures.append(Figure(value, spread))
-    return Place(cell.runs, cell.n, cell.failures, tuple(figures))
+    untracked = Counter(cell.failures) + Counter(cell.untracked)
+    return Place(cell.runs, cell.n, cell.failures, dict(sorted(untracked.items())), tuple(figures))
 
 
 def _with_best(

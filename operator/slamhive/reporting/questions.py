@@ -9,12 +9,10 @@ from urllib.parse import parse_qsl
 
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import ColumnKind
-from slamhive.analysis.grouping import varies, varying
-from slamhive.analysis.pivot import CONFIGURATION
-from slamhive.dashboard import selecting
-from slamhive.dashboard.problems import Problem
+from slamhive.analysis.grouping import CONFIGURATION, varies, varying
 from slamhive.model.errors import InputError, suggestion
-from slamhive.reporting.reading import with_figure
+from slamhive.tables import queries
+from slamhive.tables.reading import with_figure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,9 +118,10 @@ def _of_address(text: str, frame: Frame, outcomes: Outcomes) -> Question:
         if name not in given:
             raise InputError(f"{_FIELD}: {text[:200]!r} says no {name}=")
     try:
-        chosen = selecting.select(frame, pairs, _SETTINGS)
-        counted = selecting.outcomes(given["outcomes"]) if "outcomes" in given else outcomes
-    except (Problem, InputError) as error:
+        node = queries.condition(frame, pairs, (*_SETTINGS, queries.SUPERSEDED))
+        chosen = frame if node is None else frame.select(node.mask(frame))
+        counted = queries.outcomes(given["outcomes"]) if "outcomes" in given else outcomes
+    except InputError as error:
         raise InputError(f"{_FIELD}: {error}") from None
     by = tuple(resolve(given[name], frame) for name in ("colour", "facet") if name in given)
     log = tuple(True if given.get(name) == "1" else None for name in ("xlog", "ylog"))

@@ -13,16 +13,14 @@ from slamhive.analysis.pareto import pareto
 from slamhive.reporting.charts import MOST_ENTRIES, board_chart, front_chart
 from slamhive.reporting.drawing import legend
 from slamhive.reporting.markup import Markup, clip, element, joined, keys_text, parse_metric, shown
-from slamhive.reporting.tables import (
-    Sheet,
+from slamhive.reporting.tables import Sheet, bold, small
+from slamhive.tables.text import (
     as_columns,
-    bold,
-    failures_text,
+    counts_text,
+    flat_summary,
     interval_text,
     number_text,
     range_text,
-    small,
-    summary_columns,
 )
 
 if TYPE_CHECKING:
@@ -105,7 +103,7 @@ def _standing(standing: Standing | None, metric: Metric) -> Markup:
         words.insert(0, range_text(metric, standing.summary))
     if standing.coverage is not None:
         words.append(f"cov. {standing.coverage:.3f}")
-    failed = failures_text(standing.failures)
+    failed = counts_text(standing.failures)
     return joined(
         [median, Markup("<br>"), small(", ".join(words), *([Markup("<br>"), failed] if failed else []))]
     )
@@ -122,11 +120,12 @@ def _standing_row(board: Board, entry: Entry, standing: Standing) -> dict[str, A
         "ratio": entry.ratio,
         "dataset": standing.dataset,
         "runs": standing.runs,
+        "n": standing.n,
         "failures": standing.failures,
         "median.censored": standing.median,
         "dataset.rank": standing.rank,
         "coverage": standing.coverage,
-        **summary_columns("figure", standing.summary),
+        **flat_summary("figure", standing.summary),
     }
 
 
@@ -252,7 +251,7 @@ def _fronts_sheet(fronts: Sequence[Front], axes: tuple[str, str]) -> Sheet:
                 "failed" if math.isinf(spot.y) else error.show(spot.y),
                 f"{spot.n}/{spot.runs}",
                 number_text(spot.coverage),
-                failures_text(spot.failures),
+                counts_text(spot.failures),
                 "yes" if spot.front else "",
             ]
         )

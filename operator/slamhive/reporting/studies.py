@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.columns import Column, ColumnKind
-from slamhive.analysis.grouping import Groups, aggregate, varies, varying_facets
-from slamhive.reporting.reading import with_figure
+from slamhive.analysis.columns import ColumnKind
+from slamhive.analysis.grouping import LOAD, LOAD_FACETS, Groups, aggregate, apart, varies
+from slamhive.tables.reading import with_figure
 
 if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
@@ -24,8 +24,6 @@ MOST_PANELS = 12
 MOST_POINTS = 3000
 """Runs that are drawn one by one at most; beyond, some are chosen evenly."""
 
-_OF_PROCESSORS = ("provenance.cpuModel", "usage.includesReader")
-_OF_LOAD = "usage."
 _HOUR = 3600.0
 
 
@@ -103,16 +101,15 @@ class Study:
 def study(question: Question) -> Study:
     """Answer a question."""
     frame, left = with_figure(question.frame, question.y)
-    frame, notes = _comparable(question, frame)
     x, y, by = question.x, question.y, question.by
     asked = [*by, *([x] if x not in by else [])]
-    found = aggregate(frame, [y], asked, question.outcomes)
+    frame, names = apart(frame, asked, (x, y, *by))
+    found = aggregate(frame, [y], [*names, *asked], question.outcomes)
     column = frame.column(x)
     numeric = column.kind.is_numeric and column.kind is not ColumnKind.BOOLEAN
     categories = None if numeric else column.factorized()[1]
-    names = varying_facets(frame, asked)
     series = [tuple(key[name] for name in by) for key in Groups(frame, by).keys]
-    made = Study(question, categories, series, [], found, [*left, *notes, *found.notes])
+    made = Study(question, categories, series, [], found, [*left, *_mixed(question, frame), *found.notes])
     groups = Groups(frame, names)
     panels = []
     for rows, keys in zip(groups.members(), groups.keys, strict=True):
@@ -125,16 +122,12 @@ def study(question: Question) -> Study:
     return made
 
 
-def _comparable(question: Question, frame: Frame) -> tuple[Frame, list[str]]:
-    """Return the runs with those of different processors together where only errors are drawn."""
+def _mixed(question: Question, frame: Frame) -> list[str]:
+    """Say that runs of different processors are together, where only errors are drawn."""
     drawn = (question.x, question.y, *question.by)
-    if any(name.startswith(_OF_LOAD) or name in _OF_PROCESSORS for name in drawn):
-        return frame, []
-    mixed = [name for name in _OF_PROCESSORS if varies(frame, name)]
-    if not mixed:
-        return frame, []
-    notes = ["runs of different processors are drawn together"] if _OF_PROCESSORS[0] in mixed else []
-    return frame.replaced({name: Column.missing(len(frame)) for name in mixed}), notes
+    if any(name.startswith(LOAD) or name in LOAD_FACETS for name in drawn):
+        return []
+    return ["runs of different processors are drawn together"] if varies(frame, LOAD_FACETS[0]) else []
 
 
 def _worth_drawing(made: Study, panels: list[Panel]) -> list[Panel]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +12,6 @@ from slamhive.reporting.writing import csv_text
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from slamhive.analysis import Metric, Summary
-    from slamhive.analysis.statistics import Interval
 
 MOST_LINES = 300
 """Lines of a table that are shown; the CSV has all."""
@@ -66,58 +63,6 @@ class Sheet:
         about = f"{clip(self.caption)} ({self.name})"  # landmarks need names of their own
         scroll = element("div", table, class_="scroll", tabindex="0", role="region", aria_label=about)
         return joined([caption, scroll, *more])
-
-
-def as_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Return records as columns, names in the order of first being seen."""
-    names = dict.fromkeys(name for row in rows for name in row)
-    return {name: [row.get(name) for row in rows] for name in names}
-
-
-def spread_text(metric: Metric, summary: Summary | None) -> str:
-    """Return ``mean ± std``, the mean alone for one number."""
-    if summary is None:
-        return "–"
-    mean = metric.show(summary.mean)
-    if summary.std is None:
-        return mean
-    std = metric.show(summary.std) if metric.format else format(summary.std * metric.factor, ".2g")
-    return f"{mean} ± {std}"
-
-
-def range_text(metric: Metric, summary: Summary | None) -> str:
-    """Return the smallest and largest of several numbers."""
-    if summary is None or summary.n < 2:
-        return "–"
-    return f"{metric.show(summary.min)} – {metric.show(summary.max)}"
-
-
-def number_text(value: float | None, shape: str = ".3g") -> str:
-    """Return a plain number, a dash for none, the sign of infinity for failures that reach into it."""
-    if value is None or math.isnan(value):
-        return "–"
-    return "∞" if math.isinf(value) else format(value, shape)
-
-
-def interval_text(interval: Interval | None) -> str:
-    """Return where something lies."""
-    if interval is None:
-        return "–"
-    return f"{number_text(interval.low)} – {number_text(interval.high)}"
-
-
-def failures_text(failures: Mapping[str, int]) -> str:
-    """Return what became of the runs that weren't tracked."""
-    return ", ".join(f"{count} {clip(word, 60)}" for word, count in failures.items())
-
-
-def summary_columns(prefix: str, summary: Summary | None) -> dict[str, Any]:
-    """Return a summary as columns of a file."""
-    parts = ("n", "mean", "std", "median", "min", "max")
-    return {
-        f"{prefix}.{part}": getattr(summary, part) if summary else (0 if part == "n" else None)
-        for part in parts
-    }
 
 
 def notes_html(notes: Sequence[str]) -> Markup | None:

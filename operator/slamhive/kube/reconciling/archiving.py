@@ -11,7 +11,7 @@ from slamhive.kube.errors import Conflict
 from slamhive.kube.kinds import Key, Kind, key_of
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.points import decode
-from slamhive.kube.reconciling.records import record_of
+from slamhive.kube.reconciling.records import record_of, with_evaluations
 from slamhive.kube.reconciling.sweep_runs import FILES, is_settled, point_of, state_of
 from slamhive.kube.status import result_field
 from slamhive.model.errors import UnknownNameError
@@ -67,7 +67,7 @@ class Retirement:
         # Only what the status says to be done may go: the bit is what remains of a run here.
         going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
         for run in going:
-            await asyncio.to_thread(op.archive.put_run, *self._records(op, run))
+            await asyncio.to_thread(op.archive.put_run, *self._records(op, sweep, run))
         left = surplus - len(going)
         for run in going:
             meta = run["metadata"]
@@ -80,10 +80,10 @@ class Retirement:
         return [op.settings.sweep_write_seconds] if left else []
 
     def _records(
-        self, op: Operator, run: Object
+        self, op: Operator, sweep: Sweep, run: Object
     ) -> tuple[RunRecord, CatalogEntry | None, CatalogEntry | None]:
         namespace, spec = run["metadata"]["namespace"], run["spec"]
-        algorithm = dataset = None
+        algorithm = dataset = found = None
         attributes: Object = {}
         try:
             algorithm = CatalogEntry.of(
@@ -97,7 +97,7 @@ class Retirement:
             attributes = (entry.get("description") or {}).get("attributes") or dict(found.spec.attributes)
         except UnknownNameError:  # deleted from the catalog meanwhile
             pass
-        record = record_of(run, attributes=attributes)
+        record = with_evaluations(record_of(run, attributes=attributes), sweep.spec.evaluation, found)
         if (run["metadata"].get("annotations") or {}).get(FILES):
             record = record.replace(folder=None)  # the collector removes it
         return record, algorithm, dataset

@@ -54,13 +54,21 @@ def attempt_fields(uid: str, attempted: Attempted, now: float) -> dict[str, Any]
 
 
 def provenance(
-    attempted: Attempted, description: dict[str, Any] | None, spec_hash: str, content_hash: str | None
+    attempted: Attempted,
+    description: dict[str, Any] | None,
+    *,
+    spec_hash: str,
+    algorithm_hash: str,
+    content_hash: str | None,
 ) -> dict[str, Any]:
     """Return what exactly produced a result."""
     known = description or {}
+    preparation = known.get("preparationVersion")
     return Provenance(
         content_hash=content_hash,
         spec_hash=spec_hash,
+        algorithm_hash=algorithm_hash,
+        preparation=None if preparation is None else str(preparation),
         environment=image_digest(attempted.image_id) if attempted.image_id else None,
         image_id=attempted.image_id,
         dataset_sha256=known.get("datasetSha256"),

@@ -5,12 +5,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.kinds import Label
+from slamhive.analysis.measuring import intended_evaluations
+from slamhive.kube.kinds import Kind, Label
 from slamhive.kube.status import phase_of, result_of
 from slamhive.model.results import Reason, RunRecord
+from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from slamhive.model.dataset import Dataset
+    from slamhive.model.evaluation import EvaluationSettings
 
 _TAKEN = (
     "message",
@@ -45,6 +50,8 @@ def record_of(
             "uid": meta["uid"],
             "name": meta["name"],
             "sweep": labels.get(Label.SWEEP),
+            "sweepUid": _owner(run),
+            "namespace": meta.get("namespace"),
             "index": int(point) if point is not None and point.isdecimal() else None,
             "labels": labels,
             "spec": dict(spec or run["spec"]),
@@ -57,6 +64,29 @@ def record_of(
             "results": [result_of(item) for item in status.get("results") or ()],
         }
     )
+
+
+def with_evaluations(
+    record: RunRecord, settings: EvaluationSettings | None, dataset: Dataset | None
+) -> RunRecord:
+    """Return a record that says what its run was meant to be measured by.
+
+    Args:
+        record: the run.
+        settings: how its Sweep, or it alone, is measured; None when that isn't known any more.
+        dataset: its Dataset; None likewise.
+    """
+    sensors = record.spec.get("sensors")
+    if settings is None or not record.spec.get("evaluate", True) or sensors not in set(SensorMode):
+        return record
+    given = dataset.spec if dataset else None
+    return record.replace(evaluations=intended_evaluations(settings, SensorMode(sensors), given))
+
+
+def _owner(run: Mapping[str, Any]) -> str | None:
+    """Return the UID of the Sweep that made a run."""
+    owners = run["metadata"].get("ownerReferences") or ()
+    return next((owner["uid"] for owner in owners if owner.get("kind") == Kind.SWEEP), None)
 
 
 def image_digest(image_id: str) -> str:

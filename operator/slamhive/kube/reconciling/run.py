@@ -351,7 +351,13 @@ class RunReconciler:
         image = image_digest(attempted.image_id) if attempted.image_id else None
         hashed = self._twins.content_hash(facts, image)
         fields = attempt_fields(facts.body["metadata"]["uid"], attempted, now)
-        fields["provenance"] = provenance(attempted, facts.variant.description, facts.spec_hash, hashed)
+        fields["provenance"] = provenance(
+            attempted,
+            facts.variant.description,
+            spec_hash=facts.spec_hash,
+            algorithm_hash=self._catalogue.algorithm_hash(facts.algorithm),
+            content_hash=hashed,
+        )
         shown = op.usage.observed(attempted.pod_uid or "")
         usage = attempted.report.usage if attempted.report else None
         suspect = shown and usage_suspect(usage, shown.max_cores, shown.max_memory_bytes)

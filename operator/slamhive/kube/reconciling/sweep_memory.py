@@ -141,21 +141,21 @@ def _recall(
 ) -> None:
     """Take from the archive what became of the runs whose objects are gone."""
     uid = sweep.metadata.uid or ""
-    archive.retire(sweep.name, uid)
     archive.put_sweep(
         SweepRecord(
             uid=uid,
             name=sweep.name,
+            namespace=sweep.metadata.namespace,
             labels=sweep.metadata.labels,
             spec=sweep.spec.as_json(),
             created=datetime.now(UTC),
             evaluation=sweep.spec.evaluation.as_json(),
         )
     )
-    for run, point in archive.finished(sweep.name).items():
+    for run, point in archive.finished(uid).items():
         if run not in live and point.index is not None and point.index < len(states):
             succeeded = point.phase is Phase.SUCCEEDED
             states[point.index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
-    totals = archive.totals(sweep.name, live)
+    totals = archive.totals(uid, live)
     archived.reused, archived.evaluated = totals.reused, totals.evaluated
     archived.cpu_seconds = totals.cpu_seconds

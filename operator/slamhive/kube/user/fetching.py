@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 from slamhive.archive import CatalogEntry, SweepRecord
 from slamhive.kube.kinds import Kind
 from slamhive.kube.reconciling.catalogue import parse
-from slamhive.kube.reconciling.records import record_of
+from slamhive.kube.reconciling.records import record_of, with_evaluations
 from slamhive.kube.status import phase_of
 from slamhive.kube.user.filing import Wanted
 from slamhive.kube.user.looking import is_over, name_of, owner_uid, runs_of, status_of
 from slamhive.model.errors import InputError
+from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.sweep import Sweep
-from slamhive.plan import resolve, run_name
+from slamhive.plan import resolve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 Object = dict[str, Any]
 
-SET_ASIDE = "@"
-
 
 @dataclass(frozen=True)
 class Fetched:
@@ -40,7 +39,7 @@ class Fetched:
     Attributes:
         kind: its kind.
         name: its name in the cluster.
-        stored: the sweep that its runs belong to in the archive here.
+        stored: what the sweep of its runs is called in the archive here.
         runs: runs that were copied.
         waiting: runs among them that are not evaluated yet.
         unfinished: runs that have not ended.
@@ -73,33 +72,35 @@ class Fetcher:
         self._catalog = catalog
         self._archive = archive
         self._step = step
+        self._settings: dict[str, EvaluationSettings] = {}
         self.absent: list[Wanted] = []
         """The runs that were copied and whose files are not here, with the sweep that each belongs to."""
 
     async def sweep(self, body: Object) -> Fetched:
         """Copy a Sweep's finished runs."""
-        name, uid, status = name_of(body), body["metadata"]["uid"], status_of(body)
+        name, meta, status = name_of(body), body["metadata"], status_of(body)
         runs = await runs_of(self._cluster, body)
-        stored = self._place(name, uid)
         spec = parse(Sweep, body).spec
         self._archive.put_sweep(
             SweepRecord(
-                uid=uid,
-                name=stored,
-                labels=body["metadata"].get("labels") or {},
+                uid=meta["uid"],
+                name=name,
+                namespace=meta["namespace"],
+                labels=meta.get("labels") or {},
                 spec=spec.as_json(),
                 evaluation=spec.evaluation.as_json(),
-                created=body["metadata"].get("creationTimestamp"),
+                created=meta.get("creationTimestamp"),
             )
         )
+        self._settings[meta["uid"]] = spec.evaluation
         finished = [run for run in runs if phase_of(status_of(run)).is_finished]
-        self._keep(finished, stored)
+        self._keep(finished, name, meta["uid"])
         done = status.get("succeeded", 0) + status.get("failed", 0)
         total = status.get("total", len(runs))
         return Fetched(
             kind=Kind.SWEEP,
             name=name,
-            stored=stored,
+            stored=self._address(name, meta),
             runs=len(finished),
             waiting=sum(not is_over(Kind.MAPPING_RUN, run) for run in finished),
             unfinished=max(0, total - max(done, len(finished))),
@@ -108,44 +109,35 @@ class Fetcher:
 
     def run(self, body: Object) -> Fetched:
         """Copy a run; one that belongs to no Sweep becomes a sweep of one, as on a workstation."""
-        name, uid = name_of(body), body["metadata"]["uid"]
-        record = record_of(body)
+        meta, record = body["metadata"], record_of(body)
         owner = owner_uid(body)
-        if record.sweep is not None and owner is not None:
-            stored = self._place(record.sweep, owner)
-        else:
-            foreign = any(other.uid != uid for other in self._archive.runs(sweep=name))
-            stored = _aside(name, uid) if foreign else name
+        sweep, uid = (record.sweep, owner) if record.sweep and owner else (name_of(body), meta["uid"])
         finished = phase_of(status_of(body)).is_finished
         if finished:
-            self._keep([body], stored)
+            self._keep([body], sweep, uid)
         waiting = int(finished and not is_over(Kind.MAPPING_RUN, body))
-        return Fetched(Kind.MAPPING_RUN, name, stored, int(finished), waiting, int(not finished))
+        stored = self._address(sweep, meta)
+        return Fetched(Kind.MAPPING_RUN, name_of(body), stored, int(finished), waiting, int(not finished))
 
-    def _place(self, sweep: str, uid: str) -> str:
-        """Return the name for a Sweep's runs here: another one where other runs have its own.
+    def _address(self, sweep: str, meta: Object) -> str:
+        """Return what a sweep is called in the archive here, with its namespace where that is needed."""
+        places = {record.namespace for record in self._archive.runs(sweep=sweep)}
+        return f"{meta['namespace']}/{sweep}" if places - {meta["namespace"]} else sweep
 
-        The names of a Sweep's runs follow from its uid, so those that were fetched before are known.
-        """
-        strangers = (
-            record.index is None or record.name != run_name(sweep, uid, record.index)
-            for record in self._archive.runs(sweep=sweep)
-        )
-        return _aside(sweep, uid) if any(strangers) else sweep
-
-    def _keep(self, runs: Sequence[Object], stored: str) -> None:
-        here = {record.uid: record for record in self._archive.runs(sweep=stored) if _is_here(record)}
+    def _keep(self, runs: Sequence[Object], sweep: str, uid: str) -> None:
+        known = self._archive.runs({"sweep_uid": uid})
+        here = {record.uid: record for record in known if _is_here(record)}
         for number, run in enumerate(runs, 1):
-            record, algorithm, dataset = self._records(run, stored)
+            record, algorithm, dataset = self._records(run, sweep, uid)
             if before := here.get(record.uid):
                 record = record.replace(folder=before.folder, trajectory=before.trajectory)
             else:
-                self.absent.append(Wanted(run, stored))
+                self.absent.append(Wanted(run, sweep))
             self._archive.put_run(record, algorithm, dataset)
             self._step(number, len(runs))
 
     def _records(
-        self, run: Object, stored: str
+        self, run: Object, sweep: str, uid: str
     ) -> tuple[RunRecord, CatalogEntry | None, CatalogEntry | None]:
         spec = run["spec"]
         algorithm = self._catalog.items.algorithms.get(spec["algorithmRef"]["name"])
@@ -153,7 +145,9 @@ class Fetcher:
         with suppress(InputError):  # the spec of a run that was refused is recorded as it stands
             spec = resolve({key: spec[key] for key in spec if key != "cancel"}, algorithm, None)
         attributes = dict(dataset.spec.attributes) if dataset else {}
-        record = record_of(run, spec, attributes).replace(sweep=stored)
+        record = record_of(run, spec, attributes).replace(sweep=sweep, sweep_uid=uid)
+        settings = self._settings.get(uid) or (EvaluationSettings() if uid == record.uid else None)
+        record = with_evaluations(record, settings, dataset)
         return (
             record,
             CatalogEntry.of(algorithm) if algorithm else None,
@@ -174,10 +168,8 @@ def put_folder(archive: Archive, item: Wanted, folder: RunFolder) -> None:
 
 def remarks(fetched: Fetched) -> Iterator[str]:
     """Yield sentences about what was not, or not simply, copied."""
-    if fetched.stored != fetched.name and fetched.stored.startswith(f"{fetched.name}{SET_ASIDE}"):
-        yield (
-            f"other runs are known as {fetched.name} here; those of the cluster are kept as {fetched.stored}"
-        )
+    if "/" in fetched.stored:
+        yield f"another sweep has this name here; --sweep {fetched.stored} means that of the cluster"
     if fetched.unfinished:
         yield f"{fetched.name}: {fetched.unfinished} not finished yet; fetch again later"
     if fetched.waiting:
@@ -192,7 +184,3 @@ def remarks(fetched: Fetched) -> Iterator[str]:
 def _is_here(record: RunRecord) -> bool:
     """Tell whether a run's files were fetched before: on a cluster its folder is a path on a volume."""
     return record.folder is not None and Path(record.folder).is_absolute() and Path(record.folder).is_dir()
-
-
-def _aside(name: str, uid: str) -> str:
-    return f"{name}{SET_ASIDE}{uid[:8]}"

@@ -11,56 +11,89 @@
 from __future__ import annotations
 
 import re
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.conditions import All, Comparison, Literal, Membership, Name
 from slamhive.analysis.expressions import parse_where
-from slamhive.analysis.grouping import with_facets
-from slamhive.analysis.pivot import Outcomes
-from slamhive.dashboard.problems import BadRequest, within
-from slamhive.model.errors import suggestion
+from slamhive.analysis.grouping import Outcomes
+from slamhive.analysis.selection import meeting
+from slamhive.model.errors import InputError, suggestion
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from slamhive.analysis.conditions import Node
     from slamhive.analysis.frame import Frame
+    from slamhive.analysis.selection import Chosen
 
     Pairs = Sequence[tuple[str, str]]
 
 MAX_FILTERS = 100
+
+SUPERSEDED = "superseded"
+"""Parameter by which results of earlier versions are asked for."""
+
 _OPERATOR = re.compile(r"(.+?)(<=|>=|!=|<|>)(.*)", re.DOTALL)
 _WORDS: dict[str, Any] = {"true": True, "false": False, "null": None}
 
 
-def select(frame: Frame, pairs: Pairs, reserved: Iterable[str]) -> Frame:
-    """Return the rows that the filters of a query string mean.
+class QueryError(InputError):
+    """A query string that can't be understood.
+
+    Attributes:
+        field: name of the parameter that is wrong.
+        position: where in its text the mistake is, from 0.
+    """
+
+    reason = "InvalidQuery"
+
+    def __init__(self, sentence: str, field: str | None = None, position: int | None = None) -> None:
+        super().__init__(sentence)
+        self.field = field
+        self.position = position
+
+
+@contextmanager
+def within(field: str) -> Iterator[None]:
+    """Say of mistakes found inside in which parameter they were made.
+
+    Raises:
+        QueryError: in the place of an InputError.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise QueryError(str(error), field, getattr(error, "position", None)) from None
+
+
+def select(frame: Frame, pairs: Pairs, reserved: Iterable[str], *, each: bool = False) -> Chosen:
+    """Return the rows that the filters of a query string mean, current ones alone unless they ask for more.
 
     Args:
         frame: all rows.
-        pairs: names and values of the query string.
+        pairs: names and values of the query string; ``superseded=1`` asks for earlier versions too.
         reserved: names that mean something else to the request.
+        each: whether runs are meant one by one: those of equal content too, and unfinished ones.
 
     Raises:
-        BadRequest: with the parameter that is wrong.
+        QueryError: with the parameter that is wrong.
     """
-    node = _filters(frame, pairs, frozenset(reserved))
-    return frame if node is None else frame.select(node.mask(frame))
+    node = condition(frame, pairs, {*reserved, SUPERSEDED})
+    asked = [value for name, value in pairs if name == SUPERSEDED]
+    if asked and asked[-1] not in {"0", "1", "false", "true"}:
+        raise QueryError(f"{SUPERSEDED}: expected 0 or 1, found {asked[-1][:40]!r}", SUPERSEDED)
+    superseded = bool(asked) and asked[-1] in {"1", "true"}
+    return meeting(frame, node, superseded=superseded, each=each)
 
 
-def select_analysed(frame: Frame, pairs: Pairs, reserved: Iterable[str]) -> Frame:
-    """Return the rows that an analysis is asked for: as ``select``, but no filter loses failed runs.
-
-    They have no evaluation; asked for those of one, they count as failed in it.
+def condition(frame: Frame, pairs: Pairs, reserved: Iterable[str]) -> Node | None:
+    """Return what the filters of a query string ask of a row; None for nothing.
 
     Raises:
-        BadRequest: with the parameter that is wrong.
+        QueryError: with the parameter that is wrong.
     """
-    asked = any(word in text for pair in pairs for text in pair for word in ("evaluation", "alignment"))
-    return select(with_facets(frame) if asked else frame, pairs, reserved)
-
-
-def _filters(frame: Frame, pairs: Pairs, reserved: frozenset[str]) -> Node | None:
+    reserved = frozenset(reserved)
     parts: list[Node] = []
     equal: dict[str, list[str]] = {}
     for name, value in pairs:
@@ -78,7 +111,7 @@ def _filters(frame: Frame, pairs: Pairs, reserved: frozenset[str]) -> Node | Non
             _require(frame, name, reserved)
             equal.setdefault(name, []).append(value)
     if len(parts) + len(equal) > MAX_FILTERS:
-        raise BadRequest(f"more than {MAX_FILTERS} filters", "where")
+        raise QueryError(f"more than {MAX_FILTERS} filters", "where")
     for name, values in equal.items():
         parts.append(Membership(Name(name), tuple(_meanings(values)), negated=False))
     if not parts:
@@ -101,7 +134,7 @@ def _comparison(column: str, symbol: str, text: str) -> Node:
     except ValueError:
         value = text
     if value == "":
-        raise BadRequest(f"{column}{symbol}: a number or a text is missing behind it", column)
+        raise QueryError(f"{column}{symbol}: a number or a text is missing behind it", column)
     return Comparison(symbol, Name(column), Literal(value))
 
 
@@ -113,7 +146,7 @@ def _require(frame: Frame, name: str, reserved: frozenset[str]) -> None:
     if not frame.has(name):
         shown = name[:200]
         hint = suggestion(shown, [*frame.names, *reserved, "where"])
-        raise BadRequest(f"unknown parameter or column {shown!r}{hint}", shown)
+        raise QueryError(f"unknown parameter or column {shown!r}{hint}", shown)
 
 
 def names(text: str | None) -> list[str]:
@@ -125,13 +158,13 @@ def columns(frame: Frame, text: str | None, field: str, default: Sequence[str] =
     """Return the columns that a list names, each once.
 
     Raises:
-        BadRequest: one of them is unknown.
+        QueryError: one of them is unknown.
     """
     found = list(dict.fromkeys(names(text))) or list(default)
     for name in found:
         if not frame.has(name.removeprefix("-") if field == "sort" else name):
             shown = name.removeprefix("-")[:200]
-            raise BadRequest(f"unknown column {shown!r}{suggestion(shown, frame.names)}", field)
+            raise QueryError(f"unknown column {shown!r}{suggestion(shown, frame.names)}", field)
     return found
 
 
@@ -139,11 +172,11 @@ def column(frame: Frame, name: str, field: str) -> str:
     """Return the one column that a parameter names.
 
     Raises:
-        BadRequest: it is unknown, or there is none.
+        QueryError: it is unknown, or there is none.
     """
     found = columns(frame, name, field)
     if len(found) != 1:
-        raise BadRequest(f"{field}: expected the name of one column", field)
+        raise QueryError(f"{field}: expected the name of one column", field)
     return found[0]
 
 
@@ -151,12 +184,12 @@ def number_column(frame: Frame, name: str, field: str) -> str:
     """Return the column of numbers that a parameter names.
 
     Raises:
-        BadRequest: it is unknown, or holds no numbers.
+        QueryError: it is unknown, or holds no numbers.
     """
     found = column(frame, name, field)
     held = frame.column(found)
     if not held.is_empty and not (held.floats() == held.floats()).any():
-        raise BadRequest(f"{found}: a column of numbers is needed, this one holds none", field)
+        raise QueryError(f"{found}: a column of numbers is needed, this one holds none", field)
     return found
 
 
@@ -164,8 +197,8 @@ def outcomes(text: str) -> Outcomes:
     """Return which runs count.
 
     Raises:
-        BadRequest: the word is unknown.
+        QueryError: the word is unknown.
     """
     if text not in set(Outcomes):
-        raise BadRequest(f"unknown choice {text[:100]!r}{suggestion(text[:100], Outcomes)}", "outcomes")
+        raise QueryError(f"unknown choice {text[:100]!r}{suggestion(text[:100], Outcomes)}", "outcomes")
     return Outcomes(text)

@@ -20,14 +20,12 @@ import numpy as np
 
 from slamhive import __version__
 from slamhive.analysis.columns import Column, ColumnKind
-from slamhive.analysis.frame import OWN_COLUMNS, Frame, with_derived
-from slamhive.dashboard.loading import Loaded, loads
+from slamhive.analysis.frame import DERIVED, Frame
+from slamhive.tables.loading import Loaded, loads
 
-VERSION = 2
+VERSION = 3
 LEAST_ROWS = 5000
 """Rows from which on a cache is worth its place."""
-
-_DERIVED = OWN_COLUMNS - {"id"}
 
 
 def file_for(folder: Path, url: str) -> Path:
@@ -43,7 +41,7 @@ def save(path: Path, loaded: Loaded) -> None:
         "marks": np.fromiter(loaded.marks.values(), np.uint64, len(loaded.marks)),
     }
     described = []
-    for number, name in enumerate(name for name in frame.stored if name not in _DERIVED):
+    for number, name in enumerate(name for name in frame.stored if name not in DERIVED):
         column = frame.column(name)
         described.append({"name": name, "kind": str(column.kind)})
         if column.kind.is_numeric:
@@ -67,6 +65,23 @@ def save(path: Path, loaded: Loaded) -> None:
             raise
 
 
+def keep(path: Path, loaded: Loaded, before: Loaded | None) -> bool:
+    """Write a table for the next start, if it is large and much of it is news; tells whether it was.
+
+    Args:
+        path: the cache's file.
+        loaded: the table.
+        before: what the file holds.
+    """
+    if len(loaded.frame) < LEAST_ROWS:
+        return False
+    known = before.marks if before is not None else {}
+    if len(loaded.marks.items() - known.items()) <= len(loaded.marks) // 20:
+        return False
+    save(path, loaded)
+    return True
+
+
 def restore(path: Path) -> Loaded | None:
     """Return the table in a file; None where there is none that can be used."""
     try:
@@ -82,7 +97,7 @@ def restore(path: Path) -> Loaded | None:
             marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None
-    return Loaded(with_derived(columns, int(head["rows"])), marks) if columns else Loaded(Frame({}, 0), {})
+    return Loaded(Frame(columns, int(head["rows"])), marks) if columns else Loaded(Frame({}, 0), {})
 
 
 def _text_of(value: Any) -> Any:

@@ -12,17 +12,17 @@ import gc
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 from zlib import adler32, crc32
 
 import numpy as np
 from sqlalchemy import DateTime, String, Text, cast, select, text, type_coerce
 
-from slamhive.analysis.columns import Column, times
-from slamhive.analysis.frame import Frame, spread, stack, with_derived
+from slamhive.analysis.derived import SweepVersion, with_derived
+from slamhive.analysis.flattening import OF_RUN, TIMES, Results, columns_of_runs, stack
+from slamhive.analysis.frame import Frame
 from slamhive.archive import schema
 from slamhive.archive.connection import reading
-from slamhive.dashboard.rows import PREFIXES, label_of_run
 
 try:
     from orjson import loads as loads  # noqa: PLC0414 - others take it from here
@@ -35,9 +35,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
     from sqlalchemy import ColumnElement, Connection, Engine, Row
 
-    from slamhive.analysis.columns import Indices
-
-    Part = tuple[dict[str, Column], int]
+    from slamhive.analysis.flattening import Part
 
 BATCH = 2000
 """Runs read at a time: their documents are what loading needs memory for."""
@@ -47,34 +45,18 @@ _STREAMED = 10_000
 _MARKS = 2**64
 _NOTHING = int(np.array([None], dtype=np.float64).view(np.uint64)[0])
 _FACTOR = 0x9E3779B97F4A7C15
-_CHANGES = ("phase", "reason", "attempts", "sweep", "finished", "cpu_seconds", "wall_seconds")
+_CHANGES = (
+    *("phase", "reason", "attempts", "sweep", "sweep_uid", "finished", "cpu_seconds", "wall_seconds"),
+    "evaluations",
+)
 _RESULT_CHANGES = (
     *("run_id", "evaluation", "outcome", "coverage", "alignment", "ate_rmse", "rpe_rmse", "scale"),
 )
-_MORE = (
-    *("uid", "name", "point", "algorithm", "dataset", "sensors", "repetition", "seed"),
-    *("message", "created", "started"),
+_RUN = ("id", *_CHANGES[:-1], *(name for name in OF_RUN.values() if name not in {"id", *_CHANGES}))
+_DOCUMENTS = (
+    *("spec", "attributes", "labels", "metrics", "usage", "frames", "trajectory", "provenance"),
+    "evaluations",
 )
-_RUN = ("id", *_CHANGES, *_MORE)
-_SHOWN = tuple(name for name in _RUN if name not in {"cpu_seconds", "wall_seconds"})
-_DOCUMENTS = ("spec", "attributes", "labels", "metrics", "usage", "frames", "trajectory", "provenance")
-_TIMES = frozenset({"created", "started", "finished"})
-
-
-class Results(NamedTuple):
-    """Results, one an evaluation of a run.
-
-    Attributes:
-        evaluations: their names.
-        outcomes: what became of the runs.
-        coverages: shares of the ground truth's path.
-        values: what the evaluator found.
-    """
-
-    evaluations: list[str]
-    outcomes: list[str]
-    coverages: list[float | None]
-    values: list[Any]
 
 
 @dataclass(frozen=True)
@@ -84,10 +66,12 @@ class Loaded:
     Attributes:
         frame: one row a run and evaluation, in the order of storing.
         marks: what each run looked like in short, by its id.
+        sweeps: the versions of sweeps; None where the columns that follow from them are missing.
     """
 
     frame: Frame = field(default_factory=lambda: Frame({}, 0))
     marks: dict[int, int] = field(default_factory=dict)
+    sweeps: tuple[SweepVersion, ...] | None = None
 
 
 def change_mark(engine: Engine, held: Connection) -> object:
@@ -119,22 +103,40 @@ def load(engine: Engine, before: Loaded | None = None) -> Loaded:
     with reading(engine) as connection, _no_collections():
         known = before.marks
         marks = _marks(connection) if known else None
+        sweeps = _sweeps(connection)
         if marks is not None and marks == known:
-            return before
+            return before if sweeps == before.sweeps else _derived(before, sweeps)
         changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
         fresh, found = [], {} if marks is None else marks
         for rows in _batches(connection, changed):
             results = _results(connection, [row.id for row in rows])
-            _add_marks(found, rows, runs=True)
+            _add_marks(found, [(*row[: len(_CHANGES)], row[-1]) for row in rows], runs=True)
             _add_marks(found, results, runs=False)
             fresh.append(_read(rows, results))
-    return Loaded(_merge(before.frame, set(changed or ()), found, fresh), found)
+    return Loaded(_merge(before.frame, set(changed or ()), found, fresh, sweeps), found, sweeps)
+
+
+def _derived(before: Loaded, sweeps: tuple[SweepVersion, ...]) -> Loaded:
+    """Return the same runs with what follows from other versions of their sweeps."""
+    frame = before.frame
+    columns = {name: frame.column(name) for name in frame.stored}
+    return Loaded(with_derived(columns, len(frame), sweeps), before.marks, sweeps)
+
+
+def _sweeps(connection: Connection) -> tuple[SweepVersion, ...]:
+    columns = schema.sweeps.c
+    query = select(columns.uid, columns.name, columns.cluster, columns.namespace, columns.created)
+    return tuple(
+        SweepVersion(row.uid, row.name, row.cluster, row.namespace, row.created and row.created.timestamp())
+        for row in connection.execute(query.order_by(columns.uid))
+    )
 
 
 def _marks(connection: Connection) -> dict[int, int]:
     """Return what each run looks like in short, by its id."""
     runs, results = schema.runs.c, schema.results.c
-    query = select(*(_cheap(connection, runs[name]) for name in ("id", *_CHANGES))).order_by(runs.id)
+    asked_for = [_cheap(connection, runs[name]) for name in ("id", *_CHANGES[:-1])]
+    query = select(*asked_for, _raw(connection, runs.evaluations)).order_by(runs.id)
     measured = select(*(results[name] for name in _RESULT_CHANGES))
     marks: dict[int, int] = {}
     for asked in (query, measured):
@@ -143,7 +145,7 @@ def _marks(connection: Connection) -> dict[int, int]:
     return marks
 
 
-def _add_marks(marks: dict[int, int], rows: Sequence[Row[Any]], *, runs: bool) -> None:
+def _add_marks(marks: dict[int, int], rows: Sequence[Sequence[Any]], *, runs: bool) -> None:
     """Add the marks of runs, or those of results to their runs'; rows may hold more behind what counts.
 
     They are the same in every process and whatever other rows there are.
@@ -157,7 +159,7 @@ def _add_marks(marks: dict[int, int], rows: Sequence[Row[Any]], *, runs: bool) -
             marks[row[0]] = (marks[row[0]] + mark) % _MARKS
 
 
-def _row_marks(rows: Sequence[Row[Any]], width: int) -> list[int]:
+def _row_marks(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
     """Return a number for each row that differs when one of its first values does.
 
     Column by column: each value's number is turned by an odd factor of the column's own and added.
@@ -212,7 +214,7 @@ def _results(connection: Connection, ids: Sequence[int]) -> Sequence[Any]:
 
 def _cheap(connection: Connection, column: ColumnElement[Any]) -> ColumnElement[Any]:
     """Return a time as the database holds it, without SQLAlchemy reading it."""
-    if column.name not in _TIMES:
+    if column.name not in TIMES:
         return column
     return type_coerce(column, String if connection.dialect.name == "sqlite" else DateTime)
 
@@ -224,74 +226,23 @@ def _raw(connection: Connection, column: ColumnElement[Any]) -> ColumnElement[st
 
 def _read(rows: Sequence[Row[Any]], results: Sequence[Row[Any]]) -> Part:
     """Return the rows of some runs, with those of their results."""
-    whole = dict(zip((*_RUN, *_DOCUMENTS), zip(*rows, strict=True), strict=True))
-    documents = {name: _parsed(whole[name]) for name in _DOCUMENTS}
-    found: dict[str, Sequence[Any]] = {}
-    for prefix, document, key in PREFIXES:
-        held = documents[document]
-        spread(found, prefix, [item and item.get(key) for item in held] if key else held)
-    columns = {name: Column.of(values) for name, values in found.items()}
-    for name in _SHOWN:
-        values = whole[name]
-        columns["index" if name == "point" else name] = times(values) if name in _TIMES else Column.of(values)
-    columns["run"] = Column.of(
-        [label_of_run(labels, name) for labels, name in zip(documents["labels"], whole["name"], strict=True)]
-    )
-    places = {run: place for place, run in enumerate(whole["id"])}
-    kept = [row for row in results if row[0] in places]
-    have = np.array([places[row[0]] for row in kept], dtype=np.intp)
-    without = np.setdiff1d(np.arange(len(rows)), have)
+    whole: dict[str, Sequence[Any]] = dict(zip((*_RUN, *_DOCUMENTS), zip(*rows, strict=True), strict=True))
+    for name in _DOCUMENTS:
+        whole[name] = _parsed(whole[name])
+    known = set(whole["id"])
+    kept = [row for row in results if row[0] in known]
     turned = [list(column) for column in zip(*kept, strict=True)] or [[] for _ in range(5)]
-    values = Results(turned[1], turned[2], turned[3], _parsed(turned[-1]))
-    return join_results(columns, np.concatenate([have, without]), values)
+    found = Results(turned[0], turned[1], turned[2], turned[3], _parsed(turned[-1]))
+    return columns_of_runs(whole, found)
 
 
-def join_results(
-    columns: dict[str, Column],
-    places: Indices,
-    results: Results,
-) -> Part:
-    """Return rows of runs beside those of their results.
-
-    Args:
-        columns: of the runs.
-        places: the run of each row, (n,): first the rows with results, then those of runs without.
-        results: of the first rows.
-    """
-    evaluations, outcomes, coverages, values = results
-    left = len(places) - len(evaluations)
-    padding = [None] * left
-    found: dict[str, Sequence[Any]] = {}
-    spread(found, "", values)
-    joined = {name: column.take(places) for name, column in columns.items()}
-    messages = [item or None for item in found.pop("message", ())]
-    for name, items in found.items():
-        if name in _KEPT:
-            continue
-        column = Column.of([*items, *padding])
-        joined[name] = _first(column, joined[name]) if name in joined else column
-    if any(messages):
-        joined["message"] = _first(joined["message"], Column.of([*messages, *padding]))
-    joined["evaluation"] = Column.of([*evaluations, *padding])
-    joined["outcome"] = Column.of([*outcomes, *padding])
-    joined["coverage"] = Column.of([*coverages, *padding])
-    order = np.argsort(places, kind="stable")
-    return {name: column.take(order) for name, column in joined.items()}, len(places)
-
-
-_KEPT = frozenset({"id", "uid", "name", "evaluation", "outcome", "coverage"})
-"""What an evaluator's own names never replace."""
-
-
-def _first(column: Column, other: Column) -> Column:
-    """Return a column's values, another one's where it has none."""
-    if other.is_empty:
-        return column
-    pairs = zip(column.tolist(), other.tolist(), strict=True)
-    return Column.of([second if first is None else first for first, second in pairs])
-
-
-def _merge(before: Frame, changed: set[int], marks: dict[int, int], fresh: list[Part]) -> Frame:
+def _merge(
+    before: Frame,
+    changed: set[int],
+    marks: dict[int, int],
+    fresh: list[Part],
+    sweeps: tuple[SweepVersion, ...],
+) -> Frame:
     parts = list(fresh)
     if len(before):
         ids = before.column("id").numbers
@@ -304,7 +255,7 @@ def _merge(before: Frame, changed: set[int], marks: dict[int, int], fresh: list[
     if len(before):
         order = np.argsort(columns["id"].numbers, kind="stable")
         columns = {name: column.take(order) for name, column in columns.items()}
-    return with_derived(columns, length)
+    return with_derived(columns, length, sweeps)
 
 
 def _parsed(texts: Sequence[str | None]) -> list[Any]:

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Columns that follow from others: what became of a run, whether it is superseded, whether its load is sound.
+
+``status``             an outcome, or in one word why there is none
+``disturbed``          other work on a run's cores, or throttling, falsified its load and wall time
+``algorithm.version``  8 digits of what the algorithm was: its Algorithm's spec, its environment or image
+``dataset.version``    8 digits of what the dataset was: its files, and how they were prepared
+``superseded``         why a run is no current one: algorithm changed, dataset changed, sweep edited
+``ate.extended``       the original system's error that grows as coverage falls
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.frame import DERIVED, Frame
+from slamhive.model.results import Phase
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import numpy.typing as npt
+
+    from slamhive.analysis.columns import Indices, Mask
+
+MAX_CONTENDED = 0.1
+MAX_THROTTLED = 0.01
+"""Shares of the wall time from which a run counts as disturbed."""
+
+ALGORITHM_CHANGED = "algorithm changed"
+DATASET_CHANGED = "dataset changed"
+SWEEP_EDITED = "sweep edited"
+
+NOT_EVALUATED = "NotEvaluated"
+
+_PLACE = ("cluster", "namespace")
+_ALGORITHM = ("provenance.algorithmHash", "provenance.environment")
+_DATASET = ("provenance.datasetSha256", "provenance.preparation")
+_DIGITS = 8
+
+
+class SweepVersion(NamedTuple):
+    """A sweep as it was asked for at some time; versions of a sweep share name and place.
+
+    Attributes:
+        uid: its identity.
+        name: its name.
+        cluster, namespace: where it is; None on a workstation.
+        created: when it was last asked for, s since 1970; None when that isn't known.
+    """
+
+    uid: str
+    name: str
+    cluster: str | None = None
+    namespace: str | None = None
+    created: float | None = None
+
+
+def with_derived(columns: Mapping[str, Column], length: int, sweeps: Sequence[SweepVersion] = ()) -> Frame:
+    """Return the table of some columns, with those that follow from others.
+
+    Args:
+        columns: by name, equally long; what followed from others before is made anew.
+        length: number of rows.
+        sweeps: all versions of the sweeps that runs belong to.
+    """
+    given = {name: column for name, column in columns.items() if name not in DERIVED}
+    frame = Frame(given, length)
+    extra = {
+        "status": _status(frame),
+        "disturbed": _disturbed(frame),
+        "algorithm.version": _version(frame, _ALGORITHM),
+        "dataset.version": _version(frame, _DATASET),
+        "superseded": _superseded(frame, sweeps),
+        "ate.extended": _extended(frame),
+    }
+    kept = {name: column for name, column in extra.items() if not column.is_empty}
+    return Frame({**given, **kept}, length)
+
+
+def _codes(frame: Frame, name: str) -> tuple[npt.NDArray[np.int64], list[Any]]:
+    """Return a number for each row, -1 where missing, and what the numbers stand for."""
+    column = frame.column(name)
+    if not column.kind.is_numeric:
+        return column.codes.astype(np.int64), list(column.values)
+    codes, values = column.factorized()
+    if values and values[-1] is None:
+        return np.where(codes == len(values) - 1, -1, codes).astype(np.int64), values[:-1]
+    return codes.astype(np.int64), values
+
+
+def _crossed(parts: Sequence[tuple[npt.NDArray[np.int64], list[Any]]], length: int) -> npt.NDArray[np.int64]:
+    """Return one number for each row by the numbers of several columns."""
+    combined = np.zeros(length, dtype=np.int64)
+    for codes, values in parts:
+        combined = combined * (len(values) + 1) + codes + 1
+        if len(values) > 1:
+            combined = np.unique(combined, return_inverse=True)[1].astype(np.int64)
+    return combined
+
+
+def _status(frame: Frame) -> Column:
+    parts = [_codes(frame, name) for name in ("outcome", "phase", "reason")]
+    combined = _crossed(parts, len(frame))
+    _, firsts, places = np.unique(combined, return_index=True, return_inverse=True)
+    words = []
+    for row in firsts.tolist():
+        outcome, phase, reason = (values[codes[row]] if codes[row] >= 0 else None for codes, values in parts)
+        if not outcome and phase == Phase.SUCCEEDED.value:
+            outcome = NOT_EVALUATED
+        words.append(str(outcome or reason or phase))
+    kept = sorted(set(words))
+    lookup = np.array([kept.index(word) for word in words], dtype=np.int32)
+    return Column.of_codes(lookup[places], kept)
+
+
+def _disturbed(frame: Frame) -> Column:
+    wall = frame.column("usage.wallSeconds").floats()
+    contended = np.nan_to_num(frame.column("usage.contendedSeconds").floats())
+    throttled = np.nan_to_num(frame.column("usage.throttledSeconds").floats())
+    found = (wall > 0) & ((contended > MAX_CONTENDED * wall) | (throttled > MAX_THROTTLED * wall))
+    return Column.of_numbers(found, ColumnKind.BOOLEAN)
+
+
+def _extended(frame: Frame) -> Column:
+    coverage = frame.column("coverage").floats()
+    error = frame.column("ate.rmse").floats()
+    factor = np.select([coverage >= 0.75, coverage >= 0.5, coverage >= 0.25], [1.0, 2.0, 5.0], 10.0)
+    return Column.of_numbers(np.where(np.isnan(coverage), np.nan, error * factor))
+
+
+def _version(frame: Frame, names: Sequence[str]) -> Column:
+    """Return 8 digits of several values together; missing where none of them is known."""
+    parts = [_codes(frame, name) for name in names]
+    combined = _crossed(parts, len(frame))
+    _, firsts, places = np.unique(combined, return_index=True, return_inverse=True)
+    digits: list[str | None] = []
+    for row in firsts.tolist():
+        values = [str(values[codes[row]]) if codes[row] >= 0 else "" for codes, values in parts]
+        text = "\0".join(values)
+        digits.append(hashlib.sha256(text.encode()).hexdigest()[:_DIGITS] if any(values) else None)
+    known = sorted({text for text in digits if text})
+    lookup = np.array([known.index(text) if text else -1 for text in digits], dtype=np.int32)
+    return Column.of_codes(lookup[places], known)
+
+
+def _superseded(frame: Frame, sweeps: Sequence[SweepVersion]) -> Column:
+    place = [_codes(frame, name) for name in _PLACE]
+    order = _latest_last(frame)
+    words = np.full(len(frame), -1, dtype=np.int32)
+    reasons = (ALGORITHM_CHANGED, DATASET_CHANGED, SWEEP_EDITED)
+    for reason, owner, names in ((0, "algorithm", _ALGORITHM), (1, "dataset", _DATASET)):
+        group = _crossed([*place, _codes(frame, owner)], len(frame))
+        for name in names:
+            codes, values = _codes(frame, name)
+            if len(values) > 1:
+                words[(words < 0) & _differs_from_latest(codes, group, order)] = reason
+    words[(words < 0) & _of_earlier_sweep(frame, sweeps)] = 2
+    return Column.of_codes(words, reasons)
+
+
+def _latest_last(frame: Frame) -> Indices:
+    """Return the places of the rows, those of the latest runs last."""
+    created = frame.column("created").floats()
+    return np.lexsort((frame.column("id").floats(), np.where(np.isnan(created), -np.inf, created)))
+
+
+def _differs_from_latest(codes: npt.NDArray[np.int64], group: npt.NDArray[np.int64], order: Indices) -> Mask:
+    """Tell which rows have another value than the latest row of their group that has one, (n,)."""
+    known = order[codes[order] >= 0]
+    latest = np.full(int(group.max(initial=0)) + 1, -1, dtype=np.int64)
+    latest[group[known]] = codes[known]  # of several of a group the last one stays
+    current = latest[group]
+    found: Mask = (codes >= 0) & (codes != current)
+    return found
+
+
+def _of_earlier_sweep(frame: Frame, sweeps: Sequence[SweepVersion]) -> Mask:
+    latest: dict[tuple[Any, ...], tuple[float, str]] = {}
+    for one in sweeps:
+        key = (one.name, one.cluster, one.namespace)
+        moment = (-np.inf if one.created is None else one.created, one.uid)
+        latest[key] = max(latest.get(key, moment), moment)
+    current = {uid for _, uid in latest.values()}
+    known = {one.uid for one in sweeps}
+    codes, values = _codes(frame, "sweep.uid")
+    earlier = np.array([value in known and value not in current for value in (*values, None)], dtype=bool)
+    found: Mask = earlier[codes]
+    return found

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rows that a question means, and what is left out of them: docs/results.md, "What counts"."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from slamhive.analysis.expressions import parse_where
+from slamhive.analysis.grouping import where_equal
+from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.model.results import Phase, Reason
+
+if TYPE_CHECKING:
+    from slamhive.analysis.columns import Column, Indices, Mask
+    from slamhive.analysis.conditions import Node
+    from slamhive.analysis.frame import Frame
+
+_LEAST_UID = 8
+_UNFINISHED = frozenset(phase.value for phase in Phase if not phase.is_finished)
+_INFRASTRUCTURE = frozenset(reason.value for reason in Reason if reason.is_infrastructure)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which rows are meant.
+
+    Attributes:
+        sweeps: only runs of these sweeps: names, NAMESPACE/NAME (/NAME for a workstation's), or digits of
+            an identity; none for all.
+        evaluation: only this evaluation.
+        where: a condition.
+        superseded: whether results of earlier versions are meant too.
+        each: whether runs are meant one by one: those of equal content too, and unfinished ones.
+        option: what stands before the names of these in a complaint, ``--`` on the command line.
+    """
+
+    sweeps: tuple[str, ...] = ()
+    evaluation: str | None = None
+    where: str | None = None
+    superseded: bool = False
+    each: bool = False
+    option: str = ""
+
+    @property
+    def sentences(self) -> list[str]:
+        """Return what was chosen, in words."""
+        parts = []
+        if self.sweeps:
+            parts.append(f"{'sweep' if len(self.sweeps) == 1 else 'sweeps'} {', '.join(self.sweeps)}")
+        if self.evaluation:
+            parts.append(f"evaluation {self.evaluation}")
+        if self.where:
+            parts.append(f"where {self.where}")
+        if self.superseded:
+            parts.append("superseded results too")
+        return parts
+
+
+class Chosen(NamedTuple):
+    """Rows, and sentences on what is left out of them.
+
+    Attributes:
+        frame: the rows.
+        notes: sentences.
+        superseded: number of runs left out as they are superseded.
+        repeated: number of runs left out as others have the same content.
+    """
+
+    frame: Frame
+    notes: tuple[str, ...]
+    superseded: int = 0
+    repeated: int = 0
+
+
+def choose(frame: Frame, selection: Selection) -> Chosen:
+    """Return the rows that a selection means.
+
+    Args:
+        frame: all rows.
+        selection: what is meant.
+
+    Raises:
+        InputError: a sweep or evaluation is unknown, or the condition can't be understood.
+    """
+    if selection.sweeps:
+        chosen = np.zeros(len(frame), dtype=bool)
+        for name in selection.sweeps:
+            chosen |= of_sweep(frame, name, f"{selection.option}sweep")
+        frame = frame.select(chosen)
+    if selection.evaluation is not None:
+        frame = _of_evaluation(frame, selection.evaluation, f"{selection.option}evaluation")
+    node = parse_where(selection.where, frozenset(frame.names)) if selection.where else None
+    return meeting(frame, node, superseded=selection.superseded, each=selection.each)
+
+
+def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: bool = False) -> Chosen:
+    """Return the rows that meet a condition: of current versions, equal content once, unless told otherwise.
+
+    Args:
+        frame: the rows.
+        node: the condition; None for all.
+        superseded: whether results of earlier versions are meant too.
+        each: whether runs are meant one by one: those of equal content too, and unfinished ones.
+    """
+    inside = np.ones(len(frame), dtype=bool) if node is None else node.mask(frame)
+    left_out = np.zeros(len(frame), dtype=bool)
+    if not superseded:
+        left_out = inside & frame.column("superseded").present
+        inside = inside & ~left_out
+    old = _runs(frame, left_out)
+    notes = []
+    if old:
+        notes.append(f"{_counted(old)} of earlier versions left out ({_why(frame, left_out)})")
+    if node is not None or left_out.any():
+        frame = frame.select(inside)
+    again = 0
+    if not each:
+        unfinished = _among(frame.column("phase"), _UNFINISHED)
+        if unfinished.any():
+            notes.append(f"{_counted(_runs(frame, unfinished))} not finished yet")
+            frame = frame.select(~unfinished)
+        kept = once(frame)
+        again = _runs(frame, ~kept)
+        if again:
+            repeat = "repeats" if again == 1 else "repeat"
+            notes.append(f"{_counted(again)} {repeat} the content of others: equal content counts once")
+            frame = frame.select(kept)
+    if not len(frame) and old:
+        are = "is" if old == 1 else "are"
+        why = _why_alone(notes[0])
+        notes = [
+            f"all {_counted(old)} meant here {are} of earlier versions ({why}): ask for superseded results"
+        ]
+    return Chosen(frame, tuple(notes), old, again)
+
+
+def _why_alone(note: str) -> str:
+    return note.partition("(")[2].rstrip(")")
+
+
+def _counted(count: int) -> str:
+    return "1 run" if count == 1 else f"{count:,} runs"
+
+
+def _runs(frame: Frame, mask: Mask) -> int:
+    return len(np.unique(frame.column("id").floats()[mask])) if mask.any() else 0
+
+
+def _why(frame: Frame, mask: Mask) -> str:
+    """Return why runs are superseded, each reason once."""
+    column = frame.column("superseded")
+    return ", ".join(column.values[code] for code in np.unique(column.codes[mask]).tolist())
+
+
+def once(frame: Frame) -> Mask:
+    """Tell which rows stay when equal content counts once an evaluation, (n,).
+
+    Of equal ones the run stays that was computed and not reused; then one that the machine and the user let
+    end; then the latest.
+    """
+    content = frame.column("provenance.contentHash")
+    kept = np.ones(len(frame), dtype=bool)
+    if content.kind.is_numeric:
+        return kept
+    known = np.flatnonzero(content.codes >= 0)
+    evaluation = frame.column("evaluation")
+    evaluations = np.full(len(frame), -1) if evaluation.kind.is_numeric else evaluation.codes
+    groups = content.codes.astype(np.int64) * (len(evaluation.values) + 1) + evaluations + 1
+    if len(np.unique(groups[known])) == len(known):
+        return kept
+    created = frame.column("created").floats()
+    order = np.lexsort(
+        (
+            -frame.column("id").floats(),
+            -np.where(np.isnan(created), -np.inf, created),
+            _ended_by_others(frame),
+            frame.column("provenance.reusedFrom").present,
+        )
+    )
+    order = order[content.codes[order] >= 0]
+    _, firsts = np.unique(groups[order], return_index=True)
+    kept[known] = False
+    kept[order[firsts]] = True
+    return kept
+
+
+def _ended_by_others(frame: Frame) -> Mask:
+    reason = _among(frame.column("reason"), _INFRASTRUCTURE)
+    return reason | _among(frame.column("phase"), {Phase.CANCELLED.value})
+
+
+def _among(column: Column, words: frozenset[str] | set[str]) -> Mask:
+    if column.kind.is_numeric:
+        return np.zeros(len(column), dtype=bool)
+    verdicts = np.array([value in words for value in (*column.values, None)], dtype=bool)
+    found: Mask = verdicts[column.codes]
+    return found
+
+
+def of_sweep(frame: Frame, name: str, where: str) -> Mask:
+    """Tell which rows belong to the sweep that a name means, in all of its versions, (n,).
+
+    Args:
+        frame: all rows.
+        name: a name, NAMESPACE/NAME, or at least 8 digits of a sweep's identity.
+        where: what stands in front of a complaint.
+
+    Raises:
+        InputError: no sweep is called so, or several in different places are.
+    """
+    namespace, slash, short = name.rpartition("/")
+    chosen = where_equal(frame, "sweep", short)
+    if slash:
+        here = where_equal(frame, "namespace", namespace)
+        chosen &= here if namespace else ~frame.column("namespace").present
+    elif not chosen.any() and len(name) >= _LEAST_UID:
+        uids = frame.column("sweep.uid")
+        chosen = _among(uids, {uid for uid in uids.values if str(uid).startswith(name)})
+    if not chosen.any():
+        known = [str(one) for one in frame.column("sweep").factorized()[1] if one is not None]
+        raise UnknownNameError("sweep", name, known, where)
+    namespaces = frame.select(chosen).column("namespace").factorized()[1]
+    if not slash and len(namespaces) > 1:
+        places = ", ".join(f"{one or ''}/{name}" for one in namespaces)
+        raise InputError(f"{where}: several sweeps are called {name!r}: write which of {places}")
+    return chosen
+
+
+def _of_evaluation(frame: Frame, name: str, where: str) -> Frame:
+    """Return the rows of an evaluation, and those of runs that belong to none."""
+    chosen = where_equal(frame, "evaluation", name)
+    if not chosen.any():
+        known = [str(one) for one in frame.column("evaluation").factorized()[1] if one is not None]
+        raise UnknownNameError("evaluation", name, known, where)
+    return frame.select(chosen | ~frame.column("evaluation").present)
+
+
+def first_rows(frame: Frame) -> Indices:
+    """Return the place of the first row of each run, in their order."""
+    _, firsts = np.unique(frame.column("id").floats(), return_index=True)
+    return np.sort(firsts)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading an archive as the table of runs, wherever it is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slamhive.analysis.grouping import Groups, where_equal
+from slamhive.archive import Archive
+from slamhive.archive.connection import connect
+from slamhive.local.home import Home
+from slamhive.model.errors import InputError
+from slamhive.model.results import Outcome
+from slamhive.tables import snapshots
+from slamhive.tables.loading import load
+
+if TYPE_CHECKING:
+    from slamhive.analysis.frame import Frame
+
+REVISION_DIGITS = 16
+
+_REVISED = ("uid", "evaluation", "status", "coverage", "ate.rmse", "usage.cpu.seconds", "finished")
+
+
+def archive_url(place: str | os.PathLike[str] | None = None) -> str:
+    """Return the database URL of an archive.
+
+    Args:
+        place: a database URL, a home, or an SQLite file; None for the home that ``$SLAMHIVE_HOME`` names.
+
+    Raises:
+        InputError: there is no such place.
+    """
+    if place is None:
+        return Home.from_environment().archive_url
+    text = os.fspath(place)
+    if "://" in text:
+        return text
+    path = Path(text).expanduser().absolute()
+    if "?" in str(path):  # what follows it in a database URL would be taken for options
+        raise InputError(f"{path}: a path with a question mark is not allowed")
+    if path.is_dir():
+        path /= "archive.sqlite"
+    return f"sqlite:///{path}"
+
+
+def read_archive(url: str, cache: Path | None = None) -> Frame:
+    """Read all runs of an archive, one row a run and evaluation.
+
+    Args:
+        url: the archive's database URL.
+        cache: folder in which a large table is kept for the next time; None to keep none.
+
+    Raises:
+        InputError: there is no archive at the URL.
+        SystemFault: the database doesn't answer.
+    """
+    file = url.removeprefix("sqlite:///")
+    if file != url and not Path(file).is_file():
+        raise InputError(f"no archive at {file}; slamhive demo, run and import make one")
+    engine = connect(url)
+    with closing(Archive(engine)):
+        kept = snapshots.file_for(cache, url) if cache is not None else None
+        before = snapshots.restore(kept) if kept is not None else None
+        loaded = load(engine, before)
+        if kept is not None:
+            snapshots.keep(kept, loaded, before)
+        return loaded.frame
+
+
+def with_figure(frame: Frame, metric: str) -> tuple[Frame, list[str]]:
+    """Return the runs without those of evaluations that have no such figure: they did not fail in it.
+
+    Args:
+        frame: the runs.
+        metric: column that is ranked by.
+    """
+    numbers, tracked = frame.column(metric).floats(), where_equal(frame, "status", Outcome.TRACKED.value)
+    kept, notes = np.ones(len(frame), dtype=bool), []
+    groups = Groups(frame, ("evaluation",))
+    for rows, keys in zip(groups.members(), groups.keys, strict=True):
+        if tracked[rows].any() and np.isnan(numbers[rows]).all():
+            kept[rows] = False
+            notes.append(f"evaluation {keys['evaluation']} has no {metric}: its runs are not shown here")
+    return (frame, notes) if kept.all() else (frame.select(kept), notes)
+
+
+def revision(frame: Frame) -> str:
+    """Return 16 digits that differ whenever runs or what was found of them differ."""
+    columns = [frame.column(name).tolist() for name in _REVISED]
+    lines = sorted(json.dumps(row, default=str) for row in zip(*columns, strict=True))
+    return hashlib.sha256("\n".join(lines).encode("utf-8", "replace")).hexdigest()[:REVISION_DIGITS]

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures as text and as flat records: the one place that says how a spread, a failure or a key is written.
+
+What people read is rounded and has units; flat records hold stored numbers with every digit.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+from slamhive.analysis.metrics import Metric
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from slamhive.analysis.grouping import Aggregate, Cell
+    from slamhive.analysis.statistics import Interval, Summary
+
+PARTS = ("n", "mean", "std", "median", "min", "max")
+"""What a summary is made of, in flat records."""
+
+COVERAGE = Metric("coverage", "", 1.0, ".3f")
+
+_ROUNDING = 1e-12
+"""A spread below this share of the mean is rounding, not a spread."""
+
+_MOST_WORD = 60
+
+
+def value_text(metric: Metric, value: Any) -> str:
+    """Return a value of a column as people read it."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float) or (isinstance(value, int) and (metric.format or metric.factor != 1)):
+        return metric.show(value)
+    return json.dumps(value) if isinstance(value, list | dict) else str(value)
+
+
+def key_text(value: Any) -> str:
+    """Return a key of a group as people read it."""
+    return value_text(Metric("", "", 1.0, ""), value) if not isinstance(value, float) else repr(value)
+
+
+def spread_text(metric: Metric, summary: Summary | None) -> str:
+    """Return ``mean ± std``, the mean alone for one number."""
+    if summary is None:
+        return "–"
+    mean = metric.show(summary.mean)
+    if summary.std is None:
+        return mean
+    std = summary.std if summary.std > _ROUNDING * abs(summary.mean) else 0.0
+    spread = metric.show(std) if metric.format else format(std * metric.factor, ".2g")
+    return f"{mean} ± {spread}"
+
+
+def range_text(metric: Metric, summary: Summary | None) -> str:
+    """Return the smallest and largest of several numbers."""
+    if summary is None or summary.n < 2:
+        return "–"
+    return f"{metric.show(summary.min)} – {metric.show(summary.max)}"
+
+
+def coverage_text(summary: Summary | None) -> str:
+    """Return the mean coverage, with its spread where there is one to see."""
+    return spread_text(COVERAGE, summary).removesuffix(" ± 0.000")
+
+
+def number_text(value: float | None, shape: str = ".3g") -> str:
+    """Return a plain number, a dash for none, the sign of infinity for failures that reach into it."""
+    if value is None or math.isnan(value):
+        return "–"
+    return "∞" if math.isinf(value) else format(value, shape)
+
+
+def interval_text(interval: Interval | None) -> str:
+    """Return where something lies."""
+    if interval is None:
+        return "–"
+    return f"{number_text(interval.low)} – {number_text(interval.high)}"
+
+
+def counts_text(counts: Mapping[str, int]) -> str:
+    """Return runs by what became of them."""
+    return ", ".join(f"{count} {word[:_MOST_WORD]}" for word, count in counts.items())
+
+
+def n_text(cell: Cell) -> str:
+    """Return how many runs count, with = where all of them are one and the same result."""
+    return f"{cell.n} =" if cell.deterministic else str(cell.n)
+
+
+def failures_text(cell: Cell) -> str:
+    """Return what became of the runs that don't count, and of those that do without being tracked."""
+    failures = counts_text(cell.failures) or "0"
+    return f"{failures}; in n: {counts_text(cell.untracked)}" if cell.untracked else failures
+
+
+def table_lines(
+    found: Aggregate, across: Sequence[str], metrics: Sequence[Metric], left_out: Iterable[str] = ()
+) -> tuple[list[str], list[list[str]]]:
+    """Return the headings and lines of a table.
+
+    Each group shows its metrics, its coverage, the number of runs that count and what became of others.
+
+    Args:
+        found: the groups.
+        across: keys whose values lie side by side.
+        metrics: what is shown.
+        left_out: keys that are said elsewhere.
+    """
+    rows = [name for name in found.keys if name not in {*across, *left_out}]
+    parts = [metric.title for metric in metrics] + ["coverage", "n", "failures"]
+    sides = _distinct(tuple(cell.keys[name] for name in across) for cell in found.cells)
+    headings = [short_name(name, rows) for name in rows]
+    for values in sides:
+        prefix = "".join(f"{key_text(value)} " for value in values)
+        headings += [prefix + part for part in parts]
+    lines: dict[str, dict[str, Cell]] = {}
+    for cell in found.cells:
+        row = _identity(cell.keys[name] for name in rows)
+        lines.setdefault(row, {})[_identity(cell.keys[name] for name in across)] = cell
+    rendered = []
+    for cells in lines.values():
+        first = next(iter(cells.values()))
+        line = [key_text(first.keys[name]) for name in rows]
+        for values in sides:
+            line += _cell_texts(cells.get(_identity(values)), metrics)
+        rendered.append(line)
+    return headings, rendered
+
+
+def flat_cells(found: Aggregate) -> list[dict[str, Any]]:
+    """Return groups as flat records of unrounded numbers in stored units."""
+    rows = []
+    for cell in found.cells:
+        row: dict[str, Any] = {**cell.keys, "runs": cell.runs, "n": cell.n}
+        row |= {"failures": sum(cell.failures.values()), "failures.by": cell.failures}
+        row |= {"untracked.by": cell.untracked, "deterministic": cell.deterministic}
+        for name, figure in cell.figures.items():
+            row |= flat_summary(name, figure.summary)
+        rows.append(row | flat_summary("coverage", cell.coverage))
+    return rows
+
+
+def flat_summary(prefix: str, summary: Summary | None) -> dict[str, Any]:
+    """Return a summary as columns of a flat record."""
+    return {
+        f"{prefix}.{part}": getattr(summary, part) if summary else (0 if part == "n" else None)
+        for part in PARTS
+    }
+
+
+def as_columns(rows: Sequence[dict[str, Any]]) -> dict[str, list[Any]]:
+    """Return records as columns, names in the order of first being seen."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
+def constants(found: Aggregate, asked: Sequence[str]) -> dict[str, Any]:
+    """Return the keys that all groups share and nobody asked for: said once, not on each line."""
+    shared = {}
+    for name in found.keys:
+        values = {_identity([cell.keys[name]]) for cell in found.cells}
+        if name not in asked and len(values) == 1 and len(found.cells) > 1:
+            shared[name] = found.cells[0].keys[name]
+    return shared
+
+
+def implied(found: Aggregate, asked: Sequence[str]) -> set[str]:
+    """Return the keys that follow from the algorithm's name and that nobody asked for."""
+    modes: dict[Any, Any] = {}
+    follows = all(
+        modes.setdefault(cell.keys.get("algorithm"), cell.keys.get("sensors")) == cell.keys.get("sensors")
+        for cell in found.cells
+    )
+    return {"sensors"} if follows and "algorithm" in found.keys and "sensors" not in asked else set()
+
+
+def short_name(name: str, names: Sequence[str]) -> str:
+    """Return a configuration's column without its prefix, where that is clear among the others."""
+    for prefix in ("parameters.", "dataset.attributes.", "input.", "provenance."):
+        if name.startswith(prefix):
+            short = name.removeprefix(prefix)
+            return name if sum(other.endswith(f".{short}") for other in names) > 1 else short
+    return name
+
+
+def _cell_texts(cell: Cell | None, metrics: Sequence[Metric]) -> list[str]:
+    if cell is None:
+        return ["–"] * (len(metrics) + 3)
+    figures = [spread_text(metric, cell.figures[metric.column].summary) for metric in metrics]
+    return [*figures, coverage_text(cell.coverage), n_text(cell), failures_text(cell)]
+
+
+def _distinct(values: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    return list({_identity(value): value for value in values}.values())
+
+
+def _identity(values: Iterable[Any]) -> str:
+    return json.dumps(list(values), sort_keys=True, default=str)
