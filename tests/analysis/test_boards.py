@@ -11,7 +11,8 @@ import pytest
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.comparing import compare
-from slamhive.analysis.frame import Frame, with_derived
+from slamhive.analysis.derived import with_derived
+from slamhive.analysis.frame import Frame
 from slamhive.analysis.importance import importance
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import pareto
@@ -27,8 +28,9 @@ def make_row(algorithm: str, dataset: str, error: float | None, **more: Any) -> 
         "dataset": dataset,
         "phase": "Succeeded" if error is not None else "Failed",
         "outcome": "Tracked" if error is not None else None,
-        "evaluation": "se3" if error is not None else None,
-        "alignment": "se3" if error is not None else None,
+        "reason": None if error is not None else "AlgorithmFailed",
+        "evaluation": "se3",
+        "alignment": "se3",
         "ate.rmse": error,
         "coverage": 1.0 if error is not None else None,
     }
@@ -74,7 +76,7 @@ def test_failed_runs_are_ranked_last_and_never_dropped() -> None:
     steady, gambler = board.entries
     assert (steady.keys["algorithm"], gambler.n, gambler.runs) == ("steady", 3, 12)
     assert math.isinf(gambler.ratio)
-    assert gambler.standings[0].failures == {"Failed": 3}
+    assert gambler.standings[0].failures == {"AlgorithmFailed": 3}
 
 
 def test_competitors_without_a_common_dataset_are_not_compared() -> None:
@@ -184,7 +186,7 @@ def test_equal_trajectories_count_once() -> None:
     assert (one.distinct, one.figures) == (2, (1.0, 3.0))
     assert one.relative_spread == pytest.approx(math.sqrt(2) / 2)
     (same,), _ = repeatability(frame_of(rows[:4]))
-    assert "deterministic so far" in same.verdict
+    assert same.verdict == "deterministic: one result, 4 equal runs"
 
 
 @pytest.mark.parametrize("again", [0, 2])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A condition means the same for a row and for a table of columns."""
+"""A condition means the same for a table of one row and for a large one."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def frame() -> Frame:
 @given(conditions)
 def test_a_mask_is_what_each_row_says(text: str) -> None:
     node = parse_where(text, TABLE)
-    rows = [{name: values[place] for name, values in TABLE.items()} for place in range(5)]
-    assert node.mask(frame()).tolist() == [node.holds(row) for row in rows]
+    rows = [Frame({name: Column.of([values[k]]) for name, values in TABLE.items()}, 1) for k in range(5)]
+    assert node.mask(frame()).tolist() == [bool(node.mask(row)[0]) for row in rows]
 
 
 def test_times_compare_as_their_texts() -> None:

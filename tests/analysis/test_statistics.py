@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import math
+import statistics
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from slamhive.analysis.pivot import Summary
 from slamhive.analysis.statistics import (
     average_ranks,
     holm,
@@ -32,10 +32,16 @@ def test_students_quantiles(degrees: int, probability: float) -> None:
     )
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 10, 101])
-def test_summaries_are_those_of_lists(count: int) -> None:
+@pytest.mark.parametrize("count", [2, 3, 10, 101])
+def test_summaries_are_those_of_the_standard_library(count: int) -> None:
     values = np.random.default_rng(count).lognormal(size=count)
-    assert summarize(values) == Summary.of(values.tolist())
+    found = summarize(values)
+    assert found is not None
+    numbers = values.tolist()
+    assert (found.n, found.median, found.min, found.max) == (
+        *(count, statistics.median(numbers), min(numbers), max(numbers)),
+    )
+    assert (found.mean, found.std) == pytest.approx((statistics.mean(numbers), statistics.stdev(numbers)))
 
 
 @pytest.mark.parametrize("count", [10, 11, 30, 500, 1500])

@@ -4,18 +4,22 @@
 from __future__ import annotations
 
 import signal
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from sqlalchemy import event
+from sqlalchemy import JSON, create_engine, event, text
 
 from slamhive.archive import Archive, CatalogEntry, SweepRecord, Totals, schema
 from slamhive.model.errors import InputError, SystemFault, UnknownNameError
 from slamhive.model.results import (
     CpuUsage,
+    IntendedEvaluation,
     MemoryUsage,
     Outcome,
     Phase,
@@ -27,7 +31,6 @@ from slamhive.model.results import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from slamhive.model.results import Result, RunRecord
 
@@ -135,12 +138,14 @@ def test_a_batch_takes_two_queries(archive: Archive, make_run: MakeRun, make_res
 
 
 def test_finished_points_of_a_sweep(archive: Archive, make_run: MakeRun, make_result: MakeResult) -> None:
-    archive.put_run(make_run("a", index=3, results=[make_result("x"), make_result("y", Outcome.LOST)]))
-    archive.put_run(make_run("b", index=4, phase=Phase.FAILED, reason=Reason.NO_TRAJECTORY))
-    archive.put_run(make_run("c", index=5, phase=Phase.RUNNING))
-    archive.put_run(make_run("d", sweep="another"))
-    found = archive.finished("study")
-    assert archive.finished_uids("study") == set(found) == {"a", "b"}
+    archive.put_run(
+        make_run("a", index=3, sweep_uid="s", results=[make_result("x"), make_result("y", Outcome.LOST)])
+    )
+    archive.put_run(make_run("b", index=4, sweep_uid="s", phase=Phase.FAILED, reason=Reason.NO_TRAJECTORY))
+    archive.put_run(make_run("c", index=5, sweep_uid="s", phase=Phase.RUNNING))
+    archive.put_run(make_run("d", sweep_uid="another"))
+    found = archive.finished("s")
+    assert set(found) == {"a", "b"}
     assert (found["a"].index, found["a"].outcomes) == (3, {"x": Outcome.TRACKED, "y": Outcome.LOST})
     assert (found["b"].reason, found["b"].outcomes) == (Reason.NO_TRAJECTORY, {})
 
@@ -149,38 +154,57 @@ def test_totals_of_a_sweep_leave_out_what_is_asked(
     archive: Archive, make_run: MakeRun, make_result: MakeResult
 ) -> None:
     usage = Usage(cpu=CpuUsage(seconds=2.5))
-    archive.put_run(make_run("a", usage=usage, results=[make_result("x"), make_result("y")]))
-    archive.put_run(make_run("b", usage=usage, provenance=Provenance(reused_from="run-a")))
-    archive.put_run(make_run("c", usage=usage, phase=Phase.FAILED))
-    archive.put_run(make_run("d", usage=usage, phase=Phase.RUNNING))
-    assert archive.totals("study") == Totals(runs=3, reused=1, evaluated=1, cpu_seconds=5.0)
-    assert archive.totals("study", ["a"]) == Totals(runs=2, reused=1, evaluated=0, cpu_seconds=2.5)
+    archive.put_run(make_run("a", sweep_uid="s", usage=usage, results=[make_result("x"), make_result("y")]))
+    archive.put_run(make_run("b", sweep_uid="s", usage=usage, provenance=Provenance(reused_from="run-a")))
+    archive.put_run(make_run("c", sweep_uid="s", usage=usage, phase=Phase.FAILED))
+    archive.put_run(make_run("d", sweep_uid="s", usage=usage, phase=Phase.RUNNING))
+    assert archive.totals("s") == Totals(runs=3, reused=1, evaluated=1, cpu_seconds=5.0)
+    assert archive.totals("s", ["a"]) == Totals(runs=2, reused=1, evaluated=0, cpu_seconds=2.5)
     assert archive.totals("nobody") == Totals(0, 0, 0, 0.0)
 
 
-def test_a_new_sweep_of_a_name_begins_empty(archive: Archive, make_run: MakeRun) -> None:
-    archive.put_sweep(SweepRecord(uid="0123456789", name="study", spec={}))
-    archive.put_run(make_run("a"))
-    assert archive.retire("study", "0123456789") == 0
-    assert archive.retire("study", "another") == 1
-    assert archive.count(sweep="study") == 0
-    assert archive.count(sweep="study@01234567") == 1
+def test_sweeps_of_one_name_are_told_apart(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    usage = Usage(cpu=CpuUsage(seconds=2.5))
+    for uid, place in (("u-lab", "lab"), ("u-students", "students")):
+        archive.put_sweep(SweepRecord(uid=uid, name="study", spec={}, namespace=place))
+    archive.put_run(make_run("a", index=0, sweep_uid="u-lab", usage=usage, results=[make_result()]))
+    archive.put_run(make_run("b", index=0, sweep_uid="u-students", phase=Phase.FAILED))
+    assert {uid: set(archive.finished(uid)) for uid in ("u-lab", "u-students", "study")} == {
+        "u-lab": {"a"},
+        "u-students": {"b"},
+        "study": set(),
+    }
+    assert archive.totals("u-students") == Totals(1, 0, 0, 0.0)
+    assert (archive.cpu_seconds("u-lab"), archive.cpu_seconds("u-students")) == (2.5, 0.0)
+    for place in ("lab", "students"):
+        found = archive.sweep("study", namespace=place)
+        assert found is not None
+        assert found.uid == f"u-{place}"
+    assert archive.sweep("study") is None
 
 
-def test_runs_that_were_fetched_are_set_aside_together(archive: Archive, make_run: MakeRun) -> None:
-    """Their UIDs have nothing in common; those of a workstation begin with their sweep's."""
-    owner, ours, earlier = "0a1b2c3d-0000-4000-8000-000000000000", "f" * 16, "e" * 16
-    theirs = [f"{number}fffffff-0000-4000-8000-00000000000{number}" for number in range(3)]
-    for uid in (*theirs, f"{earlier}-0", f"{earlier}-1", f"{ours}-0"):
-        archive.put_run(make_run(uid, sweep="study"))
-    archive.put_sweep(SweepRecord(uid=owner, name="study", spec={}))
-    assert archive.set_aside("study", f"{ours}-") == 5
-    assert {record.uid for record in archive.runs(sweep="study@0a1b2c3d")} == {*theirs}
-    assert [record.uid for record in archive.runs(sweep="study")] == [f"{ours}-0"]
-    assert archive.count(sweep=f"study@{earlier[:8]}") == 2
-    assert [sweep.name for sweep in archive.sweeps()] == ["study@0a1b2c3d"]
-    assert archive.set_aside("study", f"{earlier}-") == 1
-    assert archive.count(sweep="study") == 2
+def test_an_intended_evaluation_is_added_once(archive: Archive, make_run: MakeRun) -> None:
+    first = IntendedEvaluation(evaluation="se3", alignment="se3", settings="a")
+    archive.put_run(make_run("a", evaluations=[first]))
+    archive.put_evaluations("a", [IntendedEvaluation(evaluation="yaw"), first.replace(settings="b")])
+    record = archive.get("a")
+    assert record is not None
+    assert [(one.evaluation, one.settings) for one in record.evaluations] == [("se3", "b"), ("yaw", None)]
+    with pytest.raises(UnknownNameError, match="unknown run UID 'nobody'"):
+        archive.put_evaluations("nobody", [first])
+
+
+def test_a_run_that_is_called_otherwise_keeps_its_results(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    archive.put_run(make_run("a", results=[make_result()]))
+    record = archive.get("a")
+    assert record is not None
+    archive.rename_run(record.replace(uid="a@1"), "a")
+    assert [one.uid for one in archive.runs()] == ["a@1"]
+    assert archive.get("a@1") == record.replace(uid="a@1")
 
 
 @pytest.mark.parametrize("outcome", list(Outcome))
@@ -260,19 +284,71 @@ def test_opening_again_finds_everything(url: str, make_run: MakeRun) -> None:
         assert archive.count() == 2
 
 
-def test_an_older_archive_is_migrated(url: str, make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    with Archive.open(url) as archive:
-        archive.put_run(make_run())
-    steps: list[int] = []
-    monkeypatch.setattr(schema, "VERSION", 3)
-    monkeypatch.setattr(schema, "MIGRATIONS", {k: lambda _, k=k: steps.append(k) for k in (1, 2)})
+def test_an_archive_of_version_1_is_migrated(url: str) -> None:
+    """The archive was written by the last version that knew sweeps by their names alone."""
+    put_version_1(url)
     for _ in range(2):
         with Archive.open(url) as archive:
-            assert archive.count() == 1
-    assert steps == [1, 2]
-    monkeypatch.setattr(schema, "VERSION", 2)
-    with pytest.raises(InputError, match=r"newer slamhive \(schema 3; this one knows up to 2\)"):
+            found = {record.uid: record for record in archive.runs()}
+            sweeps = {sweep.uid: sweep.name for sweep in archive.sweeps()}
+    now, before, elsewhere = "1a2b3c4d5e6f7081", "ffffeeeeddddcccc", "0a1b2c3d-0000-4000-8000-000000000000"
+    assert set(sweeps.values()) == {"study"}
+    assert {uid: (record.sweep, (record.sweep_uid or "")[:16]) for uid, record in found.items()} == {
+        f"{before}-0": ("study", before),
+        f"{now}-0@c1c1c1c1": ("study", now),
+        f"{now}-0": ("study", now),
+        f"{now}-1": ("study", now),
+        "99992c3d-0000-4000-8000-000000000000": ("study", elsewhere[:16]),
+        "slam-hive-abc": ("slam-hive", ""),
+    }
+    (failed,) = (record for record in found.values() if record.phase is Phase.FAILED)
+    (meant,) = failed.evaluations
+    assert (meant.evaluation, meant.alignment) == ("se3", "se3")
+    assert failed.provenance.algorithm_hash is not None
+    assert found[f"{now}-0"].results[0].values["ate"] == {"rmse": 0.1}
+    assert found["slam-hive-abc"].evaluations == []
+
+
+def test_a_newer_archive_is_refused(url: str, make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Archive.open(url) as archive:
+        archive.put_run(make_run())
+    monkeypatch.setattr(schema, "VERSION", 1)
+    with pytest.raises(InputError, match=r"newer slamhive \(schema 2; this one knows up to 1\)"):
         Archive.open(url)
+
+
+def put_version_1(url: str) -> None:
+    """Write the archive in version1.sql to a database, with the tables of that version."""
+    held = sqlite3.connect(":memory:")
+    held.executescript(Path(__file__).with_name("version1.sql").read_text())
+    engine = create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
+    if engine.dialect.name == "sqlite":
+        Path(str(engine.url.database)).parent.mkdir(parents=True)
+        with closing(sqlite3.connect(str(engine.url.database))) as file:
+            held.backup(file)
+        return
+    added = {"namespace", "cluster", "sweep_uid", "evaluations"}
+    with engine.begin() as connection:
+        schema.metadata.create_all(connection)
+        for table in schema.metadata.sorted_tables:
+            cursor = held.execute(f"SELECT * FROM {table.name}")
+            names = [item[0] for item in cursor.description]
+            for name in sorted(added & set(table.columns.keys())):
+                connection.execute(text(f"ALTER TABLE {table.name} DROP COLUMN {name}"))
+            for values in cursor.fetchall():
+                row = {
+                    name: datetime.fromisoformat(value)
+                    if value is not None and isinstance(table.columns[name].type, schema.UtcDateTime)
+                    else value
+                    for name, value in zip(names, values, strict=True)
+                }
+                marks = ", ".join(
+                    f"CAST(:{name} AS JSONB)" if isinstance(table.columns[name].type, JSON) else f":{name}"
+                    for name in names
+                )
+                columns = ", ".join(f'"{name}"' for name in names)
+                connection.execute(text(f"INSERT INTO {table.name} ({columns}) VALUES ({marks})"), row)
+    engine.dispose()
 
 
 @pytest.mark.parametrize("bad", ["", "archive.db", "mysql://x/y", "sqlite:://", "postgresql://h:port/x"])

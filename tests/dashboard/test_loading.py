@@ -6,11 +6,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from slamhive.dashboard.loading import Loaded, load
 
 from slamhive.analysis import flatten
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect
-from slamhive.dashboard.loading import Loaded, load
 from slamhive.model.results import Outcome, Phase, Result
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import anyio
 import numpy as np
 import pytest
+from slamhive.dashboard.loading import load
 
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect
 from slamhive.dashboard import snapshots, sources
-from slamhive.dashboard.loading import load
 from slamhive.dashboard.sources import ArchiveData, Workstation
 from slamhive.model.results import Phase
 

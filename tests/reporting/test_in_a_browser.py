@@ -7,11 +7,11 @@ import base64
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from slamhive.reporting.reading import Selection, archive_url, read_archive, select
 
 from slamhive.analysis import Outcomes
 from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.questions import usual_questions
-from slamhive.reporting.reading import Selection, archive_url, read_archive, select
 
 if TYPE_CHECKING:
     from pathlib import Path

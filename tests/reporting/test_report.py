@@ -14,6 +14,7 @@ from html.parser import HTMLParser
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from slamhive.reporting.reading import Selection, archive_url, read_archive, select
 
 from slamhive.analysis import Outcomes
 from slamhive.analysis.comparing import compare
@@ -21,7 +22,6 @@ from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import pareto
 from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.questions import parse_question, usual_questions
-from slamhive.reporting.reading import Selection, archive_url, read_archive, select
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -191,14 +191,13 @@ class Column:
                 return number
 
     def floats(self) -> Floats:
-        """Return the values as numbers, (n,), NaN for those that are none."""
+        """Return the values as finite numbers, (n,), NaN for those that are none."""
         if self.kind.is_numeric:
             return self.numbers
-        lookup = [
-            float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-            for value in self.values
-        ]
-        return np.array([*lookup, math.nan])[self.codes]
+        lookup = np.array([*map(_float, self.values), math.nan])
+        lookup[~np.isfinite(lookup)] = math.nan
+        found: Floats = lookup[self.codes]
+        return found
 
     def factorized(self) -> tuple[Integers, list[Any]]:
         """Return (codes, values): values in their order, each used, None last where one is missing."""
@@ -227,6 +226,10 @@ class Column:
 
 _NO_NUMBERS = np.empty(0)
 _NO_CODES = np.empty(0, dtype=np.int32)
+
+
+def _float(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
 
 
 def _identity(value: Any) -> Any:

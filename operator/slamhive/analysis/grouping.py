@@ -476,7 +476,8 @@ class _Material:
         middle = median_of_sorted(ranked) if len(ranked) else None
         if same and summary is not None:
             # One result, however often it came out: there is no sample that could have a spread.
-            return Figure(replace(summary, std=None), points, None, None, failed, middle)
+            one = replace(summary, mean=summary.median, std=None)
+            return Figure(one, points, None, None, failed, middle)
         return Figure(summary, points, interval, median_interval(ranked), failed, middle)
 
 
