@@ -25,7 +25,7 @@ import numpy as np
 
 from slamhive_eval.errors import EvaluationError, FileError, OptionError, TrajectoryError
 from slamhive_eval.evaluation import Options, evaluate
-from slamhive_eval.files import Unsorted, read_text, read_trajectory
+from slamhive_eval.files import Unsorted, read_estimate, read_text, read_trajectory
 from slamhive_eval.segments import NAME, beside, evaluate_pieces, read_segments
 from slamhive_eval.support import find_support
 from slamhive_eval.trajectory import Trajectory
@@ -129,6 +129,7 @@ def evaluate_pairs(
     options: Sequence[Options],
     *,
     unsorted: Unsorted = "error",
+    by_index: bool = False,
     processes: int | None = None,
     with_segments: bool = True,
 ) -> Iterator[dict[str, Any]]:
@@ -138,6 +139,7 @@ def evaluate_pairs(
         pairs: What to evaluate.
         options: How, one or more; every pair is evaluated by each.
         unsorted: What to do with decreasing stamps of estimates, see `read_trajectory`.
+        by_index: Whether to pair KITTI files of unequal length as far as both go, with a note.
         processes: How many; None for as many as there are processors.
         with_segments: Whether to measure an estimate map by map where a ``segments.csv`` lies beside it.
 
@@ -156,7 +158,11 @@ def evaluate_pairs(
         raise OptionError(f"there must be at least one process, not {processes}")
     processes = min(processes or len(os.sched_getaffinity(0)), len(pairs))
     work = functools.partial(
-        _evaluate_group, options=tuple(options), unsorted=unsorted, with_segments=with_segments
+        _evaluate_group,
+        options=tuple(options),
+        unsorted=unsorted,
+        by_index=by_index,
+        with_segments=with_segments,
     )
     try:
         _read_in_common(pairs)
@@ -222,14 +228,21 @@ def _reference(path: str) -> Trajectory:
 
 
 def _evaluate_group(
-    group: Sequence[Pair], *, options: tuple[Options, ...], unsorted: Unsorted, with_segments: bool
+    group: Sequence[Pair],
+    *,
+    options: tuple[Options, ...],
+    unsorted: Unsorted,
+    by_index: bool,
+    with_segments: bool,
 ) -> list[dict[str, Any]]:
     results = []
     for pair in group:
         names = {"reference": pair.reference, "estimate": pair.estimate}
         try:
             reference = _reference(pair.reference)
-            estimate = read_trajectory(pair.estimate, unsorted=unsorted)
+            estimate = read_estimate(
+                pair.estimate, reference, pair.reference, unsorted=unsorted, by_index=by_index
+            )
             path = beside(pair.estimate) if with_segments else None
             if path is None:
                 found = [evaluate(reference, estimate, one).as_dict() for one in options]

@@ -218,7 +218,7 @@ class Evaluation:
         ate_rotation_deg: Statistics of the rotation angles in degrees, or None.
         rpe: One entry for each asked, empty without alignment or without orientations.
         poses: The compared poses and their errors, or None.
-        notes: Sentences on what degenerate input left undetermined.
+        notes: Sentences on how the estimate was read and on what degenerate input left undetermined.
         clock: The offset of the estimate's clock, None where it wasn't asked for or found.
     """
 
@@ -307,6 +307,7 @@ def evaluate(reference: Trajectory, estimate: Trajectory, options: Options | Non
         matched=len(pairs),
         reference_poses=len(reference),
         estimate_poses=len(estimate),
+        notes=estimate.notes,
         clock=clock,
     )
     if len(pairs) < MIN_POSES:
@@ -361,7 +362,7 @@ def _measured(
     """The result with alignment, errors and outcome of associated trajectories."""
     alignment, reference, aligned = laid.alignment, laid.reference, laid.estimate
     errors = metrics.ape_errors(reference, aligned)
-    notes, rpe, rotation_errors = alignment.notes, options.rpe, np.empty(0)
+    notes, rpe, rotation_errors = result.notes + alignment.notes, options.rpe, np.empty(0)
     if reference.oriented and aligned.oriented:
         rotation_errors = metrics.ape_errors(reference, aligned, "angle_deg")
     else:

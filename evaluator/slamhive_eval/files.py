@@ -8,15 +8,10 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from slamhive_eval import bags, rotation, tables
+from slamhive_eval import bags, kitti_files, rotation, tables
 from slamhive_eval.errors import FileError, OptionError, TrajectoryError
 from slamhive_eval.textfiles import data_lines, decode, fault_in_row, head, is_number, parse_table, read_bytes
-from slamhive_eval.trajectory import (
-    LARGEST_METRES,
-    SMALLEST_QUATERNION_COMPONENT,
-    Trajectory,
-    find_fault,
-)
+from slamhive_eval.trajectory import SMALLEST_QUATERNION_COMPONENT, Trajectory, find_fault
 
 if TYPE_CHECKING:
     from slamhive_eval.rotation import FloatArray
@@ -28,9 +23,8 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 _COLUMNS: dict[str, tuple[int, str]] = {
     "tum": (8, "timestamp tx ty tz qx qy qz qw"),
     "euroc": (8, "timestamp [ns], px, py, pz, qw, qx, qy, qz, …"),
-    "kitti": (12, "the 3×4 pose matrix row by row"),
 }
-"""Columns a line of each format without names needs, and what they are."""
+"""Columns a line of each format without names needs, and what they are; see kitti_files for KITTI's."""
 
 _TUM_ORDER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 _EUROC_ORDER = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
@@ -44,6 +38,7 @@ def read_trajectory(
     times: str | Path | None = None,
     topic: str | None = None,
     unsorted: Unsorted = "error",
+    by_index: bool = False,
 ) -> Trajectory:
     """Read a trajectory, finding out the format unless told.
 
@@ -52,10 +47,12 @@ def read_trajectory(
             MCAP), perhaps with the topic as in ``run.bag:/odom`` or ``run.bag:/tf:map.base_link``.
         file_format: ``tum``, ``euroc``, ``kitti``, ``csv`` (named columns) or ``bag``; None to tell by the
             first line or, for recordings, by the file's name.
-        times: For KITTI: the file with one stamp in s a line. Without it pose k has the stamp k.
+        times: For KITTI: the file with one stamp in s a line, that of frame k in line k. Without it the
+            stamps are frames. Line k, counted from 0, is frame k unless it begins with its frame index.
         topic: For recordings: the topic, see `slamhive_eval.bags.read_bag`.
         unsorted: What to do with decreasing stamps: ``error`` names the line, ``sort`` sorts the poses
             by time, keeping the order of equal stamps.
+        by_index: For KITTI: take poses and stamps as far as both go where their numbers differ, with a note.
 
     Returns:
         The trajectory, stamps in s.
@@ -78,9 +75,9 @@ def read_trajectory(
         file_format, header = ("kitti", None) if times is not None else _detect(path, head(data))
     if file_format == "csv":
         return _from_table(path, data, header or tables.find_header(path, head(data)), unsorted)
-    table = parse_table(path, data, *_COLUMNS[file_format], extra=file_format == "euroc")
     if file_format == "kitti":
-        return _from_kitti(path, data, table, times)
+        return kitti_files.parse_poses(path, data, times, sort=unsorted == "sort", by_index=by_index)
+    table = parse_table(path, data, *_COLUMNS[file_format], extra=file_format == "euroc")
     if file_format == "euroc":
         # float64 nanoseconds divided by 1e9, as evo does: a stamp then equals evo's to the last bit.
         stamps, quaternions = table[:, 0] / 1e9, table[:, [5, 6, 7, 4]]
@@ -88,6 +85,44 @@ def read_trajectory(
         stamps, quaternions = table[:, 0], table[:, 4:8]
     rows = tables.Rows(stamps, table[:, 1:4], quaternions, oriented=True, covariances=None)
     return _checked(path, data, rows, unsorted)
+
+
+def read_estimate(
+    path: str | Path,
+    reference: Trajectory,
+    reference_path: str | Path,
+    file_format: Format | None = None,
+    *,
+    times: str | Path | None = None,
+    topic: str | None = None,
+    unsorted: Unsorted = "error",
+    by_index: bool = False,
+) -> Trajectory:
+    """Read an estimate that is to be paired with a ground truth.
+
+    Args:
+        path: As for read_trajectory, as is what isn't told here.
+        reference: The ground truth.
+        reference_path: Its file, for errors.
+        file_format: Of the estimate.
+        times: For KITTI: stamps of the frames.
+        topic: For recordings.
+        unsorted: What to do with decreasing stamps.
+        by_index: Pair KITTI poses as far as both go where files have unequal numbers of them, with a note.
+
+    Returns:
+        The estimate, whose stamps are those of the ground truth's clock or frames.
+
+    Raises:
+        FileError: What read_trajectory and `kitti_files.check_pair` say.
+        OptionError: Unknown format, or ``by_index`` for poses with time stamps.
+    """
+    found = read_trajectory(path, file_format, times=times, topic=topic, unsorted=unsorted, by_index=by_index)
+    if by_index and times is None:
+        for name, one in ((reference_path, reference), (path, found)):
+            if one.stamped_by == "time":
+                raise OptionError(f"--by-index is for KITTI poses without times, and {name} has time stamps")
+    return kitti_files.check_pair(reference, found, reference_path, path, by_index=by_index)
 
 
 def detect_format(path: str | Path) -> Format:
@@ -182,7 +217,10 @@ def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
         header = None
     # The usual columns in the usual order are read as ever, whatever stands above them.
     if numeric and (header is None or header.order in (_TUM_ORDER, _EUROC_ORDER)):
-        if len(words) == 12 and "," not in content:
+        counts = (
+            {kitti_files.COLUMNS} if header is not None else {kitti_files.COLUMNS, kitti_files.COLUMNS + 1}
+        )
+        if len(words) in counts and "," not in content:
             return "kitti", None
         covariances = header is not None and header.covariance
         if len(words) == 8 or (len(words) > 8 and "," in content and not covariances):
@@ -193,8 +231,8 @@ def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
     known = "; ".join(f"{name} has {count}" for name, (count, _) in _COLUMNS.items())
     raise FileError(
         path,
-        f"found {len(words)} values a line, which is no known format ({known}; csv names its columns, "
-        "as in timestamp,x,y,z,qx,qy,qz,qw)",
+        f"found {len(words)} values a line, which is no known format ({known}; kitti has 12, or 13 with the "
+        "frame index first; csv names its columns, as in timestamp,x,y,z,qx,qy,qz,qw)",
         number,
     )
 
@@ -225,27 +263,3 @@ def _checked(
         if fault is None:
             raise FileError(path, str(error)) from None
         raise fault_in_row(path, data, int(order[fault.row]), fault.message, skipped) from None
-
-
-def _from_kitti(path: str | Path, data: bytes, table: FloatArray, times: str | Path | None) -> Trajectory:
-    matrices = table.reshape(-1, 3, 4)
-    bad = np.flatnonzero(~(np.abs(table) <= LARGEST_METRES).all(axis=1))
-    if bad.size:
-        raise fault_in_row(path, data, int(bad[0]), "every value must be a finite number")
-    rotations = np.clip(matrices[:, :, :3], -2.0, 2.0)  # far from a rotation either way, but no overflow
-    gram = np.einsum("nij,nkj->nik", rotations, rotations)
-    wrong = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > 1e-2) | (np.linalg.det(rotations) < 0)
-    bad = np.flatnonzero(wrong)
-    if bad.size:
-        message = "the left 3×3 part is no rotation (orthonormal, determinant 1)"
-        raise fault_in_row(path, data, int(bad[0]), message)
-    stamps = np.arange(len(table), dtype=np.float64)
-    if times is not None:
-        times_data = read_bytes(times)
-        stamps = parse_table(times, times_data, 1, "one time stamp in seconds")[:, 0]
-        if len(stamps) != len(table):
-            raise FileError(times, f"has {len(stamps)} stamps for the {len(table)} poses of {path}")
-        fault = find_fault(stamps, matrices[:, :, 3], np.ones((len(stamps), 4)))
-        if fault is not None:
-            raise fault_in_row(times, times_data, fault.row, fault.message)
-    return Trajectory(stamps, matrices[:, :, 3], rotation.from_matrix(rotations), rotations=rotations)

@@ -134,7 +134,7 @@ def kitti_errors(
         offset_seconds: Added to the estimate's stamps for matching only.
         scale: Factor on the estimate's positions: that of a Sim(3) alignment for monocular estimates.
         frame_seconds: Duration of a frame in s for the speeds, which the devkit takes for 0.1 s and counts
-            one frame more than steps. None: from the stamps, and as the devkit where these are 0, 1, 2, ….
+            one frame more than steps. None: from the stamps, and as the devkit where these are frames.
 
     Returns:
         The errors, possibly of no segment where the ground truth is shorter than the lengths.
@@ -147,7 +147,8 @@ def kitti_errors(
     pairs = associate(reference, estimate, max_difference_seconds, offset_seconds)
     if not len(pairs):
         raise no_overlap(reference, estimate, max_difference_seconds, offset_seconds)
-    if frame_seconds is None and np.array_equal(reference.stamps, np.arange(len(reference))):
+    numbered = reference.stamped_by != "time" or np.array_equal(reference.stamps, np.arange(len(reference)))
+    if frame_seconds is None and numbered:
         frame_seconds = FRAME_SECONDS
     begin, end, nominal, missing = _ends(reference.distances, pairs.reference, lengths, step)
     # The devkit inverts matrices, it doesn't transpose them as rpe_errors does: only orthonormal ones agree.
@@ -159,8 +160,8 @@ def kitti_errors(
     if frame_seconds is None:
         duration = truth.stamps[end] - truth.stamps[begin]
     else:
-        frames = pairs.reference[end] - pairs.reference[begin] + 1
-        duration = frame_seconds * frames.astype(np.float64)
+        frames = truth.stamps if numbered else pairs.reference.astype(np.float64)
+        duration = frame_seconds * (frames[end] - frames[begin] + 1.0)
     segments = Segments(
         begin,
         end,

@@ -79,6 +79,7 @@ class Prepared:
     Attributes:
         reference: m poses of the ground truth, in the estimate's frame where that was asked.
         estimate: m poses of the estimate, aligned.
+        matched: The same poses of the estimate before they were aligned.
         alignment: What laid it there.
         clock: The offset found, None where it was given.
         hand_eye: The extrinsic found, None where it wasn't asked for.
@@ -86,6 +87,7 @@ class Prepared:
 
     reference: Trajectory
     estimate: Trajectory
+    matched: Trajectory
     alignment: Alignment
     clock: TimeOffset | None = None
     hand_eye: HandEye | None = None
@@ -99,7 +101,7 @@ class Prepared:
                 "transform": self.alignment.transform.tolist(),
                 "scale": self.alignment.scale,
             },
-            "notes": list(self.alignment.notes),
+            "notes": [*self.estimate.notes, *self.alignment.notes],
         }
         if self.clock is not None:
             found["clock"] = self.clock.as_dict()
@@ -180,4 +182,4 @@ def lay(
         from slamhive_eval.robust import align_robustly  # noqa: PLC0415 - few ask for it
 
         alignment = align_robustly(reference, estimate, asked.alignment, asked.robust, asked.keep)
-    return Prepared(reference, alignment.apply(estimate), alignment, clock, found)
+    return Prepared(reference, alignment.apply(estimate), estimate, alignment, clock, found)

@@ -125,8 +125,9 @@ def sub_trajectory_errors(
     E = (Q_i⁻¹·Q_j)⁻¹·(P_i⁻¹·P_j) is turned into the world by the estimate's orientation at j, R_j·E·R_jᵀ,
     and its rotation split as Rz(yaw)·Ry(pitch)·Rx(roll). Yaw and gravity parts therefore mean something
     only where z of the estimate's world points up: give an estimate of a visual-inertial algorithm as it
-    is or yaw-aligned, any other aligned by SE(3) to ground truth whose z points up. A monocular estimate
-    needs its scale applied before.
+    is, any other aligned by SE(3) to ground truth whose z points up. Turning the world about z changes them
+    in second order, since pitch is taken before roll about axes that turn along. A monocular estimate needs
+    its scale applied before.
 
     Args:
         reference: m poses.

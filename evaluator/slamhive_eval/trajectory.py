@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive_eval.rotation import FloatArray
+
+StampedBy = Literal["time", "line", "frame"]
 
 SMALLEST_QUATERNION_COMPONENT = 1e-3
 """A quaternion whose components are all below this carries no rotation; in a unit one, one is ≥ 0.5."""
@@ -54,6 +56,9 @@ class Trajectory:
         covariances: How wrong the estimator takes the poses to be: of positions in m², shape (n, 3, 3), or of
             x, y, z in m and the rotation about the world's fixed x, y, z in rad (as PoseWithCovariance),
             shape (n, 6, 6), in the world frame. None where it said nothing. Values aren't checked.
+        stamped_by: What the stamps are: ``time`` in s; of KITTI poses without times, frames counted from 0:
+            the number of the ``line``, or the ``frame`` that the file gives for each pose.
+        notes: Sentences on how it was read that belong to every result.
 
     Raises:
         TrajectoryError: No poses, arrays of unequal length, a value that isn't finite, a decreasing
@@ -66,6 +71,8 @@ class Trajectory:
     rotations: FloatArray | None = None
     oriented: bool = True
     covariances: FloatArray | None = None
+    stamped_by: StampedBy = "time"
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         stamps = np.array(self.stamps, dtype=np.float64)
@@ -104,7 +111,8 @@ class Trajectory:
         """One made from this, which alignment may carry beyond the limits of a file."""
         made = object.__new__(type(self))
         made._set(self.stamps if stamps is None else stamps, positions, quaternions, rotations, covariances)
-        object.__setattr__(made, "oriented", self.oriented)
+        for name in ("oriented", "stamped_by", "notes"):
+            object.__setattr__(made, name, getattr(self, name))
         return made
 
     def _set(
@@ -153,6 +161,12 @@ class Trajectory:
     def orthonormal(self) -> Trajectory:
         """The same with the rotations of the quaternions, which are orthonormal to the last bit."""
         return self._derived(self.positions, self.quaternions, None, covariances=self.covariances)
+
+    def noted(self, note: str) -> Trajectory:
+        """The same poses with one more note."""
+        made = self._derived(self.positions, self.quaternions, self.rotations, covariances=self.covariances)
+        object.__setattr__(made, "notes", (*self.notes, note))
+        return made
 
     def shifted(self, offset_seconds: float) -> Trajectory:
         """The same poses with so many seconds added to their stamps."""

@@ -115,8 +115,9 @@ def test_formats_and_stamps_of_kitti(
     found = ape(tmp_path, capsys, "--times", str(tmp_path / "times"))
     assert (found["poses"], found["max"]) == (600, pytest.approx(0, abs=1e-9))
     np.savetxt(tmp_path / "est", rows[:700], "%.17g")
-    assert ape(tmp_path, capsys)["poses"] == 700
-    assert ape(tmp_path, capsys, "--format", "kitti", "--reference-format", "kitti")["poses"] == 700
+    assert ape(tmp_path, capsys, "--by-index")["poses"] == 700
+    words = ("--format", "kitti", "--reference-format", "kitti", "--by-index")
+    assert ape(tmp_path, capsys, *words)["poses"] == 700
 
 
 @pytest.mark.parametrize(

@@ -152,6 +152,34 @@ CASES: list[tuple[str, Make, list[str], int, str]] = [
         0,
         '"translationPercent": null',
     ),
+    *(
+        (
+            "a KITTI frame index that is no whole number, negative, there twice or beyond the ground truth",
+            lambda _, frame=frame: b"".join(b"%s 1 0 0 1 0 1 0 0 0 0 1 0\n" % one for one in (b"0", frame)),
+            NONE,
+            2,
+            says,
+        )
+        for frame, says in (
+            (b"0.5", "line 2: the frame index is 0.5"),
+            (b"-1", "line 2: the frame index is -1"),
+            (b"0", "line 2: frame 0 is there twice"),
+        )
+    ),
+    (
+        "a decreasing frame index",
+        lambda _: b"7 1 0 0 1 0 1 0 0 0 0 1 0\n5 1 0 0 1 0 1 0 0 0 0 1 0\n",
+        NONE,
+        2,
+        "line 2: frame 5 comes after frame 7",
+    ),
+    (
+        "a decreasing frame index",
+        lambda _: b"7 1 0 0 1 0 1 0 0 0 0 1 0\n5 1 0 0 1 0 1 0 0 0 0 1 0\n",
+        [*NONE, "--sort"],
+        0,
+        "poses  2",
+    ),
     (
         "clouds with points that aren't finite",
         lambda _: CLOUD % b"" + POINTS % b"nan",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from slamhive_eval import Options, Trajectory, evaluate, read_kitti, read_tum, write_tum
+from slamhive_eval import Options, Trajectory, evaluate, read_kitti, read_tum, rotation, write_tum
 from slamhive_eval.command import main
 from slamhive_eval.kitti import kitti_errors
 from slamhive_eval.relative import sub_trajectory_errors
@@ -73,6 +73,25 @@ def test_drift(files: list[str], call: Call) -> None:
     assert "last 55.000 s before the end" in text
     _, found = call("drift", *files[:2], "--offset", "-2.0")
     assert (found["poses"], found["secondsAfterLastPose"]) == (580, pytest.approx(2.0))
+
+
+def test_drift_after_a_yaw_alignment_is_split_as_rpg_does(
+    files: list[str], call: Call, tmp_path: Path, wander: Callable[..., Trajectory]
+) -> None:
+    """rpg splits in the world of the estimate as it was given; tilts tell about which axes that was."""
+    truth = wander(600, seed=5)
+    angles = np.random.default_rng(1).normal(0, 0.1, (600, 3))
+    turned = rotation.multiply(truth.quaternions, rotation.from_roll_pitch_yaw(angles))
+    quarter = rotation.to_matrix(rotation.from_roll_pitch_yaw(np.array([[0.0, 0.0, 1.5]])))[0]
+    estimate = Trajectory(truth.stamps, truth.positions, turned).transformed(quarter, np.ones(3))
+    write_tum(tmp_path / "est", estimate)
+    found = {}
+    for method in ("none", "yaw", "se3"):
+        words = ("drift", files[0], str(tmp_path / "est"), "--lengths", "2", "--align", method)
+        found[method] = call(*words)[1]["subTrajectories"][0]
+    assert found["yaw"] == found["none"]
+    assert found["yaw"]["gravityDeg"]["mean"] != pytest.approx(found["se3"]["gravityDeg"]["mean"], rel=1e-5)
+    assert found["yaw"]["rotationDeg"]["mean"] == pytest.approx(found["se3"]["rotationDeg"]["mean"])
 
 
 def test_repeated(files: list[str], call: Call) -> None:

@@ -146,6 +146,7 @@ def test_described(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found, _ = traj(tmp_path, capsys)
     assert found == {
         "file": str(tmp_path / "in.tum"),
+        "notes": [],
         "poses": 6,
         "start": 0.0,
         "end": 2.3,

@@ -51,6 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--min-coverage", type=float, default=0.9, metavar="SHARE", help="from which a run is tracked"
     )
     parser.add_argument("--sort", action="store_true", help="sort poses of estimates by time")
+    measuring.add_by_index(parser)
     parser.add_argument(
         "--no-segments",
         action="store_true",
@@ -74,6 +75,7 @@ def run(asked: argparse.Namespace) -> int:
         found,
         _options(asked),
         unsorted=unsorted,
+        by_index=asked.by_index,
         processes=asked.jobs,
         with_segments=not asked.no_segments,
     ):

@@ -32,7 +32,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Measure and print."""
-    reference, estimate = measuring.read_reference(asked), measuring.read_estimate(asked, asked.estimate)
+    reference = measuring.read_reference(asked)
+    estimate = measuring.read_estimate(asked, asked.estimate, reference)
     if estimate.covariances is None:
         raise FileError(
             asked.estimate,

@@ -38,7 +38,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Measure and print."""
-    reference, whole = measuring.read_reference(asked), measuring.read_estimate(asked, asked.estimate)
+    reference = measuring.read_reference(asked)
+    whole = measuring.read_estimate(asked, asked.estimate, reference)
     how = measuring.preparation(asked)
     prepared = prepare(reference, whole, how)
     truth, aligned = prepared.reference, prepared.estimate
@@ -47,10 +48,12 @@ def run(asked: argparse.Namespace) -> int:
     elif how.offset_seconds:
         whole = whole.shifted(how.offset_seconds)
     lengths = tuple(asked.lengths) if asked.lengths else None
+    # Where x and y point changes the parts of a rotation in second order; rpg splits before a yaw alignment.
+    split = prepared.matched if prepared.alignment.method == "yaw" else aligned
     velocity = Statistics.of(motion.velocity_errors(truth, aligned))
     result = {
         **prepared.as_dict(),
-        "subTrajectories": [one.as_dict() for one in relative.sub_trajectory_errors(truth, aligned, lengths)],
+        "subTrajectories": [one.as_dict() for one in relative.sub_trajectory_errors(truth, split, lengths)],
         "scaleDrift": relative.scale_drift(truth, aligned).as_dict(),
         "velocity": velocity.as_dict() if velocity else None,
         "smoothness": motion.smoothness(aligned).as_dict(),

@@ -53,7 +53,7 @@ def run(asked: argparse.Namespace) -> int:
     reference = measuring.read_reference(asked)
     results = []
     for name in asked.estimates:
-        estimate = measuring.read_estimate(asked, name)
+        estimate = measuring.read_estimate(asked, name, reference)
         scale = _scale(asked, reference, estimate)
         found = kitti.kitti_errors(
             reference,
@@ -65,7 +65,7 @@ def run(asked: argparse.Namespace) -> int:
             scale=scale,
             frame_seconds=asked.frame_seconds,
         )
-        results.append({**found.as_dict(), "scale": scale, "estimate": name})
+        results.append({**found.as_dict(), "scale": scale, "notes": list(estimate.notes), "estimate": name})
     result = results[0] if len(results) == 1 else {"results": results}
     output.emit(asked, result, lambda _: "\n\n".join(map(_show, results)))
     return 0
@@ -88,7 +88,7 @@ def _show(result: dict[str, Any]) -> str:
     lines = [head, f"{'':>12}  {'count':>6}  {'t [%]':>9}  {'r [deg/m]':>11}", _line("all", result)]
     lines += [_line(f"{group['length']:g} m", group) for group in result["byLength"]]
     lines += [_line(f"{group['speed']:g} m/s", group) for group in result["bySpeed"]]
-    return "\n".join(lines)
+    return "\n".join(lines + [f"note: {note}" for note in result["notes"]])
 
 
 def _line(name: str, group: dict[str, Any]) -> str:

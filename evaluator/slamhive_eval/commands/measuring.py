@@ -48,10 +48,23 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--topic", metavar="TOPIC", help="topic of the estimates, for recordings")
     group.add_argument("--reference-topic", metavar="TOPIC", help="topic of the ground truth, for recordings")
     group.add_argument(
-        "--times", metavar="FILE", help="stamps of KITTI poses; without it line k pairs with line k"
+        "--times",
+        metavar="FILE",
+        help="stamps of KITTI poses; without it line k pairs with line k, or by the frame index "
+        "where lines of 13 numbers begin with one",
     )
+    add_by_index(group)
     group.add_argument(
         "--sort", action="store_true", help="sort the poses of EST by time instead of refusing"
+    )
+
+
+def add_by_index(parser: Any) -> None:
+    """Add what pairs KITTI files of unequal length."""
+    parser.add_argument(
+        "--by-index",
+        action="store_true",
+        help="pair KITTI poses by index as far as both files go instead of refusing files of unequal length",
     )
 
 
@@ -179,23 +192,26 @@ def read_reference(asked: argparse.Namespace) -> Trajectory:
     )
 
 
-def read_estimate(asked: argparse.Namespace, name: str) -> Trajectory:
-    """An estimate; KITTI's stamps belong to KITTI poses only."""
+def read_estimate(asked: argparse.Namespace, name: str, reference: Trajectory | None) -> Trajectory:
+    """An estimate to pair with the ground truth, if any; KITTI's stamps belong to KITTI poses only."""
     times = asked.times
     if times is not None and (asked.format or files.detect_format(name)) != "kitti":
         times = None
     unsorted: files.Unsorted = "sort" if asked.sort else "error"
-    return files.read_trajectory(name, asked.format, times=times, topic=asked.topic, unsorted=unsorted)
+    how: Any = {"times": times, "topic": asked.topic, "unsorted": unsorted, "by_index": asked.by_index}
+    if reference is None:
+        return files.read_trajectory(name, asked.format, **how)
+    return files.read_estimate(name, reference, asked.reference, asked.format, **how)
 
 
-def read_estimates(asked: argparse.Namespace) -> Iterator[tuple[str, Trajectory]]:
+def read_estimates(asked: argparse.Namespace, reference: Trajectory) -> Iterator[tuple[str, Trajectory]]:
     """Names and poses of the estimates, one after the other, on the support asked for."""
     if asked.support == "own":
-        yield from ((name, read_estimate(asked, name)) for name in asked.estimates)
+        yield from ((name, read_estimate(asked, name, reference)) for name in asked.estimates)
         return
     from slamhive_eval import support  # noqa: PLC0415 - few ask for it
 
-    found = [read_estimate(asked, name) for name in asked.estimates]
+    found = [read_estimate(asked, name, reference) for name in asked.estimates]
     spans = support.common_support(found)
     yield from ((name, support.within(one, spans)) for name, one in zip(asked.estimates, found, strict=True))
 
@@ -216,7 +232,7 @@ def measure(
     how = preparation(asked)
     reference = read_reference(asked)
     measured = []
-    for name, estimate in read_estimates(asked):
+    for name, estimate in read_estimates(asked, reference):
         prepared = prepare(reference, estimate, how)
         measured.append(errors_of(asked, name, prepared.reference, prepared.estimate, prepared.as_dict()))
     output.write(asked, measured)

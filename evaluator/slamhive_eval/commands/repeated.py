@@ -45,7 +45,7 @@ def run(asked: argparse.Namespace) -> int:
     reference = measuring.read_reference(asked)
     runs: list[dict[str, Any]] = []
     for name in asked.estimates:
-        estimate = measuring.read_estimate(asked, name)
+        estimate = measuring.read_estimate(asked, name, reference)
         found = evaluation.evaluate(reference, estimate, options)
         failed = found.outcome in (evaluation.Outcome.LOST, evaluation.Outcome.DIVERGED)
         runs.append(
@@ -55,6 +55,7 @@ def run(asked: argparse.Namespace) -> int:
                 "message": found.message,
                 "coverage": found.coverage.share,
                 "rmse": None if failed or found.ate is None else found.ate.rmse,
+                "notes": list(estimate.notes),
             }
         )
     summary = repeated.summarize([run["rmse"] for run in runs], asked.thresholds)
@@ -82,7 +83,7 @@ def _show(result: dict[str, Any]) -> str:
         f"(95 %: {rate['low']:.0%} to {rate['high']:.0%})"
         for rate in result["success"]
     ]
-    return "\n".join(lines)
+    return "\n".join(lines + [f"note: {note}" for run in result["each"] for note in run["notes"]])
 
 
 def _figure(value: float | None) -> str:

@@ -39,7 +39,7 @@ def run(asked: argparse.Namespace) -> int:
         has_scale=asked.align not in ("sim3", "scale"),
     )
     reference = measuring.read_reference(asked)
-    estimates = [estimate for _, estimate in measuring.read_estimates(asked)]
+    estimates = [estimate for _, estimate in measuring.read_estimates(asked, reference)]
     names = _names(asked.estimates)
     found = {
         name: evaluation.evaluate(reference, estimate, options)
@@ -63,7 +63,8 @@ def run(asked: argparse.Namespace) -> int:
         figures.save_figure(asked.figure, reference, found, title=asked.title)
         written.append(asked.figure)
     each = {name: one.as_dict() for name, one in found.items()}
-    output.emit(asked, {"written": written, "estimates": each}, lambda _: "\n".join(written))
+    notes = [f"note: {note}" for estimate in estimates for note in estimate.notes]
+    output.emit(asked, {"written": written, "estimates": each}, lambda _: "\n".join(written + notes))
     return 0
 
 

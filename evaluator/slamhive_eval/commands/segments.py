@@ -46,7 +46,7 @@ def run(asked: argparse.Namespace) -> int:
     reference = measuring.read_reference(asked)
     results = []
     for name in asked.estimates:
-        estimate = measuring.read_estimate(asked, name)
+        estimate = measuring.read_estimate(asked, name, reference)
         pieces = _restarted(asked) if asked.restarts else _read(asked, name)
         found = segments.evaluate_pieces(reference, estimate, pieces, options)
         results.append({**found, "estimate": name})
@@ -90,4 +90,4 @@ def _show(result: dict[str, Any]) -> str:
         )
     if result["posesOutside"]:
         lines.append(f"{result['posesOutside']} poses are in none of them")
-    return "\n".join(lines)
+    return "\n".join(lines + [f"note: {note}" for note in result["notes"]])

@@ -68,7 +68,7 @@ def run(asked: argparse.Namespace) -> int:
     move = _motion(asked)
     made = []
     for name in asked.estimates:
-        trajectory = move(_cut(asked, measuring.read_estimate(asked, name)))
+        trajectory = move(_cut(asked, measuring.read_estimate(asked, name, reference)))
         made.append(_laid(asked, reference, trajectory, how) if reference is not None else trajectory)
     for (path, kind), trajectory in zip(targets, made, strict=bool(targets)):
         try:
@@ -79,7 +79,10 @@ def run(asked: argparse.Namespace) -> int:
         from slamhive_eval import figures  # noqa: PLC0415 - only where asked for
 
         figures.save_trajectories(asked.plot, dict(zip(_names(asked), made, strict=True)), reference)
-    described = [{"file": name, **describe(one)} for name, one in zip(asked.estimates, made, strict=True)]
+    described = [
+        {"file": name, **describe(one), "notes": list(one.notes)}
+        for name, one in zip(asked.estimates, made, strict=True)
+    ]
     result = described[0] if len(described) == 1 else {"results": described}
     output.emit(asked, result, lambda _: "\n\n".join(map(_show, described)))
     return 0
@@ -179,4 +182,5 @@ def _show(found: dict[str, Any]) -> str:
         "speed": f"mean {number('meanSpeed', 'm/s')}, largest {number('maxSpeed', 'm/s')}",
         "turned": number("turned", "degrees", 1),
     }
-    return "\n".join([found["file"], *(f"  {name:<12}{text}" for name, text in rows.items())])
+    lines = [f"  {name:<12}{text}" for name, text in rows.items()]
+    return "\n".join([found["file"], *lines, *(f"note: {note}" for note in found["notes"])])
