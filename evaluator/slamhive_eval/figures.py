@@ -106,7 +106,7 @@ def save_trajectories(
             axes[1], (3, 4, 5), ("z [m]", "speed [m/s]", "heading [deg]"), strict=True
         ):
             axis.plot(rows[:, 0], rows[:, column], **style)
-            axis.set_xlabel("time [s]")
+            axis.set_xlabel("time since the first pose [s]")
             axis.set_ylabel(what)
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     _save(figure, path, title, dots_per_inch)
@@ -187,7 +187,7 @@ def _draw_errors(axes: Any, reference: Trajectory, evaluations: Mapping[str, Eva
         share = [100.0 / len(poses.errors)] * len(poses.errors)
         histogram.hist(poses.errors, bins=40, weights=share, histtype="step", label=name, **_style(k))
     over_time.set_ylim(bottom=0.0)
-    over_time.set_xlabel("time [s]")
+    over_time.set_xlabel("time since the ground truth began [s]")
     over_time.set_ylabel("position error [m]")
     histogram.set_xlabel("position error [m]")
     histogram.set_ylabel("poses [%]")

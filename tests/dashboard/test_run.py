@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import os
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,6 +116,78 @@ async def test_thinned_usage_keeps_the_peak(api: Any) -> None:
     assert usage["samples"] == 100
     assert max(usage["memory"]) == 9900
     assert usage["cpu"] == [0.5] * 10
+
+
+def give(home: Path, configuration: object, latencies: str | None = None) -> None:
+    """Give the run of ``home`` a configuration, and what a player noted."""
+    run = home / "runs" / "study" / "run-000" / "run"
+    (run / "config.yaml").write_text(yaml.safe_dump(configuration))
+    if latencies is not None:
+        (run / "output" / "latency.csv").write_text(f"stamp,frame_arrival,pose_arrival,latency\n{latencies}")
+
+
+STARTED = datetime(2026, 1, 2, 3, 4, 0, 250_000, tzinfo=UTC).timestamp()
+
+
+@pytest.mark.parametrize(
+    ("configuration", "clock"),
+    [
+        (None, {"start": 0.0, "of": "groundTruth"}),
+        ({"dataset": {"startTime": 7.0}, "input": {"start": 4.0}}, {"start": 3.0, "of": "recording"}),
+        ({"dataset": {"startTime": 7}}, {"start": 7.0, "of": "recording"}),
+        ({"dataset": {"startTime": math.nan}}, {"start": 0.0, "of": "groundTruth"}),
+        ({"dataset": {"startTime": 10**400}}, {"start": 0.0, "of": "groundTruth"}),
+        ({"dataset": "x", "input": ["y"]}, {"start": 0.0, "of": "groundTruth"}),
+        (["x"], {"start": 0.0, "of": "groundTruth"}),
+    ],
+)
+async def test_time_begins_with_the_recording_or_else_the_ground_truth(
+    home: Path, api: Any, configuration: object, clock: dict[str, Any]
+) -> None:
+    if configuration is not None:
+        give(home, configuration)
+    assert (await api.get("/runs/uid-000/trajectory"))["clock"] == clock
+
+
+async def test_time_begins_with_the_first_pose_where_nothing_else_is_known(home: Path, api: Any) -> None:
+    (home / "groundtruth" / "dataset-0.txt").unlink()
+    assert (await api.get("/runs/uid-000/trajectory"))["clock"] == {"start": 0.0, "of": "estimate"}
+
+
+async def test_load_in_real_time_lies_where_the_player_played(home: Path, api: Any) -> None:
+    """It played at twice the speed, the first frame 3 s after the program began; one frame came late."""
+    played = {"pace": "Realtime", "rate": 2.0, "start": 0.0}
+    arrivals = [(10, 3.0), (12, 4.0), (14, 5.9), (16, 6.0), (18, 7.0)]
+    rows = "".join(f"{stamp}.0,{STARTED + seconds},0,0\n" for stamp, seconds in arrivals)
+    give(home, {"dataset": {"startTime": 10.0}, "input": played}, rows)
+    usage = await api.get("/runs/uid-000/usage")
+    assert usage["clock"] == {"start": 10.0, "of": "recording"}
+    assert usage["t"][30] == 3.0
+    assert usage["stamp"][30] == pytest.approx(10.0, abs=1e-5)
+    assert usage["stamp"][40] == pytest.approx(12.0, abs=1e-5)
+    header = (await api.raw.get("/api/v1/runs/uid-000/usage?format=csv")).text.splitlines()[0]
+    assert header == "t,stamp,cpu,memory,anonymous"
+
+
+@pytest.mark.parametrize(
+    ("pace", "rows"),
+    [
+        ("Lockstep", f"10.0,{STARTED},0,0\n"),
+        ("Realtime", None),
+        ("Realtime", ""),
+        ("Realtime", "10.0\n"),
+        ("Realtime", f"nan,{STARTED},0,0\n"),
+        ("Realtime", "ten,eleven,0,0\n"),
+        ("Realtime", "\x00,ü\n"),
+    ],
+)
+async def test_other_load_has_no_place_on_the_datasets_clock(
+    home: Path, api: Any, pace: str, rows: str | None
+) -> None:
+    give(home, {"dataset": {"startTime": 10.0}, "input": {"pace": pace}}, rows)
+    usage = await api.get("/runs/uid-000/usage")
+    assert (usage["clock"], usage["stamp"]) == (None, None)
+    assert usage["t"][0] == 0.0
 
 
 async def test_only_regular_files_are_listed_and_sent(api: Any) -> None:

@@ -234,6 +234,7 @@ LONG = "<img src=x onerror=alert(1)>" + "long " * 2000
 
 
 WITH_FILES = 3
+STARTED = datetime(2026, 1, 1, tzinfo=UTC)
 SWEEP = {
     "template": {
         "spec": {"algorithmRef": {"name": "first"}, "datasetRef": {"name": "hall"}, "sensors": "mono"}
@@ -244,7 +245,10 @@ SWEEP = {
 
 
 def write_files(home: Path) -> None:
-    """Write the paths and the load of the first runs, and their ground truth."""
+    """Write the paths and the load of the first runs, and their ground truth.
+
+    The second run's path begins 4 s later. The third was played in real time: its program began 5 s before.
+    """
     t = np.arange(200) / 10
     path = np.stack([t, np.cos(t), np.sin(t), t / 20], axis=1)
     for number in range(WITH_FILES):
@@ -252,10 +256,16 @@ def write_files(home: Path) -> None:
         output.mkdir(parents=True)
         moved = path + np.array([0, 0.01, 0, 0]) * (number + 1)
         moved[:, 3] += 0.01 * (number + 1) * np.sin(7 * t)
-        np.savetxt(output / "trajectory.txt", np.hstack([moved, np.eye(4)[np.full(200, 3)]]))
+        poses = np.hstack([moved, np.eye(4)[np.full(200, 3)]])
+        np.savetxt(output / "trajectory.txt", poses[40:] if number == 1 else poses)
         load = np.stack([t, 1 + np.sin(t) ** 2, 2e8 + 1e6 * t, 1e8 + 1e6 * t], axis=1)
         header = "time_seconds,cpu_cores,memory_bytes,anonymous_bytes"
         np.savetxt(output / "usage.csv", load, delimiter=",", header=header, comments="")
+    played = {"dataset": {"startTime": -2.0}, "input": {"pace": "Realtime", "rate": 1.0, "start": 0.0}}
+    (output.parent / "config.yaml").write_text(json.dumps(played))
+    started = (STARTED + timedelta(minutes=number)).timestamp()
+    rows = [f"{stamp:.1f},{started + 5 + stamp:.4f},0,0" for stamp in t]
+    (output / "latency.csv").write_text("\n".join(["stamp,frame_arrival,pose_arrival,latency", *rows, ""]))
     (home / "groundtruth").mkdir()
     np.savetxt(home / "groundtruth" / "hall.txt", np.hstack([path, np.eye(4)[np.full(200, 3)]]))
 
@@ -284,7 +294,7 @@ def make_record(number: int) -> RunRecord:
         "repetition": number // 16,
         "seed": number,
     }
-    finished = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(minutes=number)
+    finished = STARTED + timedelta(minutes=number)
     return RunRecord.model_validate(
         {
             "uid": f"run-{number:03d}",

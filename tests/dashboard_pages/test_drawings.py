@@ -21,6 +21,13 @@ BLUE = """(() => {
             return [(at / 4 % width) / width, (Math.floor(at / 4 / width) + 3) / height];
     return null;
 })()"""
+LINES = """import('/vendor/echarts.mjs').then((echarts) => [...document.querySelectorAll('.canvas')]
+.flatMap((box) => {
+    const { xAxis, series } = echarts.getInstanceByDom(box).getOption();
+    if (!xAxis[0].name.includes('since')) return [];
+    const title = box.closest('figure').querySelector('figcaption strong').innerText;
+    return [[title, xAxis[0].name, series.map((one) => one.data[0][0])]];
+}))"""
 KEEP = """window.kept = []; window.texts = [];
     const make = URL.createObjectURL;
     URL.createObjectURL = (blob) => { blob.text().then((text) => texts.push(text)); return make(blob); };
@@ -84,6 +91,33 @@ def test_runs_are_added_to_the_compared_and_taken_away(browser: Any, site: str) 
     browser.wait("document.querySelector('main').innerText.includes('parameters.nFeatures')")
     browser.click(".chip button")
     browser.wait("document.querySelectorAll('.chip').length === 1 && location.search === '?uid=run-002'")
+
+
+@pytest.mark.parametrize(
+    ("uids", "since", "begins"),
+    [
+        ((0, 1), "time since the ground truth began [s]", {"Error over time": [0, 4]}),
+        # The third run knows when the recording began, 2 s before the ground truth, and when it was played.
+        (
+            (0, 1, 2),
+            "time since the recording began [s]",
+            {"Error over time": [2, 6, 2], "CPU over time": [-3], "Memory over time": [-3]},
+        ),
+    ],
+)
+def test_runs_of_a_dataset_are_drawn_on_one_clock(
+    browser: Any, site: str, uids: tuple[int, ...], since: str, begins: dict[str, list[int]]
+) -> None:
+    browser.open(f"{site}/compare?{'&'.join(f'uid=run-{number:03d}' for number in uids)}")
+    on_dataset = len(begins)
+    browser.wait(f"document.querySelectorAll('.canvas[data-drawn=yes]').length === {3 + on_dataset + 2}")
+    drawn = browser.run(LINES)
+    assert drawn[: len(begins)] == [[title, since, starts] for title, starts in begins.items()]
+    programs = [0] * len([number for number in uids if number < 2])
+    after = "time since the program’s start [s]"
+    assert drawn[len(begins) :] == [
+        [f"{what} since the program’s start", after, programs] for what in ("CPU", "Memory")
+    ]
 
 
 def test_studies_keep_their_filters(browser: Any, site: str) -> None:

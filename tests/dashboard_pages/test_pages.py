@@ -37,7 +37,7 @@ PAGES = {
     "/studies?kind=common": "seconds in common",
     "/studies?kind=suspects": "calibration suspect: in",
     "/table?by=algorithm&figures=mean": "failures",
-    "/compare?uid=run-000&uid=run-001": "Memory over time",
+    "/compare?uid=run-000&uid=run-001": "Memory since the program",
     "/algorithms": "first",
     "/algorithms/first": "Leaderboard",
     "/datasets": "Datasets",

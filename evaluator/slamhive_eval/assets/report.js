@@ -201,7 +201,7 @@
 
   const parentOfErrors = document.getElementById("errors");
   const curves = [
-    { key: "time", name: "time [s]", svg: panel(parentOfErrors, "error-time", "Over time", "Error over time") },
+    { key: "time", name: "time since the ground truth began [s]", svg: panel(parentOfErrors, "error-time", "Over time", "Error over time") },
     { key: "distance", name: "ground-truth path [m]", svg: panel(parentOfErrors, "error-distance", "Over the path", "Error over the path of the ground truth") },
   ];
   const bars = panel(parentOfErrors, "histogram", "Histogram", "Share of poses by error");

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.common import measure_in_common, ranked_medians
 from slamhive.analysis.grouping import Outcomes
+from slamhive.dashboard.artifacts import first_of
+from slamhive.dashboard.clocks import configuration_of
 from slamhive.dashboard.encoding import Body, plain
 from slamhive.dashboard.problems import BadRequest, Problem
-from slamhive.dashboard.trajectories import TRAJECTORIES, extrinsic_of, first_of, read_poses
+from slamhive.dashboard.trajectories import TRAJECTORIES, extrinsic_of, read_poses
 from slamhive.model.results import Outcome
 from slamhive.tables.queries import columns, outcomes, select
 from slamhive.tables.text import as_columns
@@ -152,7 +154,7 @@ def _run(source: Source, row: dict[str, Any], record: RunRecord | None, truth: T
             return _Run(row, own, "the run has no files here")
         name, content = first_of(place, TRAJECTORIES)
         poses = read_poses(content, name)
-        extrinsic = extrinsic_of(record, place, source.catalog("Algorithm"), truth)
+        extrinsic = extrinsic_of(record, configuration_of(place), source.catalog("Algorithm"), truth)
         return _fitting(_Run(row, own, poses=poses), result, truth, extrinsic)
     except (Problem, EvaluationError) as error:
         return _Run(row, own, str(error))

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from slamhive.dashboard.artifacts import first_of
+from slamhive.dashboard.clocks import clock_of, configuration_of, sensor_times
 from slamhive.dashboard.encoding import Body
 from slamhive.dashboard.problems import BadRequest, Missing
 from slamhive.dashboard.trajectories import (
@@ -14,7 +16,6 @@ from slamhive.dashboard.trajectories import (
     USAGES,
     drawn,
     extrinsic_of,
-    first_of,
     read_poses,
     usage_columns,
 )
@@ -122,18 +123,22 @@ def files(snapshot: Snapshot, source: Source, uid: str) -> Body:
 
 
 def trajectory(snapshot: Snapshot, source: Source, uid: str, evaluation: str | None, most: int) -> Body:
-    """Return a run's aligned path over its ground truth, thinned, with errors."""
+    """Return a run's aligned path over its ground truth, thinned, with errors and the dataset's clock."""
     record = find(source, uid)
     place = place_of(source, record)
     result = _chosen(record, evaluation)
     name, content = first_of(place, TRAJECTORIES)
     dataset = str((record.spec.get("datasetRef") or {}).get("name"))
     truth = source.truth(dataset, record.labels.get("dataset"))
-    extrinsic = extrinsic_of(record, place, source.catalog("Algorithm"), truth)
+    configuration = configuration_of(place)
+    extrinsic = extrinsic_of(record, configuration, source.catalog("Algorithm"), truth)
     given = record.spec.get("input") or {}
     whole = not given.get("start") and given.get("duration") is None
-    found = drawn(read_poses(content, name), result, truth, extrinsic, most, whole=whole)
-    return Body({"revision": snapshot.revision, **found}, lambda: found["estimate"])
+    poses = read_poses(content, name)
+    found = drawn(poses, result, truth, extrinsic, most, whole=whole)
+    clock = clock_of(configuration, truth, poses)
+    answer = {"revision": snapshot.revision, "clock": clock and clock.as_json(), **found}
+    return Body(answer, lambda: found["estimate"])
 
 
 def _chosen(record: RunRecord, evaluation: str | None) -> Result | None:
@@ -149,8 +154,15 @@ def _chosen(record: RunRecord, evaluation: str | None) -> Result | None:
 
 
 def usage(snapshot: Snapshot, source: Source, uid: str, most: int) -> Body:
-    """Return CPU and memory over time, thinned."""
-    name, content = first_of(place_of(source, find(source, uid)), USAGES)
+    """Return CPU and memory over time, thinned: since the program's start, and by sensor time where known."""
+    record = find(source, uid)
+    place = place_of(source, record)
+    name, content = first_of(place, USAGES)
     found = usage_columns(content, name, most)
-    columns = {key: found[key] for key in ("t", "cpu", "memory", "anonymous") if found[key] is not None}
-    return Body({"revision": snapshot.revision, **found}, lambda: columns)
+    configuration = configuration_of(place)
+    found["stamp"] = sensor_times(found["t"], record, place, configuration)
+    clock = clock_of(configuration) if found["stamp"] is not None else None
+    names = ("t", "stamp", "cpu", "memory", "anonymous")
+    columns = {key: found[key] for key in names if found[key] is not None}
+    answer = {"revision": snapshot.revision, "clock": clock and clock.as_json(), **found}
+    return Body(answer, lambda: columns)

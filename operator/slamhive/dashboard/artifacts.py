@@ -137,6 +137,20 @@ class TooLarge(Problem):
     status = 413
 
 
+def first_of(place: Place, names: tuple[str, ...]) -> tuple[str, bytes]:
+    """Return the first of some files that is there, with its name.
+
+    Raises:
+        Missing: none is.
+    """
+    for name in names:
+        try:
+            return name, place.read(name)
+        except Missing:
+            continue
+    raise Missing(f"the run has no {names[0].rpartition('/')[2]} here")
+
+
 def split(path: str) -> tuple[str, ...]:
     """Return the parts of a relative path.
 

@@ -7,9 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
-from slamhive.dashboard.artifacts import Place, TooLarge
 from slamhive.dashboard.problems import Missing
 from slamhive.model.algorithm import AlgorithmSpec
 from slamhive.model.errors import SlamHiveError
@@ -17,6 +15,8 @@ from slamhive.model.sensors import SensorMode
 from slamhive_eval import Trajectory, associate
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy.typing as npt
 
     from slamhive.analysis.columns import Floats, Indices
@@ -28,28 +28,12 @@ if TYPE_CHECKING:
 
 TRAJECTORIES = ("output/trajectory.txt", "run/output/trajectory.txt", "traj.txt")
 USAGES = ("usage.csv", "run/output/usage.csv", "run/usage.csv", "output/usage.csv", "profiling.csv")
-CONFIGURATIONS = ("config.yaml", "run/config.yaml")
 _MAX_DIFFERENCE = 0.01
-_MAX_CONFIGURATION = 2**20
 _CLOSE = 1e-3
 _UNLIKE = (
     "these errors are not quite those of the evaluation: it used another ground truth, frame or tolerance "
     "than what is at hand here"
 )
-
-
-def first_of(place: Place, names: tuple[str, ...]) -> tuple[str, bytes]:
-    """Return the first of some files that is there, with its name.
-
-    Raises:
-        Missing: none is.
-    """
-    for name in names:
-        try:
-            return name, place.read(name)
-        except Missing:
-            continue
-    raise Missing(f"the run has no {names[0].rpartition('/')[2]} here")
 
 
 def read_poses(content: bytes, name: str) -> Trajectory:
@@ -193,7 +177,10 @@ def _reference(reference: Trajectory | None, during: Trajectory | None, most: in
 
 
 def extrinsic_of(
-    record: RunRecord, place: Place, algorithms: list[CatalogEntry], truth: Truth | None
+    record: RunRecord,
+    configuration: Mapping[str, Any],
+    algorithms: list[CatalogEntry],
+    truth: Truth | None,
 ) -> Matrix | None:
     """Return T_truth_estimate of a run, (4, 4), from its configuration and its Algorithm; None if unknown."""
     name = (record.spec.get("algorithmRef") or {}).get("name")
@@ -201,16 +188,12 @@ def extrinsic_of(
     if truth is None or not entries:
         return None
     try:
-        _, content = first_of(place, CONFIGURATIONS)
-        if len(content) > _MAX_CONFIGURATION:
-            return None
-        configuration = yaml.safe_load(content)
         spec = AlgorithmSpec.model_validate(entries[-1].spec)
         output = spec.output_of(spec.mode(SensorMode(configuration["mode"])))
         pose = np.eye(4)
         if output.frame != "body":
             pose = np.array(configuration["sensors"][output.frame]["T_body_sensor"], dtype=np.float64)
-    except (SlamHiveError, TooLarge, yaml.YAMLError, ValueError, KeyError, TypeError):
+    except (SlamHiveError, ValueError, KeyError, TypeError):
         return None
     return np.linalg.inv(truth.T_body_frame) @ pose if pose.shape == (4, 4) else None
 

@@ -94,15 +94,38 @@ function equal(tracks, a, b, aspect) {
   return [around(lowA, highA, span * aspect), around(lowB, highB, span)];
 }
 
-/** Return the option of something over time. @param {Array<{name: string, t: number[], values: Array<number|null>}>} lines @param {string} title of the vertical axis */
-export function overTime(lines, title, from = 'time [s]') {
+/** Return the option of something over time.
+ * @param {Array<{name: string, t: number[], values: Array<number|null>, colour?: string}>} lines @param {string} title of the vertical axis @param {string} from of the horizontal one: when 0 is
+ * @param {{legend?: boolean, span?: number[]}} [more] legend: also of one line; span: of the horizontal axis, where other charts have the same */
+export function overTime(lines, title, from, { legend = lines.length > 1, span = ['dataMin', 'dataMax'] } = {}) {
   return {
-    grid: { left: 72, right: 20, top: lines.length > 1 ? 40 : 14, bottom: 48 }, legend: lines.length > 1 ? BARS : undefined,
+    grid: { left: 72, right: 20, top: legend ? 40 : 14, bottom: 48 }, legend: legend ? BARS : undefined,
     tooltip: { trigger: 'axis', axisPointer: { type: 'line' }, formatter: (items) => [`${number(items[0].value[0])} s`, ...items.filter((item) => typeof item.value[1] === 'number').map((item) => `${item.seriesName}: ${number(item.value[1])}`)].join('\n') },
-    xAxis: { type: 'value', name: from, nameGap: 26, min: 'dataMin', max: 'dataMax', axisLabel: { formatter: short, showMaxLabel: false } }, yAxis: { type: 'value', name: title, nameGap: 52 },
-    series: lines.map((line, index) => ({ type: 'line', name: clip(line.name, 40), showSymbol: false, color: COLOURS[index % COLOURS.length], lineStyle: { width: 1.5 }, data: broken(line, (at) => [line.t[at], line.values[at] ?? '-']) })),
+    xAxis: { type: 'value', name: from, nameGap: 26, min: span[0], max: span[1], axisLabel: { formatter: short, showMinLabel: false, showMaxLabel: false } }, yAxis: { type: 'value', name: title, nameGap: 52, axisLine: { onZero: false } },
+    series: lines.map((line, index) => ({ type: 'line', name: clip(line.name, 40), showSymbol: false, color: line.colour ?? COLOURS[index % COLOURS.length], lineStyle: { width: 1.5 }, data: broken(line, (at) => [line.t[at], line.values[at] ?? '-']) })),
   };
 }
 
-/** Return times since the first. */
-export const since = (t) => t.map((value) => value - t[0]);
+/** What a dataset's time is counted from, the best known first. */
+const ZEROS = { recording: 'the recording began', groundTruth: 'the ground truth began', estimate: 'the first pose' };
+
+/** Return the clock that runs of a dataset share in one picture: when each run's time is 0, and what to call the axis.
+ * @param {Array<{dataset: string, clock: {start: number, of: string}}>} runs */
+export function shared(runs) {
+  const kinds = Object.keys(ZEROS);
+  const clocks = new Map();
+  for (const { dataset, clock } of runs) {
+    const held = clocks.get(dataset);
+    const [rank, best] = [kinds.indexOf(clock.of), held ? kinds.indexOf(held.of) : kinds.length];
+    // Runs of other sensors or rates begin with other frames of the same recording: the earliest counts.
+    if (rank < best || (rank === best && clock.start < held.start)) clocks.set(dataset, clock);
+  }
+  const used = kinds.filter((kind) => [...clocks.values()].some((clock) => clock.of === kind));
+  return { zeros: new Map([...clocks].map(([dataset, clock]) => [dataset, clock.start])), title: `time since ${used.map((kind) => ZEROS[kind]).join(' or ')} [s]` };
+}
+
+/** Return the first and the last of some lines' times. @param {number[][]} times */
+export const spanOf = (times) => [times.reduce((least, t) => Math.min(least, t[0]), Infinity), times.reduce((most, t) => Math.max(most, t[t.length - 1]), -Infinity)];
+
+/** Return sensor times as times since a zero. */
+export const since = (stamps, zero) => stamps.map((stamp) => stamp - zero);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Runs side by side: trajectories over the ground truth, error, CPU and memory with one cursor. */
-import { overTime, since } from '../charts/trajectory.js';
+import { overTime, shared, since, spanOf } from '../charts/trajectory.js';
 import { useAddress } from '../core/address.js';
 import { useAll } from '../core/api.js';
-import { Chart } from '../core/chart.js';
+import { Chart, COLOURS } from '../core/chart.js';
 import { bytes, cell, clip, number } from '../core/format.js';
 import { Choice, Fault, Link, Notes, runLink, Status, Table, useTitle, Waiting } from '../core/parts.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
@@ -69,7 +69,7 @@ function Compared({ runs, tracks, usage, byError }) {
     <${Notes} notes=${drawn.notes} /><div class="facets spaced">
       ${drawn.estimates.length > 0 && html`<${Tracks} estimates=${drawn.estimates} reference=${drawn.reference} byError=${byError} title="Trajectories" />`}</div>
     ${drawn.error && html`<${Chart} ...${drawn.error} csv=${true} height=${300} />`}
-    <div class="facets">${drawn.charts.map(({ title, option, group, table }) => html`<${Chart} key=${title} title=${title} option=${option} group=${group} table=${table} csv=${true} height=${320} />`)}</div>`;
+    <div class="facets">${drawn.charts.map(({ title, option, table, ofDataset }) => html`<${Chart} key=${title} title=${title} option=${option} group=${ofDataset ? 'dataset' : 'program'} table=${table} csv=${true} height=${320} />`)}</div>`;
 }
 
 /** In which settings the runs differ. */
@@ -88,7 +88,7 @@ function Different({ runs }) {
 function pictures(runs, tracks, usage) {
   const found = runs.map((run, at) => ({ run: run.data, track: tracks[at].data, usage: usage[at].data, why: tracks[at].error?.message })).filter((one) => one.run);
   const names = namesOf(found.map((one) => one.run));
-  const present = found.map((one, at) => ({ ...one, name: names[at] }));
+  const present = found.map((one, at) => ({ ...one, name: names[at], colour: COLOURS[at % COLOURS.length] }));
   const moved = present.filter((one) => one.track);
   const measured = moved.filter((one) => one.track.estimate.error?.some((value) => value !== null));
   const loaded = present.filter((one) => one.usage);
@@ -96,13 +96,18 @@ function pictures(runs, tracks, usage) {
   const notes = datasets.size > 1 ? ['These runs are of several datasets: the ground truth drawn is that of the first.'] : [];
   for (const one of present) if (!one.track) notes.push(`${one.name} has no trajectory here${one.why ? `: ${one.why}` : ''}.`);
   const estimates = moved.map((one) => ({ name: one.name, track: one.track.estimate }));
-  const load = loaded.length ? loads(loaded) : null;
+  const dataset = (one) => one.run.configuration?.dataset;
+  const { zeros, title: axis } = shared(present.flatMap((one) => [one.track?.clock, one.usage?.clock].filter(Boolean).map((clock) => ({ dataset: dataset(one), clock }))));
+  const placed = (one, stamps) => stamps && since(stamps, zeros.get(dataset(one)));
+  const errors = measured.map((one) => ({ name: one.name, colour: one.colour, t: placed(one, one.track.estimate.t), values: one.track.estimate.error }));
+  const load = loaded.map((one) => ({ ...one, t: placed(one, one.usage.stamp) }));
+  const span = spanOf([...errors, ...load].filter((one) => one.t).map((one) => one.t));
   const error = measured.length && {
-    title: 'Error over time', table: trackTable(measured.map((one) => ({ name: one.name, track: one.track.estimate }))),
-    option: overTime(measured.map((one) => ({ name: one.name, t: since(one.track.estimate.t), values: one.track.estimate.error })), 'error [m]'),
+    title: 'Error over time', group: 'dataset', table: trackTable(measured.map((one) => ({ name: one.name, track: one.track.estimate }))),
+    option: overTime(errors, 'error [m]', axis, { span }),
   };
   return {
     notes, estimates, reference: moved[0]?.track.reference ?? null,
-    error, charts: loaded.length ? load.charts.map(([title, option]) => ({ title, option, group: 'loaded', table: load.table })) : [],
+    error, charts: loads(load, { title: axis, span }),
   };
 }

@@ -3,21 +3,33 @@
 import { overTime } from '../charts/trajectory.js';
 
 const MIB = 2 ** 20;
-const COLUMNS = [
-  { name: 'run', title: 'run' }, { name: 't', title: 't [s]', kind: 'number' }, { name: 'cpu', title: 'CPU [cores]', kind: 'number' }, { name: 'memory', title: 'memory [MiB]', kind: 'number' },
-];
+const PROGRAM = 'time since the program’s start [s]';
 
 const inMib = (values) => values.map((value) => (value === null ? null : value / MIB));
 
-/** Return the charts [title, option] of some runs' load, and its table. @param {Array<{name: string, usage: object}>} runs */
-export function loads(runs) {
+/** Return the charts {title, option, table, ofDataset} of some runs' load: by the dataset's clock of those whose place on it is known, by the program's own time of the others.
+ * @param {Array<{name: string, usage: object, t: number[]|null, colour?: string}>} runs t: time on the dataset's clock
+ * @param {{title: string, span?: number[]}|null} clock what to call that clock, and what is drawn of it */
+export function loads(runs, clock) {
   const single = runs.length === 1;
-  const lines = (values) => runs.map(({ name, usage }) => ({ name, t: usage.t, values: values(usage) }));
+  const placed = runs.filter((run) => run.t);
+  const others = runs.filter((run) => !run.t).map((run) => ({ ...run, t: run.usage.t }));
+  return [
+    ...(placed.length ? pair(placed, 'over time', { ...clock, ofDataset: true, single }) : []),
+    ...(others.length ? pair(others, 'since the program’s start', { title: PROGRAM, ofDataset: false, single }) : []),
+  ];
+}
+
+function pair(runs, when, { title, span, ofDataset, single }) {
+  const lines = (values) => runs.map(({ name, usage, t, colour }) => ({ name, t, colour, values: values(usage) }));
   const memory = lines((usage) => inMib(usage.memory));
-  const anonymous = single && runs[0].usage.anonymous ? [{ name: 'anonymous', t: runs[0].usage.t, values: inMib(runs[0].usage.anonymous) }] : [];
-  if (anonymous.length) memory[0].name = 'working set';
-  return {
-    charts: [['CPU over time', overTime(lines((usage) => usage.cpu), 'CPU [cores]')], ['Memory over time', overTime([...memory, ...anonymous], 'memory [MiB]')]],
-    table: { columns: COLUMNS, rows: runs.flatMap(({ name, usage }) => usage.t.map((t, at) => ({ run: name, t, cpu: usage.cpu[at], memory: usage.memory[at] === null ? null : usage.memory[at] / MIB }))) },
+  const [{ usage: first, t: times }] = runs;
+  const anonymous = single && first.anonymous ? [{ name: 'anonymous', t: times, values: inMib(first.anonymous) }] : [];
+  if (anonymous.length) Object.assign(memory[0], { name: 'working set', colour: undefined });
+  const table = {
+    columns: [{ name: 'run', title: 'run' }, { name: 't', title, kind: 'number' }, { name: 'cpu', title: 'CPU [cores]', kind: 'number' }, { name: 'memory', title: 'memory [MiB]', kind: 'number' }],
+    rows: runs.flatMap(({ name, usage, t }) => t.map((value, at) => ({ run: name, t: value, cpu: usage.cpu[at], memory: usage.memory[at] === null ? null : usage.memory[at] / MIB }))),
   };
+  const chart = (what, drawn, unit) => ({ title: `${what} ${when}`, option: overTime(drawn, unit, title, { span, legend: !single || drawn.length > 1 }), table, ofDataset });
+  return [chart('CPU', lines((usage) => usage.cpu), 'CPU [cores]'), chart('Memory', [...memory, ...anonymous], 'memory [MiB]')];
 }

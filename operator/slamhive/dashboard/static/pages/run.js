@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** One run: how it was set, what it cost, what was measured, and how to run it again. */
-import { overTime, since } from '../charts/trajectory.js';
+import { overTime, shared, since } from '../charts/trajectory.js';
 import { useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
@@ -81,23 +81,23 @@ function Trajectory({ base, results, name }) {
   const url = `${base}/trajectory?points=2000${evaluation ? `&evaluation=${encodeURIComponent(evaluation)}` : ''}`;
   const { data, error } = useData(url);
   const estimates = useMemo(() => data && [{ name, track: data.estimate }], [data, name]);
-  const errors = useMemo(() => data && overTime([{ name: 'error', t: since(data.estimate.t), values: data.estimate.error }], 'error [m]'), [data]);
+  const errors = useMemo(() => data && overTime([{ name: 'error', t: since(data.estimate.t, data.clock.start), values: data.estimate.error }], 'error [m]', shared([data]).title), [data]);
   const choice = results.length > 1 || error?.field === 'evaluation';
   return html`<h2>Trajectory</h2>
     ${choice && html`<p><${Choice} label="Evaluation" value=${evaluation} options=${results.map((one) => one.evaluation)} error=${error?.field === 'evaluation' ? error : null} onChange=${(value) => change({ evaluation: value })} /></p>`}
     ${error && error.field !== 'evaluation' && html`<p class="quiet">${clip(error.message, 500)}</p>`}
     ${data && html`<div class="facets"><${Tracks} estimates=${estimates} reference=${data.reference} byError=${true} csv=${csvOf(url)} title=${name} />
 </div>
-      ${data.estimate.error?.some((value) => value !== null) && html`<${Chart} option=${errors} height=${260} csv=${csvOf(url)} table=${trackTable(estimates)} title=${`${name}: error over time`} />`}
+      ${data.estimate.error?.some((value) => value !== null) && html`<${Chart} option=${errors} group=${base} height=${260} csv=${csvOf(url)} table=${trackTable(estimates)} title=${`${name}: error over time`} />`}
       <p class="quiet">${number(data.shown)} of ${number(data.poses)} poses are drawn, aligned by ${clip(data.alignment ?? 'nothing', 40)}.</p><${Notes} notes=${data.notes} />`}`;
 }
 
 function Usage({ base }) {
   const { data, error } = useData(`${base}/usage`);
-  const drawn = useMemo(() => data && loads([{ name: 'run', usage: data }]), [data]);
+  const drawn = useMemo(() => data && loads([{ name: 'run', usage: data, t: data.stamp && since(data.stamp, data.clock.start) }], data.clock && shared([data])), [data]);
   const csv = csvOf(`${base}/usage`);
   return html`<h2>Load</h2>${error && html`<p class="quiet">${clip(error.message, 500)}</p>`}
-    ${data && html`<div class="facets">${drawn.charts.map(([title, option]) => html`<${Chart} key=${title} option=${option} height=${260} csv=${csv} table=${drawn.table} title=${title} group=${base} />`)}</div><${Notes} notes=${data.notes} />`}`;
+    ${data && html`<div class="facets">${drawn.map(({ title, option, table, ofDataset }) => html`<${Chart} key=${title} option=${option} height=${260} csv=${csv} table=${table} title=${title} group=${`${base}${ofDataset ? '' : ' program'}`} />`)}</div><${Notes} notes=${data.notes} />`}`;
 }
 
 function Files({ base, known }) {

@@ -9,7 +9,7 @@ import { html, useMemo } from '../core/ui.js';
 /** The ground truth is a pale, broad line below the paths. */
 const TRUTH_UNDER = `${TRUTH}73`;
 
-const NUMBERS = ['t', 'x', 'y', 'z', 'error'].map((name) => ({ name, title: name === 't' ? 't [s]' : `${name} [m]`, kind: 'number' }));
+const NUMBERS = ['t', 'x', 'y', 'z', 'error'].map((name) => ({ name, title: name === 't' ? 'time stamp [s]' : `${name} [m]`, kind: 'number' }));
 const FIGURES = [{ name: 'run', title: 'run' }, ...NUMBERS.map((column) => (column.name === 't' ? { ...column, show: (value) => value.toFixed(3) } : column))];
 
 /** Return the poses of some tracks as a table. @param {Array<{name: string, track: object}>} estimates */
