@@ -107,12 +107,32 @@ def test_latex_says_n_and_what_failed(study: Path) -> None:
     text = latex(table(study), caption="100 % of it", label="tab:x", origin=["made\nhere"])
     lines = text.splitlines()
     assert lines[0] == "% made here"
-    assert r"\caption{100 \% of it Mean over tracked runs, $n = 4$ each. Bold: best of its column." in text
+    assert r"\caption{100 \% of it. Mean over tracked runs, $n = 4$ each. Bold: best of its column." in text
     assert r"\label{tab:x}" in text
     assert r" & \multicolumn{3}{c}{ATE [cm]} & \multicolumn{3}{c}{$n$} \\" in lines
     numbers = r"\textbf{2.05} & \textbf{3.05} & \textbf{4.05}\textsuperscript{\textdagger}"
     assert rf"algorithm-0 & {numbers} & 4 & 4 & 4/6 \\" in lines
-    assert "Not tracked: algorithm-0 dataset-2: 1 Lost, 1 OutOfMemory." in text
+    assert "Not tracked: algorithm-0, dataset-2: 1 Lost, 1 OutOfMemory." in text
+
+
+@pytest.mark.parametrize("caption", ["", "Sure?", "Told.", " Told. "])
+def test_captions_get_no_second_full_stop(study: Path, caption: str) -> None:
+    begins = f"{caption.strip()} Mean over".strip()
+    assert rf"\caption{{{begins}" in latex(table(study), caption=caption)
+
+
+def test_heads_and_footnotes_say_what_their_values_are(records: Any, fill: Callable[..., Path]) -> None:
+    def run(number: int, rate: float, **more: Any) -> Any:
+        spec = {"input": {"pace": "Lockstep", "frameRate": rate, "resolution": 0.5}}
+        make = records.failed if number == 24 else records.run
+        return make(number, spec=spec, parameters={"loop": True}, **more)
+
+    home = fill([run(0, 7.5), run(12, 15.0), run(24, 15.0)])
+    text = latex(table(home, columns=("input.frameRate",), rows=("sensors", "parameters.loop")))
+    assert r"Sensors & loop & frame rate [Hz] 7.5 & frame rate [Hz] 15.0" in text
+    assert "Not tracked: sensors stereo, loop true, frame rate 15.0 Hz: 1 OutOfMemory." in text
+    turned = latex(table(home, rows=("input.frameRate", "input.resolution"), columns=()))
+    assert "Frame rate [Hz] & Resolution & ATE" in turned
 
 
 def test_a_cell_in_which_all_failed_says_how(study: Path) -> None:

@@ -101,4 +101,4 @@ def test_what_is_not_tracked_is_marked(published: Path, slamhive: Callable[..., 
     out = slamhive(published, "paper-table", "--preset", "III")[1]
     assert r"0.027\textsuperscript{\textdagger}" in out
     assert r"\textbf{0.027}" not in out
-    assert "stereo orb-slam2 mh-02-easy: 1 Lost" in out
+    assert "sensors stereo, orb-slam2, mh-02-easy: 1 Lost" in out

@@ -277,7 +277,7 @@ def test_what_varies_is_drawn_unless_told(study: Path, slamhive: Callable[..., A
     code, out, err = slamhive(study, "report", "-o", file)
     assert (code, out) == (0, "")
     assert "26 runs" in err
-    assert "ATE [m] over parameters.nFeatures" in Page(file.read_text()).text
+    assert "ATE [m] over nFeatures" in Page(file.read_text()).text
     code, out, _ = slamhive(study, "report", "--analysis", "none", "-o", "-", "--where", "repetition == 0")
     assert code == 0
     assert "analysis-1" not in out

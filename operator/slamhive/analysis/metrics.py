@@ -27,6 +27,11 @@ _TITLES = {
     "usage.cpu.maxCores": "CPU max [cores]",
     "usage.cpu.secondsPerDataSecond": "CPU [s/s]",
     "usage.memory.peakBytes": "peak memory",
+    "usage.includesReader": "reader included",
+    "input.frameRate": "frame rate [Hz]",
+    "input.resolution": "resolution",
+    "input.pace": "pace",
+    "provenance.cpuModel": "processor",
 }
 _FORMAT = re.compile(r"\.\d{1,2}[efg]")
 _ERRORS = re.compile(

@@ -8,8 +8,9 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from slamhive.reporting.drawing import BAND, WIDTH, Drawing, Style, cut
-from slamhive.reporting.markup import keys_text, parse_metric, shown
+from slamhive.reporting.markup import parse_metric, shown
 from slamhive.reporting.scales import Scale
+from slamhive.reporting.titles import column_title, keys_text
 from slamhive.tables.text import counts_text
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def board_chart(board: Board, metric: Metric) -> Markup:
     drawing.x_axis(scale, _TOP, bottom, metric.title)
     for place, entry in enumerate(entries):
         top = _TOP + place * step
-        name = keys_text(entry.keys.values())
+        name = keys_text(entry.keys)
         if place:
             drawing.line((0, top), (WIDTH, top), "rule strong")
         drawing.text(10, top + 13, cut(f"{entry.rank:g}  {name}", WIDTH - 120), class_="who")
@@ -115,7 +116,7 @@ def front_chart(front: Front, axes: tuple[str, str], names: Sequence[str], title
         corners += [(at[0], corners[-1][1]), at] if corners else [at]
     drawing.path(corners, "front")
     for spot in spots:
-        name = keys_text(spot.keys.values())
+        name = keys_text(spot.keys)
         style = Style(names.index(name))
         across = x.at(spot.x * cost.factor)
         words = f"{name}: {cost.show(spot.x)} {cost.unit}, {spot.n} of {spot.runs} runs count"
@@ -170,7 +171,7 @@ def _plot(title: str, *, failures: bool) -> tuple[Drawing, float]:
 
 def _x_title(made: Study, metric: Metric) -> str:
     kind = made.question.frame.column(made.question.x).kind
-    return f"{metric.column} [h after the first]" if kind == "time" else metric.title
+    return f"{metric.column} [h after the first]" if kind == "time" else column_title(metric.column)
 
 
 def _x_scale(made: Study, panel: Panel, metric: Metric) -> Scale:
@@ -256,7 +257,7 @@ def _draw_groups(drawing: Drawing, made: Study, panel: Panel, axes: tuple[Scale,
             failures = sum(cell.failures.values())
             failed[at - aside if crowded else at] += failures
             if failures and not crowded:
-                words = f"{keys_text(cell.keys.values())}: {counts_text(cell.failures)} of {cell.runs} runs"
+                words = f"{keys_text(cell.keys)}: {counts_text(cell.failures)} of {cell.runs} runs"
                 drawing.cross(at, top - BAND / 2 - 7, style, words)
         if made.categories is None:
             drawing.path(way, style.colour)
@@ -277,7 +278,7 @@ def _draw_group(
     y, metric = axis
     figure = cell.figures[metric.column]
     median, ends = _median(figure), _ends(figure)
-    keys = keys_text(cell.keys.values())
+    keys = keys_text(cell.keys)
     if len(ends) == 2:
         low, high = (y.at(end * metric.factor) for end in ends)
         drawing.line((at, low), (at, high), f"range {style.colour}")

@@ -8,7 +8,9 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis import Outcomes
+from slamhive.analysis.pivot import SUBJECT
 from slamhive.reporting.papertables import Best, Statistic
+from slamhive.reporting.titles import column_title, keys_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,16 +42,8 @@ _SPECIAL = {
 }
 _DAGGER = r"\textsuperscript{\textdagger}"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]+")
-_WORDS = {
-    "algorithm": "Algorithm",
-    "sensors": "Sensors",
-    "dataset": "Dataset",
-    "evaluation": "Evaluation",
-    "provenance.cpuModel": "Processor",
-    "input.pace": "Pace",
-}
+_GIVEN = ("parameters.", "dataset.attributes.", "label.")
 _COMMANDS = re.compile(r"\\rotatebox\{60\}\{.*\}|\\[a-z]+\*?|[{}$]")
-_PREFIXES = re.compile(r"(parameters|input|resources|dataset\.attributes|label)\.(.+)")
 
 
 def escaped(text: Any) -> str:
@@ -102,12 +96,21 @@ def _width(body: Sequence[str], head: Sequence[str]) -> int:
 
 def _blocks(table: PaperTable) -> list[tuple[str, list[str]]]:
     """Return (heading, headings beneath it) of each block of columns of numbers."""
-    beneath = [" ".join(map(escaped, column)) for column in table.columns]
+    names = table.layout.columns
+    beneath = [escaped(", ".join(_column(names, column))) for column in table.columns]
     titles = [escaped(metric.title) for metric in table.metrics]
     blocks = [(title, beneath) for title in titles]
     if table.shows_counts:
         blocks.append(("$n$", beneath if len(beneath) <= FEW else [""]))
     return blocks
+
+
+def _column(names: Sequence[str], values: Sequence[Any]) -> list[str]:
+    """Return what stands above a column: values, with name and unit where they don't explain themselves."""
+    return [
+        _text(value) if name in SUBJECT else f"{column_title(name, names)} {_text(value)}"
+        for name, value in zip(names, values, strict=True)
+    ]
 
 
 def _head(table: PaperTable, blocks: Sequence[tuple[str, list[str]]], *, turned: bool = False) -> list[str]:
@@ -127,12 +130,9 @@ def _head(table: PaperTable, blocks: Sequence[tuple[str, list[str]]], *, turned:
 
 
 def _key_title(name: str, names: Sequence[str]) -> str:
-    if name in _WORDS:
-        return _WORDS[name]
-    match = _PREFIXES.fullmatch(name)
-    if match is None or sum(other.endswith(f".{match[2]}") for other in names) > 1:
-        return name
-    return match[2]
+    """Return a heading; names that somebody gave keep their letters."""
+    title = column_title(name, names)
+    return title if name.startswith(_GIVEN) or "." in title else title[:1].upper() + title[1:]
 
 
 def _body(table: PaperTable) -> list[str]:
@@ -192,7 +192,10 @@ def _caption(table: PaperTable, caption: str) -> str:
     if layout.spread:
         what += r" $\pm$ standard deviation" if layout.statistic is Statistic.MEAN else " [range]"
     count = f"$n = {low}$" if low == high else f"$n = {low}$ to ${high}$"
-    parts = [escaped(caption)] if caption else []
+    told = caption.strip()
+    if told and not told.endswith((".", "!", "?")):
+        told += "."
+    parts = [escaped(told)] if told else []
     parts.append(f"{what} over {runs}, {count} each.")
     if any(one.bold for line in table.places for place in line if place for one in place.figures):
         parts.append("Bold: best of its column" + (" and group." if _is_grouped(table) else "."))
@@ -213,7 +216,8 @@ def _footnotes(table: PaperTable) -> list[str]:
     found = []
     failures = table.failures
     for row, column, words in failures[:_MOST_FAILURES]:
-        who = " ".join(_text(value) for value in (*row, *column))
+        keys = zip((*table.keys, *table.layout.columns), (*row, *column), strict=True)
+        who = keys_text(dict(keys), ("algorithm", "dataset"), _text)
         counts = ", ".join(f"{count} {word}" for word, count in words.items())
         found.append(escaped(f"{who}: {counts}"))
     if len(failures) > _MOST_FAILURES:

@@ -78,11 +78,6 @@ def shown(value: Any, metric: Metric | None = None) -> str:
     return clip(repr(value) if isinstance(value, float) else value)
 
 
-def keys_text(values: Iterable[Any]) -> str:
-    """Return what tells a competitor apart, in one line."""
-    return " ".join(shown(value) for value in values)
-
-
 def parse_metric(column: str) -> Metric:
     """Return how a column's numbers are shown."""
     return Metric(column, "", 1.0) if ":" in column else Metric.parse(column)

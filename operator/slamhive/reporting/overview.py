@@ -12,6 +12,7 @@ from slamhive.analysis.repeating import suspects
 from slamhive.model.results import Outcome
 from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
 from slamhive.reporting.tables import Sheet, bold, notes_html
+from slamhive.reporting.titles import column_title, keys_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -67,7 +68,7 @@ def overview_section(frame: Frame, notes: Sequence[str] = ()) -> Markup:
     if settings:
         facts.append(("settings that vary", _listed(settings)))
     parts = [_facts(facts), _outcomes_sheet(frame).html()]
-    warnings = [f"{', '.join(map(shown, one.keys.values()))}: {one.sentence}" for one in suspects(frame)]
+    warnings = [f"{keys_text(one.keys)}: {one.sentence}" for one in suspects(frame)]
     return joined([*parts, notes_html([*notes, *warnings])])
 
 
@@ -123,7 +124,7 @@ def runs_section(frame: Frame, metric: str) -> Markup:
     ]
     headings = [*((name, name in {"repetition", "coverage"}) for name in names)]
     headings += [(unit.title, True) for unit in units]
-    headings += [(name.partition(".")[2] or name, True) for name in settings[:4]]
+    headings += [(column_title(name, settings), True) for name in settings[:4]]
     saved = ordered.select(np.arange(min(len(ordered), MOST_SAVED)))
     wanted = list(dict.fromkeys(["uid", *_RUN_COLUMNS, "reason", "outcome", *metrics, *settings]))
     columns = {name: saved.column(name).tolist() for name in wanted}

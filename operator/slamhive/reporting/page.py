@@ -19,7 +19,7 @@ from slamhive.analysis import Outcomes
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.reporting.charts import study_chart
 from slamhive.reporting.drawing import legend
-from slamhive.reporting.markup import Markup, clip, element, joined, keys_text, parse_metric, shown
+from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
 from slamhive.reporting.overview import overview_section, provenance_section, runs_of, runs_section
 from slamhive.reporting.sections import (
     comparison_section,
@@ -29,6 +29,7 @@ from slamhive.reporting.sections import (
 )
 from slamhive.reporting.studies import study
 from slamhive.reporting.tables import Sheet, notes_html
+from slamhive.reporting.titles import column_title, keys_text
 from slamhive.tables.reading import revision, with_figure
 from slamhive.tables.text import (
     as_columns,
@@ -195,7 +196,7 @@ def _studies(questions: Sequence[Question]) -> list[tuple[str, str, Markup]]:
     sections = []
     for number, question in enumerate(questions, 1):
         made = study(question)
-        title = question.title or f"{parse_metric(question.y).title} over {question.x}"
+        title = question.title or f"{parse_metric(question.y).title} over {column_title(question.x)}"
         sections.append((f"analysis-{number}", clip(title, 200), _study(made, number)))
     return sections
 
@@ -210,10 +211,10 @@ def _study(made: Study, number: int) -> Markup:
     )
     if question.filters:
         words += f" Only {question.filters}."
-    names = [keys_text(values) or "all runs" for values in made.series]
+    names = [keys_text(dict(zip(question.by, values, strict=True))) or "all runs" for values in made.series]
     charts = []
     for panel in made.panels:
-        title = ", ".join(shown(value) for value in panel.keys.values()) or "all runs"
+        title = keys_text(panel.keys) or "all runs"
         charts.append(figure(title, study_chart(made, panel, title)))
     return joined(
         [
@@ -229,7 +230,11 @@ def _study(made: Study, number: int) -> Markup:
 def _study_sheet(made: Study, number: int) -> Sheet:
     metric = parse_metric(made.question.y)
     names = made.found.keys
-    headings = [*((name, False) for name in names), (f"median {metric.title}", True), ("mean ± std", True)]
+    headings = [
+        *((column_title(name, names), False) for name in names),
+        (f"median {metric.title}", True),
+        ("mean ± std", True),
+    ]
     headings += [("range", True), ("n/runs", True), ("coverage", True), ("failures", False)]
     lines = []
     rows = []
@@ -249,7 +254,7 @@ def _study_sheet(made: Study, number: int) -> Sheet:
         row = {**cell.keys, "runs": cell.runs, "n": cell.n, "failures": cell.failures}
         row |= {"median.censored": cell.figures[metric.column].censored_median}
         rows.append(row | flat_summary(metric.column, summary) | flat_summary("coverage", cell.coverage))
-    caption = f"{metric.title} by {', '.join(names)}"
+    caption = f"{metric.title} by {', '.join(column_title(name, names) for name in names)}"
     return Sheet(f"analysis-{number}", caption, headings, lines, as_columns(rows))
 
 

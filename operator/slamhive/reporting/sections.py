@@ -12,8 +12,9 @@ from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import pareto
 from slamhive.reporting.charts import MOST_ENTRIES, board_chart, front_chart
 from slamhive.reporting.drawing import legend
-from slamhive.reporting.markup import Markup, clip, element, joined, keys_text, parse_metric, shown
+from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
 from slamhive.reporting.tables import Sheet, bold, small
+from slamhive.reporting.titles import column_title, keys_text
 from slamhive.tables.text import (
     as_columns,
     counts_text,
@@ -64,14 +65,14 @@ def _has_medians(board: Board) -> bool:
 
 
 def _board_title(facets: dict[str, Any], datasets: Sequence[Any]) -> str:
-    told = ", ".join(f"{name} {shown(value)}" for name, value in facets.items())
+    told = keys_text(facets)
     names = clip(", ".join(shown(name) for name in datasets), 200)
     return f"{names} ({told})" if told else names
 
 
 def _board_sheet(board: Board, metric: Metric, number: int) -> Sheet:
     names = list(board.entries[0].keys)
-    headings = [("rank", True), ("95 %", True), *((name, False) for name in names)]
+    headings = [("rank", True), ("95 %", True), *((column_title(name, names), False) for name in names)]
     headings += [("score", True), ("× best", True), ("n/runs", True)]
     headings += [(shown(dataset), True) for dataset in board.datasets]
     lines = []
@@ -153,8 +154,8 @@ def _pairs_sheet(board: Comparison, number: int) -> Sheet:
     headings += [] if alike else [("verdict", False)]
     lines = [
         [
-            keys_text(pair.a.values()),
-            keys_text(pair.b.values()),
+            keys_text(pair.a),
+            keys_text(pair.b),
             str(len(pair.datasets)),
             str(pair.wins[0]),
             str(pair.wins[1]),
@@ -214,11 +215,11 @@ def fronts_section(
     if not drawn:
         return element("p", f"No run that counts has a figure for {axes[0]}."), []
     told = [name for name in by if name != "dataset"]  # each dataset has a chart of its own
-    names = [keys_text(key.values()) for key in Groups(frame, told).keys]
-    there = {keys_text(spot.keys.values()) for front in drawn[:MOST_FRONTS] for spot in front.spots}
+    names = [keys_text(key) for key in Groups(frame, told).keys]
+    there = {keys_text(spot.keys) for front in drawn[:MOST_FRONTS] for spot in front.spots}
     charts = []
     for front in drawn[:MOST_FRONTS]:
-        title = ", ".join(shown(value) for value in front.facets.values()) or "all runs"
+        title = keys_text(front.facets) or "all runs"
         charts.append(figure(title, front_chart(front, axes, names, title)))
     left = len(drawn) - len(charts)
     more = [f"{left} further charts with fewer runs are left out; the table has them"] if left else []
@@ -239,7 +240,11 @@ def _fronts_sheet(fronts: Sequence[Front], axes: tuple[str, str]) -> Sheet:
     cost, error = parse_metric(axes[0]), parse_metric(axes[1])
     spots = [(front, spot) for front in fronts for spot in front.spots]
     names = [*spots[0][0].facets, *spots[0][1].keys]
-    headings = [*((name, False) for name in names), (cost.title, True), (error.title, True)]
+    headings = [
+        *((column_title(name, names), False) for name in names),
+        (cost.title, True),
+        (error.title, True),
+    ]
     headings += [("n/runs", True), ("coverage", True), ("failures", False), ("front", False)]
     lines, rows = [], []
     for front, spot in spots:

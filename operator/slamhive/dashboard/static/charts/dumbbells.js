@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Each competitor's own error and its error over the common support, joined by a line. */
 import { COLOURS } from '../core/chart.js';
-import { cell, clip, keysText, number } from '../core/format.js';
+import { clip, keysText, namedValue, number } from '../core/format.js';
 import { labelRoom } from './points.js';
 
 const WIDE_RANGE = 5;
@@ -45,7 +45,7 @@ export function dumbbells(entries) {
 }
 
 const twoLines = (keys) => {
-  const [first, ...rest] = Object.values(keys).map((value) => clip(cell(value), 46));
+  const [first, ...rest] = Object.entries(keys).map(([name, value]) => clip(namedValue(name, value), 46));
   return rest.length ? `${first}\n${rest.join(', ')}` : first;
 };
 

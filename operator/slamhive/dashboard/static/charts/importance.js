@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** How much of the variation settings explain. */
 import { COLOURS } from '../core/chart.js';
-import { clip, number } from '../core/format.js';
+import { clip, columnTitle, number } from '../core/format.js';
 import { labelRoom } from './points.js';
 
 const MOST = 20;
@@ -18,7 +18,7 @@ export function importanceCharts(subject) {
       grid: { left: labelRoom(width, 190), right: 70, top: 10, bottom: 50 },
       tooltip: { trigger: 'item', formatter: (item) => `${clip(item.name, 80)}: ${number(item.value, 3)} %` },
       xAxis: { type: 'value', min: 0, max: ({ max }) => Math.min(100, 10 * Math.max(1, Math.ceil(max * 0.13))), name: 'share of the variance [%]', nameGap: 26 },
-      yAxis: { type: 'category', inverse: true, data: shown.map((row) => clip(row.name.replaceAll(/(parameters|input)\./g, ''), 40)), name: '', axisLabel: { interval: 0, width: labelRoom(width, 190) - 12, overflow: 'truncate' } },
+      yAxis: { type: 'category', inverse: true, data: shown.map((row) => clip(row.name.split(' × ').map(columnTitle).join(' × '), 40)), name: '', axisLabel: { interval: 0, width: labelRoom(width, 190) - 12, overflow: 'truncate' } },
       series: [{
         type: 'bar', barMaxWidth: 20, data: shown.map((row) => ({ value: Math.max(0, 100 * row.variance), itemStyle: { color: COLOURS[row.together ? 4 : 0] } })),
         label: { show: true, position: 'right', formatter: (item) => `${number(item.value, 3)} %` },

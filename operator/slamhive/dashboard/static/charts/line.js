@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Lines over the groups of /api/v1/analysis/aggregate, with the interval or the range around them. */
 import { COLOURS } from '../core/chart.js';
-import { cell, clip, number } from '../core/format.js';
+import { cell, clip, keysText, number } from '../core/format.js';
 
 /** Return one line a combination of all keys but x and the facet: [{name, points: [{x, figure, group}]}]. */
 export function lines(data, x, y, facet, facetValue) {
@@ -10,7 +10,7 @@ export function lines(data, x, y, facet, facetValue) {
   const found = new Map();
   for (const group of data.groups) {
     if (facet && String(group.keys[facet]) !== facetValue) continue;
-    const name = others.map((key) => cell(group.keys[key])).join(', ') || 'runs';
+    const name = keysText(Object.fromEntries(others.map((key) => [key, group.keys[key]]))) || 'runs';
     if (!found.has(name)) found.set(name, []);
     found.get(name).push({ x: group.keys[x], figure: group.figures[y], group });
   }

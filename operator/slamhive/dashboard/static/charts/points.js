@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Reading the columnar answer of /api/v1/analysis/points. */
-import { cell, clip } from '../core/format.js';
+import { cell, clip, columnTitle, SUBJECT } from '../core/format.js';
 
 /** An axis of points: numbers (shown unit) or categories.
  * @param {object} axis of the answer
@@ -38,8 +38,11 @@ export function facets(data) {
   if (!data.axes.facet) return [{ name: null, indices: all }];
   const axis = asCategories(readAxis(data.axes.facet), count, 24);
   if (!axis) return null;
-  const parts = axis.categories.map((name) => ({ name, indices: [] }));
-  const rest = { name: 'without', indices: [] };
+  const { name: column, title } = axis.heading;
+  const said = title === column ? columnTitle(column) : title;
+  const named = (value) => (SUBJECT.includes(column) ? value : `${said} ${value}`);
+  const parts = axis.categories.map((value) => ({ name: named(value), indices: [] }));
+  const rest = { name: `without ${said}`, indices: [] };
   for (const index of all) (parts[axis.at(index)] ?? rest).indices.push(index);
   return [...parts, rest].filter((part) => part.indices.length);
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** How far repetitions lie from each other, and scales from 1. */
 import { COLOURS } from '../core/chart.js';
-import { cell, clip, keysText, number } from '../core/format.js';
+import { clip, keysText, namedValue, number, SUBJECT } from '../core/format.js';
 import { labelRoom } from './points.js';
 
 const MOST = 30;
@@ -11,9 +11,8 @@ const MOST = 30;
 export function spreadChart(data) {
   const repeated = data.groups.filter((group) => group.n > 1 && group.figure?.median > 0).slice(0, MOST);
   if (repeated.length === 0) return null;
-  const subject = ['algorithm', 'sensors', 'dataset'];
-  const told = Object.keys(repeated[0].keys).sort((a, b) => subject.includes(a) - subject.includes(b)).filter((name) => repeated.length === 1 || new Set(repeated.map((group) => String(group.keys[name]))).size > 1);
-  const name = (group) => clip(told.map((key) => (subject.includes(key) ? cell(group.keys[key]) : `${key.replace(/^(parameters|input)\./, '')} ${cell(group.keys[key])}`)).join(', '), 60);
+  const told = Object.keys(repeated[0].keys).sort((a, b) => SUBJECT.includes(a) - SUBJECT.includes(b)).filter((name) => repeated.length === 1 || new Set(repeated.map((group) => String(group.keys[name]))).size > 1);
+  const name = (group) => clip(told.map((key) => namedValue(key, group.keys[key])).join(', '), 60);
   const over = (group, value) => value / group.figure.median;
   return {
     height: 90 + repeated.length * 26,

@@ -49,5 +49,25 @@ export function bytes(value) {
   return `${number(value / 1024 ** step, 3)} ${steps[step]}`;
 }
 
-/** Return keys of a group as one text: "orb-slam3, mono". */
-export const keysText = (keys) => Object.values(keys).map((value) => cell(value)).join(', ');
+/** Columns whose values say by themselves what they are. */
+export const SUBJECT = ['algorithm', 'sensors', 'dataset'];
+const TITLES = { 'input.frameRate': 'frame rate [Hz]', 'provenance.cpuModel': 'processor', 'usage.includesReader': 'reader included' };
+const PREFIX = /^(parameters|input|resources|dataset\.attributes|label|provenance)\./;
+
+/** Return what people call a column, with its unit. */
+export const columnTitle = (name) => TITLES[name] ?? name.replace(PREFIX, '');
+
+/** Return a value of a column with its name, unless it says by itself what it is: "mono", "frame rate 7.5 Hz", "reader not included". */
+export function namedValue(name, value) {
+  if (name === 'usage.includesReader') return { true: 'reader included', false: 'reader not included' }[value] ?? 'reader unknown';
+  if (SUBJECT.includes(name)) return cell(value);
+  const [title, unit] = columnTitle(name).split(' [');
+  return `${title} ${cell(value)}${unit && value !== null && value !== undefined ? ` ${unit.slice(0, -1)}` : ''}`;
+}
+
+/** Return keys of a group as one text: "orb-slam3, mono, evaluation sim3". */
+export const keysText = (keys) => Object.entries(keys ?? {}).map(([name, value]) => namedValue(name, value)).join(', ');
+
+/** Return the keys by which some groups differ, and those that say what a group is about: what all share needs no telling.
+ * @param {object[]} all keys of each group */
+export const tellingKeys = (all) => Object.keys(all[0] ?? {}).filter((name) => SUBJECT.includes(name) || new Set(all.map((keys) => String(keys[name]))).size > 1);

@@ -3,7 +3,7 @@
 import { dumbbells } from '../charts/dumbbells.js';
 import { address, useAddress } from '../core/address.js';
 import { Chart } from '../core/chart.js';
-import { cell, clip, number } from '../core/format.js';
+import { cell, clip, columnTitle, keysText, number } from '../core/format.js';
 import { Link, Notes, runLink, Status, Table } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 
@@ -20,8 +20,8 @@ export function Common({ data, without }) {
 function Group({ group, by }) {
   const drawn = useMemo(() => dumbbells(group.entries), [group]);
   const { dataset, ...facets } = group.facets;
-  const others = Object.entries(facets).map(([name, value]) => `${name} ${cell(value)}`).join(', ');
-  const keyed = by.map((name) => ({ name, title: name, show: (value) => clip(cell(value), 48) }));
+  const others = keysText(facets);
+  const keyed = by.map((name) => ({ name, title: columnTitle(name), show: (value) => clip(cell(value), 48) }));
   const columns = [
     ...keyed, { name: 'rank', title: 'rank in common', kind: 'number' }, { name: 'gained', title: 'change', show: (gained, entry) => (entry.common === null ? '–' : html`<${Change} gained=${gained} />`) },
     { name: 'ownRank', title: 'own rank', kind: 'number' }, { name: 'common', title: 'ATE in common [m]', kind: 'number', show: error }, { name: 'own', title: 'own ATE [m]', kind: 'number', show: error },
@@ -33,7 +33,7 @@ function Group({ group, by }) {
     <${Notes} notes=${group.notes} />
     ${group.support && html`<${Table} columns=${columns} rows=${rows} caption=${`Competitors on ${clip(cell(dataset), 60)}, own and in common`} />
       <p class="quiet">Errors are medians of a competitor’s runs, with those that could not be measured ranked last; where the median is one of those, it has failed.</p>`}
-    ${drawn && html`<${Chart} option=${drawn.option} height=${drawn.height} csv=${true} table=${{ columns, rows }} title=${`Own and common error on ${clip(cell(dataset), 60)}, ${clip(cell(facets.evaluation), 40)}`} />
+    ${drawn && html`<${Chart} option=${drawn.option} height=${drawn.height} csv=${true} table=${{ columns, rows }} title=${`Own and common error on ${clip(cell(dataset), 60)}, ${clip(others, 60)}`} />
       ${legend(group.entries)}`}
     <${Behind} runs=${group.runs} keyed=${keyed} dataset=${cell(dataset)} /></section>`;
 }

@@ -8,7 +8,7 @@ import { address, go, Query, useAddress } from '../core/address.js';
 import { csvOf, fetchJson, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
-import { clip } from '../core/format.js';
+import { clip, namedValue } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
 import { groupTable, GroupTable } from './groups.js';
@@ -120,10 +120,15 @@ function lineParts(data, set) {
   // A chart is worth drawing where at least one of its lines has two points.
   const wide = values.filter((value) => lines(data, set.x, data.metrics[0].name, set.facet, value).some((one) => one.points.length > 1));
   return (wide.length ? wide : values).flatMap((value) => data.metrics.map((metric) => ({
-    name: value, metric: metric.name, title: data.metrics.length > 1 ? `${clip(metric.title, 40)} over ${clip(data.keys.find((key) => key.name === set.x)?.title ?? set.x, 60)}` : null, left: wide.length ? values.length - wide.length : 0,
+    name: value && facetName(data, set.facet, value), metric: metric.name, title: data.metrics.length > 1 ? `${clip(metric.title, 40)} over ${clip(data.keys.find((key) => key.name === set.x)?.title ?? set.x, 60)}` : null, left: wide.length ? values.length - wide.length : 0,
     option: line(data, { ...set, y: metric.name, facetValue: value }),
     table: groupTable({ ...data, metrics: [metric], groups: set.facet ? data.groups.filter((group) => String(group.keys[set.facet]) === value) : data.groups }),
   })));
+}
+
+function facetName(data, facet, value) {
+  const known = data.groups.find((group) => String(group.keys[facet]) === value);
+  return namedValue(facet, known.keys[facet]);
 }
 
 function pointParts(data, set) {

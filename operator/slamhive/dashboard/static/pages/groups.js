@@ -11,7 +11,10 @@ export const FIGURES = ['median', 'mean', 'std', 'min', 'max'];
 
 /** Return the columns and rows of a table of groups. @param {object} data answer of analysis/aggregate @param {string[]} [which] of its figures */
 export function groupTable(data, which = FIGURES) {
-  const varied = data.keys.filter((key) => data.groups.length < 2 || new Set(data.groups.map((group) => String(group.keys[key.name]))).size > 1);
+  const values = (key) => new Set(data.groups.map((group) => group.keys[key.name]));
+  // A column that nobody asked for is worth its room where it has several values, not for being unknown of some.
+  const known = (key) => [...values(key)].filter((value) => value !== null).length;
+  const varied = data.keys.filter((key) => (key.facet ? known(key) > 1 : data.groups.length < 2 || values(key).size > 1));
   const figures = data.metrics.flatMap((metric) => which.map((one) => ({ ...metric, kind: 'number', name: `${metric.name} ${one}`, title: `${metric.title} ${one}` })));
   return {
     columns: [...varied, { name: 'n', kind: 'integer', title: 'n' }, { name: 'runs', kind: 'integer', title: 'runs' }, { name: 'failures', title: 'failures' }, { name: 'coverage', kind: 'number', title: 'coverage' }, ...figures],

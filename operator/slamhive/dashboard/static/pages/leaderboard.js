@@ -4,7 +4,7 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
-import { cell, clip, keysText, number } from '../core/format.js';
+import { cell, clip, columnTitle, keysText, number } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Table, useTitle, Waiting } from '../core/parts.js';
 import { published } from '../core/questions.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
@@ -40,13 +40,13 @@ export default function Leaderboard() {
 }
 
 function Board({ board, metric, by, csv, suspects }) {
-  const facets = Object.entries(board.facets).map(([name, value]) => `${name} ${cell(value)}`).join(', ');
+  const facets = keysText(board.facets);
   const factor = metric.factor ?? 1;
   // What is suspect on one dataset is marked there, what is so on all beside the competitor.
   const told = suspects.filter((one) => one.keys.dataset !== undefined);
   const always = suspects.filter((one) => one.keys.dataset === undefined);
   const columns = [
-    { name: 'rank', kind: 'number', title: 'rank' }, { name: 'between', title: 'between' }, ...by.map((name, at) => ({ name, title: name, show: (value, entry) => html`${clip(cell(value), 48)}${at === by.length - 1 && html`<${Mark} suspect=${suspectOf(always, { ...board.facets, ...entry.keys })} />`}` })),
+    { name: 'rank', kind: 'number', title: 'rank' }, { name: 'between', title: 'between' }, ...by.map((name, at) => ({ name, title: columnTitle(name), show: (value, entry) => html`${clip(cell(value), 48)}${at === by.length - 1 && html`<${Mark} suspect=${suspectOf(always, { ...board.facets, ...entry.keys })} />`}` })),
     { name: 'score', kind: 'number', title: 'score (0 best)' }, { name: 'ratio', title: 'over the best' }, { name: 'n', kind: 'integer', title: 'n' }, { name: 'runs', kind: 'integer', title: 'runs' },
     { name: 'failed', kind: 'integer', title: 'failed' },
     ...board.datasets.map((dataset) => ({ name: `dataset ${dataset}`, title: dataset, show: (one, entry) => one && html`<${Result} one=${one} metric=${metric} suspect=${suspectOf(told, { ...board.facets, ...entry.keys, dataset })} />` })),

@@ -3,7 +3,7 @@
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
-import { cell, clip, keysText, number } from '../core/format.js';
+import { clip, columnTitle, keysText, number } from '../core/format.js';
 import { NothingFits, Notes, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo } from '../core/ui.js';
 
@@ -27,10 +27,10 @@ function pareto(data, front, set) {
   const best = points.filter((point) => point.front && point.sy !== null).sort((a, b) => a.sx - b.sx);
   const mark = (point) => (point.sy === null ? { symbol: 'path://M0 0L10 10M10 0L0 10', itemStyle: { borderColor: COLOURS[0], borderWidth: 1.8 } }
     : point.front ? {} : { itemStyle: { color: 'transparent', borderColor: COLOURS[0], borderWidth: 1.8 } });
-  const columns = [...Object.keys(points[0]?.keys ?? {}).map((name) => ({ name, title: name })), { ...data.x, name: 'x' }, { ...data.y, name: 'y' }, { name: 'front', title: 'on the front' },
+  const columns = [...Object.keys(points[0]?.keys ?? {}).map((name) => ({ name, title: columnTitle(name) })), { ...data.x, name: 'x' }, { ...data.y, name: 'y' }, { name: 'front', title: 'on the front' },
     ...['n', 'runs', 'failed'].map((name) => ({ name, title: name, kind: 'integer' })), { name: 'coverage', title: 'coverage', kind: 'number' }];
   return {
-    name: Object.values(front.facets).map((value) => cell(value)).join(', '),
+    name: keysText(front.facets),
     table: { columns, rows: front.points.map((point) => ({ ...point.keys, ...point, coverage: point.coverage?.mean ?? point.coverage })) },
     option: {
       grid: { left: 72, right: 30, top: 20, bottom: 48 },

@@ -7,7 +7,7 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
-import { cell, clip, keysText, number } from '../core/format.js';
+import { cell, clip, columnTitle, keysText, number, SUBJECT, tellingKeys } from '../core/format.js';
 import { Choice, Fault, Link, Notes, Table, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 import { Common, EACH_RUN, Narrowing } from './common.js';
@@ -24,7 +24,6 @@ const STUDIES = {
 };
 const MOST_SUBJECTS = 12;
 const MOST_ROWS = 200;
-const SUBJECT = ['algorithm', 'sensors', 'dataset'];
 const EVALUATED = { common: 'all' };
 const WITHOUT = { pairs: 'No two competitors have a dataset in common.', importance: 'No setting varies over enough runs.', repeatability: 'No configuration that fits these filters ran more than once.', common: 'No evaluated run fits these filters. Take one of them away.', suspects: 'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs (it takes three tracked runs and an alignment with scale, sim3).' };
 
@@ -55,7 +54,6 @@ export default function Studies() {
       <${Notes} notes=${state.current.notes} />` : !state.error && html`<${Waiting} />`}`;
 }
 
-const facetsText = (facets) => Object.entries(facets ?? {}).map(([name, value]) => `${name} ${cell(value)}`).join(', ');
 const range = (interval, otherwise = '–') => (interval ? `${number(interval.low, 3)} to ${interval.high === null ? '∞' : number(interval.high, 3)}` : otherwise);
 const small = (p) => (p === null || p === undefined ? '–' : p < 0.05 ? html`<b>${number(p, 3)}</b>` : number(p, 3));
 
@@ -67,21 +65,25 @@ function Pairs({ data, csv, without }) {
     { name: 'ratio', title: 'b over a', kind: 'number', show: (ratio) => (ratio === null ? 'failed' : number(ratio, 3)) }, { name: 'ratioInterval', title: 'between', show: (interval) => range(interval) },
     { name: 'effect', title: 'effect size', kind: 'number', show: (value) => number(value, 2) }, { name: 'p', title: 'p', kind: 'number', show: (p) => number(p, 3) }, { name: 'pHolm', title: 'p after Holm', kind: 'number', show: small },
   ];
-  return drawn.map(({ board, option }) => html`<section>${facetsText(board.facets) && html`<h2>${clip(facetsText(board.facets), 200)}</h2>`}
+  return drawn.map(({ board, option }) => html`<section>${keysText(board.facets) && html`<h2>${clip(keysText(board.facets), 200)}</h2>`}
     <${Chart} option=${option.option} height=${option.height} csv=${csv} table=${{ columns, rows: board.pairs }} title=${`Who is better than whom: ${clip(data.metric.title, 60)}`} />
     <p class="quiet">Green: the row's errors are smaller than the column's, on more datasets and by more; purple: larger. The size of the effect is the matched-pairs rank-biserial correlation, from −1 to 1; the numbers are datasets won and lost; a star marks p after Holm below 0.05.</p>
     <${Table} columns=${columns} rows=${board.pairs} caption="Competitors two by two" /></section>`);
 }
 
 function Importance({ data, csv, without }) {
-  const drawn = useMemo(() => data.subjects.filter((one) => one.parameters.length).slice(0, MOST_SUBJECTS).map((subject) => ({ subject, ...importanceCharts(subject) })), [data]);
+  const drawn = useMemo(() => {
+    const shown = data.subjects.filter((one) => one.parameters.length);
+    const told = tellingKeys(shown.map((one) => one.keys));
+    return shown.slice(0, MOST_SUBJECTS).map((subject) => ({ subject, name: keysText(Object.fromEntries(told.map((key) => [key, subject.keys[key]]))), ...importanceCharts(subject) }));
+  }, [data]);
   if (drawn.length === 0) return without;
   const columns = [
     { name: 'name', title: 'setting', show: (name) => clip(name, 80) }, { name: 'distinct', title: 'values', kind: 'integer' }, { name: 'variance', title: 'variance explained', kind: 'number', show: (value) => share(value) },
     { name: 'rankCorrelation', title: 'rank correlation', kind: 'number', show: (value) => number(value, 2) }, { name: 'failures', title: 'of failing explained', kind: 'number', show: (value) => share(value) },
   ];
-  return html`<div class=${drawn.length > 1 ? 'facets' : ''}>${drawn.map(({ subject, option, height, rows }) => html`<section><${Chart} option=${option} height=${height} csv=${csv} table=${{ columns, rows }} title=${clip(keysText(subject.keys), 120)} />
-    <${Table} columns=${columns} rows=${rows} caption=${`Settings of ${clip(keysText(subject.keys), 100)}`} />
+  return html`<div class=${drawn.length > 1 ? 'facets' : ''}>${drawn.map(({ subject, name, option, height, rows }) => html`<section><${Chart} option=${option} height=${height} csv=${csv} table=${{ columns, rows }} title=${clip(name, 120)} />
+    <${Table} columns=${columns} rows=${rows} caption=${`Settings of ${clip(name, 100)}`} />
     <p class="quiet">${number(subject.n)} tracked runs of ${number(subject.runs)}; ${share(subject.unexplained)} of the variance stays unexplained.</p></section>`)}</div>
     ${data.subjects.length > MOST_SUBJECTS && html`<p class="quiet">${MOST_SUBJECTS} of ${data.subjects.length} are drawn: filter by algorithm or dataset; the CSV has all.</p>`}`;
 }
@@ -95,7 +97,7 @@ function Repeatability({ data, csv, without }) {
   const told = names.filter((name) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
   const factor = data.metric.factor ?? 1;
   const scaled = (value) => (value === null || value === undefined ? null : value * factor);
-  const keyed = (wanted) => wanted.map((name) => ({ name: `key ${name}`, title: name.replace(/^parameters\./, ''), show: (_, group) => clip(cell(group.keys[name]), 48) }));
+  const keyed = (wanted) => wanted.map((name) => ({ name: `key ${name}`, title: columnTitle(name), show: (_, group) => clip(cell(group.keys[name]), 48) }));
   const settings = told.filter((name) => !SUBJECT.includes(name));
   const few = settings.length <= 3;
   const columns = [
@@ -115,7 +117,7 @@ function Suspects({ data, csv, without }) {
   if (data.items.length === 0) return without;
   const names = [...new Set(data.items.flatMap((item) => Object.keys(item.keys)))];
   const columns = [
-    ...names.map((name) => ({ name: `key ${name}`, title: name, show: (_, item) => (item.keys[name] === undefined ? 'all' : clip(cell(item.keys[name]), 48)) })), { name: 'n', title: 'runs', kind: 'integer' },
+    ...names.map((name) => ({ name: `key ${name}`, title: columnTitle(name), show: (_, item) => (item.keys[name] === undefined ? 'all' : clip(cell(item.keys[name]), 48)) })), { name: 'n', title: 'runs', kind: 'integer' },
     { name: 'scale', title: 'scale', kind: 'number' }, { name: 'spread', title: 'spread', kind: 'number', show: (value) => number(value, 2) },
     { name: 'shown', title: 'drawn', sortable: false, show: (_, item) => html`<${Link} href=${address('/explore', { kind: 'scatter', x: 'run', y: 'scale', colour: 'dataset', ...item.keys })}>its scales</${Link}>` }, { name: 'sentence', title: 'in words', show: (text) => html`<span class="wrapped">${clip(text, 400)}</span>` },
   ];
