@@ -14,8 +14,11 @@ import yaml
 
 from slamhive.archive import Archive
 from slamhive.dashboard.sources import Workstation
+from slamhive.model.algorithm import Pace, RecordingFormat
+from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
 from slamhive.model.results import Outcome, Result
 from slamhive.model.run import MappingRun
+from slamhive.model.sensors import SensorMode
 from slamhive_eval import Options, evaluate, read_tum
 
 if TYPE_CHECKING:
@@ -156,10 +159,23 @@ async def test_time_begins_with_the_first_pose_where_nothing_else_is_known(home:
 
 async def test_load_in_real_time_lies_where_the_player_played(home: Path, api: Any) -> None:
     """It played at twice the speed, the first frame 3 s after the program began; one frame came late."""
-    played = {"pace": "Realtime", "rate": 2.0, "start": 0.0}
+    configuration = RunConfiguration(
+        run="run-000",
+        algorithm="node",
+        mode=SensorMode.LIDAR,
+        dataset=DatasetView(
+            name="dataset-0",
+            recording=RecordingPlace(format=RecordingFormat.ROSBAG1, path="dataset/recording.bag"),
+            start_time=13.0,
+        ),
+        sensors={},
+        input=InputView(pace=Pace.REALTIME, rate=2.0, start=3.0),
+        seed=1,
+        cores=1,
+    )
     arrivals = [(10, 3.0), (12, 4.0), (14, 5.9), (16, 6.0), (18, 7.0)]
     rows = "".join(f"{stamp}.0,{STARTED + seconds},0,0\n" for stamp, seconds in arrivals)
-    give(home, {"dataset": {"startTime": 10.0}, "input": played}, rows)
+    give(home, configuration.as_json(), rows)
     usage = await api.get("/runs/uid-000/usage")
     assert usage["clock"] == {"start": 10.0, "of": "recording"}
     assert usage["t"][30] == 3.0
