@@ -5,18 +5,20 @@ from __future__ import annotations
 
 import math
 import random
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.comparing import compare
 from slamhive.analysis.derived import with_derived
-from slamhive.analysis.frame import Frame
 from slamhive.analysis.importance import importance
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import pareto
 from slamhive.analysis.repeating import repeatability, suspects
+
+if TYPE_CHECKING:
+    from slamhive.analysis.frame import Frame
 
 SCALES = {"dataset-0": 0.01, "dataset-1": 1.0, "dataset-2": 100.0}
 

@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.derived import with_derived
 from slamhive.analysis.flattening import spread
-from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import aggregate
+
+if TYPE_CHECKING:
+    from slamhive.analysis.frame import Frame
 
 
 def frame_of(rows: list[dict[str, Any]]) -> Frame:

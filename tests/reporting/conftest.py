@@ -73,8 +73,14 @@ def run(number: int, **changes: Any) -> RunRecord:
     return RunRecord.model_validate(fields | changes)
 
 
+def meant(*names: str) -> list[dict[str, str]]:
+    """Return what a run was meant to be measured by."""
+    return [{"evaluation": name, "alignment": name} for name in names]
+
+
 def failed(number: int, **changes: Any) -> RunRecord:
     more: dict[str, Any] = {
+        "evaluations": meant("se3"),
         "phase": Phase.FAILED,
         "reason": Reason.OUT_OF_MEMORY,
         "results": [],

@@ -100,7 +100,8 @@ def test_an_evaluation_gives_each_run_once(assorted: Path, slamhive: Callable[..
         for name in ("outcome", "ate.rmse", "coverage", "phase", "usage.cpu.meanCores"):
             value = None if pd.isna(row[name]) else row[name]
             assert value == expected[row["uid"]][name]
-    assert found["status"].value_counts().to_dict() == {"NotEvaluated": 28, "OutOfMemory": 1, "Tracked": 1}
+    # No other run was meant to be measured so, but one belongs to no evaluation at all.
+    assert sorted(found["status"]) == ["NotEvaluated", "Tracked"]
 
 
 def test_places(assorted: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,9 +7,9 @@ import base64
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from slamhive.reporting.reading import Selection, archive_url, read_archive, select
+from slamhive.tables.reading import archive_url, read_archive
 
-from slamhive.analysis import Outcomes
+from slamhive.analysis import Outcomes, Selection, choose
 from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.questions import usual_questions
 
@@ -24,7 +24,7 @@ BLOCKED = "performance.getEntriesByType('resource').filter((one) => !one.name.st
 
 @pytest.fixture
 def address(assorted: Path) -> str:
-    frame = select(read_archive(archive_url(assorted)), Selection(), failed_everywhere=True)
+    frame = choose(read_archive(archive_url(assorted)), Selection()).frame
     questions = tuple(usual_questions(frame, "ate.rmse", Outcomes.TRACKED))
     file = assorted / "report.html"
     file.write_text(report_html(frame, Contents(questions=questions)), encoding="utf-8")

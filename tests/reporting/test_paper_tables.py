@@ -11,9 +11,9 @@ import subprocess
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from slamhive.reporting.reading import Selection, archive_url, read_archive, select
+from slamhive.tables.reading import archive_url, read_archive
 
-from slamhive.analysis import Metric, Outcomes
+from slamhive.analysis import Metric, Outcomes, Selection, choose
 from slamhive.model.results import Outcome
 from slamhive.reporting.latex import escaped, latex
 from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
@@ -29,7 +29,7 @@ ERROR = Metric.parse("ate.rmse:cm:.2f")
 
 def table(home: Path, *, where: str | None = None, **layout: Any) -> PaperTable:
     given = {"rows": ("algorithm",), "columns": ("dataset",), "metrics": (ERROR,)}
-    frame = select(read_archive(archive_url(home)), Selection(where=where), failed_everywhere=True)
+    frame = choose(read_archive(archive_url(home)), Selection(where=where)).frame
     return make_table(frame, Layout(**(given | layout)))
 
 
@@ -97,7 +97,9 @@ def test_numbers_that_are_shown_alike_are_both_best(study: Path) -> None:
 
 def test_evaluations_become_rows(records: Any, fill: Callable[..., Path]) -> None:
     both = [records.result(), records.result("sim3", ate={"rmse": 0.2})]
-    found = table(fill([records.run(0, results=both), records.failed(6)]))
+    found = table(
+        fill([records.run(0, results=both), records.failed(6, evaluations=records.meant("se3", "sim3"))])
+    )
     assert found.keys == ("evaluation", "algorithm")
     assert values(found) == [[pytest.approx(10)], [pytest.approx(20)]]
     assert [line[0] and line[0].failures for line in found.places] == [{"OutOfMemory": 1}] * 2

@@ -14,9 +14,9 @@ from html.parser import HTMLParser
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from slamhive.reporting.reading import Selection, archive_url, read_archive, select
+from slamhive.tables.reading import archive_url, read_archive
 
-from slamhive.analysis import Outcomes
+from slamhive.analysis import Outcomes, Selection, choose
 from slamhive.analysis.comparing import compare
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import pareto
@@ -69,7 +69,7 @@ class Page(HTMLParser):
 
 
 def rows(home: Path, where: str | None = None) -> Frame:
-    return select(read_archive(archive_url(home)), Selection(where=where), failed_everywhere=True)
+    return choose(read_archive(archive_url(home)), Selection(where=where)).frame
 
 
 def page(frame: Frame, **contents: Any) -> Page:
@@ -168,7 +168,8 @@ def test_what_failed_is_counted_and_shown(study: Path) -> None:
 
 def test_failed_runs_are_listed_once_an_evaluation(records: Any, fill: Callable[..., Path]) -> None:
     both = [records.result(), records.result("sim3")]
-    frame = rows(fill([records.run(0, results=both), records.run(1, results=both), records.failed(2)]))
+    lost = records.failed(2, evaluations=records.meant("se3", "sim3"))
+    frame = rows(fill([records.run(0, results=both), records.run(1, results=both), lost]))
     found = page(frame)
     assert "3 runs" in found.text
     assert len(found.files["runs.csv"]) == 6
@@ -235,8 +236,8 @@ def test_a_part_without_one_of_the_evaluations(
     records: Any, fill: Callable[..., Path], selection: Selection
 ) -> None:
     other = [records.run(number, results=[records.result("sim3")]) for number in (24, 25)]
-    home = fill([records.run(0), *other, records.failed(26)])
-    frame = select(read_archive(archive_url(home)), selection, failed_everywhere=True)
+    home = fill([records.run(0), *other, records.failed(26, evaluations=records.meant("sim3"))])
+    frame = choose(read_archive(archive_url(home)), selection).frame
     found = page(frame)
     board = found.files["leaderboard-1.csv"]
     assert {row["algorithm"]: row["runs"] for row in board} == {"algorithm-0": "1", "algorithm-1": "1"}

@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis import Outcomes
-from slamhive.analysis.pivot import SUBJECT
+from slamhive.analysis.grouping import SUBJECT
 from slamhive.reporting.papertables import Best, Statistic
 from slamhive.reporting.titles import column_title, keys_text
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.pivot import SUBJECT
+from slamhive.analysis.grouping import SUBJECT
 from slamhive.reporting.markup import parse_metric, shown
 
 if TYPE_CHECKING:
