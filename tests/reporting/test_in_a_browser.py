@@ -7,11 +7,11 @@ import base64
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from slamhive.tables.reading import archive_url, read_archive
 
 from slamhive.analysis import Outcomes, Selection, choose
 from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.questions import usual_questions
+from slamhive.tables.reading import archive_url, read_archive
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,12 +11,12 @@ import subprocess
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from slamhive.tables.reading import archive_url, read_archive
 
 from slamhive.analysis import Metric, Outcomes, Selection, choose
 from slamhive.model.results import Outcome
 from slamhive.reporting.latex import escaped, latex
 from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
+from slamhive.tables.reading import archive_url, read_archive
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,7 +14,6 @@ from html.parser import HTMLParser
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from slamhive.tables.reading import archive_url, read_archive
 
 from slamhive.analysis import Outcomes, Selection, choose
 from slamhive.analysis.comparing import compare
@@ -22,6 +21,7 @@ from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import pareto
 from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.questions import parse_question, usual_questions
+from slamhive.tables.reading import archive_url, read_archive
 
 if TYPE_CHECKING:
     from collections.abc import Callable
