@@ -117,13 +117,14 @@ def bench_accuracy() -> None:
         algorithm = one.python(WORK)
         working_set = 0
         while algorithm.poll() is None:
-            working_set = max(working_set, one.group.source.read().memory)
+            working_set = max(working_set, one.group.source.read().working_set)
             time.sleep(0.01)
         usage = one.end(sidecar)["usage"]
         compare("CPU seconds", usage["cpu"]["seconds"], one.group.source.read().cpu, "s")
         kernel_peak = (one.group.source.kernel_peak() or 0) / MIB
         compare("kernel's peak", usage["memory"]["kernelPeakBytes"] / MIB, kernel_peak, "MiB")
-        compare("peak of the working set", usage["memory"]["peakBytes"] / MIB, working_set / MIB, "MiB")
+        ours = usage["memory"]["workingSetPeakBytes"] / MIB
+        compare("peak of the working set", ours, working_set / MIB, "MiB")
 
 
 def compare(what: str, ours: float, theirs: float, unit: str) -> None:

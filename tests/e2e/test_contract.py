@@ -273,4 +273,4 @@ def test_usage_is_the_kernels_own_account(lab: Lab) -> None:
     seconds = usage["cpu"]["seconds"] + (usage.get("readerCpuSeconds") or 0)
     assert seconds == pytest.approx(account.cpu_seconds, rel=0.01)
     assert usage["memory"]["kernelPeakBytes"] == pytest.approx(account.kernel_peak, rel=0.01)
-    assert usage["memory"]["peakBytes"] == pytest.approx(account.working_set, rel=0.01)
+    assert usage["memory"]["workingSetPeakBytes"] == pytest.approx(account.working_set, rel=0.01)

@@ -93,7 +93,7 @@ def test_command_refuses(tmp_path: Path, text: str, message: str) -> None:
 def _account(samples: list[tuple[float, float]]) -> Any:
     account = Accounting(100.0)
     for time, cpu in samples:
-        account.add(Sample(100.0 + time, cpu, 0, 0))
+        account.add(Sample(100.0 + time, cpu, 0, 0, 0))
     return account.usage("proc").cpu
 
 
@@ -118,11 +118,13 @@ def test_windows(samples: list[tuple[float, float]], mean: float, most: float) -
 def test_memory_is_weighted_by_time_and_ends_with_the_algorithm() -> None:
     account = Accounting(0.0)
     for time, memory in ((0.1, 100), (1.1, 400), (2.1, 200)):
-        account.add(Sample(time, 0.0, memory, memory // 2))
-    account.add(Sample(4.1, 0.0, 9999, 9999), final=True)
+        account.add(Sample(time, 0.0, 3 * memory, memory // 2, memory))
+    account.add(Sample(4.1, 0.0, 9999, 9999, 9999), final=True)
     memory = account.usage("cgroup-v1", kernel_peak=5000).memory
     assert (memory.peak_bytes, memory.anonymous_peak_bytes, memory.kernel_peak_bytes) == (400, 200, 5000)
+    assert memory.working_set_peak_bytes == 1200
     assert memory.mean_bytes == pytest.approx((100 + 400 + 2 * 200) / 4)
+    assert account.usage("cgroup-v1", largest_process=500).memory.peak_bytes == 500
 
 
 @pytest.mark.parametrize(
@@ -176,17 +178,18 @@ def test_out_of_memory_of_the_machine() -> None:
     assert judge(Ending(status=0, machine_oom_kills=1)).reason is None
 
 
+NOBODY = 1 << 22  # the first number that no kernel gives to a process
 V2 = {
     "cpu.stat": "usage_usec 2500000\nuser_usec 1\nthrottled_usec 1500000\n",
     "memory.current": "1000000\n",
     "memory.stat": "anon 300000\nfile 600000\nkernel 5\ninactive_anon 7\ninactive_file 400000\n",
     "memory.peak": "1200000\n",
-    "cgroup.procs": "12\n13\n",
+    "cgroup.procs": f"{NOBODY}\n{NOBODY + 1}\n",
     "cpu.pressure": "some avg10=0.00 avg60=0.00 avg300=0.00 total=250000\nfull avg10=0.00 total=0\n",
 }
 V1 = {
     "cpuacct/cpuacct.usage": "2500000000\n",
-    "cpuacct/cgroup.procs": "12\n13\n",
+    "cpuacct/cgroup.procs": f"{NOBODY}\n{NOBODY + 1}\n",
     "memory/memory.usage_in_bytes": "1000000\n",
     "memory/memory.max_usage_in_bytes": "1200000\n",
     "memory/memory.stat": "cache 1\nrss 9\ninactive_file 9\ntotal_rss 300000\ntotal_inactive_file 400000\n",
@@ -207,8 +210,8 @@ def test_sources_attach_where_a_container_shows_its_cgroup(
     source = cgroup_source_at(str(tmp_path))
     assert source is not None
     assert source.name == name
-    assert source.read()[1:] == (2.5, 600000, 300000)
-    assert list(source.processes()) == [12, 13]
+    assert source.read()[1:] == (2.5, 600000, 300000, 0)
+    assert list(source.processes()) == [NOBODY, NOBODY + 1]
     assert source.kernel_peak() == 1200000
     assert source.pressure() == (0.25 if name == "cgroup-v2" else None)
     source.close()
@@ -303,11 +306,12 @@ def test_proc_source_of_another_process(
             wait_for(lambda: source.read() and len(source.processes()) == 2)
             sample = source.read()
             assert sample.cpu > 0
-            assert 0 < sample.anonymous < sample.memory
+            assert 0 < sample.anonymous < sample.working_set
+            assert sample.resident > sample.anonymous
             assert process.stdin is not None
             process.stdin.close()
             process.wait(20)
-            assert source.read().memory == 0
+            assert source.read().working_set == 0
             assert source.read().cpu >= sample.cpu
         finally:
             source.close()

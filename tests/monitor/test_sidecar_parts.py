@@ -191,7 +191,7 @@ def test_termination_message_fits(text: str, problem: str) -> None:
 def test_state_survives(tmp_path: Path) -> None:
     account = Accounting(10.0)
     for k in range(30):
-        account.add(Sample(10 + k / 10, k / 20, 100 + k, 50))
+        account.add(Sample(10 + k / 10, k / 20, 100 + k, 50, 70 - k))
     state = SidecarState(
         first=ProcessIdentity(7, 12345),
         start=10.0,
@@ -206,7 +206,7 @@ def test_state_survives(tmp_path: Path) -> None:
     assert (loaded.first, loaded.stop, loaded.notes) == (state.first, state.stop, state.notes)
     again = Accounting.from_state(loaded.accounting)
     for one in (account, again):
-        one.add(Sample(13.5, 1.9, 10, 10))
+        one.add(Sample(13.5, 1.9, 10, 10, 10))
     assert again.usage("proc") == account.usage("proc")
 
 

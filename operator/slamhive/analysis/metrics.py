@@ -32,6 +32,8 @@ _TITLES = {
     "input.resolution": "resolution",
     "input.pace": "pace",
     "provenance.cpuModel": "processor",
+    "usage.memory.anonymousPeakBytes": "peak anonymous memory",
+    "usage.memory.workingSetPeakBytes": "peak working set",
 }
 _FORMAT = re.compile(r"\.\d{1,2}[efg]")
 _ERRORS = re.compile(

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 KEPT_APART = tuple(name for name in (*FACETS, *LOAD_FACETS) if name not in {*SUBJECT, "settings"})
 """Columns whose mixture a chart must not pass over in silence."""
 
+_OF_MEMORY, _KIND = "usage.memory.", "usage.memory.kind"
+
 EXACT = 5000
 """Points up to which a chart gets every digit and the UIDs of the runs."""
 
@@ -89,7 +91,8 @@ def mixtures(frame: Frame, told: list[str]) -> list[dict[str, Any]]:
         told: columns that a chart tells apart itself.
     """
     found = []
-    for name in KEPT_APART:
+    kind = [_KIND] if any(name.startswith(_OF_MEMORY) for name in told) else []
+    for name in (*KEPT_APART, *kind):
         if name in told or not varies(frame, name):
             continue
         values = frame.column(name).factorized()[1]

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from slamhive.dashboard.problems import Missing
 from slamhive.model.algorithm import AlgorithmSpec
 from slamhive.model.errors import SlamHiveError
+from slamhive.model.results import MemoryKind
 from slamhive.model.sensors import SensorMode
 from slamhive_eval import Trajectory, associate
 
@@ -27,6 +27,12 @@ if TYPE_CHECKING:
     Matrix = npt.NDArray[np.float64]
 
 TRAJECTORIES = ("output/trajectory.txt", "run/output/trajectory.txt", "traj.txt")
+_MEMORY_KINDS = {
+    b"resident_bytes": MemoryKind.RESIDENT,
+    b"memory_bytes": MemoryKind.WORKING_SET,
+    b"memory_usage": MemoryKind.CONTAINER,
+}
+"""By the column of memory: usage.csv, that of earlier versions, profiling.csv."""
 USAGES = ("usage.csv", "run/output/usage.csv", "run/usage.csv", "output/usage.csv", "profiling.csv")
 _MAX_DIFFERENCE = 0.01
 _CLOSE = 1e-3
@@ -201,11 +207,15 @@ def extrinsic_of(
 def usage_columns(content: bytes, name: str, most: int) -> dict[str, Any]:
     """Return CPU and memory over time from usage.csv, or the original system's profiling.csv, thinned.
 
+    `kind` says what the memory is, as its header tells.
+
     Raises:
         Missing: no line can be read.
     """
     rows = []
-    for line in io.BytesIO(content).read().splitlines()[1:]:
+    header, *lines = content.splitlines() or [b""]
+    kind = next((kind for named, kind in _MEMORY_KINDS.items() if named in header), None)
+    for line in lines:
         try:
             numbers = [float(part) for part in line.split(b",")[:4]]
         except ValueError:
@@ -224,5 +234,6 @@ def usage_columns(content: bytes, name: str, most: int) -> dict[str, Any]:
         "cpu": np.add.reduceat(table[:, 1], begins) / counts,
         "memory": np.maximum.reduceat(table[:, 2], begins),
         "anonymous": None if np.isnan(table[:, 3]).all() else np.fmax.reduceat(table[:, 3], begins),
+        "kind": kind,
         "samples": len(table),
     }

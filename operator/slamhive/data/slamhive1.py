@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.model.canonical import digest
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.loading import Document, parse, read_text
-from slamhive.model.results import CpuUsage, MemoryUsage, Phase, Provenance, RunRecord, Usage
+from slamhive.model.results import CpuUsage, MemoryKind, MemoryUsage, Phase, Provenance, RunRecord, Usage
 from slamhive.model.sensors import SensorMode
 from slamhive_eval import Trajectory, read_trajectory
 
@@ -300,7 +300,11 @@ def read_usage(path: Path) -> Usage | None:
             max_cores=max(cores),
             seconds=math.fsum(map(math.prod, zip(steps, cores[1:], strict=True))) if whole else None,
         ),
-        memory=MemoryUsage(peak_bytes=round(max(memory)), mean_bytes=math.fsum(memory) / len(memory)),
+        memory=MemoryUsage(
+            peak_bytes=round(max(memory)),
+            mean_bytes=math.fsum(memory) / len(memory),
+            kind=MemoryKind.CONTAINER,
+        ),
         wall_seconds=times[-1] - times[0] if whole else None,
         samples=len(samples),
         source=f"{SOURCE} {path.name}",

@@ -64,7 +64,7 @@ class Metrics:
         self.registry.register(self._state)
         ProcessCollector(registry=self.registry)
         self._cpu = self._histogram("run_cpu_seconds", "CPU time of finished runs in s.", _SECONDS)
-        self._memory = self._histogram("run_memory_peak_bytes", "Peak memory of finished runs.", _BYTES)
+        self._memory = self._histogram("run_memory_peak_bytes", "Resident peak of finished runs.", _BYTES)
         self._wall = self._histogram("run_wall_seconds", "Wall time of finished runs in s.", _SECONDS)
         self._ate = self._histogram("run_ate_metres", "RMSE of the absolute trajectory error in m.", _METRES)
         self._finished = Counter(

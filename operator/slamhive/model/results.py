@@ -9,7 +9,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from slamhive.model.base import Choice, Model
 
@@ -80,13 +80,23 @@ class CpuUsage(Model):
     seconds_per_data_second: float | None = None
 
 
+class MemoryKind(Choice):
+    """What peakBytes and meanBytes are; those of different kinds can't be compared."""
+
+    RESIDENT = "Resident"
+    WORKING_SET = "WorkingSet"
+    CONTAINER = "Container"
+
+
 class MemoryUsage(Model):
-    """Memory of the algorithm alone, page cache left out."""
+    """Memory of the algorithm alone."""
 
     model_config = ConfigDict(extra="ignore")
     peak_bytes: int | None = None
     mean_bytes: float | None = None
+    kind: MemoryKind | None = None
     anonymous_peak_bytes: int | None = None
+    working_set_peak_bytes: int | None = None
     kernel_peak_bytes: int | None = None
 
 
@@ -104,6 +114,24 @@ class Usage(Model):
     includes_reader: bool | None = None
     max_includes_reader: bool | None = None
     reader_cpu_seconds: float | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _kind_of_earlier_records(cls, value: Any) -> Any:
+        """Say what memory is in a record that doesn't: by cgroup it was the working set."""
+        memory = value.get("memory") if isinstance(value, dict) else None
+        if not isinstance(memory, dict) or "peakBytes" not in memory or "kind" in memory:
+            return value
+        match value.get("source"):
+            case "cgroup-v1" | "cgroup-v2":
+                told = {"kind": MemoryKind.WORKING_SET, "workingSetPeakBytes": memory["peakBytes"]}
+            case "proc":
+                told = {"kind": MemoryKind.RESIDENT}
+            case None:
+                return value
+            case _:
+                told = {"kind": MemoryKind.CONTAINER}
+        return {**value, "memory": {**told, **memory}}
 
 
 class Frames(Model):

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from slamhive.monitor.sources import Sample, Source
 
 WINDOW_SECONDS = 1.0
+RESIDENT = "Resident"
 # Below this share of a window's capacity, work of others is noise of the tick that counts it.
 _CONTENTION_NOISE = 0.05
 _TICK = os.sysconf("SC_CLK_TCK")
@@ -68,17 +69,22 @@ class MemoryUsage:
     """Memory use.
 
     Attributes:
-        peak_bytes: Peak of the working set.
+        peak_bytes: The headline: peak of the resident memory of all processes.
         mean_bytes: Its mean over time.
-        anonymous_peak_bytes: Peak of anonymous memory.
+        anonymous_peak_bytes: Peak of anonymous memory, of the samples.
+        working_set_peak_bytes: Peak of the working set, of the samples; by /proc, where no page cache is
+            seen, that of resident memory, shared pages repeated.
         kernel_peak_bytes: The kernel's own peak, between samples too. Of a cgroup: page cache included. Of
             /proc: of the largest single process.
+        kind: What `peak_bytes` and `mean_bytes` are.
     """
 
     peak_bytes: int
     mean_bytes: float
     anonymous_peak_bytes: int
+    working_set_peak_bytes: int
     kernel_peak_bytes: int | None
+    kind: str = RESIDENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +127,7 @@ class Accounting:
         self._memory = 0
         self._byte_seconds = 0.0
         self._memory_seconds = 0.0
-        self._peak = self._anonymous_peak = 0
+        self._peak = self._anonymous_peak = self._working_set_peak = 0
         self._max_cores: float | None = None
         self._recent = deque([(start, 0.0)])
 
@@ -159,9 +165,10 @@ class Accounting:
             self._memory_seconds += elapsed
         cores = (sample.cpu - self.cpu_seconds) / elapsed if elapsed > 0 else 0.0
         self.samples += 1
-        self._last, self.cpu_seconds, self._memory = sample.time, sample.cpu, sample.memory
+        self._last, self.cpu_seconds, self._memory = sample.time, sample.cpu, sample.resident
         if not final:
-            self._peak = max(self._peak, sample.memory)
+            self._peak = max(self._peak, sample.resident)
+            self._working_set_peak = max(self._working_set_peak, sample.working_set)
             self._anonymous_peak = max(self._anonymous_peak, sample.anonymous)
         self._slide(sample.time, sample.cpu)
         return cores
@@ -189,6 +196,7 @@ class Accounting:
         throttled_seconds: float | None = None,
         contended_seconds: float = 0.0,
         kernel_peak: int | None = None,
+        largest_process: int | None = None,
     ) -> Usage:
         """Return the figures of all samples so far; a run below 1 s is one window by itself.
 
@@ -199,15 +207,15 @@ class Accounting:
             includes_reader: Passed through.
             throttled_seconds: Passed through.
             contended_seconds: Passed through.
-            kernel_peak: The kernel's own peak. From /proc it is resident memory of one process, as the
-                samples are, and lifts a peak that fell between two of them.
+            kernel_peak: Passed through.
+            largest_process: Resident peak of the largest single process; lifts a peak behind the last sample.
         """
         wall = self._last - self._start
         total = self.cpu_seconds
         reader = min(reader_cpu_seconds or 0.0, total)
         whole = total / wall if wall > 0 else 0.0
         seconds = total - reader
-        peak = max(self._peak, kernel_peak or 0) if source == "proc" else self._peak
+        peak = max(self._peak, largest_process or 0)
         return Usage(
             cpu=CpuUsage(
                 mean_cores=seconds / wall if wall > 0 else 0.0,
@@ -219,6 +227,7 @@ class Accounting:
                 peak_bytes=peak,
                 mean_bytes=self._byte_seconds / self._memory_seconds if self._memory_seconds > 0 else peak,
                 anonymous_peak_bytes=self._anonymous_peak,
+                working_set_peak_bytes=self._working_set_peak,
                 kernel_peak_bytes=kernel_peak,
             ),
             wall_seconds=wall,

@@ -37,7 +37,7 @@ class UsageTable:
             self._file.truncate(keep_bytes)
             self._file.seek(0, os.SEEK_END)
         else:
-            self._file.write("time_seconds,cpu_cores,memory_bytes,anonymous_bytes\n")
+            self._file.write("time_seconds,cpu_cores,resident_bytes,anonymous_bytes,working_set_bytes\n")
 
     @property
     def size(self) -> int:
@@ -46,7 +46,8 @@ class UsageTable:
 
     def add(self, seconds: float, cores: float, sample: Sample) -> None:
         """Add a row: time since the start, cores since the row before."""
-        self._file.write(f"{seconds:.4f},{cores:.4f},{sample.memory},{sample.anonymous}\n")
+        memory = f"{sample.resident},{sample.anonymous},{sample.working_set}"
+        self._file.write(f"{seconds:.4f},{cores:.4f},{memory}\n")
 
     def flush(self) -> None:
         """Hand all rows to the kernel; a full disk must not end the supervision."""

@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from slamhive.monitor.processes import children, identify, kernel_lists_children, read_file, stat_fields
+from slamhive.monitor.resident import ResidentMemory, largest_ended
 from slamhive.monitor.sources import Sample
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class ProcSource:
         self._search_at = 0.0
         self._cpu = 0.0
         self._left_out = 0.0
+        self._resident = ResidentMemory()
         if root is not None and not self._add(root):
             raise ProcessLookupError(f"process {root} is gone")
 
@@ -75,7 +77,13 @@ class ProcSource:
             resident += pages
             anonymous += pages - shared
         self._cpu = max(self._cpu, cpu - self._left_out)
-        return Sample(time.monotonic(), self._cpu, resident * _PAGE, max(anonymous, 0) * _PAGE)
+        return Sample(
+            time.monotonic(),
+            self._cpu,
+            resident * _PAGE,
+            max(anonymous, 0) * _PAGE,
+            self._resident.read(list(self._members)),
+        )
 
     def leave_out(self, cpu_seconds: float) -> None:
         """Leave out CPU seconds that were used before the tree's first process became what is watched."""
@@ -86,14 +94,8 @@ class ProcSource:
         return list(self._members)
 
     def kernel_peak(self) -> int | None:
-        """Return the resident peak of the largest single process we reaped.
-
-        A child begins with the peak of who forked it, so that a figure below our own peak says nothing.
-        """
-        if self._self is None:
-            return None
-        largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-        return largest * 1024 if largest > resource.getrusage(resource.RUSAGE_SELF).ru_maxrss else None
+        """Return the resident peak of the largest single process we waited for."""
+        return None if self._self is None else largest_ended()
 
     def pressure(self) -> float | None:
         """/proc has no pressure of a tree."""
@@ -103,6 +105,7 @@ class ProcSource:
         """Let go of open files."""
         for pid in list(self._members):
             self._drop(pid)
+        self._resident.close()
 
     def _search(self) -> None:
         """Find new members, each process's children behind it; members keep this order."""

@@ -11,6 +11,9 @@ import os
 import time
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from slamhive.monitor.processes import read_file
+from slamhive.monitor.resident import ResidentMemory
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -21,14 +24,16 @@ class Sample(NamedTuple):
     Attributes:
         time: Monotonic clock, s.
         cpu: CPU seconds used since the tree began.
-        memory: Working set, bytes: what is used less the page cache that could go at once.
+        working_set: What is used less the page cache that could go at once, bytes.
         anonymous: Memory without a file behind it, bytes.
+        resident: Resident memory of all processes, the most since the sample before, bytes.
     """
 
     time: float
     cpu: float
-    memory: int
+    working_set: int
     anonymous: int
+    resident: int
 
 
 class Source(Protocol):
@@ -74,12 +79,13 @@ class CgroupV1Source:
             OSError: One of the two has no account.
         """
         self._memory_directory = memory
+        self._procs = f"{cpuacct}/cgroup.procs"
         self._files = _Files()
+        self._resident = ResidentMemory()
         try:
             self._cpu = self._files.open(f"{cpuacct}/cpuacct.usage")
             self._usage = self._files.open(f"{memory}/memory.usage_in_bytes")
             self._stat = self._files.open(f"{memory}/memory.stat")
-            self._procs = self._files.open(f"{cpuacct}/cgroup.procs")
         except OSError:
             self._files.close()
             raise
@@ -94,11 +100,15 @@ class CgroupV1Source:
             cpu,
             max(usage - field(stat, b"total_inactive_file"), 0),
             field(stat, b"total_rss"),
+            self._resident.read(self.processes()),
         )
 
     def processes(self) -> list[int]:
-        """Return the ids of the tree's processes."""
-        return read_pids(self._procs)
+        """Return the ids of the tree's processes.
+
+        The file is opened for it: to who reads it again within a second, an open one repeats what it said.
+        """
+        return [int(pid) for pid in read_file(self._procs).split()]
 
     def kernel_peak(self) -> int | None:
         """Return memory.max_usage_in_bytes."""
@@ -111,6 +121,7 @@ class CgroupV1Source:
     def close(self) -> None:
         """Let go of open files."""
         self._files.close()
+        self._resident.close()
 
 
 class CgroupV2Source:
@@ -126,6 +137,7 @@ class CgroupV2Source:
         """
         self._directory = directory
         self._files = _Files()
+        self._resident = ResidentMemory()
         try:
             self._cpu = self._files.open(f"{directory}/cpu.stat")
             self._current = self._files.open(f"{directory}/memory.current")
@@ -140,8 +152,9 @@ class CgroupV2Source:
         cpu = field(os.pread(self._cpu, 2048, 0), b"usage_usec") / 1e6
         stat = os.pread(self._stat, 8192, 0)
         current = int(os.pread(self._current, 64, 0))
-        memory = max(current - field(stat, b"inactive_file"), 0)
-        return Sample(time.monotonic(), cpu, memory, field(stat, b"anon"))
+        working_set = max(current - field(stat, b"inactive_file"), 0)
+        resident = self._resident.read(self.processes())
+        return Sample(time.monotonic(), cpu, working_set, field(stat, b"anon"), resident)
 
     def processes(self) -> list[int]:
         """Return the ids of the tree's processes."""
@@ -163,6 +176,7 @@ class CgroupV2Source:
     def close(self) -> None:
         """Let go of open files."""
         self._files.close()
+        self._resident.close()
 
 
 def cgroup_source_at(root: str) -> Source | None:

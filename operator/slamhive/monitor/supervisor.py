@@ -39,6 +39,7 @@ from slamhive.monitor.processes import (
     read_file,
     set_parent_death_signal,
 )
+from slamhive.monitor.resident import largest_ended
 from slamhive.monitor.sources import Source, field
 from slamhive.monitor.summary import Reason, Summary
 
@@ -233,7 +234,7 @@ class Supervisor:
         self._table.add(sample.time - self._start, self._accounting.add(sample), sample)
         self._pipe.drain()
         limit = self._spec.memory_limit_bytes
-        too_much = self._polled_limit is not None and sample.memory > self._polled_limit
+        too_much = self._polled_limit is not None and sample.working_set > self._polled_limit
         if too_much or (self._cgroup is not None and self._cgroup.oom_kills() > 0):
             self._end(out_of_memory(limit), now)
         tasks = self._spec.task_limit
@@ -300,6 +301,7 @@ class Supervisor:
             throttled_seconds=throttled,
             contended_seconds=self._contention.seconds,
             kernel_peak=self._source.kernel_peak(),
+            largest_process=largest_ended(),
         )
 
     def _close_files(self) -> None:

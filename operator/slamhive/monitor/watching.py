@@ -91,7 +91,7 @@ class Watch:
         with suppress(OSError, ValueError):
             sample = self._container.source.read()
             self._table.add(sample.time - self._state.start, self.accounting.add(sample), sample)
-            self._hold_to_limits(now, sample.memory)
+            self._hold_to_limits(now, sample.working_set)
             if self._contention.due(now):
                 self._contention.add(now, sample.cpu)
                 self._save()

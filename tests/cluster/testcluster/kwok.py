@@ -63,6 +63,7 @@ def run_message(**changes: Any) -> str:
             peak_bytes=200 << 20,
             mean_bytes=150.0 * 2**20,
             anonymous_peak_bytes=180 << 20,
+            working_set_peak_bytes=190 << 20,
             kernel_peak_bytes=210 << 20,
         ),
         wall_seconds=10.0,

@@ -58,7 +58,7 @@ class Watch:
             except OSError:
                 return
             account.cpu_seconds = sample.cpu
-            account.working_set = max(account.working_set, sample.memory)
+            account.working_set = max(account.working_set, sample.working_set)
             account.kernel_peak = self._source.kernel_peak() or account.kernel_peak
             pause.wait(0.005)
 

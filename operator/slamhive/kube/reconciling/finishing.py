@@ -100,6 +100,7 @@ def usage_suspect(usage: Usage | None, seen_cores: float | None, seen_bytes: flo
     """Say how a run's own figures contradict those of the metrics API, if they do.
 
     The metrics API averages over 15 s, so a run's maxima must reach what it showed, within a tenth.
+    Its memory is the working set.
 
     Args:
         usage: the sidecar's figures.
@@ -108,7 +109,7 @@ def usage_suspect(usage: Usage | None, seen_cores: float | None, seen_bytes: flo
     """
     if usage is None:
         return None
-    most_cores, most_bytes = usage.cpu.max_cores, usage.memory.peak_bytes
+    most_cores, most_bytes = usage.cpu.max_cores, usage.memory.working_set_peak_bytes
     if seen_cores is not None and most_cores is not None and seen_cores > 1.1 * most_cores + 0.05:
         return f"the metrics API showed {seen_cores:.2f} cores, the sidecar {most_cores:.2f} at most"
     if seen_bytes is not None and most_bytes is not None and seen_bytes > 1.1 * most_bytes + 2**24:

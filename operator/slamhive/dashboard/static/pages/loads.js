@@ -5,6 +5,8 @@ import { overTime } from '../charts/trajectory.js';
 const MIB = 2 ** 20;
 const PROGRAM = 'time since the program’s start [s]';
 
+const KINDS = { Resident: 'resident', WorkingSet: 'working set', Container: 'container with page cache' };
+
 const inMib = (values) => values.map((value) => (value === null ? null : value / MIB));
 
 /** Return the charts {title, option, table, ofDataset} of some runs' load: by the dataset's clock of those whose place on it is known, by the program's own time of the others.
@@ -25,7 +27,10 @@ function pair(runs, when, { title, span, ofDataset, single }) {
   const memory = lines((usage) => inMib(usage.memory));
   const [{ usage: first, t: times }] = runs;
   const anonymous = single && first.anonymous ? [{ name: 'anonymous', t: times, values: inMib(first.anonymous) }] : [];
-  if (anonymous.length) Object.assign(memory[0], { name: 'working set', colour: undefined });
+  const kinds = runs.map(({ usage }) => KINDS[usage.kind] ?? 'memory');
+  const mixed = new Set(kinds).size > 1;
+  if (anonymous.length) Object.assign(memory[0], { name: kinds[0], colour: undefined });
+  else if (mixed) memory.forEach((line, at) => { line.name = `${line.name}, ${kinds[at]}`; });
   const table = {
     columns: [{ name: 'run', title: 'run' }, { name: 't', title, kind: 'number' }, { name: 'cpu', title: 'CPU [cores]', kind: 'number' }, { name: 'memory', title: 'memory [MiB]', kind: 'number' }],
     rows: runs.flatMap(({ name, usage, t }) => t.map((value, at) => ({ run: name, t: value, cpu: usage.cpu[at], memory: usage.memory[at] === null ? null : usage.memory[at] / MIB }))),
