@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import csv
 import os
+import signal
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from slamhive.monitor import resident
+from slamhive.monitor.processes import children, stat_fields
 from slamhive.monitor.resident import ResidentMemory
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from conftest import Pod, Run
 
@@ -28,11 +30,13 @@ HOLD = "def hold(mib):\n  x = bytearray(mib << 20)\n  x[::4096] = b'1' * len(x[:
 WAIT = "while not os.path.exists('go'): time.sleep(.01)\n"
 BEGIN = f"import os, subprocess, sys, time\n{HOLD}"
 CHILD = f"{BEGIN}x = hold(60)\n{WAIT}"
+SHORT = (
+    f"{BEGIN}open('ready', 'w').close()\nwhile not os.path.exists('begin'): time.sleep(.01)\n"
+    f"x = hold(300)\ntime.sleep(.03)\ndel x\nopen('freed', 'w').close()\n{WAIT}"
+)
 TWO = f"{BEGIN}w = [subprocess.Popen([sys.executable, '-c', {CHILD!r}]) for _ in '12']\n{WAIT}"
 FORKED = f"  y = hold(20)\n  x[:20 << 20:4096] = b'2' * 5120\n  {WAIT}  os._exit(0)\n"
 CASES = {
-    # Gone long before the next sample: only the kernel's mark tells of it.
-    "peak of 30 ms": (f"{BEGIN}x = hold(300)\ntime.sleep(.03)\ndel x\n{WAIT}", 300, 335),
     "children": (f"{TWO}for x in w: x.wait()", 120, 175),
     # 200 MiB that both see, and 40 MiB of the child's own: half of that is what it was born with, changed.
     "fork without exec": (f"{BEGIN}x = hold(200)\nif os.fork() == 0:\n{FORKED}os.wait()", 240, 275),
@@ -45,6 +49,16 @@ def most_seen(folder: Path) -> float:
     table = folder / "usage.csv"
     lines = table.read_text().rpartition("\n")[0].splitlines() if table.exists() else []
     return max([int(row["resident_bytes"]) / MIB for row in csv.DictReader(lines)], default=0)
+
+
+def unseen(pid: int, output: Path, wait_for: Callable[..., Any]) -> None:
+    """Have a program hold 300 MiB for 30 ms while its monitor sleeps, whose next sample comes too late."""
+    wait_for((output / "ready").exists)
+    os.kill(pid, signal.SIGSTOP)
+    wait_for(lambda: stat_fields(Path(f"/proc/{pid}/stat").read_bytes())[0] == b"T")
+    (output / "begin").touch()
+    wait_for((output / "freed").exists)
+    os.kill(pid, signal.SIGCONT)
 
 
 @cases
@@ -71,6 +85,24 @@ def test_by_the_sidecar(pod: Pod, wait_for: Callable[..., Any], code: str, least
     assert memory["kind"] == "Resident"
     assert least <= memory["peakBytes"] / MIB < most
     assert pod.message()["usage"]["memory"]["peakBytes"] == memory["peakBytes"]
+
+
+def test_a_peak_between_samples_by_the_supervisor(run: Run, wait_for: Callable[..., Any]) -> None:
+    process = run.start(sys.executable, "-c", SHORT)
+    unseen(process.pid, run.output, wait_for)
+    wait_for(lambda: 300 <= most_seen(run.folder) < 335)
+    (run.output / "go").touch()
+    assert process.wait(30) == 0
+
+
+def test_a_peak_between_samples_by_the_sidecar(pod: Pod, wait_for: Callable[..., Any]) -> None:
+    sidecar = pod.sidecar()
+    algorithm = pod.python(SHORT)
+    unseen(children(sidecar.pid)[0], pod.output, wait_for)
+    wait_for(lambda: 300 <= most_seen(pod.folder) < 335)
+    (pod.output / "go").touch()
+    assert algorithm.wait(30) == 0
+    assert 300 <= pod.end(sidecar)["usage"]["memory"]["peakBytes"] / MIB < 335
 
 
 def test_a_peak_behind_the_last_sample(run: Run) -> None:
