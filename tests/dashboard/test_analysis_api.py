@@ -10,6 +10,10 @@ from typing import Any
 
 import pytest
 
+from slamhive.analysis.columns import Column
+from slamhive.analysis.frame import Frame
+from slamhive.dashboard.api_analysis import mixtures
+
 ANALYSES = (
     "aggregate",
     "leaderboard",
@@ -32,6 +36,22 @@ async def test_points_hold_every_run_failed_or_not(api: Any) -> None:
     assert axes["colour"]["categories"] == ["algorithm-0", "algorithm-1"]
     assert axes["facet"]["codes"][28] == -1
     assert [item["column"] for item in answer["mixed"]] == ["evaluation", "alignment"]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "axis", "told"),
+    [
+        (["Resident", "Resident", None], "usage.memory.peakBytes", []),
+        (["Resident", "Container", None], "usage.memory.peakBytes", ["usage.memory.kind"]),
+        (["Resident", "Container", None], "usage.memory.anonymousPeakBytes", []),
+    ],
+)
+def test_memory_of_different_kinds_is_not_mixed_in_silence(
+    kinds: list[str | None], axis: str, told: list[str]
+) -> None:
+    columns = {"usage.memory.kind": kinds, "usage.memory.peakBytes": [1.0, 2.0, None]}
+    frame = Frame({name: Column.of(values) for name, values in columns.items()}, 3)
+    assert [item["column"] for item in mixtures(frame, ["seed", axis])] == told
 
 
 @pytest.mark.parametrize(("digits", "value"), [("3", 0.333), ("6", 0.333333), ("17", 1 / 3)])

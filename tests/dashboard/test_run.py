@@ -14,6 +14,7 @@ import yaml
 
 from slamhive.archive import Archive
 from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.trajectories import usage_columns
 from slamhive.model.algorithm import Pace, RecordingFormat
 from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
 from slamhive.model.results import Outcome, Result
@@ -119,6 +120,20 @@ async def test_thinned_usage_keeps_the_peak(api: Any) -> None:
     assert usage["samples"] == 100
     assert max(usage["memory"]) == 9900
     assert usage["cpu"] == [0.5] * 10
+    assert usage["kind"] == "WorkingSet"
+
+
+@pytest.mark.parametrize(
+    ("header", "kind"),
+    [
+        (b"time_seconds,cpu_cores,resident_bytes,anonymous_bytes,working_set_bytes", "Resident"),
+        (b"time,cpu_usage,memory_usage", "Container"),
+        (b"a,b,c", None),
+    ],
+)
+def test_usage_says_what_its_memory_is(header: bytes, kind: str | None) -> None:
+    found = usage_columns(header + b"\n0.1,1,300,200,400\n", "usage.csv", 10)
+    assert (found["kind"], found["memory"].tolist()) == (kind, [300])
 
 
 def give(home: Path, configuration: object, latencies: str | None = None) -> None:

@@ -74,6 +74,7 @@ def test_usage(tmp_path: Path, samples: str, seconds: float | None, wall: float 
     assert usage is not None
     assert (usage.cpu.mean_cores, usage.cpu.max_cores) == (2 / 3, 1.5)
     assert (usage.memory.peak_bytes, usage.memory.mean_bytes) == (300, 200.0)
+    assert (usage.memory.kind, usage.memory.working_set_peak_bytes) == ("Container", None)
     assert (usage.cpu.seconds, usage.wall_seconds, usage.samples) == (seconds, wall, 3)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from slamhive.engine import RunState
 from slamhive.kube import status as st
+from slamhive.kube.reconciling.finishing import usage_suspect
 from slamhive.model.results import CpuUsage, MemoryUsage, Outcome, Phase, Reason, Result, Usage
 
 
@@ -69,3 +70,10 @@ def test_figures_are_shown_as_people_read_them() -> None:
 
 def test_only_what_differs_is_written() -> None:
     assert st.changes({"a": 1, "b": 2}, {"a": 1, "b": 3, "c": None}) == {"b": 3}
+
+
+def test_the_metrics_api_is_compared_with_the_working_set() -> None:
+    memory = MemoryUsage(peak_bytes=60 << 20, working_set_peak_bytes=200 << 20)
+    assert usage_suspect(Usage(memory=memory), None, 200 * 2.0**20) is None
+    told = usage_suspect(Usage(memory=memory), None, 300 * 2.0**20)
+    assert told == "the metrics API showed 300 MiB, the sidecar 200 MiB at most"

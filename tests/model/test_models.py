@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from slamhive.model.algorithm import AlgorithmSpec, Asset, Parameter
 from slamhive.model.dataset import DataFile, DatasetSpec, GroundTruth, Recording
 from slamhive.model.evaluation import RunSelector
+from slamhive.model.results import Usage
 from slamhive.model.sensors import Sensor
 from slamhive.model.sweep import Axis, Range
 
@@ -93,3 +94,24 @@ def test_fields_have_their_outside_names_and_absent_ones_are_left_out() -> None:
     assert made["lidar"] == {"minRange": 1, "maxRange": 1000}
     assert "camera" not in made
     assert made["T_body_sensor"][3] == [0, 0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("source", "kind", "working_set"),
+    [
+        ("cgroup-v1", "WorkingSet", 7),
+        ("cgroup-v2", "WorkingSet", 7),
+        ("proc", "Resident", None),
+        ("slam-hive profiling.csv", "Container", None),
+        (None, None, None),
+    ],
+)
+def test_memory_of_earlier_records_says_what_it_is(
+    source: str | None, kind: str | None, working_set: int | None
+) -> None:
+    told: dict[str, Any] = {"memory": {"peakBytes": 7, "meanBytes": 5.0}, "source": source}
+    memory = Usage.model_validate(told).memory
+    assert (memory.peak_bytes, memory.kind, memory.working_set_peak_bytes) == (7, kind, working_set)
+    now = {"kind": "Resident", "workingSetPeakBytes": 9}
+    memory = Usage.model_validate(told | {"memory": told["memory"] | now}).memory
+    assert (memory.peak_bytes, memory.kind, memory.working_set_peak_bytes) == (7, "Resident", 9)

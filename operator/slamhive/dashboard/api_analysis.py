@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 KEPT_APART = tuple(name for name in (*FACETS, *LOAD_FACETS) if name not in {*SUBJECT, "settings"})
 """Columns whose mixture a chart must not pass over in silence."""
 
-_OF_MEMORY, _KIND = "usage.memory.", "usage.memory.kind"
+_MEMORY, _KIND = ("usage.memory.peakBytes", "usage.memory.meanBytes"), "usage.memory.kind"
 
 EXACT = 5000
 """Points up to which a chart gets every digit and the UIDs of the runs."""
@@ -91,11 +91,13 @@ def mixtures(frame: Frame, told: list[str]) -> list[dict[str, Any]]:
         told: columns that a chart tells apart itself.
     """
     found = []
-    kind = [_KIND] if any(name.startswith(_OF_MEMORY) for name in told) else []
-    for name in (*KEPT_APART, *kind):
-        if name in told or not varies(frame, name):
+    asked = [(name, frame) for name in KEPT_APART]
+    if not set(_MEMORY).isdisjoint(told):
+        asked.append((_KIND, frame.select(frame.column(_MEMORY[0]).present)))
+    for name, rows in asked:
+        if name in told or not varies(rows, name):
             continue
-        values = frame.column(name).factorized()[1]
+        values = rows.column(name).factorized()[1]
         shown = ", ".join("unknown" if value is None else str(value) for value in values[:6])
         sentence = f"runs of different {name} are mixed here ({shown}): choose one, or tell them apart by it"
         found.append({"column": name, "values": values[:100], "sentence": sentence})
