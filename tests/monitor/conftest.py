@@ -193,7 +193,8 @@ class Pod:
         return json.loads((self.folder / "message").read_text())
 
     def finished(self) -> dict[str, Any]:
-        wait_for((self.folder / "message").exists)
+        message = self.folder / "message"
+        wait_for(lambda: message.exists() and message.stat().st_size)  # it is made before it is written
         return self.summary()
 
     def others(self) -> list[bytes]:
