@@ -15,8 +15,10 @@ import pytest
 import yaml
 
 from slamhive.local import cores
+from slamhive.local.environments import Unavailable, _explained
 from slamhive.local.home import lock
-from slamhive.model.results import Phase
+from slamhive.model.errors import SystemFault
+from slamhive.model.results import Phase, Reason
 from slamhive.monitor.hierarchy import Hierarchy
 
 if TYPE_CHECKING:
@@ -58,6 +60,50 @@ def test_what_a_killed_slamhive_left_installing_holds_its_lock(tmp_path: Path) -
     os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
     with lock(tmp_path / "lock") as held:
         assert held is not None
+
+
+def test_packages_that_do_not_exist_are_asked_for_once(run_acts: Callable, home, bench) -> None:  # noqa: ANN001
+    requirements = home.path / "algorithms/actor/requirements.txt"
+    requirements.write_text("--no-index\nno-such-package==1\n")
+    told: list[str] = []
+    bench.environments._notify = told.append
+    _, notes = run_acts(["good", "slow"])
+    for record in notes.records:
+        assert (record.phase, record.reason) == (Phase.FAILED, Reason.ALGORITHM_UNAVAILABLE)
+        assert record.message == (
+            "packages of actor can't be installed: No matching distribution found for no-such-package==1"
+        )
+    assert len(told) == 1
+
+
+@pytest.mark.parametrize(
+    ("told", "kind", "why"),
+    [
+        (
+            "ERROR: Invalid requirement: './x' (from line 1 of r.txt)\nHint: no",
+            Unavailable,
+            "Invalid requirement",
+        ),
+        ("ERROR: No matching distribution found for pyOpenSSL==99", Unavailable, "pyOpenSSL==99"),
+        (
+            "WARNING: Retrying after connection broken by 'NewConnectionError()': /x/\nERROR: No matching x",
+            SystemFault,
+            "the package index can't be reached (NewConnectionError)",
+        ),
+        (
+            "ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device",
+            SystemFault,
+            "No space left",
+        ),
+        ("Error: Command 'python -m ensurepip' returned non-zero exit status 1.", SystemFault, "ensurepip"),
+    ],
+)
+def test_only_what_another_try_may_mend_is_a_fault_of_the_machine(
+    told: str, kind: type[Exception], why: str
+) -> None:
+    error = _explained("packages of x", told, by_itself=True)
+    assert type(error) is kind
+    assert why in str(error)
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,14 @@ if TYPE_CHECKING:
 
 _MARKER = ".complete"
 _FALLBACKS = ("python3.11", "python3.12", "python3.13", "python3.14", "python3.10")
+_NOT_THERE = ("ERROR: No matching distribution found", "ERROR: Could not find a version")
+_PASSING = re.compile(
+    r"Retrying|[Cc]onnection|[Tt]imed out|[Tt]imeout|[Tt]emporary failure|SSL|Proxy|HTTP error|unreachable"
+    r"|No space left|quota|Read-only|OSError|Permission denied|Input/output|MemoryError|Killed"
+    r"|ERROR: Exception"
+)
+"""Words of pip about what another try may mend; without any, another try ends as the first did."""
+_BROKEN = re.compile(r"after connection broken by '(\w+)")
 _CLAUSE = re.compile(r"^\s*(>=|<=|==|!=|<|>)\s*([0-9]+)\.([0-9]+)\s*$")
 
 
@@ -62,6 +70,7 @@ class Environments:
         self._folder = folder
         self._notify = notify
         self._usable: set[tuple[str, Path]] = set()
+        self._impossible: dict[Path, str] = {}
 
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return what tells apart environments and adapters: equal digests run the same program."""
@@ -83,7 +92,8 @@ class Environments:
         """Return an algorithm's environment, made when it isn't there.
 
         Raises:
-            Unavailable: this machine can't run the algorithm.
+            Unavailable: this machine can't run the algorithm, or its packages can't be had; that is found out
+                once.
             SystemFault: the packages can't be installed right now.
         """
         program = _program(entry)
@@ -104,8 +114,21 @@ class Environments:
         return environment
 
     def _make(self, name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
+        if path in self._impossible:
+            raise Unavailable(self._impossible[path])
         self._notify(f"making the environment of {name} (once)")
         shutil.rmtree(path, ignore_errors=True)
+        try:
+            self._fill(name, path, python, requirements, held)
+        except Unavailable as error:
+            self._impossible[path] = str(error)
+            raise
+        finally:
+            if not (path / _MARKER).exists():
+                shutil.rmtree(path, ignore_errors=True)  # half of one is of no use, and may fill the disk
+
+    @staticmethod
+    def _fill(name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
         seeing = ["--system-site-packages"] if python.beside else []
         make = [python.path, "-m", "venv", *seeing, str(path)]
         _command(make, f"environment of {name}", requirements.parent, held)
@@ -262,9 +285,26 @@ def _command(argv: list[str], what: str, folder: Path, held: int | None = None) 
     except OSError as error:
         raise SystemFault(f"{what}: {error}") from None
     if result.returncode != 0:
-        lines = [line for line in (result.stderr + result.stdout).splitlines() if line.strip()]
-        errors = [line for line in lines if line.startswith("ERROR")] or lines
-        raise SystemFault(f"{what} could not be made: {errors[-1] if errors else 'no message'}")
+        raise _explained(what, result.stderr + result.stdout, by_itself=result.returncode > 0)
+
+
+def _explained(what: str, told: str, *, by_itself: bool) -> SlamHiveError:
+    """Return why a command failed: `Unavailable` where pip says what no other try would change.
+
+    Args:
+        what: what it was to make.
+        told: all that it printed.
+        by_itself: whether it ended by itself.
+    """
+    lines = [line.strip() for line in told.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("ERROR: ")]
+    passing = [line for line in lines if _PASSING.search(line) and not line.startswith(_NOT_THERE)]
+    if by_itself and errors and not passing:
+        return Unavailable(f"{what} can't be installed: {errors[-1].removeprefix('ERROR: ')}")
+    last = (passing or errors or lines or ["no message"])[-1].removeprefix("ERROR: ")
+    broken = _BROKEN.search(last)
+    why = f"the package index can't be reached ({broken.group(1)})" if broken else last
+    return SystemFault(f"{what} could not be made: {why}")
 
 
 def _surroundings() -> dict[str, str]:
