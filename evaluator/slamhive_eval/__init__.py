@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         AssociationError,
         EvaluationError,
         FileError,
+        NoPosesError,
         OptionError,
         TrajectoryError,
     )
@@ -76,7 +77,14 @@ _MODULES = {
         "match",
     ),
     "coverage": ("Coverage", "measure_coverage"),
-    "errors": ("AssociationError", "EvaluationError", "FileError", "OptionError", "TrajectoryError"),
+    "errors": (
+        "AssociationError",
+        "EvaluationError",
+        "FileError",
+        "NoPosesError",
+        "OptionError",
+        "TrajectoryError",
+    ),
     "evaluation": ("Evaluation", "Options", "Outcome", "RpeOptions", "evaluate"),
     "files": ("read_euroc", "read_kitti", "read_trajectory", "read_tum", "write_tum"),
     "metrics": ("Statistics", "ape_errors", "rpe_errors"),
@@ -198,6 +206,7 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "EvaluationError",
     "TrajectoryError",
     "FileError",
+    "NoPosesError",
     "AssociationError",
     "OptionError",
 ]

@@ -82,8 +82,6 @@ def measure_coverage(
     Raises:
         OptionError: A window that ends before it begins.
     """
-    if window is not None and not window[0] <= window[1]:
-        raise OptionError(f"the window must begin before it ends, not ({window[0]}, {window[1]})")
     if keyframes is None:
         keyframes = is_keyframes(estimate)
     path, clock = _course(reference, window)
@@ -102,11 +100,21 @@ def measure_coverage(
     return Coverage(min(share, 1.0), total, min(covered, total), keyframes)
 
 
+def no_coverage(
+    reference: Trajectory, *, keyframes: bool | None = None, window: tuple[float, float] | None = None
+) -> Coverage:
+    """The coverage of an estimate without a pose: none, of the path that there is; see measure_coverage."""
+    path, _ = _course(reference, window)
+    return Coverage(0.0, float(path[-1]), 0.0, bool(keyframes))
+
+
 def _course(reference: Trajectory, window: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
     """Path in m and time in s from the first pose to each, standing still over gaps and outside the window.
 
     That of the whole is kept for the next estimate with this reference.
     """
+    if window is not None and not window[0] <= window[1]:
+        raise OptionError(f"the window must begin before it ends, not ({window[0]}, {window[1]})")
     if window is None and reference in _courses:
         return _courses[reference]
     duration = np.diff(reference.stamps)

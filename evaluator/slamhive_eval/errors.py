@@ -6,6 +6,7 @@
     EvaluationError (a ValueError)
     ├── TrajectoryError      poses that are no trajectory: NaN, unsorted, a zero quaternion, none at all
     │   └── FileError        the same found in a file: names the path and, where there is one, the line
+    │       └── NoPosesError nothing but empty lines and comments
     ├── AssociationError     no pose of one trajectory has a partner in the other
     └── OptionError          a method, unit or number that isn't allowed
 
@@ -42,6 +43,13 @@ class FileError(TrajectoryError):
         super().__init__(f"{place}: {message}")
         self.path = path
         self.line = line
+
+
+class NoPosesError(FileError):
+    """A file of poses without one: every line is empty or a comment."""
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(path, "holds no poses: every line is empty or a comment")
 
 
 class AssociationError(EvaluationError):

@@ -16,7 +16,7 @@ import numpy as np
 from slamhive_eval import metrics
 from slamhive_eval.alignment import METHODS, Alignment, Method, stands_still, umeyama_scale
 from slamhive_eval.association import DEFAULT_GAP_SECONDS, Association, Matching, no_overlap, pair_up
-from slamhive_eval.coverage import Coverage, measure_coverage
+from slamhive_eval.coverage import Coverage, measure_coverage, no_coverage
 from slamhive_eval.errors import AssociationError, OptionError
 from slamhive_eval.metrics import Statistics
 from slamhive_eval.pairs import MIN_RANKED_PAIRS, Unit, find_pairs
@@ -34,6 +34,7 @@ MIN_SCALE, MAX_SCALE = 0.5, 2.0
 MAX_ATE_SHARE = 0.1
 """An ATE above this share of the ground truth's path is a diverged run."""
 PARTIAL_COVERAGE = 0.5
+NO_POSE = "the algorithm wrote no pose"
 MOTION_METRES = 0.1
 """Ground truth that extends further than this has moved; what stands still meanwhile has diverged."""
 
@@ -263,12 +264,15 @@ class Evaluation:
         }
 
 
-def evaluate(reference: Trajectory, estimate: Trajectory, options: Options | None = None) -> Evaluation:
+def evaluate(
+    reference: Trajectory, estimate: Trajectory | None, options: Options | None = None
+) -> Evaluation:
     """Measure an estimate against ground truth.
 
     Args:
         reference: Ground truth of the body.
-        estimate: What an algorithm wrote, of the body or, with an extrinsic, of a sensor.
+        estimate: What an algorithm wrote, of the body or, with an extrinsic, of a sensor. None: it ran to its
+            end and wrote no pose, which is a lost run.
         options: How; SE(3), no extrinsic and RPE over 1 m by default.
 
     Returns:
@@ -279,6 +283,16 @@ def evaluate(reference: Trajectory, estimate: Trajectory, options: Options | Non
             without orientations.
     """
     options = options or Options()
+    if estimate is None:
+        return Evaluation(
+            outcome=Outcome.LOST,
+            message=NO_POSE,
+            coverage=no_coverage(reference, keyframes=options.keyframes, window=options.window),
+            alignment_method=options.alignment,
+            matched=0,
+            reference_poses=len(reference),
+            estimate_poses=0,
+        )
     if options.extrinsic is not None and not reference.oriented and np.any(options.extrinsic[:3, 3]):
         raise OptionError("the ground truth has no orientations: it can't be moved by an extrinsic")
     how = options.preparation

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from slamhive_eval import bags, kitti_files, rotation, tables
-from slamhive_eval.errors import FileError, OptionError, TrajectoryError
+from slamhive_eval.errors import FileError, NoPosesError, OptionError, TrajectoryError
 from slamhive_eval.textfiles import data_lines, decode, fault_in_row, head, is_number, parse_table, read_bytes
 from slamhive_eval.trajectory import SMALLEST_QUATERNION_COMPONENT, Trajectory, find_fault
 
@@ -208,7 +208,7 @@ def read_text(path: str | Path) -> str:
 def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
     first = next(data_lines(text), None)
     if first is None:
-        raise FileError(path, "holds no poses: every line is empty or a comment")
+        raise NoPosesError(path)
     number, content = first
     words = content.replace(",", " ").split()
     numeric = any(map(is_number, words))

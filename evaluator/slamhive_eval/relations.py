@@ -151,7 +151,7 @@ def read_relations(path: str | Path) -> Relations:
 
 def evaluate_relations(
     relations: Relations,
-    estimate: Trajectory,
+    estimate: Trajectory | None,
     *,
     max_difference_seconds: float = 0.01,
     interpolate_gap_seconds: float | None = None,
@@ -162,7 +162,7 @@ def evaluate_relations(
 
     Args:
         relations: The ground truth, between poses of the body.
-        estimate: Any world frame, metric scale.
+        estimate: Any world frame, metric scale. None: there is no pose, every relation is missing.
         max_difference_seconds: A pose this near in time stands for the time wanted.
         interpolate_gap_seconds: Interpolate instead, between poses at most this far apart.
         extrinsic: T_body_sensor when the estimate is of a sensor: each relation is moved to the sensor's
@@ -198,8 +198,11 @@ def evaluate_relations(
 
 
 def _poses_at(
-    estimate: Trajectory, times: FloatArray, tolerance: float, gap: float | None
+    estimate: Trajectory | None, times: FloatArray, tolerance: float, gap: float | None
 ) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray]:
+    if estimate is None:
+        count = len(times)
+        return np.zeros(count, dtype=bool), np.zeros((count, 3)), np.zeros((count, 4))
     if gap is not None:
         return interpolate(estimate, times, gap)
     index = nearest(estimate.stamps, times, tolerance)

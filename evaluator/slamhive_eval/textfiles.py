@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamhive_eval.decimals import parse_rows
-from slamhive_eval.errors import FileError
+from slamhive_eval.errors import FileError, NoPosesError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -103,11 +103,12 @@ def parse_table(
         The numbers, shape (n, columns), n ≥ 1; NaN and infinity pass.
 
     Raises:
-        FileError: No line with numbers, a line of another length, or something that is no number.
+        NoPosesError: No line with numbers.
+        FileError: A line of another length, or something that is no number.
     """
     first = next(data_lines(head(data)), None)
     if first is None:
-        raise FileError(path, "holds no poses: every line is empty or a comment")
+        raise NoPosesError(path)
     try:
         table = _numbers(data, commas="," in first[1])
     except ValueError:

@@ -47,6 +47,9 @@ class AdapterError(Exception):
 def run_adapter(program: Callable[[Run], None]) -> None:
     """Run an adapter's program, ending the process with a sentence and status 1 if it fails.
 
+    The sentence comes last also where both streams go into one log, as in a pod: before `sys.exit` prints it,
+    Python has printed what it and C held back of stdout.
+
     Args:
         program: Takes the run and writes its outputs.
     """
@@ -238,14 +241,14 @@ class Trajectory:
     def write(self, path: Path) -> None:
         """Write the TUM format, `timestamp tx ty tz qx qy qz qw`, complete or not at all.
 
+        Without a pose it is a comment: that says that the algorithm ran to its end and is lost.
+
         Args:
             path: The file.
-
-        Raises:
-            AdapterError: There is no pose.
         """
         if not self.stamps:
-            raise AdapterError("the algorithm gave no pose")
+            write_atomically(path, "# the algorithm gave no pose\n")
+            return
         poses = np.stack(self.poses)
         order = np.argsort(self.stamps, kind="stable")
         rows = np.column_stack([poses[:, :3, 3], quaternions(poses[:, :3, :3])])
@@ -318,9 +321,11 @@ def write_results(
         extra: The algorithm's own numbers.
 
     Raises:
-        AdapterError: There is no pose.
+        AdapterError: No frame was processed: then nothing can be said of the algorithm.
     """
     frames = len(watch.seconds)
+    if not frames:
+        raise AdapterError(f"no frame was given to the algorithm; {dropped} were empty or refused")
     metrics: dict[str, Any] = {
         "framesOffered": frames + dropped,
         "framesProcessed": frames,

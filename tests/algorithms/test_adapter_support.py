@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import adapter_support
 import numpy as np
 import pytest
 from adapter_support import (
@@ -19,8 +23,6 @@ from adapter_support import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from conftest import Maker
 
 LIDAR = {
@@ -138,9 +140,40 @@ def test_leaves_poses_out_that_are_not_finite(tmp_path: Path) -> None:
     trajectory = Trajectory()
     trajectory.add(1, np.full((4, 4), np.nan))
     assert (trajectory.lost, trajectory.stamps) == (1, [])
-    with pytest.raises(AdapterError, match="gave no pose"):
-        trajectory.write(tmp_path / "trajectory.txt")
-    assert not list(tmp_path.iterdir())
+    trajectory.write(tmp_path / "trajectory.txt")
+    assert (tmp_path / "trajectory.txt").read_text() == "# the algorithm gave no pose\n"
+
+
+def test_an_algorithm_that_was_given_nothing_has_failed(maker: Maker) -> None:
+    maker.configure({})
+    with pytest.raises(AdapterError, match="no frame was given to the algorithm; 3 were empty or refused"):
+        write_results(Run.from_folder(maker.folder), Trajectory(), Stopwatch(), 0.25, dropped=3)
+
+
+def test_the_sentence_is_the_last_of_both_streams(maker: Maker) -> None:
+    code = """
+import ctypes
+from adapter_support import AdapterError, run_adapter
+def program(run):
+    print("a frame was processed")
+    ctypes.CDLL(None).printf(b"so says the library\\n")
+    raise AdapterError("the map is empty")
+run_adapter(program)
+"""
+    maker.configure({})
+    (maker.folder / "adapter.py").write_text(code)
+    folder = Path(adapter_support.__file__).parent
+    environment = {"SLAMHIVE_RUN": str(maker.folder), "PYTHONPATH": str(folder)}
+    ended = subprocess.run(
+        [sys.executable, str(maker.folder / "adapter.py")],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        check=False,
+    )
+    lines = ended.stdout.decode().splitlines()
+    assert (ended.returncode, lines[-1]) == (1, "the map is empty")
+    assert set(lines[:-1]) == {"a frame was processed", "so says the library"}
 
 
 def test_a_pose_is_kept_as_it_was(tmp_path: Path) -> None:

@@ -55,6 +55,19 @@ def test_an_estimate_that_is_worse_than_standing_still_has_diverged(speed: float
     assert bool(result.values["message"]) == (outcome == "Diverged")
 
 
+@pytest.mark.parametrize("reference", [RELATIONS, line(TIMES)])
+def test_a_run_that_wrote_no_pose_is_lost(reference: Relations | Trajectory) -> None:
+    settings = EvaluationSettings.model_validate({"association": {"offset": 1}})
+    subject = Subject(SensorMode.LIDAR, window=(20.0, 40.0))
+    result = measure(reference, None, settings, subject, pieces=[Piece(0, 59, "a")])
+    assert (result.outcome, result.coverage) == (Outcome.LOST, 0.0)
+    assert result.values["message"] == "the algorithm wrote no pose"
+    if isinstance(reference, Relations):
+        assert result.values["relations"]["missing"] == 20
+    else:
+        assert (result.values["ate"], result.values["pathLength"]) == (None, 20.0)
+
+
 def test_relations_between_two_maps_are_missed_not_measured() -> None:
     moved = line(TIMES).positions + np.where(TIMES >= 60, 7.0, 0.0)[:, np.newaxis]
     estimate = Trajectory(TIMES, moved, line(TIMES).quaternions)

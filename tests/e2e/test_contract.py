@@ -35,6 +35,7 @@ ENDS = {
     "folder": (FAILED, "NoTrajectory", "is missing or not a regular file"),
     "no-trajectory": (FAILED, "NoTrajectory", "is missing or not a regular file"),
     "nothing": (FAILED, "NoTrajectory", "is missing or not a regular file"),
+    "lost": (SUCCEEDED, None, ""),
     "flood": (SUCCEEDED, None, ""),
 }
 """Phase, reason and a part of the message for each way to misbehave."""

@@ -44,6 +44,12 @@ def test_a_run_prepares_starts_evaluates_and_finishes() -> None:
     assert last.actions == (Evaluate(), Finish())
 
 
+def test_what_was_odd_is_said_of_a_run_that_succeeds() -> None:
+    state = RunState(phase=Phase.RUNNING, attempts=1)
+    done = decide_run(state, ended(exit_code=0, remark="metrics.json was ignored"), 0).state
+    assert (done.phase, done.reason, done.message) == (Phase.SUCCEEDED, None, "metrics.json was ignored")
+
+
 def test_nothing_happens_to_a_finished_run() -> None:
     for phase in (Phase.SUCCEEDED, Phase.FAILED, Phase.CANCELLED):
         state = RunState(phase=phase)

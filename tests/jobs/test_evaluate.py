@@ -230,7 +230,6 @@ def damaged(pod: Any, walked: str) -> list[tuple[dict[str, Any], str]]:
     case("sha256", sha256="0" * 64)
     case("line 2: found 2 of 8 values", "1 0 0 0 0 0 0 1\nof poses\n", sha256=None)
     case("finite", "1 0 0 nan 0 0 0 1\n")
-    case("holds no poses", "")
     case("no ground truth", dataset="elsewhere")
     case("folder", folder="../../../etc")
     case("folder", folder="/etc")
@@ -275,6 +274,17 @@ def test_one_bad_run_never_stops_the_rest(pod: Any, walked: str) -> None:
     for record in records[1::2]:
         result = record["result"]
         assert (result["evaluation"], result["outcome"]) == ("mine", "Tracked")
+
+
+@pytest.mark.usefixtures("walked")
+def test_a_run_without_a_pose_is_lost_whatever_its_segments_say(pod: Any) -> None:
+    run = put_run(pod, 1, "# nothing was tracked\n")
+    (pod.root / "results" / str(run["folder"]) / "output" / "segments.csv").write_text("start,end\n")
+    (record,) = evaluate(pod, [run])
+    result = record["result"]
+    assert (result["evaluation"], result["outcome"], result["coverage"]) == ("se3", "Lost", 0.0)
+    assert result["values"]["message"] == "the algorithm wrote no pose"
+    assert result["values"]["pathLength"] > 1
 
 
 def test_the_longest_map_stands_for_a_run(pod: Any, walked: str) -> None:

@@ -109,6 +109,17 @@ def test_each_end_has_its_reason(name: str, reason: Reason | None, message: str 
     assert classify(attempted.end) == (reason, message)
 
 
+def test_a_run_without_a_pose_has_ended_well_and_what_was_odd_is_said() -> None:
+    lost = {"poses": 0, "durationSeconds": 0.0, "sha256": "0" * 64, "path": "output/trajectory.txt"}
+    attempted = seen(with_report("ok", trajectory=lost, metricsProblem="metrics.json was ignored"))
+    assert attempted.end is not None
+    assert classify(attempted.end) == (None, None)
+    assert attempted.end.remark == "metrics.json was ignored"
+    assert attempted.report is not None
+    assert attempted.report.trajectory is not None
+    assert attempted.report.trajectory.poses == 0
+
+
 def test_an_end_comes_with_what_the_monitor_and_the_runtime_know() -> None:
     attempted = seen(pod("ok"))
     assert attempted.report is not None

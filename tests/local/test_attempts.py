@@ -66,7 +66,6 @@ def test_the_run_folder_is_as_the_contract_says(run_acts: Callable) -> None:
         ("crash", Reason.ALGORITHM_FAILED, "cannot open the map"),
         ("segfault", Reason.ALGORITHM_FAILED, "signal"),
         ("nothing", Reason.NO_TRAJECTORY, "trajectory.txt"),
-        ("empty", Reason.NO_TRAJECTORY, "trajectory.txt"),
         ("nan", Reason.INVALID_TRAJECTORY, "line 6"),
         ("unsorted", Reason.INVALID_TRAJECTORY, "line 2"),
         ("words", Reason.INVALID_TRAJECTORY, "line 1"),
@@ -114,7 +113,11 @@ def test_a_flood_of_output_is_kept_within_bounds(run_acts: Callable) -> None:
 
 @pytest.mark.parametrize(
     ("act", "outcome", "coverage"),
-    [("half", Outcome.PARTIAL, (0.5, 0.9)), ("elsewhere", Outcome.LOST, (0.0, 0.0))],
+    [
+        ("half", Outcome.PARTIAL, (0.5, 0.9)),
+        ("elsewhere", Outcome.LOST, (0.0, 0.0)),
+        ("empty", Outcome.LOST, (0.0, 0.0)),
+    ],
 )
 def test_a_lost_run_is_a_result_not_a_failure(
     act: str, outcome: Outcome, coverage: tuple[float, float], run_acts: Callable
@@ -127,10 +130,22 @@ def test_a_lost_run_is_a_result_not_a_failure(
     assert job.count(PointState.SUCCEEDED) == 1
 
 
-def test_numbers_that_are_no_json_do_no_harm(run_acts: Callable) -> None:
+def test_a_run_without_a_pose_is_kept_and_reused_as_what_it_is(run_acts: Callable) -> None:
+    _, first = run_acts(["empty"])
+    _, second = run_acts(["empty"], name="others")
+    for record in (first.records[0], second.records[0]):
+        assert (record.trajectory.poses, record.trajectory.duration_seconds) == (0, 0.0)
+        assert record.results[0].values["message"] == "the algorithm wrote no pose"
+        assert record.results[0].values["ate"] is None
+    assert second.records[0].provenance.reused_from
+
+
+def test_numbers_that_are_no_json_do_no_harm_and_it_is_said(run_acts: Callable) -> None:
     _, notes = run_acts(["poison"])
-    assert notes.records[0].phase is Phase.SUCCEEDED
-    assert notes.records[0].metrics == {}
+    record = notes.records[0]
+    assert record.phase is Phase.SUCCEEDED
+    assert record.message == "output/metrics.json is no JSON object of at most 4 MiB and was ignored"
+    assert (record.metrics, record.usage.includes_reader) == ({}, True)
 
 
 def test_the_other_runs_go_on_beside_bad_ones(run_acts: Callable) -> None:

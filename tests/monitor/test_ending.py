@@ -41,6 +41,19 @@ STUBBORN = f"{DAEMON}\nopen('main', 'w').write(str(os.getpid()))\ntime.sleep(600
     [
         ("import sys; sys.exit('no such topic: /points')", 1, None, "exit code 1: no such topic: /points"),
         ("import os; os._exit(3)", 3, None, "exit code 3"),
+        ("import os; print('no map', flush=True); os._exit(3)", 3, None, "exit code 3: no map"),
+        (
+            "import sys; print('frame 9 done'); 1 / 0",
+            1,
+            None,
+            "exit code 1: ZeroDivisionError: division by zero",
+        ),
+        (
+            "import sys; print('frame 9 done'); sys.stderr.write('  no vocabulary \\n\\n'); sys.exit(3)",
+            3,
+            None,
+            "exit code 3: no vocabulary",
+        ),
         ("import os; os.kill(os.getpid(), 11)", None, 11, "ended by signal 11 (SIGSEGV)"),
         ("import os; os.kill(os.getpid(), 9)", None, 9, "ended by signal 9 (SIGKILL)"),
     ],
@@ -49,6 +62,13 @@ def test_failure(run: Run, code: str, exit_code: int | None, number: int | None,
     summary = run.python(code)
     assert (summary["exitCode"], summary["signal"]) == (exit_code, number)
     assert (summary["reason"], summary["message"]) == ("AlgorithmFailed", message)
+
+
+def test_lines_of_both_streams_are_whole_in_the_log(run: Run) -> None:
+    code = "import os, time\nfor k in range(60): os.write(k % 2 + 1, b'abcd'); time.sleep(.01); "
+    run.python(code + "os.write(k % 2 + 1, b'efgh\\n' if k % 4 > 1 else b'')")
+    lines = (run.folder / "log.txt").read_text().split()
+    assert set(lines) == {"abcdabcdefgh"}
 
 
 @pytest.mark.parametrize(

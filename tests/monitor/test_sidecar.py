@@ -259,7 +259,7 @@ def test_odd_output_is_said_and_never_followed(pod: Pod, script: str) -> None:
     summary = pod.end(sidecar)
     assert summary["trajectoryMissing"]
     assert summary["trajectoryProblem"] == "output/trajectory.txt is missing or not a regular file"
-    assert ("metrics.json" in " ".join(summary["notes"])) == ("metrics.json" in script)
+    assert ("metrics.json" in (summary["metricsProblem"] or "")) == ("metrics.json" in script)
     assert peak < 64
 
 

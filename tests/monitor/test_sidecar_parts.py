@@ -23,7 +23,7 @@ from slamhive.monitor.sidecarstate import SidecarState
 from slamhive.monitor.sources import Sample
 from slamhive.monitor.summary import Reason
 from slamhive.monitor.termination import termination_message
-from slamhive.monitor.trajectory import check_trajectory
+from slamhive.monitor.trajectory import TrajectoryInfo, check_trajectory
 from slamhive_eval import FileError, read_tum
 
 if TYPE_CHECKING:
@@ -138,26 +138,32 @@ def test_faults_are_named_as_the_evaluator_names_them(tmp_path: Path, before: st
 
 
 @pytest.mark.parametrize(
-    ("data", "part", "missing"),
+    ("data", "part"),
     [
-        (b"", "holds no poses", True),
-        (b"# nothing\n\n", "holds no poses", False),
-        (gzip.compress(LONG.encode())[:-9], "the compressed data is broken or cut off", False),
-        (b"BZhno", "the compressed data is broken or cut off", False),
-        (b"x" * 200_000, "line 1: is longer than 64 KiB", False),
-        (LONG.encode() + b"1 " * 100_000, "line 20001: is longer than 64 KiB", False),
-        (b"1" * 3_000_000, "is larger than 2 MiB", False),
-        (gzip.compress(b"\n" * 3_000_000), "is larger than 2 MiB", False),
-        (os.urandom(50_000), "output/trajectory.txt", False),
+        (gzip.compress(LONG.encode())[:-9], "the compressed data is broken or cut off"),
+        (b"BZhno", "the compressed data is broken or cut off"),
+        (b"x" * 200_000, "line 1: is longer than 64 KiB"),
+        (LONG.encode() + b"1 " * 100_000, "line 20001: is longer than 64 KiB"),
+        (b"1" * 3_000_000, "is larger than 2 MiB"),
+        (gzip.compress(b"\n" * 3_000_000), "is larger than 2 MiB"),
+        (os.urandom(50_000), "output/trajectory.txt"),
     ],
 )
-def test_poisoned_trajectories(tmp_path: Path, data: bytes, part: str, missing: bool) -> None:
+def test_poisoned_trajectories(tmp_path: Path, data: bytes, part: str) -> None:
     (tmp_path / "trajectory.txt").write_bytes(data)
     found = check_trajectory(str(tmp_path), limit=2 << 20)
     assert found.problem is not None
     assert part in found.problem
     assert len(found.problem) < 300
-    assert (found.info, found.missing) == (None, missing)
+    assert (found.info, found.missing) == (None, False)
+
+
+@pytest.mark.parametrize("data", [b"", b"# nothing\n\n", b"\xef\xbb\xbf\r\n"])
+def test_a_file_without_a_pose_is_a_trajectory_of_none(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "trajectory.txt").write_bytes(data)
+    found = check_trajectory(str(tmp_path))
+    assert (found.problem, found.missing) == (None, False)
+    assert found.info == TrajectoryInfo(0, 0.0, hashlib.sha256(data).hexdigest())
 
 
 USAGE = {"cpu": {"seconds": 1 / 3}, "memory": {"peakBytes": 5}, "wallSeconds": 2.0000000001}

@@ -69,6 +69,15 @@ def test_a_slow_node_drops_frames(play: Callable[..., RunRecord]) -> None:
     assert record.metrics["latencySeconds"]["median"] > 0.24
 
 
+def test_a_node_that_publishes_no_pose_is_lost(play: Callable[..., RunRecord]) -> None:
+    record = play("silent")
+    assert (record.phase, record.message) == ("Succeeded", None)
+    assert record.trajectory is not None
+    assert record.trajectory.poses == 0
+    assert record.frames is not None
+    assert (record.frames.offered, record.frames.processed) == (30, 0)
+
+
 @pytest.mark.parametrize(
     ("act", "message"),
     [("deaf", "the node did not subscribe to /points in 5 s"), ("crash", "lost the map")],

@@ -19,6 +19,7 @@ from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Alignment, EvaluationSettings
 from slamhive.model.results import IntendedEvaluation, Outcome, Result
 from slamhive_eval import (
+    NoPosesError,
     Options,
     Relations,
     RpeOptions,
@@ -27,10 +28,13 @@ from slamhive_eval import (
     evaluate_pieces,
     evaluate_relations,
     number_poses,
+    read_tum,
 )
+from slamhive_eval.evaluation import NO_POSE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     import numpy.typing as npt
 
@@ -130,7 +134,7 @@ def settings_hash(settings: EvaluationSettings) -> str:
 
 def measure(
     reference: Trajectory | Relations,
-    estimate: Trajectory,
+    estimate: Trajectory | None,
     settings: EvaluationSettings,
     subject: Subject,
     name: str | None = None,
@@ -141,7 +145,7 @@ def measure(
 
     Args:
         reference: poses of the ground truth, or relations between poses.
-        estimate: what the algorithm wrote.
+        estimate: what the algorithm wrote; None: it ran to its end and wrote no pose, which is a lost run.
         settings: how to measure.
         subject: what is known of the run.
         name: the evaluation's name; default: the alignment, such as ``se3``.
@@ -176,7 +180,7 @@ def measure(
         has_scale=subject.mode.has_scale,
         window=subject.window,
     )
-    if pieces is None:
+    if pieces is None or estimate is None:
         values = evaluate(reference, estimate, options).as_dict()
     else:
         values = evaluate_pieces(reference, estimate, pieces, options, most=_MOST_MAPS)
@@ -190,9 +194,21 @@ def measure(
     )
 
 
+def read_estimate(path: str | Path) -> Trajectory | None:
+    """Read what an algorithm wrote, in TUM format; None where it wrote a file without a pose.
+
+    Raises:
+        EvaluationError: it is no trajectory.
+    """
+    try:
+        return read_tum(path)
+    except NoPosesError:
+        return None
+
+
 def _measure_relations(
     reference: Relations,
-    estimate: Trajectory,
+    estimate: Trajectory | None,
     settings: EvaluationSettings,
     subject: Subject,
     name: str,
@@ -203,9 +219,9 @@ def _measure_relations(
     if subject.window is not None:
         reference = _within(reference, subject.window, tolerance)
     relations = len(reference)
-    if pieces is not None:
+    if pieces is not None and estimate is not None:
         reference, estimate = _in_one_map(reference, estimate, pieces, offset)
-    if offset:
+    if offset and estimate is not None:
         estimate = Trajectory(estimate.stamps + offset, estimate.positions, estimate.quaternions)
     found = evaluate_relations(
         reference,
@@ -214,14 +230,16 @@ def _measure_relations(
         extrinsic=subject.extrinsic if settings.frame == "Estimate" else None,
     )
     share = found.count / relations
-    divergence = _relations_diverged(reference, found)
-    if divergence:
+    message = NO_POSE if estimate is None else _relations_diverged(reference, found)
+    if estimate is None:
+        outcome = Outcome.LOST
+    elif message:
         outcome = Outcome.DIVERGED
     elif share >= settings.success.min_coverage:
         outcome = Outcome.TRACKED
     else:
         outcome = Outcome.PARTIAL if share >= 0.5 else Outcome.LOST
-    values = {"alignment": "none", "message": divergence, "relations": found.as_dict()}
+    values = {"alignment": "none", "message": message, "relations": found.as_dict()}
     return Result(evaluation=name, outcome=outcome, coverage=share, values=_tagged(values, settings))
 
 

@@ -67,7 +67,8 @@ class AttemptEnd:
         reason: what the executor or the monitor knows of the cause.
         message: a sentence about it.
         trajectory_problem: what is wrong with trajectory.txt; None when it can be used.
-        trajectory_missing: whether there is none, or none with a pose in it.
+        trajectory_missing: whether there is none. A file without a pose is a lost run's.
+        remark: a sentence about what was odd, but no failure.
     """
 
     exit_code: int | None = None
@@ -76,6 +77,7 @@ class AttemptEnd:
     message: str | None = None
     trajectory_problem: str | None = None
     trajectory_missing: bool = False
+    remark: str | None = None
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ def classify(end: AttemptEnd) -> tuple[Reason | None, str | None]:
     if end.exit_code != 0:
         return Reason.ALGORITHM_FAILED, end.message or f"exit code {end.exit_code}"
     if end.trajectory_missing:
-        return Reason.NO_TRAJECTORY, end.trajectory_problem or "output/trajectory.txt holds no pose"
+        return Reason.NO_TRAJECTORY, end.trajectory_problem or "output/trajectory.txt is missing"
     if end.trajectory_problem:
         return Reason.INVALID_TRAJECTORY, end.trajectory_problem
     return None, None
@@ -238,7 +240,7 @@ def _start(state: RunState, seen: RunObserved, now: float) -> Decision:
 def _ended(state: RunState, seen: RunObserved, end: AttemptEnd, now: float) -> Decision:
     reason, message = classify(end)
     if reason is None:
-        done = replace(_move(state, Phase.SUCCEEDED), reason=None, message=None)
+        done = replace(_move(state, Phase.SUCCEEDED), reason=None, message=end.remark)
         actions: tuple[RunAction, ...] = (Evaluate(),) if seen.wants_evaluation else ()
         return Decision(done, (*actions, Finish()))
     if reason is Reason.CANCELLED:

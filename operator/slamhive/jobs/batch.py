@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.measuring import SEGMENTS, measure
+from slamhive.analysis.measuring import SEGMENTS, measure, read_estimate
 from slamhive.jobs.machine import free_memory, usable_cores
 from slamhive.jobs.opening import opened
 from slamhive.jobs.program import parse
@@ -66,7 +66,7 @@ class Bench:
             if isinstance(truth, str):
                 return line | {"error": truth}
             estimate = self._estimate(run)
-            pieces = self._pieces(run)
+            pieces = None if estimate is None else self._pieces(run)
             result = measure(truth, estimate, self.settings, run.subject(), self.evaluation, pieces=pieces)
             line |= {"result": result.as_json()}
             json.dumps(line, allow_nan=False)
@@ -78,8 +78,8 @@ class Bench:
         except Exception as error:  # noqa: BLE001 - one bad run must not stop the rest
             return line | {"error": f"unforeseen: {type(error).__name__}: {' '.join(str(error).split())}"}
 
-    def _estimate(self, run: RunItem) -> Trajectory:
-        """Read a run's trajectory.
+    def _estimate(self, run: RunItem) -> Trajectory | None:
+        """Read a run's trajectory; None where the file holds no pose.
 
         Raises:
             DataError: it isn't there, or not what the run wrote.
@@ -94,7 +94,7 @@ class Bench:
                 raise DataError(f"{path} has sha256 {found}, the run wrote one of {run.sha256}")
             link = f"/proc/self/fd/{descriptor}"
             try:
-                return read_tum(link)
+                return read_estimate(link)
             except EvaluationError as error:
                 raise DataError(str(error).replace(link, path)) from None
 

@@ -261,8 +261,14 @@ def _watched(ending: Ending, report: Report | None) -> AttemptEnd:
     ):
         if holds:
             return replace(seen, reason=reason, message=message)
-    problem, missing = (report.trajectory_problem, report.trajectory_missing) if report else (None, False)
-    return replace(seen, trajectory_problem=problem, trajectory_missing=missing)
+    if report is None:
+        return seen
+    return replace(
+        seen,
+        trajectory_problem=report.trajectory_problem,
+        trajectory_missing=report.trajectory_missing,
+        remark=report.metrics_problem,
+    )
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,8 @@ class Report:
         usage: what the algorithm took.
         trajectory: the estimate, when it can be used.
         trajectory_problem: what is wrong with it otherwise.
-        trajectory_missing: whether there is none.
+        trajectory_missing: whether there is none. A file without a pose is a trajectory of 0 poses.
+        metrics_problem: what is wrong with metrics.json.
         frames: frames as the algorithm counted them.
         cpu_model: the processor.
         played: how playing to it ended, for a ROS 1 node.
@@ -77,6 +78,7 @@ class Report:
     trajectory: TrajectoryInfo | None = None
     trajectory_problem: str | None = None
     trajectory_missing: bool = False
+    metrics_problem: str | None = None
     frames: Frames | None = None
     cpu_model: str | None = None
     played: Played | None = None
@@ -148,6 +150,7 @@ def read_report(text: object) -> Report | None:
         trajectory=None if problem else trajectory,
         trajectory_problem=clean(problem) if problem else None,
         trajectory_missing=missing,
+        metrics_problem=_text(found.get("metricsProblem")),
         frames=_model(Frames, found.get("frames")),
         cpu_model=_text(found.get("cpuModel"), 200),
         played=_played(found.get("played")),

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from slamhive.analysis.measuring import read_estimate
 from slamhive.engine import AttemptEnd
 from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
@@ -34,7 +35,7 @@ from slamhive.model.errors import SystemFault
 from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
 from slamhive.monitor import SupervisorSpec, end_orphans
 from slamhive.playback.judging import judge
-from slamhive_eval import EvaluationError, read_tum
+from slamhive_eval import EvaluationError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -165,6 +166,7 @@ class Attempt:
             message=summary.get("message"),
             trajectory_problem=problem,
             trajectory_missing=missing,
+            remark=summary.get("metricsProblem"),
         )
         return end if self._stopping else judge(end, self._player.played())
 
@@ -226,10 +228,11 @@ class Attempt:
         problem, _ = self._trajectory_problem()
         if problem:
             return None
-        estimate = read_tum(path)
-        span = float(estimate.stamps[-1] - estimate.stamps[0])
+        estimate = read_estimate(path)
+        poses = 0 if estimate is None else len(estimate)
+        span = 0.0 if estimate is None else float(estimate.stamps[-1] - estimate.stamps[0])
         checksum = hashlib.sha256(path.read_bytes()).hexdigest()
-        return TrajectoryInfo(poses=len(estimate), duration_seconds=span, sha256=checksum, path=str(path))
+        return TrajectoryInfo(poses=poses, duration_seconds=span, sha256=checksum, path=str(path))
 
     def _trajectory_problem(self) -> tuple[str | None, bool]:
         path = self.output / "trajectory.txt"
@@ -238,11 +241,9 @@ class Attempt:
         if path.stat().st_size > _TRAJECTORY_LIMIT:
             return f"output/trajectory.txt is larger than {_TRAJECTORY_LIMIT >> 20} MiB", False
         try:
-            estimate = read_tum(path)
+            read_estimate(path)
         except EvaluationError as error:
-            return str(error).replace(str(path), "output/trajectory.txt"), path.stat().st_size == 0
-        if not len(estimate):
-            return "output/trajectory.txt holds no pose", True
+            return str(error).replace(str(path), "output/trajectory.txt"), False
         return None, False
 
     def _summary(self) -> dict[str, Any] | None:

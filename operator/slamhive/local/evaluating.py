@@ -6,13 +6,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.measuring import SEGMENTS, SETTINGS_KEY, measure, settings_hash
+from slamhive.analysis.measuring import SEGMENTS, SETTINGS_KEY, measure, read_estimate, settings_hash
 from slamhive.analysis.subjects import Surroundings, subject_of
 from slamhive.data.entries import file_sha256
 from slamhive.data.groundtruth import ground_truth
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.sensors import SensorMode
-from slamhive_eval import EvaluationError, read_segments, read_tum
+from slamhive_eval import EvaluationError, read_segments
 
 if TYPE_CHECKING:
     from slamhive.data.groundtruth import GroundTruthPoses
@@ -52,7 +52,8 @@ class Evaluator:
         """Measure a trajectory file of a run.
 
         Args:
-            path: the trajectory, in TUM format; with segments.csv beside it, it is measured map by map.
+            path: the trajectory, in TUM format, a lost run's without a pose; with segments.csv beside it, it
+                is measured map by map.
             spec: the run's resolved spec.
             settings: how to measure.
             variant: the prepared recording, when it is at hand.
@@ -81,8 +82,9 @@ class Evaluator:
         subject = subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)
         segments = path.with_name(SEGMENTS)
         try:
-            pieces = read_segments(segments) if segments.is_file() else None
-            return measure(truth.poses, read_tum(path), settings, subject, name, pieces=pieces)
+            estimate = read_estimate(path)
+            pieces = read_segments(segments) if estimate is not None and segments.is_file() else None
+            return measure(truth.poses, estimate, settings, subject, name, pieces=pieces)
         except EvaluationError as error:
             raise InputError(str(error)) from None
 

@@ -313,7 +313,7 @@ class RunDriver:
             attributes=self._bench.attributes(self._spec["datasetRef"]["name"]),
             phase=state.phase,
             reason=state.reason,
-            message=state.message or progress.remark,
+            message="; ".join(filter(None, (state.message, progress.remark))) or None,
             attempts=state.attempts,
             created=created,
             finished=datetime.now(UTC),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files around a run: usage.csv, the pipe from the algorithm into its log, the size of its output."""
+"""The files around a run: usage.csv, the pipes from the algorithm into its log, the size of its output."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ import select
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from slamhive.monitor.log import TAIL_BYTES, clean_tail
+
 if TYPE_CHECKING:
     from slamhive.monitor.log import BoundedLog
     from slamhive.monitor.sources import Sample
 
 _PIPE_BYTES = 256 << 10
+_LINE_BYTES = 64 << 10
 _MAX_ENTRIES = 200_000
 
 
@@ -65,7 +68,9 @@ class UsageTable:
 
 
 class OutputPipe:
-    """What the algorithm prints, taken from a pipe so that its size can be bounded.
+    """What the algorithm prints to one stream, taken from a pipe so that its size can be bounded.
+
+    Each stream has a pipe of its own, so that what stderr ends with is known; lines go into the log whole.
 
     The pipe is emptied with every sample. Only while it fills up between two samples does it wake us by
     itself: waking for every line would cost a core's percent.
@@ -77,6 +82,7 @@ class OutputPipe:
         self._poll = poll
         self.descriptor, self.writer = os.pipe()
         self._watched = False
+        self._rest = self._recent = b""
         os.set_blocking(self.descriptor, False)
         with suppress(OSError):  # a user may have used up what pipes may hold
             fcntl.fcntl(self.descriptor, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
@@ -97,14 +103,23 @@ class OutputPipe:
         """Take the rest, when nobody writes any more."""
         while self._take():
             pass
+        self._log.write(self._rest)
         os.close(self.descriptor)
+
+    def last_line(self) -> str:
+        """Return the last line that says something, without control characters; empty if there is none."""
+        return clean_tail(self._recent).rpartition("\n")[2].strip()
 
     def _take(self) -> int:
         try:
             data = os.read(self.descriptor, _PIPE_BYTES)
         except BlockingIOError:
             return 0
-        self._log.write(data)
+        self._recent = (self._recent + data)[-4 * TAIL_BYTES :]
+        lines, end, self._rest = (self._rest + data).rpartition(b"\n")
+        if len(self._rest) > _LINE_BYTES:
+            end, self._rest = end + self._rest, b""
+        self._log.write(lines + end)
         return len(data)
 
 

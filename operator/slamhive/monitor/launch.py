@@ -40,14 +40,14 @@ class Launched(NamedTuple):
 
 
 def launch(
-    spec: SupervisorSpec, environment: dict[str, str], output: int, cgroups: Sequence[str]
+    spec: SupervisorSpec, environment: dict[str, str], outputs: tuple[int, int], cgroups: Sequence[str]
 ) -> Launched:
     """Start the algorithm.
 
     Args:
         spec: What to start.
         environment: Its complete environment.
-        output: Descriptor for its stdout and stderr.
+        outputs: Descriptors for its stdout and its stderr.
         cgroups: Directories of the cgroups to join.
 
     Raises:
@@ -57,7 +57,7 @@ def launch(
     supervisor = os.getpid()
     pid = os.fork()
     if pid == 0:
-        _become(spec, environment, output, cgroups, supervisor=supervisor, told=told)
+        _become(spec, environment, outputs, cgroups, supervisor=supervisor, told=told)
     os.close(told)
     with open(report, "rb") as file:  # noqa: PTH123
         start, _, problem = file.read().decode("utf-8", "replace").partition("\n")
@@ -70,7 +70,7 @@ def launch(
 def _become(
     spec: SupervisorSpec,
     environment: dict[str, str],
-    output: int,
+    outputs: tuple[int, int],
     cgroups: Sequence[str],
     *,
     supervisor: int,
@@ -88,7 +88,7 @@ def _become(
         if os.getppid() != supervisor:
             os._exit(1)
         _reset_signals()
-        _redirect(output)
+        _redirect(*outputs)
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
         with suppress(OSError):
             _write("/proc/self/oom_score_adj", _OOM_SCORE)
@@ -121,11 +121,11 @@ def _reset_signals() -> None:
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
 
 
-def _redirect(output: int) -> None:
+def _redirect(output: int, errors: int) -> None:
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.dup2(output, 1)
-    os.dup2(output, 2)
+    os.dup2(errors, 2)
 
 
 def _join(numbers: Iterable[int]) -> str:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-_METRICS_BYTES = 64 << 20
+_METRICS_BYTES = 4 << 20
 _VALUE_BYTES = 4096
 _KEPT_BYTES = 64 << 10
 _LARGEST_COUNT = 1 << 53
@@ -77,9 +77,10 @@ class ReaderReport:
         """
         included = included if self.includes_reader is None else self.includes_reader
         if self.cpu_seconds is not None and self.cpu_seconds > total:
-            note = f"readerCpuSeconds {self.cpu_seconds:g} is more than all CPU seconds and was ignored"
-            return ReaderShare(None, included, note)
-        return ReaderShare(self.cpu_seconds, included, self.note)
+            said = f"output/metrics.json: readerCpuSeconds {self.cpu_seconds:g}"
+            return ReaderShare(None, True, f"{said} is more than all CPU seconds and was ignored")
+        # What was to be subtracted is not known then.
+        return ReaderShare(self.cpu_seconds, included or self.note is not None, self.note)
 
 
 def read_metrics(
@@ -104,7 +105,8 @@ def read_metrics(
     except (OSError, ValueError, RecursionError, MemoryError):
         values = None
     if not isinstance(values, dict):
-        return Metrics({}, "output/metrics.json is no JSON object and was ignored")
+        most = f"at most {limit >> 20} MiB"
+        return Metrics({}, f"output/metrics.json is no JSON object of {most} and was ignored")
     return Metrics(values)
 
 
@@ -115,7 +117,7 @@ def reader_report(metrics: Metrics) -> ReaderReport:
     if seconds is None:
         return ReaderReport(includes_reader=included, note=metrics.note)
     if not _is_number(seconds) or seconds < 0:
-        note = f"output/metrics.json: readerCpuSeconds must be a number, 0 or more, not {str(seconds)[:40]}"
+        note = f"output/metrics.json: readerCpuSeconds must be a number, 0 or more, not {str(seconds)[:40]!r}"
         return ReaderReport(includes_reader=included, note=note)
     return ReaderReport(float(seconds), included)
 

@@ -32,7 +32,7 @@ class Ending:
     Attributes:
         status: Wait status of the algorithm's first process, None if it never ran.
         stop: The decision to end it, None if it ended by itself.
-        last_line: The last line it printed.
+        last_line: The last line it printed to stderr, or to stdout where there is none.
         group_oom_kills: Processes of the run's cgroup that the kernel killed for want of memory.
         machine_oom_kills: The same on the entire machine while the run ran.
         memory_limit: Bytes the run was allowed.

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 VARIABLE = "SLAMHIVE_SIDECAR"
 _SUMMARY = "summary.json"
 _CONFIGURATION = "config.yaml"
-_METRICS_BYTES = 4 << 20
 _METRICS_MEMORY = 32 << 20
 _LEFT_SECONDS = 5.0
 _UNSEEN = "the algorithm was never seen: it did not start, or ended within milliseconds"
@@ -151,8 +150,8 @@ class Sidecar:
     def _summary(self, state: SidecarState) -> dict[str, Any]:
         spec = self._spec
         output = f"{spec.run_directory}/output"
-        metrics = read_metrics(output, _METRICS_BYTES, _METRICS_MEMORY)
-        usage = self._usage(state, metrics) if state.accounting else None
+        metrics = read_metrics(output, memory=_METRICS_MEMORY)
+        usage, problem = self._usage(state, metrics) if state.accounting else (None, metrics.note)
         if usage is None:
             state.note(_UNSEEN)
         else:
@@ -170,6 +169,7 @@ class Sidecar:
             usage=usage,
             log_tail="",
             left_processes=state.left,
+            metrics_problem=problem,
             notes=tuple(state.notes),
         )
         return {
@@ -182,12 +182,11 @@ class Sidecar:
             "cpuModel": cpu_model(),
         }
 
-    def _usage(self, state: SidecarState, metrics: Metrics) -> Usage:
+    def _usage(self, state: SidecarState, metrics: Metrics) -> tuple[Usage, str | None]:
+        """Return the figures, and what was wrong with metrics.json."""
         account = Accounting.from_state(state.accounting)
         reader = reader_report(metrics).share(account.cpu_seconds, included=self._spec.includes_reader)
-        if reader.note is not None:
-            state.note(reader.note)
-        return account.usage(
+        usage = account.usage(
             state.source,
             data_seconds=self._spec.data_seconds,
             reader_cpu_seconds=reader.cpu_seconds,
@@ -196,6 +195,7 @@ class Sidecar:
             contended_seconds=state.contended,
             kernel_peak=state.kernel_peak,
         )
+        return usage, reader.note
 
     def _copy_configuration(self, state: SidecarState) -> None:
         if self._spec.configuration is not None:

@@ -36,7 +36,8 @@ class Summary:
         usage: What it used; None if it was never seen.
         log_tail: The last lines it printed.
         left_processes: Processes that outlived the algorithm's first one and were ended.
-        notes: What was wrong but didn't end the run.
+        metrics_problem: What was wrong with metrics.json, None if nothing was.
+        notes: What else was wrong but didn't end the run.
     """
 
     exit_code: int | None
@@ -48,6 +49,7 @@ class Summary:
     usage: Usage | None
     log_tail: str
     left_processes: int = 0
+    metrics_problem: str | None = None
     notes: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:

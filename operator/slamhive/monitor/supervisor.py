@@ -63,6 +63,7 @@ class Supervisor:
         self._parent = spec.parent_pid or os.getppid()
         self._signals: list[int] = []
         self._notes: list[str] = []
+        self._metrics_problem: str | None = None
         self._stop: Stop | None = None
         self._kill_at: float | None = None
         self._status: int | None = None
@@ -119,7 +120,7 @@ class Supervisor:
     def _supervise(self) -> Summary:
         spec = self._spec
         throttled, oom_kills = host_throttled(), _machine_oom_kills()
-        self._pipe = OutputPipe(self._log, self._poll)
+        self._out, self._err = (OutputPipe(self._log, self._poll) for _ in range(2))
         self._start = time.monotonic()
         self._follow_signals(self._start)
         if self._stop is None:
@@ -138,11 +139,10 @@ class Supervisor:
         played = played_mean_cores(spec.output_directory, spec.usage_path, started_at)
         if played is not None:
             usage = replace(usage, cpu=replace(usage.cpu, mean_cores=played))
-        tail = self._log.tail()
         ending = Ending(
             status=self._status,
             stop=self._stop,
-            last_line=tail.rpartition("\n")[2],
+            last_line=self._err.last_line() or self._out.last_line(),
             group_oom_kills=self._cgroup.oom_kills() if self._cgroup else 0,
             machine_oom_kills=_machine_oom_kills() - oom_kills,
             memory_limit=spec.memory_limit_bytes,
@@ -152,8 +152,9 @@ class Supervisor:
             started_at=started_at,
             finished_at=started_at + finished - self._start,
             usage=usage,
-            log_tail=tail,
+            log_tail=self._log.tail(),
             left_processes=left,
+            metrics_problem=self._metrics_problem,
         )
 
     def _launch(self) -> None:
@@ -161,7 +162,7 @@ class Supervisor:
         record = ProcessRecord(boot_id(), pid_namespace(), self._me, None, groups)
         record.write(self._spec.process_path)
         environment = {**self._spec.env, TOKEN: record.token}
-        started = launch(self._spec, environment, self._pipe.writer, groups)
+        started = launch(self._spec, environment, (self._out.writer, self._err.writer), groups)
         self._algorithm, self._start = started.pid, started.start
         if isinstance(self._source, ProcSource):
             self._source.leave_out(started.cpu)
@@ -194,7 +195,11 @@ class Supervisor:
             if descriptor == self._wake:
                 os.read(self._wake, 4096)
             else:
-                self._pipe.drain()
+                self._drain()
+
+    def _drain(self) -> None:
+        self._out.drain()
+        self._err.drain()
 
     def _reap(self) -> None:
         with suppress(ChildProcessError):
@@ -232,7 +237,7 @@ class Supervisor:
     def _sample(self, now: float) -> None:
         sample = self._source.read()
         self._table.add(sample.time - self._start, self._accounting.add(sample), sample)
-        self._pipe.drain()
+        self._drain()
         limit = self._spec.memory_limit_bytes
         too_much = self._polled_limit is not None and sample.working_set > self._polled_limit
         if too_much or (self._cgroup is not None and self._cgroup.oom_kills() > 0):
@@ -287,8 +292,7 @@ class Supervisor:
         reader = reader_report(read_metrics(spec.output_directory)).share(
             sample.cpu, included=spec.includes_reader
         )
-        if reader.note is not None:
-            self._notes.append(reader.note)
+        self._metrics_problem = reader.note
         throttled_after = host_throttled()
         throttled = self._cgroup.throttled() if self._cgroup else None
         if throttled_before is not None and throttled_after is not None:
@@ -305,7 +309,8 @@ class Supervisor:
         )
 
     def _close_files(self) -> None:
-        self._pipe.close()
+        self._out.close()
+        self._err.close()
         self._log.close()
         self._table.close()
         for path, error in (

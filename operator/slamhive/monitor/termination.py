@@ -24,12 +24,23 @@ _TAKEN_OVER = (
     "trajectory",
     "trajectoryProblem",
     "trajectoryMissing",
+    "metricsProblem",
     "frames",
     "played",
     "cpuModel",
 )
 # Of these, in this order, as much goes as must; what can't be shortened goes altogether.
-_GIVEN_UP = ("metrics", "message", "trajectoryProblem", "cpuModel", "frames", "played", "trajectory", "usage")
+_GIVEN_UP = (
+    "metrics",
+    "message",
+    "trajectoryProblem",
+    "metricsProblem",
+    "cpuModel",
+    "frames",
+    "played",
+    "trajectory",
+    "usage",
+)
 _SHORTEST_TEXT = 40
 
 

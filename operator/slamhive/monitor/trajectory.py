@@ -38,7 +38,7 @@ class TrajectoryInfo:
     """A sound trajectory.
 
     Attributes:
-        poses: How many.
+        poses: How many; 0 where every line is empty or a comment, which is what a lost run writes.
         duration_seconds: From the first to the last.
         sha256: Of the file.
         path: In the run folder.
@@ -57,7 +57,7 @@ class TrajectoryCheck:
     Attributes:
         info: The trajectory, None if it can't be used.
         problem: Why not, in a sentence.
-        missing: There is none at all, rather than a wrong one.
+        missing: There is no such file.
     """
 
     info: TrajectoryInfo | None = None
@@ -80,7 +80,6 @@ def check_trajectory(output_directory: str, limit: int = LIMIT_BYTES) -> Traject
         output_directory: Where the algorithm wrote.
         limit: Bytes it may have, also when it is compressed and unpacked.
     """
-    size = 0
     try:
         with open_regular(f"{output_directory}/trajectory.txt") as descriptor:
             size = os.fstat(descriptor).st_size
@@ -91,7 +90,7 @@ def check_trajectory(output_directory: str, limit: int = LIMIT_BYTES) -> Traject
     except (FileNotFoundError, NotRegularError):
         return TrajectoryCheck(problem=f"{_NAME} is missing or not a regular file", missing=True)
     except _Fault as fault:
-        return TrajectoryCheck(problem=str(fault), missing=size == 0)
+        return TrajectoryCheck(problem=str(fault))
     except OSError as error:
         return TrajectoryCheck(problem=f"{_NAME}: can't be read: {error.strerror or error}")
 
@@ -107,8 +106,6 @@ def _read(file: IO[bytes], limit: int) -> TrajectoryInfo:
     with _unpacked(file) as text:
         for lines in _blocks(text, limit):
             poses.add(lines)
-    if not poses.count:
-        raise _Fault("holds no poses: every line is empty or a comment")
     return TrajectoryInfo(poses.count, poses.last - poses.first, digest.hexdigest())
 
 

@@ -45,6 +45,7 @@ class Session:
         self._numbers: dict[str, Any] = {}
         self._master: Master | None = None
         self._bag: Program | None = None
+        self._silent = False
 
     def run(self) -> int:
         """Play, and return the exit status: 0 unless playing itself failed."""
@@ -88,6 +89,7 @@ class Session:
             seconds = time.monotonic() - begun
             self._numbers["playSeconds"] = round(seconds, 3)
             if self._settle():
+                self._silent = ears.has_poses and not self._recorder.count
                 self._tell("Ended", playEnd=self._last_word())
 
     def _wait_until_ready(self, ears: Ears) -> bool:
@@ -152,6 +154,9 @@ class Session:
     def _write(self) -> None:
         """Write what was heard. The algorithm still runs, so that whoever watches it finds all at its end."""
         recorder, output = self._recorder, self._output
+        if self._silent:  # a node that publishes poses, but tracked nothing
+            write_atomically(output / "trajectory.txt", "# the node published no pose\n")
+            merge_metrics(output / "metrics.json", recorder.metrics() | self._numbers)
         if not recorder.count:
             return
         final, online = recorder.final(), recorder.online()
