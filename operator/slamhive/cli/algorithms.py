@@ -14,7 +14,7 @@ from rich.table import Table
 from slamhive.cli.console import FAILED, command_name, listing, open_workbench, out, remark
 from slamhive.cli.listing import show_catalog
 from slamhive.local.catalog import link_algorithm, load_workshop
-from slamhive.local.checking import check_algorithm
+from slamhive.local.checking import Answer, check_algorithm
 from slamhive.local.environments import availability
 from slamhive.local.home import Home
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Algorithms: what is known, and whether it works.")
 
+_COLOURS = {Answer.HOLDS: "green", Answer.FAILS: "red", Answer.UNKNOWN: "yellow"}
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -109,7 +110,7 @@ def show_algorithm(name: Name, *, as_json: AsJson = False) -> None:
 
 @app.command("check")
 def check(name: Name) -> None:
-    """Run an algorithm on a generated recording and tell whether what it declares is true.
+    """Run an algorithm on a generated recording and tell whether what it declares is true, or can't be told.
 
     Example: slamhive algorithm check kiss-icp
     """
@@ -119,9 +120,9 @@ def check(name: Name) -> None:
         with bench.archive:
             findings = check_algorithm(bench, name)
     for finding in findings:
-        mark = "[green]true[/]  " if finding.holds else "[red]false[/] "
-        out.print(f"{mark} {escape(finding.text)}")
-    if not all(finding.holds for finding in findings):
+        word = f"{finding.answer.value:10}"
+        out.print(f"[{_COLOURS[finding.answer]}]{word}[/] {escape(finding.text)}")
+    if any(finding.answer is Answer.FAILS for finding in findings):
         raise typer.Exit(FAILED)
 
 

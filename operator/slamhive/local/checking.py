@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from slamhive.analysis.measuring import Subject, measure
+from slamhive.analysis.measuring import Subject, measure, read_estimate
 from slamhive.local.runner import Job, Runner
 from slamhive.model.algorithm import Poses
 from slamhive.model.base import ObjectMeta
@@ -18,10 +19,9 @@ from slamhive.model.results import Outcome, Phase, RunRecord
 from slamhive.model.sensors import SensorMode
 from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec
 from slamhive.plan import Plan, local_uid
-from slamhive_eval import read_tum
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     import numpy.typing as npt
 
@@ -36,16 +36,46 @@ _CAMERA_RECORDING = "synthetic-camera"
 _MAX_SHARE = 0.02
 """An ATE above this share of the path says that something is wrong with the frame, the stamp or the scale."""
 _CLEARLY = 0.85
-"""Another reading of the poses is better when its ATE is below this share of the declared one's."""
+"""A reading of the poses is clearly better than another when its error is below this share of that one's."""
 _SHIFTS_SECONDS = (-0.1, -0.05, 0.05, 0.1)
+
+
+class Answer(enum.Enum):
+    """What was found of something that is declared."""
+
+    HOLDS = "true"
+    FAILS = "false"
+    UNKNOWN = "can't tell"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """One thing that was looked at, with the figures; where it fails or can't be told, why."""
 
-    holds: bool
+    answer: Answer
     text: str
+
+
+class Fit(NamedTuple):
+    """How well poses fit the ground truth under one reading of them.
+
+    Attributes:
+        metres: RMSE of the ATE.
+        degrees: RMSE of its rotations; infinite where there are none.
+    """
+
+    metres: float
+    degrees: float
+
+    def __str__(self) -> str:
+        """Return the figures as people read them."""
+        return f"{self.metres:.4f} m, {self.degrees:.2f}°"
+
+    def clearly_better(self, other: Fit) -> bool:
+        """Tell whether one figure is clearly better than another's, and the other not clearly worse."""
+        pairs = list(zip(self, other, strict=True))
+        better = any(own < _CLEARLY * its for own, its in pairs)
+        return better and not any(its < _CLEARLY * own for own, its in pairs)
 
 
 class _Silent:
@@ -73,7 +103,7 @@ def check_algorithm(bench: Workbench, name: str) -> list[Finding]:
         records = _run_twice(bench, name, mode)
         failed = [record for record in records if record.phase is not Phase.SUCCEEDED]
         if failed:
-            findings += [Finding(False, f"{mode.name}: {one.reason}: {one.message}") for one in failed]
+            findings += [Finding(Answer.FAILS, f"{mode.name}: {one.reason}: {one.message}") for one in failed]
             continue
         findings += [_repeatable(algorithm.spec.deterministic, mode, records)]
         findings += _meaning(bench, mode, records[-1])
@@ -100,54 +130,87 @@ def _run_twice(bench: Workbench, name: str, mode: Mode) -> list[RunRecord]:
 
 
 def _repeatable(declared: str, mode: Mode, records: list[RunRecord]) -> Finding:
-    sums = {record.trajectory.sha256 for record in records if record.trajectory}
-    equal = len(sums) == 1
+    equal = len({record.trajectory.sha256 for record in records if record.trajectory}) == 1
     given = "equal" if equal else "different"
     text = f"{mode.name}: deterministic: {declared}; two runs gave {given} trajectories"
-    return Finding(declared != "Yes" or equal, text)
+    if declared == "Yes":
+        return Finding(Answer.HOLDS if equal else Answer.FAILS, text)
+    if declared == "No" and not equal:
+        return Finding(Answer.HOLDS, text)
+    why = "others may differ" if equal else "nothing is declared; it could say No"
+    return Finding(Answer.UNKNOWN, f"{text}: {why}")
 
 
 def _meaning(bench: Workbench, mode: Mode, record: RunRecord) -> Iterator[Finding]:
-    """Tell whether poses fit the declared frame and instant better than any other."""
+    """Tell whether poses fit the ground truth, and the declared frame and instant better than any other."""
     algorithm = bench.workshop.algorithm(record.spec["algorithmRef"]["name"]).algorithm
     output = algorithm.spec.output_of(mode)
     variant = bench.prepare(record.spec, algorithm)
     truth = bench.evaluator.truth(record.spec["datasetRef"]["name"])
-    if truth is None:
+    result = record.results[0] if record.results else None
+    if truth is None or result is None:
+        yield Finding(Answer.UNKNOWN, f"{mode.name}: {record.message or 'it was not measured'}")
         return
     poses = truth.poses
-    estimate = read_tum(Path(record.folder or "") / "run" / "output" / "trajectory.txt")
+    estimate = read_estimate(Path(record.folder or "") / "run" / "output" / "trajectory.txt")
     frames: dict[str, npt.NDArray[np.float64]] = {"body": np.eye(4)}
     frames |= {role.value: np.array(view.T_body_sensor) for role, view in variant.sensors.items()}
 
-    def error(frame: str, shift: float = 0.0) -> float:
+    def fit(frame: str, shift: float = 0.0) -> Fit:
         settings = EvaluationSettings(association=Association(offset=shift))
         subject = Subject(mode.name, frames[frame], keyframes=output.poses is Poses.KEYFRAMES)
         values = measure(poses, estimate, settings, subject).values
-        return float(values["ate"]["rmse"]) if values.get("ate") else float("inf")
+        metres, turn = values.get("ate") or {}, values.get("ateRotationDeg") or {}
+        return Fit(metres.get("rmse", np.inf), turn.get("rmse", np.inf))
 
-    result = record.results[0] if record.results else None
-    length = float(result.values["pathLength"]) if result else float("nan")
-    own = error(output.frame)
-    share = own / length
-    tracked = result is not None and result.outcome is Outcome.TRACKED
-    coverage = result.coverage if result else None
+    if not result.values.get("ate"):
+        yield Finding(Answer.FAILS, f"{mode.name}: {result.outcome}: {result.values.get('message')}")
+        return
+    length, own = float(result.values["pathLength"]), fit(output.frame)
+    share = own.metres / length
+    tracked = result.outcome is Outcome.TRACKED and share <= _MAX_SHARE
+    why = "" if tracked else f"; {result.values.get('message') or f'more than {_MAX_SHARE:.0%} of the path'}"
     yield Finding(
-        tracked and share <= _MAX_SHARE,
-        f"{mode.name}: ATE {own:.4f} m, {share:.2%} of {length:.1f} m; coverage {coverage}",
+        Answer.HOLDS if tracked else Answer.FAILS,
+        f"{mode.name}: ATE {own}, {share:.2%} of {length:.1f} m; coverage {result.coverage}{why}",
     )
-    better = {frame: error(frame) for frame in frames if frame != output.frame}
-    best = min(better, key=lambda frame: better[frame], default=output.frame)
-    yield Finding(
-        better.get(best, own) >= _CLEARLY * own,
-        f"{mode.name}: frame {output.frame}: ATE {own:.4f} m; as {best}: {better.get(best, own):.4f} m",
-    )
-    moved = {shift: error(output.frame, shift) for shift in _SHIFTS_SECONDS}
-    nearest = min(moved, key=lambda shift: moved[shift])
+    others = {
+        frame: fit(frame)
+        for frame, pose in frames.items()
+        if not np.allclose(pose, frames[output.frame], atol=1e-6)
+    }
+    # Where poses are bad in every frame, which of them is least so says nothing.
+    bad = min(found.metres for found in (own, *others.values())) > _MAX_SHARE * length
+    yield _compared(f"{mode.name}: frame {output.frame}", own, others, hidden=bad)
+    moved = {shift: fit(output.frame, shift) for shift in _SHIFTS_SECONDS}
+    nearest = min(moved, key=moved.__getitem__)
     # Drift as large as what a shift does hides it.
-    visible = abs(nearest) * length / variant.duration_seconds
-    text = f"{mode.name}: stamp {output.stamp}: ATE {own:.4f} m; {nearest:+.2f} s: {moved[nearest]:.4f} m"
-    if own > visible:
-        yield Finding(True, f"{text}; the drift is too large to tell")
-    else:
-        yield Finding(moved[nearest] >= _CLEARLY * own, text)
+    hidden = own.metres > abs(nearest) * length / variant.duration_seconds
+    named = {f"{shift:+.2f} s": other for shift, other in moved.items()}
+    yield _compared(f"{mode.name}: stamp {output.stamp}", own, named, hidden=hidden)
+
+
+def _compared(what: str, own: Fit, others: Mapping[str, Fit], *, hidden: bool = False) -> Finding:
+    """Say whether what is declared fits better than all others.
+
+    Args:
+        what: what is declared.
+        own: how well it fits.
+        others: how well others fit, by name.
+        hidden: whether the drift is too large to tell.
+    """
+    told = f"{what}: {own}"
+    if not others:
+        return Finding(Answer.HOLDS, f"{told}; no other is apart from it")
+    best = min(others, key=others.__getitem__)
+    if hidden:
+        return Finding(Answer.UNKNOWN, f"{told}; as {best}: {others[best]}; the drift is too large to tell")
+    better = [name for name, other in others.items() if other.clearly_better(own)]
+    if better:
+        best = min(better, key=others.__getitem__)
+        return Finding(Answer.FAILS, f"{told}; {best} fits better: {others[best]}")
+    close = [name for name, other in others.items() if not own.clearly_better(other)]
+    if close:
+        best = min(close, key=others.__getitem__)
+        return Finding(Answer.UNKNOWN, f"{told}; {best} fits about as well: {others[best]}")
+    return Finding(Answer.HOLDS, f"{told}; the next best, {best}: {others[best]}")

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of an Algorithm's declarations: that they hold, that they don't, or that it can't be told."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from slamhive.local.checking import Answer, Fit, _compared
+
+
+@pytest.mark.parametrize(
+    ("own", "others", "answer", "words"),
+    [
+        (Fit(0.01, 0.5), {"body": Fit(0.30, 0.5)}, Answer.HOLDS, "the next best, body: 0.3000 m"),
+        (Fit(0.01, 0.5), {"body": Fit(0.01, 90.0)}, Answer.HOLDS, "90.00°"),
+        (Fit(0.30, 0.5), {"body": Fit(0.01, 0.5)}, Answer.FAILS, "body fits better: 0.0100 m"),
+        (Fit(0.30, 0.5), {"imu": Fit(0.02, 0.5), "body": Fit(0.01, 0.5)}, Answer.FAILS, "body fits better"),
+        (Fit(0.3056, 1.0), {"body": Fit(0.3007, 1.0)}, Answer.UNKNOWN, "body fits about as well: 0.3007 m"),
+        (Fit(0.30, 0.5), {"body": Fit(0.01, 90.0)}, Answer.UNKNOWN, "body fits about as well"),
+        (Fit(0.01, 0.5), {}, Answer.HOLDS, "no other is apart from it"),
+        (Fit(0.01, math.inf), {"body": Fit(0.30, math.inf)}, Answer.HOLDS, "body"),
+    ],
+)
+def test_what_is_declared_against_what_else_it_could_be(
+    own: Fit, others: dict[str, Fit], answer: Answer, words: str
+) -> None:
+    found = _compared("lidar: frame lidar", own, others)
+    assert found.answer is answer
+    assert words in found.text
+
+
+def test_a_drift_that_hides_what_a_shift_does_can_not_be_told() -> None:
+    found = _compared("lidar: stamp Header", Fit(5.0, 1.0), {"+0.05 s": Fit(1.0, 0.1)}, hidden=True)
+    assert found.answer is Answer.UNKNOWN
+    assert "the drift is too large to tell" in found.text
