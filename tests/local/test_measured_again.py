@@ -72,17 +72,16 @@ def test_what_is_taken_up_counts_as_one_attempt_with_its_frames(run_acts: Callab
 
 
 def test_a_home_may_move(run_acts: Callable, home: Home, workshop: Workshop, bench: Workbench) -> None:
-    run_acts(["good"])
-    run_acts(["good"], name="others")
+    jobs = [run_acts(["good"])[0], run_acts(["good"], name="others")[0]]
     bench.archive.close()
     moved = home.path.rename(home.path.with_name("elsewhere"))
     with Archive.open(Home.at(moved).archive_url) as archive:
         there = Workbench(Home.at(moved), workshop, archive)
         for place in [*workshop.algorithm_entries.values(), *workshop.dataset_places.values()]:
             object.__setattr__(place, "folder", moved / place.folder.relative_to(home.path))
-        for sweep in ("acts", "others"):
-            assert bring_up_to_date(there, sweep, ORIGIN) == []
-            assert [len(record.results) for record in archive.runs(sweep=sweep)] == [2]
+        for job in jobs:
+            assert bring_up_to_date(there, job.uid, ORIGIN) == []
+            assert [len(record.results) for record in archive.runs({"sweep_uid": job.uid})] == [2]
 
 
 def test_an_equal_run_whose_files_are_gone_serves_its_own_settings_alone(run_acts: Callable) -> None:

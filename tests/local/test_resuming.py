@@ -8,10 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slamhive.analysis import Selection, choose
 from slamhive.local import workbench
 from slamhive.local.attempt import Attempt
 from slamhive.model.dataset import GroundTruth
 from slamhive.model.results import Phase
+from slamhive.tables.reading import read_archive
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -138,7 +140,10 @@ def test_runs_of_a_changed_adapter_are_done_again_and_the_earlier_ones_stay(
     assert job.kept == 0
     (kept,) = [record for record in bench.archive.runs() if record.uid != job.run_uid(0)]
     assert kept.results == earlier.results
-    assert kept.sweep == f"acts@{earlier.provenance.content_hash[:8]}"
+    assert (kept.sweep, kept.sweep_uid) == (earlier.sweep, earlier.sweep_uid)
+    chosen = choose(read_archive(home.archive_url), Selection())
+    assert chosen.frame.column("uid").tolist() == [job.run_uid(0)]
+    assert chosen.notes == ("1 run of earlier versions left out (algorithm changed)",)
     assert (Path(kept.folder) / "run/output/trajectory.txt").is_file()
     assert Path(kept.trajectory.path).is_file()
     again, notes = run_acts(["good"])

@@ -100,9 +100,10 @@ class System:
         return [entry for entry in found if event in (None, entry["event"])]
 
     def records(self, sweep: str = "s") -> list[RunRecord]:
-        """Return the archived runs of a sweep."""
+        """Return the archived runs of a sweep's current version."""
         with Archive.open(self.home.archive_url) as archive:
-            return list(archive.runs(sweep=sweep))
+            found = archive.sweep(sweep)
+            return list(archive.runs({"sweep_uid": found.uid})) if found else []
 
     def alive(self) -> list[int]:
         """Return all living processes of this home: their environment names it."""

@@ -54,6 +54,9 @@ FACETS = (
 LOAD_FACETS = ("provenance.cpuModel", "usage.includesReader")
 """Columns that are never pooled where a figure of load is asked for."""
 
+MEMORY_FACETS = ("usage.memory.kind",)
+"""Columns that are never pooled where a figure of memory is asked for: what its bytes are."""
+
 OWNERS = {
     "alignment": "evaluation",
     "settings": "evaluation",
@@ -63,7 +66,8 @@ OWNERS = {
 """Facets that need not be told where they follow from another one."""
 
 LOAD = "usage."
-"""What the names of figures of load begin with."""
+MEMORY = "usage.memory."
+"""What the names of figures of load, and of memory, begin with."""
 
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
 """Columns that say nothing where a run shared its cores with other work or was throttled."""
@@ -329,7 +333,12 @@ def apart(frame: Frame, asked: Iterable[str], metrics: Iterable[str]) -> tuple[F
         metrics: what is asked of them.
     """
     given = list(dict.fromkeys(asked))
-    candidates = [*FACETS, *(LOAD_FACETS if any(name.startswith(LOAD) for name in metrics) else ())]
+    names = list(metrics)
+    candidates = [
+        *FACETS,
+        *(LOAD_FACETS if any(name.startswith(LOAD) for name in names) else ()),
+        *(MEMORY_FACETS if any(name.startswith(MEMORY) for name in names) else ()),
+    ]
     facets = [name for name in candidates if name not in given and _differ(frame, name)]
     filled = _filled(frame, given, facets)
     kept = []

@@ -13,6 +13,7 @@ from slamhive.archive import schema
 from slamhive.model.algorithm import AlgorithmSpec
 from slamhive.model.dataset import DatasetSpec
 from slamhive.model.evaluation import EvaluationSettings
+from slamhive.model.results import Usage
 from slamhive.model.sensors import SensorMode
 from slamhive.plan.hashes import algorithm_hash
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _BATCH = 1000
 _PREFIX = 16
+_CHANGED = ("sweep", "sweep_uid", "evaluations", "provenance", "usage")
 _COLUMNS = (
     ("sweeps", "namespace", "VARCHAR(253)"),
     ("sweeps", "cluster", "VARCHAR(253)"),
@@ -48,14 +50,12 @@ def _identities(connection: Connection) -> None:
     runs = schema.runs.c
     asked = select(
         *(runs.id, runs.uid, runs.sweep, runs.sensors, runs.dataset, runs.spec, runs.provenance),
-        *(runs.algorithm_hash, runs.dataset_hash),
+        *(runs.algorithm_hash, runs.dataset_hash, runs.usage),
     ).order_by(runs.id)
     change = (
         update(schema.runs)
         .where(runs.id == bindparam("of_run"))
-        .values(
-            {name: bindparam(f"to_{name}") for name in ("sweep", "sweep_uid", "evaluations", "provenance")}
-        )
+        .values({name: bindparam(f"to_{name}") for name in _CHANGED})
     )
     last = 0
     while rows := _some(connection, asked.where(runs.id > last).limit(_BATCH)):
@@ -72,6 +72,7 @@ def _identities(connection: Connection) -> None:
                     "to_sweep_uid": uid,
                     "to_evaluations": intended,
                     "to_provenance": known | row["provenance"],
+                    "to_usage": _usage(row["usage"]),
                 }
             )
         connection.execute(change, changes)
@@ -139,6 +140,14 @@ def _datasets(connection: Connection) -> dict[str, DatasetSpec]:
 
 def _catalog(connection: Connection, table: Any) -> Iterable[Mapping[str, Any]]:
     return _some(connection, select(table.c.content_hash, table.c.spec))
+
+
+def _usage(usage: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return what a run cost, with what its memory is: records of version 1 did not say."""
+    try:
+        return usage and Usage.model_validate(usage).as_json()
+    except ValidationError:
+        return usage
 
 
 def _some(connection: Connection, query: Select[Any]) -> list[dict[str, Any]]:

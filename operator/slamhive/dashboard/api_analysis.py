@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS
-from slamhive.analysis.grouping import FACETS, LOAD_FACETS, SUBJECT, aggregate, varies
+from slamhive.analysis.grouping import FACETS, LOAD_FACETS, MEMORY_FACETS, SUBJECT, aggregate, varies
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.dashboard.encoding import Body, plain
 from slamhive.dashboard.tables import (
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 KEPT_APART = tuple(name for name in (*FACETS, *LOAD_FACETS) if name not in {*SUBJECT, "settings"})
 """Columns whose mixture a chart must not pass over in silence."""
 
-_MEMORY, _KIND = ("usage.memory.peakBytes", "usage.memory.meanBytes"), "usage.memory.kind"
+_MEMORY, (_KIND,) = ("usage.memory.peakBytes", "usage.memory.meanBytes"), MEMORY_FACETS
 
 EXACT = 5000
 """Points up to which a chart gets every digit and the UIDs of the runs."""
