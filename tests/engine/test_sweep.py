@@ -57,6 +57,17 @@ def test_a_failed_point_that_is_pending_again_is_found_behind_the_cursor_of_othe
     assert decision.actions == (StartPoints((3,)),)
 
 
+@pytest.mark.parametrize("end", [GOOD, BAD])
+def test_a_point_that_comes_out_as_another_starts_after_its_end(end: PointState) -> None:
+    twins = {0: 1, 3: 1}
+    waiting = decide_sweep(spec(), seen([PENDING, PENDING, PENDING, PENDING], 4, twins=twins), 0)
+    assert waiting.actions == (StartPoints((1, 2)),)
+    still = decide_sweep(spec(), seen([PENDING, ACTIVE, GOOD, PENDING], 4, twins=twins, cursor=0), 0)
+    assert (still.verdict, still.actions) == (Verdict.RUNNING, ())
+    ended = decide_sweep(spec(), seen([PENDING, end, GOOD, PENDING], 4, twins=twins, cursor=still.cursor), 0)
+    assert ended.actions == (StartPoints((0, 3)),)
+
+
 @pytest.mark.parametrize(
     ("fields", "observed", "verdict"),
     [

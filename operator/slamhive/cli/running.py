@@ -158,6 +158,7 @@ def validate(files: Files) -> None:
             complain(f"{sweep.kind} {sweep.name}: {problem}")
         if not found:
             out.print(f"{sweep.kind} {escape(sweep.name)}: {plural(len(points), 'run')}")
+            _tell_of_idle(sweep, points)
     for item in objects:
         if not isinstance(item, Sweep | MappingRun):
             out.print(f"{item.kind} {escape(item.name)}: valid")
@@ -255,7 +256,14 @@ def _job(sweep: Sweep, workshop: Workshop) -> Job:
         reason = availability(workshop.algorithm(name))
         if reason:
             err.print(f"[yellow]{escape(name)} can't run here: {escape(reason)}[/]")
+    _tell_of_idle(sweep, points)
     return Job(sweep, local_uid(sweep), points)
+
+
+def _tell_of_idle(sweep: Sweep, points: Plan) -> None:
+    """Say which settings have no effect on some of the recordings."""
+    for sentence in points.remarks():
+        remark(f"{sweep.name}: {sentence}")
 
 
 def _report(job: Job, bench: Workbench) -> None:
@@ -292,6 +300,8 @@ def _print_json(points: Plan, count: int) -> None:
     for index in range(count):
         point = points.point(index)
         line = {"index": index, "name": point.name, "specHash": point.spec_hash, "spec": point.spec}
+        if point.asked:
+            line["asked"] = point.asked
         typer.echo(json.dumps(line, separators=(",", ":")))
 
 
@@ -309,5 +319,6 @@ def _print_points(sweep: Sweep, points: Plan, count: int) -> None:
         for point in first
     ]
     tables.show(out, headings, lines)
+    _tell_of_idle(sweep, points)
     if count < len(points):
         out.print(f"… and {plural(len(points) - count, 'more run')} (--head N, --json)")

@@ -32,6 +32,7 @@ from slamhive.model.base import seconds
 from slamhive.model.canonical import digest
 from slamhive.model.configuration import SensorView
 from slamhive.model.errors import InputError
+from slamhive.model.results import Prepared
 from slamhive.model.sensors import ROLE_TYPES, Role, SensorType
 
 if TYPE_CHECKING:
@@ -61,6 +62,9 @@ class Variant:
         frame_rate: Its rate after preparation, Hz; None for a single frame.
         resolution: Scale of images in each direction.
         frames: Its number of frames.
+        recorded_frame_rate: Rate of the fastest sensor that a frame rate thins, as recorded, Hz.
+        recorded_seconds: Time from the first frame to the last of the whole recording, s. Both are None of a
+            variant made before they were noted.
         key: Hash that identifies the variant; its folder's name.
         source_sha256: Hash of the recording that it was made from.
     """
@@ -75,6 +79,20 @@ class Variant:
     frames: int
     key: str
     source_sha256: str
+    recorded_frame_rate: float | None = None
+    recorded_seconds: float | None = None
+
+    @property
+    def told(self) -> Prepared:
+        """Return what is recorded of a run that was given the variant."""
+        return Prepared(
+            frame_rate=self.frame_rate,
+            resolution=self.resolution,
+            duration_seconds=self.duration_seconds,
+            frames=self.frames,
+            recorded_frame_rate=self.recorded_frame_rate,
+            recorded_seconds=self.recorded_seconds,
+        )
 
     @property
     def folder(self) -> Path:
@@ -293,6 +311,8 @@ def _describe(request: _Request, selection: Selection, aside: Path) -> None:
         "frameRate": rates[primary.sensor or ""],
         "resolution": wish.resolution,
         "frames": selection.frames(primary),
+        "recordedFrameRate": selection.recorded_rate,
+        "recordedSeconds": selection.recorded_seconds,
     }
     (aside / DESCRIPTION).write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
 
@@ -325,4 +345,6 @@ def _load(folder: Path, key: str, source: str) -> Variant:
         frames=known["frames"],
         key=key,
         source_sha256=source,
+        recorded_frame_rate=known.get("recordedFrameRate"),
+        recorded_seconds=known.get("recordedSeconds"),
     )

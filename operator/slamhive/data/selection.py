@@ -76,6 +76,19 @@ class Selection:
         return None if rate is None else round(rate, 3)
 
     @property
+    def recorded_rate(self) -> float | None:
+        """Return the rate of the fastest stream of frames before any was left out, Hz."""
+        leaders = [stream for stream in self.streams if stream.kind is Kind.FRAMES]
+        rates = [rate for stream in leaders if (rate := rate_of(self.scans[stream.topic].stamps))]
+        return round(max(rates), 3) if rates else None
+
+    @property
+    def recorded_seconds(self) -> float:
+        """Return the time from the first frame of the primary stream to its last, kept or not, s."""
+        stamps = self.scans[self.primary.topic].stamps
+        return int(stamps[-1] - stamps[0]) / 1e9
+
+    @property
     def size_bytes(self) -> int:
         """Size of all messages of the topics, kept or not."""
         return sum(scan.size_bytes for scan in self.scans.values())

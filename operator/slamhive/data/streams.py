@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.data.recordings import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, IMU, POINT_CLOUD, TF_TYPES
 from slamhive.model.errors import DataError, suggestion
-from slamhive.model.sensors import Role, SensorType
+from slamhive.model.sensors import FOLLOWS, Role, SensorType
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,7 +27,6 @@ MESSAGE_TYPES: dict[SensorType, tuple[str, ...]] = {
 """Messages that a sensor of each type may have."""
 
 STATIC_TRANSFORMS = "/tf_static"
-_FOLLOWS = {Role.RIGHT: Role.LEFT, Role.DEPTH: Role.COLOR}
 
 
 class Kind(Enum):
@@ -114,7 +113,7 @@ def streams_of(
             raise DataError(
                 f"sensors.{sensor.name}.topic: {sensor.topic} is the ground truth, which no algorithm may see"
             )
-        leader = sensors.get(_FOLLOWS.get(role, role)) if role in _FOLLOWS else None
+        leader = sensors.get(FOLLOWS.get(role, role)) if role in FOLLOWS else None
         kind = Kind.INERTIAL if role is Role.IMU else Kind.FRAMES if leader is None else Kind.PARTNER
         result.setdefault(
             sensor.topic,

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamhive.model.sensors import SAME_RATE
+
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     Stamps = npt.NDArray[np.int64]
     Mask = npt.NDArray[np.bool_]
 
-_SAME_RATE = 1.02
-"""A rate within 2 % of the recorded one keeps every frame: drivers are that far off."""
 _GAP = 3.0
 """Steps longer than this many typical ones are gaps and say nothing about the rate."""
 _EARLY = 0.3
@@ -58,7 +58,7 @@ def thin(stamps: Stamps, rate: float) -> Mask:
         Mask of the frames to keep, shape (n,); all of them when the stream isn't faster.
     """
     recorded = rate_of(stamps)
-    if recorded is None or recorded <= rate * _SAME_RATE:
+    if recorded is None or recorded <= rate * SAME_RATE:
         return np.ones(len(stamps), dtype=np.bool_)
     ratio = recorded / rate
     whole = round(ratio)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from slamhive.model.base import Choice, seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from slamhive.model.sweep import SweepSpec
 
@@ -53,6 +53,8 @@ class SweepObserved:
         started_at: when its first run was started, on the caller's clock.
         cpu_seconds: CPU time of its finished runs.
         cursor: position in ``order`` before which no point is pending; speeds up the search.
+        twins: points that come out as another one does, with that one's index: they start after its end, to
+            take its result.
     """
 
     states: Sequence[int]
@@ -61,6 +63,13 @@ class SweepObserved:
     started_at: float | None = None
     cpu_seconds: float = 0.0
     cursor: int = 0
+    twins: Mapping[int, int] = field(default_factory=dict)
+
+    def may_start(self, index: int) -> bool:
+        """Tell whether a point is pending and waits for no other."""
+        twin = self.twins.get(index)
+        free = twin is None or self.states[twin] >= PointState.SUCCEEDED
+        return free and self.states[index] == PointState.PENDING
 
 
 @dataclass(frozen=True)
@@ -134,7 +143,7 @@ def _next_points(seen: SweepObserved, room: int) -> tuple[int, tuple[int, ...]]:
     position = cursor
     while position < len(seen.order) and len(chosen) < room:
         index = seen.order[position]
-        if seen.states[index] == PointState.PENDING:
+        if seen.may_start(index):
             chosen.append(index)
         elif position == cursor and not chosen and seen.states[index] >= PointState.SUCCEEDED:
             cursor = position + 1

@@ -32,7 +32,7 @@ from slamhive.model.configuration import PreparedRecording
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.results import IntendedEvaluation, Phase, Provenance, Reason, Result, RunRecord
 from slamhive.model.sensors import SensorMode
-from slamhive.plan import run_configuration
+from slamhive.plan import recording_fields, run_configuration
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,6 +65,10 @@ class Point(Protocol):
     def spec_hash(self) -> str:
         """Return the hash of the spec."""
 
+    @property
+    def asked(self) -> dict[str, Any]:
+        """Return the input options that are asked for and have no effect."""
+
 
 @dataclass(frozen=True)
 class RunOrder:
@@ -78,6 +82,7 @@ class RunOrder:
         settings: how it is measured.
         reuse: whether an equal run's result may be taken.
         take_up: whether its own attempt may be taken up that ended while slamhive was not there to keep it.
+        twin: identity of the run of the same sweep that asks for the same and was done before, if any.
     """
 
     uid: str
@@ -88,6 +93,7 @@ class RunOrder:
     settings: EvaluationSettings
     reuse: bool
     take_up: bool
+    twin: str | None = None
 
 
 @dataclass
@@ -207,9 +213,17 @@ class RunDriver:
         hashed = progress.provenance.content_hash or ""
         if order.take_up and self._attempt.finished(order.uid, hashed):
             progress.attempt_state = AttemptState.ENDED
-        elif order.reuse:
-            twin = bench.archive.find_reusable(hashed)
+        else:
+            twin = self._equal(hashed)
             progress.twin = twin if twin and self._evaluator.can_serve(twin, order) else None
+
+    def _equal(self, content_hash: str) -> RunRecord | None:
+        """Return a finished run of the same content whose result may be taken."""
+        order, archive = self._order, self._bench.archive
+        twin = archive.get(order.twin) if order.twin else None
+        if twin and twin.phase is Phase.SUCCEEDED and twin.provenance.content_hash == content_hash:
+            return twin
+        return archive.find_reusable(content_hash) if order.reuse else None
 
     def _observe(self) -> RunObserved:
         progress = self._progress
@@ -317,7 +331,7 @@ class RunDriver:
             attempts=state.attempts,
             created=created,
             finished=datetime.now(UTC),
-            provenance=progress.provenance,
+            provenance=self._provenance(),
         )
         if progress.twin is not None and state.phase is Phase.SUCCEEDED:
             try:
@@ -349,6 +363,18 @@ class RunDriver:
         with suppress(SlamHiveError):
             dataset = self._bench.workshop.dataset(self._spec["datasetRef"]["name"]).dataset.spec
         return intended_evaluations(self._order.settings, SensorMode(self._spec["sensors"]), dataset)
+
+    def _provenance(self) -> Provenance:
+        """Return what made the result, with what the recording gave of what was asked of it."""
+        progress, spec = self._progress, self._spec
+        prepared = progress.variant.told if progress.variant else None
+        if progress.twin is not None:
+            prepared = progress.twin.provenance.prepared
+        mode = self._algorithm.algorithm.spec.mode(SensorMode(spec["sensors"]))
+        dataset = self._bench.workshop.dataset(spec["datasetRef"]["name"]).dataset
+        return progress.provenance.replace(
+            **recording_fields(spec["input"], self._order.point.asked, dataset, mode, prepared)
+        )
 
     @property
     def _evaluator(self) -> Evaluator:

@@ -22,7 +22,7 @@ from slamhive.monitor import sweep_stale_cgroups
 from slamhive.plan import whole_cores
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from slamhive.engine import SweepDecision
     from slamhive.local.run import Point
@@ -34,6 +34,10 @@ _LOOK_SECONDS = 0.25
 
 class Points(Protocol):
     """The runs of a sweep, made when they are asked for."""
+
+    @property
+    def twins(self) -> Mapping[int, int]:
+        """Return the runs that come out as an earlier one does, with its index."""
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -83,6 +87,11 @@ class Job:
     def run_uid(self, index: int) -> str:
         """Return the identity of a point's run."""
         return f"{self.uid[:16]}-{index}"
+
+    def twin(self, index: int) -> str | None:
+        """Return the identity of the run whose result a point's run takes, as it asks for the same."""
+        twin = self.points.twins.get(index)
+        return None if twin is None else self.run_uid(twin)
 
     def count(self, state: PointState) -> int:
         """Return how many points are in a state."""
@@ -233,6 +242,7 @@ class Runner:
             started_at=job.started_at,
             cpu_seconds=job.cpu_seconds,
             cursor=job.cursor,
+            twins=job.points.twins,
         )
         return decide_sweep(job.sweep.spec, seen, time.monotonic())
 
@@ -277,6 +287,7 @@ class Runner:
             settings=job.sweep.spec.evaluation,
             reuse=not self._rerun and job.sweep.spec.cache_policy is CachePolicy.REUSE,
             take_up=not self._rerun and index not in job.afresh,
+            twin=job.twin(index),
         )
         cpus = tuple(cpu for core in cores for cpu in core)
         driver = RunDriver(order, self._bench, cpus, lambda phase: self._watcher.phase(job, index, phase))

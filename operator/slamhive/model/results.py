@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ConfigDict, Field, model_validator
 
-from slamhive.model.base import Choice, Model
+from slamhive.model.base import Choice, Model, Scalar
 
 
 class Phase(Choice):
@@ -151,8 +151,35 @@ class TrajectoryInfo(Model):
     path: str
 
 
+class Prepared(Model):
+    """What a run was given of the recording, counted in the prepared recording itself.
+
+    Attributes:
+        frame_rate: of the sensor whose frames are counted, Hz.
+        resolution: scale of images in each direction.
+        duration_seconds: from its first frame to its last, s.
+        frames: their number.
+        recorded_frame_rate: of the fastest sensor that a frame rate thins, before it did so, Hz.
+        recorded_seconds: from the first frame to the last of the whole recording, s.
+    """
+
+    model_config = ConfigDict(extra="ignore")
+    frame_rate: float | None = None
+    resolution: float | None = None
+    duration_seconds: float | None = None
+    frames: int | None = None
+    recorded_frame_rate: float | None = None
+    recorded_seconds: float | None = None
+
+
 class Provenance(Model):
-    """What exactly produced a result."""
+    """What exactly produced a result.
+
+    Attributes:
+        asked: input options that were asked for and have no effect, such as ``frameRate: 30``.
+        effective: the values that took effect in their places; None where nothing did.
+        prepared: what the run was given of the recording.
+    """
 
     content_hash: str | None = None
     spec_hash: str | None = None
@@ -166,6 +193,9 @@ class Provenance(Model):
     cpu_model: str | None = None
     slamhive_version: str | None = None
     reused_from: str | None = None
+    asked: dict[str, Scalar] | None = None
+    effective: dict[str, Scalar] | None = None
+    prepared: Prepared | None = None
 
 
 class Result(Model):

@@ -59,6 +59,13 @@ STAND_INS: dict[Role, tuple[Role, ...]] = {
 """Sensors that may fill a role when a dataset has none of the role's own name, in this order."""
 
 
+FOLLOWS: dict[Role, Role] = {Role.RIGHT: Role.LEFT, Role.DEPTH: Role.COLOR}
+"""Roles whose frames are kept together with those of another."""
+
+SAME_RATE = 1.02
+"""A rate within 2 % of the recorded one is the recorded one: drivers are that far off."""
+
+
 class SensorType(Choice):
     """What kind of device a sensor is."""
 

@@ -3,18 +3,22 @@
 
 from slamhive.plan.catalog import Catalog, FixedCatalog
 from slamhive.plan.configuration import run_configuration, whole_cores
+from slamhive.plan.effects import Effect, option_problems, recording_fields
 from slamhive.plan.expansion import Plan, Point
 from slamhive.plan.hashes import algorithm_hash, content_hash, local_uid, run_name, spec_hash
 from slamhive.plan.resolution import resolve
 
 __all__ = [
     "Catalog",
+    "Effect",
     "FixedCatalog",
     "Plan",
     "Point",
     "algorithm_hash",
     "content_hash",
     "local_uid",
+    "option_problems",
+    "recording_fields",
     "resolve",
     "run_configuration",
     "run_name",

@@ -7,20 +7,51 @@ sentence names the axis, entry of include or template that it came from.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.errors import suggestion
-from slamhive.plan.paths import ALGORITHM, DATASET, PACE, PARAMETERS, REMAP, SENSORS, bounded, written
+from slamhive.plan.effects import start_problem
+from slamhive.plan.paths import ALGORITHM, DATASET, INPUT, PACE, PARAMETERS, REMAP, SENSORS, bounded, written
 from slamhive.plan.resolution import mode_of, pace_problem, parameter_problem, role_problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from slamhive.model.algorithm import Algorithm
+    from slamhive.plan.effects import Effect
     from slamhive.plan.expansion import Plan
     from slamhive.plan.paths import Path, Settings
 
 _LIDAR = (("input", "lidar", "minRange"), ("input", "lidar", "maxRange"))
+
+
+@dataclass
+class _Use:
+    """What comes of one value of an input option.
+
+    Attributes:
+        row: the first combination that asks for it.
+        works: whether it has an effect anywhere.
+        first: what it comes to where it has none.
+        values: the values that take effect in its place.
+        places: datasets and modes that it was asked of.
+    """
+
+    row: int
+    works: bool = False
+    first: Effect | None = None
+    values: set[object] = field(default_factory=set)
+    places: set[tuple[str, str]] = field(default_factory=set)
+
+    def add(self, effect: Effect | None, place: tuple[str, str]) -> None:
+        """Take in what it comes to in a combination; None if it has an effect."""
+        self.places.add(place)
+        if effect is None:
+            self.works = True
+            return
+        self.first = self.first or effect
+        self.values.add(effect.effective)
 
 
 class Checker:
@@ -33,16 +64,18 @@ class Checker:
         self._template = {
             path: value for path, value in plan.template.items() if path[:-1] in {PARAMETERS, REMAP}
         }
+        self._uses: dict[tuple[str, object], _Use] = {}
 
     def problems(self, limit: int) -> list[str]:
         """Return at most so many sentences, and how many more there are."""
         for row in range(len(self._plan.grid)):
             self._row(row)
+        self._without_effect()
         return bounded(list(self._found), limit)
 
     def _row(self, row: int) -> None:
         plan = self._plan
-        settings = plan.settings(row)
+        settings = plan.given(row)
         value = plan.assembler.value
         name, data = value(settings, ALGORITHM), value(settings, DATASET)
         mode, pace = value(settings, SENSORS), value(settings, PACE)
@@ -61,6 +94,7 @@ class Checker:
                 key = ("roles", name, chosen.name, data, *sorted(remap.items()))
                 self._once(key, row, SENSORS, lambda: role_problems(chosen, dataset, remap))
         self._lidar(row, settings)
+        self._input(row)
 
     def _reference(self, row: int, path: Path, kind: str, name: str | None, known: Mapping[str, Any]) -> None:
         if name is None:
@@ -95,6 +129,28 @@ class Checker:
                 _LIDAR[0],
                 lambda: [f"input.lidar: minRange {low:g} must be below maxRange {high:g}"],
             )
+
+    def _input(self, row: int) -> None:
+        """Note which input options of a combination have an effect."""
+        reading = self._plan.reading(row)
+        if reading is None:
+            return
+        problem = start_problem(reading.options, reading.seen)
+        self._once(("start", problem), row, (INPUT, "start"), lambda: [problem] if problem else [])
+        idle = {effect.option: effect for effect in reading.idle}
+        for option, asked in reading.options.items():
+            use = self._uses.setdefault((option, asked), _Use(row))
+            use.add(idle.get(option), (reading.seen.dataset, reading.seen.mode))
+
+    def _without_effect(self) -> None:
+        """Refuse what is asked in vain, wherever it is asked.
+
+        Where it leads to another value on each recording, it means all of each, and is no mistake.
+        """
+        for use in self._uses.values():
+            if use.first is not None and not use.works and len(use.values) == 1:
+                more = "; nor has it an effect elsewhere in the sweep" if len(use.places) > 1 else ""
+                self._found.setdefault(f"{self._origin(use.row, use.first.path)}: {use.first.sentence}{more}")
 
     def _once(self, key: object, row: int, path: Path, look: Callable[[], Iterable[str]]) -> None:
         if key in self._seen:

@@ -16,15 +16,19 @@ from slamhive.model.sweep import MAX_POINTS
 from slamhive.plan.assembly import Assembler
 from slamhive.plan.axes import compile_axes
 from slamhive.plan.checks import Checker
+from slamhive.plan.effects import Reading, recorded
 from slamhive.plan.grid import Coordinates, Grid
 from slamhive.plan.hashes import local_uid, run_name
-from slamhive.plan.paths import ALGORITHM, DATASET, PACE, SEED, Settings, bounded, flatten
+from slamhive.plan.paths import ALGORITHM, DATASET, INPUT, PACE, REMAP, SEED, Settings, bounded, flatten
+from slamhive.plan.resolution import mode_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from slamhive.model.sweep import Sweep
     from slamhive.plan.catalog import Catalog
+    from slamhive.plan.effects import Effect, Options
+    from slamhive.plan.paths import Path
 
 _LARGEST_SEED = 2**31 - 1
 
@@ -47,8 +51,13 @@ class Point:
 
     @cached_property
     def settings(self) -> Settings:
-        """Return the fields that axes and include set, by path."""
+        """Return the fields that axes and include set, by path, as they take effect."""
         return self._plan.settings(self.row)
+
+    @property
+    def asked(self) -> Options:
+        """Return the input options that are asked for and have no effect; the spec has what takes effect."""
+        return {effect.option: effect.asked for effect in self._plan.effects(self.row)}
 
     @cached_property
     def coordinates(self) -> Coordinates:
@@ -110,6 +119,7 @@ class Plan:
             raise InputError("\n".join(bounded(problems)))
         self.grid = Grid(dimensions, self.template, sweep.spec.include, sweep.spec.exclude)
         self.assembler = Assembler(self.template, self.algorithms)
+        self._readings: dict[object, Reading | None] = {}
         self._bounded()
 
     def _bounded(self) -> None:
@@ -149,12 +159,98 @@ class Plan:
             raise IndexError(f"point {index} of {len(self)}")
         return Point(self, index)
 
-    def settings(self, row: int) -> Settings:
-        """Return the fields that axes and include set in a combination, by path."""
+    def given(self, row: int) -> Settings:
+        """Return the fields that axes and include set in a combination, by path, as they are asked for."""
         result: Settings = {}
         for axis, step in zip(self.grid.dimensions, self.grid.steps(row) or (), strict=False):
             result |= axis.settings[step]
         return result | self.grid.addition(row).settings
+
+    def settings(self, row: int) -> Settings:
+        """Return the fields of a combination as they take effect on the recording that it reads."""
+        given = self.given(row)
+        reading = self._reading(given)
+        return given | {effect.path: effect.effective for effect in reading.idle} if reading else given
+
+    def effects(self, row: int) -> tuple[Effect, ...]:
+        """Return the input options of a combination that change nothing of its recording."""
+        reading = self._reading(self.given(row))
+        return reading.idle if reading else ()
+
+    def reading(self, row: int) -> Reading | None:
+        """Return what a combination asks of its recording; None where nothing is asked or known."""
+        return self._reading(self.given(row))
+
+    def _reading(self, given: Settings) -> Reading | None:
+        if not self._inputs:
+            return None
+        value = self.assembler.value
+        name, data, mode = (
+            value(given, ALGORITHM) or "",
+            value(given, DATASET) or "",
+            self.assembler.mode(given),
+        )
+        values = tuple(value(given, path) for path in self._inputs)
+        key = (name, data, mode, values)
+        if key not in self._readings:
+            options = {
+                ".".join(path[1:]): item
+                for path, item in zip(self._inputs, values, strict=True)
+                if item is not None
+            }
+            self._readings[key] = self._read(options, name, data, mode)
+        return self._readings[key]
+
+    def _read(self, options: Options, name: str, data: str, mode: str | None) -> Reading | None:
+        algorithm, dataset = self.algorithms.get(name), self.datasets.get(data)
+        chosen, _ = mode_of(algorithm, mode)
+        if algorithm is None or dataset is None or chosen is None:
+            return None
+        options.setdefault("pace", str(algorithm.spec.paces[0]))
+        return Reading(options, recorded(dataset, chosen, options))
+
+    @cached_property
+    def _inputs(self) -> list[Path]:
+        """Return the input options that the Sweep sets; none where none of them could be without effect."""
+        sets = [axis.paths for axis in self.grid.dimensions]
+        sets += [frozenset(item.settings) for item in self.grid.additions]
+        found = frozenset(self.template).union(*sets)
+        inputs = sorted(path for path in found if path[0] == INPUT)
+        return inputs if any(path != PACE and path[:-1] != REMAP for path in inputs) else []
+
+    @cached_property
+    def twins(self) -> dict[int, int]:
+        """Return the runs that come out as an earlier one does, since what they ask for has no effect.
+
+        Index to index of the first of the same spec.
+        """
+        rows = range(len(self.grid))
+        if not self._inputs or not any(self.effects(row) for row in rows):
+            return {}
+        first: dict[str, int] = {}
+        same: dict[int, int] = {}
+        for row in rows:
+            original = first.setdefault(self.assembler.spec_hash(self.settings(row), 0), row)
+            if original != row:
+                same[row] = original
+        return {
+            row * self.repetitions + repetition: original * self.repetitions + repetition
+            for row, original in same.items()
+            for repetition in range(self.repetitions)
+        }
+
+    def remarks(self, limit: int = 20) -> list[str]:
+        """Return what runs ask for without effect, and how many are done once for several.
+
+        Args:
+            limit: the most sentences about options; one more tells how many were left out.
+        """
+        idle = (effect for row in range(len(self.grid)) for effect in self.effects(row))
+        told = bounded(list(dict.fromkeys(f"{effect.sentence}; {_taken(effect)}" for effect in idle)), limit)
+        count, total = len(self.twins), len(self)
+        if count:
+            told.append(f"{count} of {total} runs ask for what others have: run once")
+        return told
 
     def coordinates(self, row: int) -> Coordinates:
         """Return the value on each axis of a combination by label, then what include added."""
@@ -192,7 +288,7 @@ class Plan:
             variants = datasets.setdefault(self.assembler.value(settings, DATASET), {})
             modes = variants.setdefault(variant, {})
             modes.setdefault(self.assembler.mode(settings), []).append(row)
-        return [
+        order = [
             row * self.repetitions + repetition
             for variants in datasets.values()
             for modes in variants.values()
@@ -200,6 +296,7 @@ class Plan:
             for repetition in range(self.repetitions)
             for row in rows
         ]
+        return sorted(order, key=self.twins.__contains__)  # stable: those that wait for others come last
 
     def check(self, limit: int = 20) -> list[str]:
         """Return what in the plan the catalog doesn't allow: one sentence each, naming the field.
@@ -210,3 +307,7 @@ class Plan:
             limit: the most sentences; one more tells how many were left out.
         """
         return Checker(self).problems(limit)
+
+
+def _taken(effect: Effect) -> str:
+    return "left out" if effect.effective is None else f"runs as {effect.effective}"

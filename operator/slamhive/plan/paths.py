@@ -32,11 +32,12 @@ Settings = dict[Path, Any]
 ALGORITHM: Path = ("algorithmRef", "name")
 DATASET: Path = ("datasetRef", "name")
 SENSORS: Path = ("sensors",)
-PACE: Path = ("input", "pace")
+INPUT = "input"
+PACE: Path = (INPUT, "pace")
 REPETITION: Path = ("repetition",)
 SEED: Path = ("seed",)
 PARAMETERS: Path = ("parameters",)
-REMAP: Path = ("input", "remap")
+REMAP: Path = (INPUT, "remap")
 
 _ALIASES = {"algorithm": ALGORITHM, "dataset": DATASET}
 _MAPS = (PARAMETERS, REMAP)

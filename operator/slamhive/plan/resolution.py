@@ -137,7 +137,7 @@ def mode_of(algorithm: Algorithm | None, name: str | None) -> tuple[Mode | None,
 
 def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Iterator[str]:
     """Yield the roles of a mode that a dataset has no sensor for."""
-    sensors = _sensors(dataset)
+    sensors = sensors_of(dataset)
     if not sensors:
         return
     for role in mode.needs:
@@ -160,7 +160,8 @@ def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Ite
             )
 
 
-def _sensors(dataset: Dataset) -> dict[str, SensorType]:
+def sensors_of(dataset: Dataset) -> dict[str, SensorType]:
+    """Return the kinds of a dataset's sensors by name; none where its generator isn't known."""
     if dataset.spec.sensors:
         return {name: sensor.type for name, sensor in dataset.spec.sensors.items()}
     synthetic = dataset.spec.recording.synthetic
