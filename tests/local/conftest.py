@@ -72,14 +72,23 @@ def sweep_of(acts: Sequence[str], name: str = "acts", **fields: object) -> Sweep
 
 
 @pytest.fixture
-def run_acts(bench: Workbench) -> Callable[..., tuple[Job, Notes]]:
-    """Runs a sweep over acts, and returns the job and what was told of it."""
+def run_sweep(bench: Workbench) -> Callable[..., tuple[Job, Notes]]:
+    """Runs a sweep, and returns the job and what was told of it."""
 
-    def run(acts: Sequence[str], *, rerun: bool = False, **fields: object) -> tuple[Job, Notes]:
-        sweep = sweep_of(acts, **fields)  # type: ignore[arg-type]
+    def run(sweep: Sweep, *, rerun: bool = False) -> tuple[Job, Notes]:
         job = Job(sweep, local_uid(sweep), Plan(sweep, bench.workshop))
         notes = Notes()
         Runner(bench, notes, parallelism=2, rerun=rerun).run([job])
         return job, notes
+
+    return run
+
+
+@pytest.fixture
+def run_acts(run_sweep: Callable[..., tuple[Job, Notes]]) -> Callable[..., tuple[Job, Notes]]:
+    """Runs a sweep over acts, and returns the job and what was told of it."""
+
+    def run(acts: Sequence[str], *, rerun: bool = False, **fields: object) -> tuple[Job, Notes]:
+        return run_sweep(sweep_of(acts, **fields), rerun=rerun)  # type: ignore[arg-type]
 
     return run

@@ -150,6 +150,8 @@ def _describe(
         "frameRate": variant.frame_rate,
         "resolution": variant.resolution,
         "frames": variant.frames,
+        "recordedFrameRate": variant.recorded_frame_rate,
+        "recordedSeconds": variant.recorded_seconds,
         "key": variant.key,
         "sourceSha256": variant.source_sha256,
         "datasetSha256": dataset_sha256(entry, hashes),

@@ -219,18 +219,22 @@ class Plan:
         return inputs if any(path != PACE and path[:-1] != REMAP for path in inputs) else []
 
     @cached_property
+    def _idle(self) -> dict[int, tuple[Effect, ...]]:
+        """Return the combinations that ask for something without effect, and what that is."""
+        if not self._inputs:
+            return {}
+        return {row: found for row in range(len(self.grid)) if (found := self.effects(row))}
+
+    @cached_property
     def twins(self) -> dict[int, int]:
         """Return the runs that come out as an earlier one does, since what they ask for has no effect.
 
-        Index to index of the first of the same spec.
+        Index to index of the first that has the same spec.
         """
-        rows = range(len(self.grid))
-        if not self._inputs or not any(self.effects(row) for row in rows):
-            return {}
-        first: dict[str, int] = {}
+        first: dict[object, int] = {}
         same: dict[int, int] = {}
-        for row in rows:
-            original = first.setdefault(self.assembler.spec_hash(self.settings(row), 0), row)
+        for row in range(len(self.grid)) if self._idle else ():
+            original = first.setdefault(self._sameness(row), row)
             if original != row:
                 same[row] = original
         return {
@@ -239,13 +243,20 @@ class Plan:
             for repetition in range(self.repetitions)
         }
 
+    def _sameness(self, row: int) -> object:
+        """Return what is equal for combinations of the same spec; hashing specs takes many times as long."""
+        settings = self.settings(row)
+        fields = {path: item for path, item in settings.items() if path[0] != INPUT}
+        fields |= {path: self.assembler.value(settings, path) for path in self._inputs}
+        return frozenset((path, type(item), item) for path, item in fields.items())
+
     def remarks(self, limit: int = 20) -> list[str]:
         """Return what runs ask for without effect, and how many are done once for several.
 
         Args:
             limit: the most sentences about options; one more tells how many were left out.
         """
-        idle = (effect for row in range(len(self.grid)) for effect in self.effects(row))
+        idle = (effect for found in self._idle.values() for effect in found)
         told = bounded(list(dict.fromkeys(f"{effect.sentence}; {_taken(effect)}" for effect in idle)), limit)
         count, total = len(self.twins), len(self)
         if count:

@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive import __version__
 from slamhive.kube.reconciling.records import image_digest
+from slamhive.kube.reconciling.sweep_runs import asked_of
 from slamhive.kube.status import display, iso, result_field
-from slamhive.model.results import Provenance, TrajectoryInfo, Usage
+from slamhive.model.results import Prepared, Provenance, TrajectoryInfo, Usage
+from slamhive.model.sensors import SensorMode
+from slamhive.plan import recording_fields
 
 if TYPE_CHECKING:
     from slamhive.kube.observing import Attempted
+    from slamhive.kube.reconciling.run import RunFacts
     from slamhive.model.results import RunRecord
 
 
@@ -54,19 +58,21 @@ def attempt_fields(uid: str, attempted: Attempted, now: float) -> dict[str, Any]
 
 
 def provenance(
-    attempted: Attempted,
-    description: dict[str, Any] | None,
-    *,
-    spec_hash: str,
-    algorithm_hash: str,
-    content_hash: str | None,
+    attempted: Attempted, facts: RunFacts, *, algorithm_hash: str, content_hash: str | None
 ) -> dict[str, Any]:
-    """Return what exactly produced a result."""
-    known = description or {}
+    """Return what exactly produced a result.
+
+    Args:
+        attempted: what is seen of the attempt.
+        facts: the run.
+        algorithm_hash: hash of what its Algorithm says of its program.
+        content_hash: hash of all that the result depends on.
+    """
+    known = facts.variant.description or {}
     preparation = known.get("preparationVersion")
     return Provenance(
         content_hash=content_hash,
-        spec_hash=spec_hash,
+        spec_hash=facts.spec_hash,
         algorithm_hash=algorithm_hash,
         preparation=None if preparation is None else str(preparation),
         environment=image_digest(attempted.image_id) if attempted.image_id else None,
@@ -76,17 +82,27 @@ def provenance(
         node=attempted.node,
         cpu_model=attempted.report.cpu_model if attempted.report else None,
         slamhive_version=__version__,
+        **_recording(facts),
     ).as_json()
 
 
-def twin_fields(twin: RunRecord) -> dict[str, Any]:
+def _recording(facts: RunFacts) -> dict[str, Any]:
+    """Return what a run was given of its recording, and what was asked of it in vain."""
+    prepared = Prepared.model_validate(facts.variant.description) if facts.variant.description else None
+    mode = facts.algorithm.spec.mode(SensorMode(facts.spec["sensors"]))
+    return recording_fields(facts.spec["input"], asked_of(facts.body), facts.dataset, mode, prepared)
+
+
+def twin_fields(twin: RunRecord, facts: RunFacts) -> dict[str, Any]:
     """Return what a run takes over from an equal one."""
     record = twin.as_json()
     taken = {
         key: record.get(key) for key in ("usage", "frames", "metrics", "trajectory", "folder", "logTail")
     }
     results = [result_field(result) for result in twin.results]
-    origin = twin.provenance.replace(reused_from=twin.provenance.reused_from or twin.name)
+    origin = twin.provenance.replace(
+        reused_from=twin.provenance.reused_from or twin.name, **_recording(facts)
+    )
     return taken | {
         "results": results or None,
         "provenance": origin.as_json(),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.kinds import Key, Kind, Label
 from slamhive.kube.reconciling.records import image_digest, pinned_digest, record_of
+from slamhive.kube.reconciling.sweep_runs import SAME_AS
 from slamhive.model.results import Phase
 from slamhive.model.sweep import CachePolicy
 from slamhive.plan import content_hash
@@ -44,9 +45,11 @@ class Twins:
 
     async def find(self, op: Operator, facts: RunFacts) -> RunRecord | None:
         """Return an equal finished run, when this one may take its result."""
-        sweep = (facts.body["metadata"].get("labels") or {}).get(Label.SWEEP)
+        meta = facts.body["metadata"]
+        sweep = (meta.get("labels") or {}).get(Label.SWEEP)
         owner = op.store.get(Key(Kind.SWEEP, facts.key.namespace, sweep)) if sweep else None
-        if owner is None or owner["spec"].get("cachePolicy") == CachePolicy.RERUN:
+        done_in_sweep = SAME_AS in (meta.get("annotations") or {})
+        if owner is None or (owner["spec"].get("cachePolicy") == CachePolicy.RERUN and not done_in_sweep):
             return None
         hashed = self.content_hash(facts, self._image(op, facts))
         if hashed is None:

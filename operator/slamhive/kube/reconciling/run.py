@@ -33,7 +33,8 @@ from slamhive.kube.reconciling.variants import VariantSeen, Wanted
 from slamhive.kube.status import changes, condition, iso, merged, moment, phase_of, run_state, state_fields
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase, Reason
-from slamhive.plan import resolve, spec_hash
+from slamhive.model.sensors import SensorMode
+from slamhive.plan import option_problems, resolve, spec_hash
 
 if TYPE_CHECKING:
     from slamhive.engine import Decision
@@ -139,6 +140,8 @@ class RunReconciler:
         uid = run["metadata"]["uid"]
         if uid not in self._resolved:
             resolved = resolve({name: spec[name] for name in spec if name != "cancel"}, algorithm, dataset)
+            if not state.attempts:
+                _insist_on_effects(resolved, algorithm, dataset)
             self._resolved[uid] = (resolved, spec_hash(resolved), Wanted.by(resolved, algorithm, dataset))
         resolved, hashed, wanted = self._resolved[uid]
         created = moment(run["metadata"].get("creationTimestamp")) or 0.0
@@ -330,6 +333,8 @@ class RunReconciler:
             left, told = self._finished(op, facts, state, twin)
             fields |= left
             fresh += told
+        if state.phase.is_finished:
+            await self._note_image(op, facts)  # before those that wait for the run's end look for its twins
         await self._write(op, facts.body, fields, fresh)
         if state.phase.is_finished:
             await self._after(op, facts)
@@ -342,7 +347,7 @@ class RunReconciler:
         attempted, now = facts.attempted, op.clock()
         fresh = [condition("Complete", True, str(state.reason or state.phase), state.message or "")]
         if twin is not None and state.phase is Phase.SUCCEEDED:
-            return twin_fields(twin), [
+            return twin_fields(twin, facts), [
                 *fresh,
                 condition("Reused", True, "EqualRun", f"took {twin.name}'s result"),
             ]
@@ -353,8 +358,7 @@ class RunReconciler:
         fields = attempt_fields(facts.body["metadata"]["uid"], attempted, now)
         fields["provenance"] = provenance(
             attempted,
-            facts.variant.description,
-            spec_hash=facts.spec_hash,
+            facts,
             algorithm_hash=self._catalogue.algorithm_hash(facts.algorithm),
             content_hash=hashed,
         )
@@ -378,7 +382,6 @@ class RunReconciler:
                 await op.api.event(Kind.MAPPING_RUN, run, "Warning", status.get("reason") or "Failed", text)
             self._twins.learn(run)
             self._evaluations.consider(op, run)
-        await self._note_image(op, facts)
 
     @staticmethod
     async def _write(
@@ -407,6 +410,18 @@ class RunReconciler:
 def _is_lost(attempt: AttemptState, state: RunState) -> bool:
     """Tell whether the Job of an attempt that was running is not seen any more."""
     return attempt is AttemptState.NONE and state.phase is Phase.RUNNING and state.attempts > state.judged
+
+
+def _insist_on_effects(spec: dict[str, Any], algorithm: Algorithm, dataset: Dataset) -> None:
+    """Refuse what a recording can't give; a Sweep's runs hold what takes effect already.
+
+    Raises:
+        InputError: one sentence a line.
+    """
+    mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
+    problems = option_problems(spec["input"], dataset, mode)
+    if problems:
+        raise InputError("\n".join(f"spec.{problem}" for problem in problems))
 
 
 def _typed(run: dict[str, Any]) -> dict[str, Any]:

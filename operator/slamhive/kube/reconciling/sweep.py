@@ -200,6 +200,7 @@ class SweepReconciler:
             started_at=memory.started_at,
             cpu_seconds=seen.tally.cpu_seconds,
             cursor=memory.cursor,
+            twins=memory.plan.twins,
         )
         decision = decide_sweep(sweep.spec, observed, now)
         memory.cursor = decision.cursor
@@ -236,7 +237,9 @@ class SweepReconciler:
 
     @staticmethod
     async def _create(op: Operator, seen: _Picture, index: int, slot: int) -> str | None:
-        body = run_body(seen.body, seen.memory.plan.point(index), slot)
+        plan = seen.memory.plan
+        twin = plan.twins.get(index)
+        body = run_body(seen.body, plan.point(index), slot, None if twin is None else plan.point(twin).name)
         try:
             run = await op.create(Kind.MAPPING_RUN, body)
         except AlreadyExists:
@@ -390,7 +393,7 @@ def _standing(
     final = verdict.is_final
     phase = str(verdict) if settled or not final else "Evaluating"
     fresh = [
-        condition("Accepted", True, "Accepted"),
+        condition("Accepted", True, "Accepted", seen.memory.remarks),
         condition("Complete", final and settled, str(verdict) if final else "Running", decision.message),
         condition(
             "Suspended", verdict is Verdict.SUSPENDED, "Suspended" if seen.sweep.spec.suspend else "Active"

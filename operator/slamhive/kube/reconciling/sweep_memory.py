@@ -39,6 +39,7 @@ class SweepMemory:
         order: indices in the order in which they are to be started.
         states: state of each point, one a byte.
         selected: what each selector of its matrix chose.
+        remarks: which of its settings have no effect on some recordings, a sentence a line.
         cursor: position in ``order`` before which no point is pending.
         archived: figures over finished runs whose objects are gone.
         started_at: when its first run was started, s since 1970.
@@ -53,6 +54,7 @@ class SweepMemory:
     states: bytearray
     selected: list[dict[str, Any]]
     archived: Tally
+    remarks: str = ""
     started_at: float | None = None
     cursor: int = 0
     looked_at: float = 0.0
@@ -113,14 +115,14 @@ async def remember(
     """
     selected = choose(sweep, catalog, status)
 
-    def lay_out() -> tuple[Plan, list[int]]:
+    def lay_out() -> tuple[Plan, list[int], str]:
         plan = Plan(fixed(sweep, selected), catalog, strict=True)
         problems = [] if accepted else plan.check()
         if problems:
             raise InputError("\n".join(problems))
-        return plan, plan.start_order()
+        return plan, plan.start_order(), "\n".join(plan.remarks())
 
-    plan, order = await asyncio.to_thread(lay_out)
+    plan, order, remarks = await asyncio.to_thread(lay_out)
     states = decode(status.get("points"), len(plan))
     archived = Tally(best=list(status.get("best") or ()))
     if archive is not None:
@@ -131,6 +133,7 @@ async def remember(
         states=states,
         selected=selected,
         archived=archived,
+        remarks=remarks,
         started_at=moment(status.get("startTime")),
         points=status.get("points"),
     )

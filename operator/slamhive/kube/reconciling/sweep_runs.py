@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -19,16 +20,21 @@ if TYPE_CHECKING:
 
 FILES = "slamhive.io/files"
 """Annotation of runs whose files are not to be kept; the collector removes them."""
+ASKED = "slamhive.io/asked"
+"""Annotation of runs whose spec holds what took effect: the input options that were asked for, as JSON."""
+SAME_AS = "slamhive.io/same-as"
+"""Annotation of runs that ask for what another run of their Sweep has: its name, whose result they take."""
 OWN_PREFIX = "slamhive.io/"
 
 
-def run_body(sweep: dict[str, Any], point: Point, slot: int) -> dict[str, Any]:
+def run_body(sweep: dict[str, Any], point: Point, slot: int, twin: str | None = None) -> dict[str, Any]:
     """Return the MappingRun of a point.
 
     Args:
         sweep: the Sweep as the API holds it.
         point: the point.
         slot: number of its place among those in flight.
+        twin: name of the run that asks for the same and was done before, if any.
     """
     meta = sweep["metadata"]
     given = (sweep["spec"].get("template") or {}).get("metadata") or {}
@@ -42,6 +48,9 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int) -> dict[str, Any]:
         Label.ALGORITHM: spec["algorithmRef"]["name"],
         Label.DATASET: spec["datasetRef"]["name"],
     }
+    own = {} if kept else {FILES: "Delete"}
+    own |= {ASKED: json.dumps(point.asked)} if point.asked else {}
+    own |= {SAME_AS: twin} if twin else {}
     return {
         "apiVersion": Kind.MAPPING_RUN.api_version,
         "kind": str(Kind.MAPPING_RUN),
@@ -49,11 +58,21 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int) -> dict[str, Any]:
             "name": point.name,
             "namespace": meta["namespace"],
             "labels": _passed(given.get("labels")) | {str(key): value for key, value in labels.items()},
-            "annotations": _passed(given.get("annotations")) | ({} if kept else {FILES: "Delete"}),
+            "annotations": _passed(given.get("annotations")) | own,
             "ownerReferences": [reference(Kind.SWEEP, sweep, controller=True)],
         },
         "spec": spec,
     }
+
+
+def asked_of(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the input options that a run was asked for in the place of what its spec holds."""
+    text = (run["metadata"].get("annotations") or {}).get(ASKED)
+    try:
+        found = json.loads(text) if text else {}
+    except ValueError:  # someone else's words
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def point_of(run: Mapping[str, Any]) -> int | None:
