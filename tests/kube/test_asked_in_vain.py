@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a recording can't give: refused by the operator, told truly of runs of a Sweep, and run once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.engine import AttemptState, VariantState
+from slamhive.kube.kinds import Key, Kind, key_of
+from slamhive.kube.observing import Attempted
+from slamhive.kube.operator import Operator
+from slamhive.kube.reconciling.catalogue import Catalogue, parse
+from slamhive.kube.reconciling.finishing import provenance, twin_fields
+from slamhive.kube.reconciling.records import record_of
+from slamhive.kube.reconciling.reuse import Twins
+from slamhive.kube.reconciling.run import RunFacts, RunReconciler
+from slamhive.kube.reconciling.sweep import SweepReconciler
+from slamhive.kube.reconciling.variants import VariantSeen, Wanted
+from slamhive.kube.settings import Settings
+from slamhive.model.algorithm import Algorithm
+from slamhive.model.dataset import Dataset
+from slamhive.plan import resolve
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+NAMESPACE = "lab"
+SETTINGS = Settings.model_validate(
+    {
+        "namespaces": [NAMESPACE],
+        "image": "slamhive",
+        "volumes": {"results": {"claim": "r"}, "data": {"claim": "d"}},
+        "sweepWriteSeconds": 0.1,
+    }
+)
+
+
+def manifest(kind: str, name: str, **spec: Any) -> dict[str, Any]:
+    meta = {
+        "name": name,
+        "namespace": NAMESPACE,
+        "uid": f"uid-{name}",
+        "resourceVersion": "1",
+        "generation": 1,
+    }
+    head = {"apiVersion": "slamhive.io/v1alpha1", "kind": kind}
+    return head | {"metadata": meta, "spec": spec, "status": {}}
+
+
+def hall(name: str, rate: float) -> dict[str, Any]:
+    sensors = {"lidar": {"type": "Lidar", "topic": "/points", "rate": rate}}
+    return manifest("Dataset", name, recording={"files": [{"path": "a.bag"}]}, sensors=sensors)
+
+
+ALGORITHM = manifest("Algorithm", "icp", image="icp:1", modes=[{"name": "lidar"}], output={"frame": "lidar"})
+
+
+class Kept:
+    """An API that keeps what is written."""
+
+    def __init__(self) -> None:
+        self.objects: dict[Key, dict[str, Any]] = {}
+        self.count: Any = None
+        self.version = 1
+
+    async def get(self, key: Key) -> dict[str, Any]:
+        return self.objects[key]
+
+    async def create(self, kind: Kind, body: dict[str, Any], _namespace: str | None) -> dict[str, Any]:
+        self.version += 1
+        meta = body["metadata"] | {
+            "uid": f"uid-{body['metadata']['name']}",
+            "resourceVersion": str(self.version),
+        }
+        self.objects[key_of(kind, body)] = body | {"metadata": meta, "status": {}}
+        return self.objects[key_of(kind, body)]
+
+    async def patch(self, key: Key, body: dict[str, Any], *, subresource: str | None) -> dict[str, Any]:
+        self.version += 1
+        present = self.objects[key]
+        meta = present["metadata"] | {"resourceVersion": str(self.version)}
+        status = present["status"] | body.get("status", {})
+        self.objects[key] = present | {"metadata": meta, "status": status}
+        return self.objects[key]
+
+    async def event(self, *_: Any) -> None:
+        """Tell nobody."""
+
+
+class Clock:
+    """Time that passes by a second whenever it is asked for."""
+
+    def __init__(self) -> None:
+        self.now = 1.8e9
+
+    def __call__(self) -> float:
+        self.now += 1.0
+        return self.now
+
+
+@pytest.fixture
+def op() -> Operator:
+    made = Operator(Kept(), SETTINGS, {}, clock=Clock())  # type: ignore[arg-type]
+    for kind, body in (
+        (Kind.ALGORITHM, ALGORITHM),
+        (Kind.DATASET, hall("slow", 10)),
+        (Kind.DATASET, hall("fast", 20.02)),
+    ):
+        made.store.put(kind, body)
+    return made
+
+
+@pytest.fixture
+def apply(op: Operator) -> Callable[[Kind, dict[str, Any]], Key]:
+    def put(kind: Kind, body: dict[str, Any]) -> Key:
+        op.api.objects[key_of(kind, body)] = body  # type: ignore[attr-defined]
+        op.store.put(kind, body)
+        return key_of(kind, body)
+
+    return put
+
+
+def accepted(body: dict[str, Any]) -> tuple[str, str]:
+    [found] = [item for item in body["status"]["conditions"] if item["type"] == "Accepted"]
+    return found["status"], found["message"]
+
+
+def a_run(rate: float, dataset: str = "slow") -> dict[str, Any]:
+    names = {"algorithmRef": {"name": "icp"}, "datasetRef": {"name": dataset}}
+    return manifest("MappingRun", "one", **names, input={"frameRate": rate})
+
+
+async def test_a_run_that_asks_for_more_is_refused(op: Operator, apply: Callable[..., Key]) -> None:
+    catalogue = Catalogue()
+    key = apply(Kind.MAPPING_RUN, a_run(30))
+    await RunReconciler(catalogue, None, Twins(catalogue))(op, key)  # type: ignore[arg-type]
+    run = op.store.get(key)
+    assert run is not None
+    assert (run["status"]["phase"], run["status"]["reason"]) == ("Failed", "InvalidParameters")
+    assert accepted(run) == ("False", "spec.input.frameRate: 30 Hz is asked, slow's lidar has 10 Hz")
+
+
+def a_sweep(datasets: list[str], **more: Any) -> dict[str, Any]:
+    matrix = [
+        {"path": "dataset", "values": datasets},
+        {"path": "input.frameRate", "values": [10, 15]},
+    ]
+    return manifest(
+        "Sweep", "rates", template={"spec": {"algorithmRef": {"name": "icp"}}}, matrix=matrix, **more
+    )
+
+
+async def test_a_sweep_that_asks_in_vain_is_refused(op: Operator, apply: Callable[..., Key]) -> None:
+    key = apply(Kind.SWEEP, a_sweep(["slow"]))
+    await SweepReconciler(Catalogue())(op, key)
+    sweep = op.store.get(key)
+    assert sweep is not None
+    assert accepted(sweep) == (
+        "False",
+        "spec.matrix[1].values[1]: input.frameRate: 15 Hz is asked, slow's lidar has 10 Hz",
+    )
+    assert not op.store.of(Kind.MAPPING_RUN, NAMESPACE)
+
+
+def by_point(op: Operator) -> dict[int, dict[str, Any]]:
+    runs = op.store.of(Kind.MAPPING_RUN, NAMESPACE)
+    return {int(run["metadata"]["labels"]["slamhive.io/point"]): run for run in runs}
+
+
+async def test_a_sweep_over_several_recordings_runs_what_comes_out_equal_once(
+    op: Operator, apply: Callable[..., Key]
+) -> None:
+    reconcile = SweepReconciler(Catalogue())
+    key = apply(Kind.SWEEP, a_sweep(["slow", "fast"], parallelism=4))
+    await reconcile(op, key)
+    runs = by_point(op)
+    assert sorted(runs) == [0, 2, 3]
+    newer = runs[0]["metadata"] | {"resourceVersion": "90"}
+    apply(Kind.MAPPING_RUN, runs[0] | {"metadata": newer, "status": {"phase": "Succeeded"}})
+    await reconcile(op, key)
+    runs = by_point(op)
+    assert [runs[index]["spec"]["input"]["frameRate"] for index in range(4)] == [10, 10, 10, 15]
+    annotations = {index: run["metadata"]["annotations"] for index, run in runs.items()}
+    own = {"slamhive.io/asked": '{"frameRate": 15}', "slamhive.io/same-as": runs[0]["metadata"]["name"]}
+    assert annotations == {0: {}, 1: own, 2: {}, 3: {}}
+    sweep = op.store.get(key)
+    assert sweep is not None
+    standing, message = accepted(sweep)
+    assert standing == "True"
+    assert message.splitlines() == [
+        "input.frameRate: 15 Hz is asked, slow's lidar has 10 Hz; runs as 10",
+        "1 of 4 runs ask for what others have: run once",
+    ]
+
+
+def facts(run: dict[str, Any], description: dict[str, Any]) -> RunFacts:
+    algorithm, dataset = parse(Algorithm, ALGORITHM), parse(Dataset, hall("slow", 10))
+    spec = resolve(run["spec"], algorithm, dataset)
+    wanted = Wanted("v-1", algorithm, dataset, spec)
+    variant = VariantSeen(VariantState.READY, description)
+    body = {"key": Key(Kind.MAPPING_RUN, NAMESPACE, "one"), "body": run, "spec": spec, "spec_hash": "5" * 64}
+    seen = Attempted(state=AttemptState.ENDED)
+    return RunFacts(
+        **body, algorithm=algorithm, dataset=dataset, wanted=wanted, variant=variant, attempted=seen, job=None
+    )
+
+
+DESCRIPTION = {
+    "key": "k",
+    "datasetSha256": "d",
+    "frameRate": 10.01,
+    "durationSeconds": 9.9,
+    "resolution": 1.0,
+    "frames": 100,
+    "recordedFrameRate": 10.01,
+    "recordedSeconds": 9.9,
+}
+
+
+@pytest.mark.parametrize("reused", [False, True])
+def test_a_runs_record_tells_what_was_asked_and_what_it_was_given(*, reused: bool) -> None:
+    run = a_run(10)
+    run["spec"]["input"]["duration"] = "1m"
+    run["metadata"]["annotations"] = {"slamhive.io/asked": '{"frameRate": 30}'}
+    known = facts(run, DESCRIPTION)
+    told = provenance(known.attempted, known, "c" * 64)
+    if reused:
+        other = record_of(
+            a_run(10) | {"status": {"phase": "Succeeded", "provenance": told | {"asked": {"rate": 2}}}}
+        )
+        told = twin_fields(other, known)["provenance"]
+        assert told["reusedFrom"] == "one"
+    assert told["asked"] == {"frameRate": 30, "duration": "1m"}
+    assert told["effective"] == {"frameRate": 10, "duration": "9s900ms"}
+    assert told["prepared"] == {
+        "frameRate": 10.01,
+        "resolution": 1.0,
+        "durationSeconds": 9.9,
+        "frames": 100,
+        "recordedFrameRate": 10.01,
+        "recordedSeconds": 9.9,
+    }
