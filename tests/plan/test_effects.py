@@ -260,4 +260,6 @@ def test_of_a_run_that_was_never_prepared_only_what_is_asked_is_known(known: Fix
     mode = known.algorithms["odometry"].spec.mode(SensorMode.LIDAR)
     fields = recording_fields({"frameRate": 10}, {"frameRate": 30}, known.datasets["slow"], mode, None)
     assert fields == {"asked": {"frameRate": 30}, "effective": {"frameRate": 10}, "prepared": None}
+    left_out = recording_fields({}, {"rate": 2}, known.datasets["slow"], mode, None)
+    assert (left_out["asked"], left_out["effective"]) == ({"rate": 2}, None)
     assert recording_fields({}, {}, known.datasets["slow"], mode, None)["asked"] is None

@@ -45,6 +45,15 @@ TEXTS: dict[str, str] = {
     "Provenance.cpuModel": "Model of that machine's processor.",
     "Provenance.slamhiveVersion": "Version of SLAM Hive that measured it.",
     "Provenance.reusedFrom": "Run whose result was taken, as all that decides it is equal.",
+    "Provenance.asked": "Input options that were asked for and have no effect on the recording.",
+    "Provenance.effective": "What took effect in their places; absent where nothing did.",
+    "Provenance.prepared": "What it was given of the recording.",
+    "Prepared.frameRate": "Rate of the sensor whose frames are counted, in Hz.",
+    "Prepared.resolution": "Scale of images in each direction.",
+    "Prepared.durationSeconds": "Time from the first frame to the last, in s.",
+    "Prepared.frames": "Number of frames.",
+    "Prepared.recordedFrameRate": "Rate of the fastest sensor before any frame was left out, in Hz.",
+    "Prepared.recordedSeconds": "Time from the first frame of the whole recording to its last, in s.",
 }
 """Descriptions by model and field."""
 KUBERNETES: dict[str, str] = {

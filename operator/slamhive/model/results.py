@@ -152,16 +152,7 @@ class TrajectoryInfo(Model):
 
 
 class Prepared(Model):
-    """What a run was given of the recording, counted in the prepared recording itself.
-
-    Attributes:
-        frame_rate: of the sensor whose frames are counted, Hz.
-        resolution: scale of images in each direction.
-        duration_seconds: from its first frame to its last, s.
-        frames: their number.
-        recorded_frame_rate: of the fastest sensor that a frame rate thins, before it did so, Hz.
-        recorded_seconds: from the first frame to the last of the whole recording, s.
-    """
+    """What a run was given of its recording, counted in what was prepared of it."""
 
     model_config = ConfigDict(extra="ignore")
     frame_rate: float | None = None
@@ -173,13 +164,7 @@ class Prepared(Model):
 
 
 class Provenance(Model):
-    """What exactly produced a result.
-
-    Attributes:
-        asked: input options that were asked for and have no effect, such as ``frameRate: 30``.
-        effective: the values that took effect in their places; None where nothing did.
-        prepared: what the run was given of the recording.
-    """
+    """What exactly produced a result, and what was asked of the recording without effect."""
 
     content_hash: str | None = None
     spec_hash: str | None = None

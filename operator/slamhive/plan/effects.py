@@ -175,9 +175,9 @@ def recording_fields(
     """
     options = options_of(given)
     found = without_effect(options, recorded(dataset, mode, options, prepared))
-    effective = {option: options.get(option) for option in asked} | {
-        item.option: item.effective for item in found
-    }
+    effective = {option: options.get(option) for option in asked}
+    effective |= {item.option: item.effective for item in found}
+    effective = {option: value for option, value in effective.items() if value is not None}
     wanted = {item.option: item.asked for item in found} | dict(asked)
     return {"asked": wanted or None, "effective": effective or None, "prepared": prepared}
 
