@@ -176,7 +176,13 @@ def test_a_suggestion_from_a_generated_bag_is_nearly_its_dataset(camera_entries:
         assert np.allclose(guess.T_body_sensor, sensor.T_body_sensor)
         assert guess.camera.fx == pytest.approx(sensor.camera.fx)
     assert any("groundTruth" in sentence for sentence in found.missing)
-    assert inspect(DatasetEntry(dataset, tmp_path)).errors == []
+    report = inspect(DatasetEntry(dataset, tmp_path))
+    assert report.errors == []
+    length = dataset.spec.recording.duration_seconds
+    assert length == pytest.approx(report.duration_seconds, abs=0.001)
+    wrong = dataset.spec.recording.replace(duration_seconds=length + 5)
+    report = inspect(DatasetEntry(dataset.replace(spec=dataset.spec.replace(recording=wrong)), tmp_path))
+    assert any(f"recording.durationSeconds: states {length + 5:g} s" in text for text in report.warnings)
 
 
 def test_suggestions_from_real_bags(shared: Path) -> None:

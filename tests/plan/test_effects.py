@@ -50,6 +50,13 @@ spec:
     right: {type: Camera, topic: /right, rate: 15}
     color: {type: Camera, topic: /color}
     depth: {type: DepthCamera, topic: /depth, rate: 15}
+---
+apiVersion: slamhive.io/v1alpha1
+kind: Dataset
+metadata: {name: measured}
+spec:
+  recording: {files: [{path: some.bag}], durationSeconds: 145.6}
+  sensors: {lidar: {type: Lidar, topic: /points}}
 """
 
 
@@ -94,6 +101,7 @@ def study(known: FixedCatalog, sweep: Callable[..., Sweep]) -> Callable[..., Pla
             {"start": "5s", "duration": "12s"},
             "input.duration: 12s is asked, slow lasts 15 s, 10 s after input.start",
         ),
+        ("lidar", "measured", {"duration": "3m"}, "input.duration: 3m is asked, measured lasts 145.6 s"),
         ("lidar", "slow", {"start": "15s"}, "input.start: 15s is asked, slow lasts 15 s"),
         ("lidar", "slow", {"lidar": {"rings": 64}}, "input.lidar.rings: 64 is asked, slow's LiDAR has 16"),
         (

@@ -58,6 +58,9 @@ OF_RUN: Mapping[str, str] = {
 DOCUMENTS: tuple[tuple[str, str, str | None], ...] = (
     ("parameters", "spec", "parameters"),
     ("input", "spec", "input"),
+    ("input", "provenance", "effective"),
+    ("asked", "provenance", "asked"),
+    ("prepared", "provenance", "prepared"),
     ("resources", "spec", "resources"),
     ("dataset.attributes", "attributes", None),
     ("label", "labels", None),
@@ -67,7 +70,12 @@ DOCUMENTS: tuple[tuple[str, str, str | None], ...] = (
     ("trajectory", "trajectory", None),
     ("provenance", "provenance", None),
 )
-"""(prefix of the columns, JSON document of the archive, field of it): nested names are joined by dots."""
+"""(prefix of the columns, JSON document of the archive, field of it): nested names are joined by dots.
+
+Where two say the same, the later one holds: what took effect stands before what was asked.
+"""
+
+_TOLD_ELSEWHERE = {"provenance": frozenset({"effective", "asked", "prepared"})}
 
 TIMES = frozenset({"created", "started", "finished"})
 
@@ -120,7 +128,7 @@ def columns_of_runs(
     found: dict[str, Sequence[Any]] = {}
     for prefix, document, key in DOCUMENTS:
         held = runs[document]
-        spread(found, prefix, [item and item.get(key) for item in held] if key else held)
+        spread(found, prefix, [item and item.get(key) for item in held] if key else _rest(document, held))
     columns = {name: Column.of(values) for name, values in found.items()}
     for name, of_archive in OF_RUN.items():
         if of_archive in runs:
@@ -134,6 +142,14 @@ def columns_of_runs(
     have = np.array([places[run] for run in complete.runs], dtype=np.intp)
     without = np.setdiff1d(np.arange(len(runs["id"])), have)
     return _joined(columns, np.concatenate([have, without]), complete, left_out)
+
+
+def _rest(document: str, held: Sequence[Document | None]) -> Sequence[Document | None]:
+    """Return documents without the fields that have columns of their own."""
+    elsewhere = _TOLD_ELSEWHERE.get(document)
+    if elsewhere is None or not any(item and not elsewhere.isdisjoint(item) for item in held):
+        return held
+    return [item and {key: value for key, value in item.items() if key not in elsewhere} for item in held]
 
 
 def _with_intended(runs: Mapping[str, Sequence[Any]], results: Results) -> Results:

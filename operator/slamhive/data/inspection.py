@@ -157,13 +157,16 @@ def inspect(entry: DatasetEntry, cache: Path | None = None) -> DatasetReport:
     lasts = [sensor.last for sensor in sensors if sensor.last is not None]
     span = (min(firsts), max(lasts)) if firsts else None
     truth = _truth(entry, cache, span, errors)
+    stated, length = spec.recording.duration_seconds, span[1] - span[0] if span else None
+    if stated and length is not None and abs(stated - length) > max(_RATE_TOLERANCE * stated, 1.0):
+        warnings.append(f"recording.durationSeconds: states {stated:g} s, the messages last {length:.3f} s")
     if spec.ground_truth is None:
         warnings.append("groundTruth: none, so runs on this dataset can't be evaluated")
     return DatasetReport(
         name=entry.name,
         format=spec.recording.format,
         start=span[0] if span else None,
-        duration_seconds=span[1] - span[0] if span else None,
+        duration_seconds=length,
         sensors=sensors,
         ground_truth=truth,
         other_topics=others,

@@ -20,6 +20,8 @@ from slamhive.data.thinning import rate_of
 from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from slamhive.data.recordings import Scan
 
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("infra1", "infra2"), ("image_00", "image_01"))
@@ -107,7 +109,7 @@ class _Look:
         }
         spec: dict[str, Any] = {
             "description": "",
-            "recording": {"format": str(self.recording.format)},
+            "recording": {"format": str(self.recording.format)} | _length(scans.values()),
             "sensors": sensors,
         }
         truth = self._truth()
@@ -272,3 +274,10 @@ class _Look:
             f"groundTruth: none found, so runs can't be evaluated; name a file or a topic{also}"
         )
         return None
+
+
+def _length(scans: Iterable[Scan]) -> dict[str, float]:
+    """Return the time from the first message of any sensor to the last, as a field of the recording."""
+    stamps = np.concatenate([scan.stamps for scan in scans])
+    length = int(stamps.max() - stamps.min()) / 1e9
+    return {"durationSeconds": round(length, 3)} if length >= 0.001 else {}

@@ -37,6 +37,9 @@ class Recording(Model):
     format: RecordingFormat = Field(default=RecordingFormat.ROSBAG1, description="How it is stored.")
     files: list[DataFile] = Field(default_factory=list, description="Files, in the order of time.")
     synthetic: SyntheticRecording | None = Field(default=None, description="A generated recording.")
+    duration_seconds: float | None = Field(
+        default=None, gt=0, description="Length of the files, s: what no sensor's messages go beyond."
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

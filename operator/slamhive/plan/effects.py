@@ -47,7 +47,7 @@ class Recorded:
         source: whose frame rate it is, such as ``hall's lidar``.
         frame_rate: of the fastest sensor that a frame rate thins, Hz; None: not known.
         rings: of the LiDAR; None: not known.
-        seconds: from the first frame to the last; None: not known.
+        seconds: its length; None: not known.
     """
 
     dataset: str
@@ -125,8 +125,8 @@ def recorded(
     rates = {role: _rate(dataset, name) for role, name in sensors.items() if _leads(role, mode)}
     known = [rate for rate in rates.values() if rate is not None]
     rate = max(known) if known and len(known) == len(rates) else None
-    synthetic = dataset.spec.recording.synthetic
-    length = synthetic.total_seconds if synthetic else None
+    declared = dataset.spec.recording
+    length = declared.synthetic.total_seconds if declared.synthetic else declared.duration_seconds
     if prepared is not None:
         rate, length = prepared.recorded_frame_rate or rate, prepared.recorded_seconds or length
     fastest = max(rates, key=lambda role: rates[role] or 0.0, default=None)
