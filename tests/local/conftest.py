@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.archive import Archive
+from slamhive.engine import PointState
 from slamhive.local.catalog import Workshop
 from slamhive.local.runner import Job, Runner
 from slamhive.local.workbench import Workbench
@@ -43,10 +44,12 @@ class Notes:
 
     def __init__(self) -> None:
         self.phases: list[tuple[int, Phase]] = []
+        self.active: list[set[int]] = []
         self.records: list[RunRecord] = []
 
     def phase(self, job: Job, index: int, phase: Phase) -> None:
         self.phases.append((index, phase))
+        self.active.append({point for point, state in enumerate(job.states) if state == PointState.ACTIVE})
 
     def finished(self, job: Job, record: RunRecord) -> None:
         self.records.append(record)
@@ -75,10 +78,10 @@ def sweep_of(acts: Sequence[str], name: str = "acts", **fields: object) -> Sweep
 def run_sweep(bench: Workbench) -> Callable[..., tuple[Job, Notes]]:
     """Runs a sweep, and returns the job and what was told of it."""
 
-    def run(sweep: Sweep, *, rerun: bool = False) -> tuple[Job, Notes]:
+    def run(sweep: Sweep, *, rerun: bool = False, parallelism: int = 2) -> tuple[Job, Notes]:
         job = Job(sweep, local_uid(sweep), Plan(sweep, bench.workshop))
         notes = Notes()
-        Runner(bench, notes, parallelism=2, rerun=rerun).run([job])
+        Runner(bench, notes, parallelism=parallelism, rerun=rerun).run([job])
         return job, notes
 
     return run

@@ -83,6 +83,15 @@ def test_rates_over_two_recordings_are_told_as_they_took_effect(run: Callable[..
 
 
 @pytest.mark.usefixtures("brisk")
+def test_what_comes_out_equal_waits_although_there_is_room(run_sweep: Callable[..., Any]) -> None:
+    spec = {"template": {"spec": {"algorithmRef": {"name": "actor"}}}, "matrix": RATES}
+    sweep = Sweep.model_validate({"metadata": {"name": "rates"}, "spec": spec})
+    _, notes = run_sweep(sweep, parallelism=6)
+    assert {0, 3, 4, 5} in notes.active  # all that asks for something of its own
+    assert not any(0 in active and active & {1, 2} for active in notes.active)
+
+
+@pytest.mark.usefixtures("brisk")
 def test_the_archive_keeps_what_was_asked(run: Callable[..., Any], bench: Workbench) -> None:
     records = run(RATES[:1], {"input": {"frameRate": 30, "duration": "1m"}})
     stored = [bench.archive.get(record.uid) for record in records]
