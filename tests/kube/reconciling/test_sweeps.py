@@ -102,6 +102,27 @@ async def test_a_deleted_run_of_a_sweep_counts_as_cancelled(make_lab: Callable[.
         assert second["metadata"]["labels"][Label.SLOT] == "0"
 
 
+async def test_runs_that_come_out_equal_are_run_once_whatever_is_reused(lab: Lab) -> None:
+    slow = dataset("slow")
+    slow["spec"]["sensors"]["lidar"]["rate"] = 5
+    lab.apply(slow)
+    axes = [
+        {"path": "dataset", "values": ["slow", "hall"]},
+        {"path": "input.frameRate", "values": [5, 8]},
+    ]
+    async with lab.operator() as op:
+        lab.apply(sweep(matrix=axes, parallelism=4, cachePolicy="Rerun"))
+        status = await status_of(op, Kind.SWEEP, "study", is_complete)
+        runs = {int(run["metadata"]["labels"][Label.POINT]): run for run in runs_of(op)}
+    assert (status["succeeded"], status["reused"]) == (4, 1)
+    assert "1 of 4 runs ask for what others have" in condition_of(status, "Accepted")["message"]
+    assert [runs[index]["spec"]["input"]["frameRate"] for index in range(4)] == [5, 5, 5, 8]
+    known = runs[1]["status"]["provenance"]
+    assert known["reusedFrom"] == runs[0]["metadata"]["name"]
+    assert (known["asked"], known["effective"]) == ({"frameRate": 8}, {"frameRate": 5})
+    assert "asked" not in runs[0]["status"]["provenance"]
+
+
 async def test_what_the_catalog_does_not_allow_is_said_and_starts_nothing(lab: Lab) -> None:
     async with lab.operator() as op:
         lab.apply(sweep(matrix=[{"path": "parameters.size", "values": [1, -1, "x"]}]))
