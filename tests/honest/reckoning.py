@@ -1,0 +1,663 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The definition of every number: from the archive's raw rows, in plain Python, to be read from the top.
+
+Nothing of the project is used but the names of the archive's tables, so that no mistake of the project can be
+made here too. It is slow, and meant to be: each rule stands here as docs/results.md says it in words.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import select
+
+from slamhive.archive import schema
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from sqlalchemy import Engine
+
+    Row = dict[str, Any]
+
+INFRASTRUCTURE = {
+    *("NodeLost", "SystemFault", "ImagePullFailed", "AlgorithmUnavailable", "DatasetMissing"),
+    "PreparationFailed",
+}
+"""Reasons for which the machine is to blame."""
+
+OF_ITSELF = {
+    *("OutOfMemory", "DeadlineExceeded", "AlgorithmFailed", "OutputTooLarge", "NoTrajectory"),
+    "InvalidTrajectory",
+}
+"""Reasons for which the algorithm is to blame: such a run covered nothing, and is worse than any number."""
+
+FACETS = ("algorithm", "sensors", "dataset", "evaluation", "alignment", "settings", "input.pace")
+"""Columns that are never pooled."""
+
+FACETS_OF_LOAD = ("provenance.cpuModel", "usage.includesReader")
+"""Columns that are never pooled where a figure of load is shown."""
+
+FACETS_OF_VERSIONS = ("algorithm.version", "dataset.version")
+"""Columns that are never pooled where superseded runs are shown."""
+
+SETTINGS = ("parameters.", "input.", "dataset.attributes.", "resources.")
+"""What the names of settings begin with."""
+
+ERRORS = ("ate.", "rpe[", "relations.", "ateRotationDeg.")
+"""What the names of errors begin with."""
+
+DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
+"""Columns that say nothing where a run shared its cores with other work or was throttled."""
+
+ALGORITHM_CHANGED, DATASET_CHANGED, SWEEP_EDITED = "algorithm changed", "dataset changed", "sweep edited"
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of an archive.
+
+    Attributes:
+        sweeps: only runs of these, by name; none for all.
+        evaluation: only this one.
+        condition: (column, operator, value), the operator one of ``==``, ``!=``, ``<``, ``>=``, ``in``,
+            ``is null`` and ``is not null``.
+        superseded: whether superseded runs are meant too.
+        reused: whether rows of equal content are all meant.
+        outcomes: ``tracked`` or ``all``: which rows enter the figures.
+        metrics: columns of numbers.
+        by: columns to group by; None for algorithm, sensors, dataset and the settings that vary.
+        competitors: columns that tell competitors apart.
+    """
+
+    sweeps: tuple[str, ...] = ()
+    evaluation: str | None = None
+    condition: tuple[str, str, Any] | None = None
+    superseded: bool = False
+    reused: bool = False
+    outcomes: str = "tracked"
+    metrics: tuple[str, ...] = ("ate.rmse",)
+    by: tuple[str, ...] | None = None
+    competitors: tuple[str, ...] = ("algorithm", "sensors")
+
+
+# ---- Rows: one a run and evaluation
+
+
+def read(engine: Engine) -> dict[str, list[Row]]:
+    """Return the archive's rows as they are stored, by table."""
+    tables = (schema.sweeps, schema.runs, schema.results)
+    with engine.connect() as connection:
+        return {
+            table.name: [dict(row) for row in connection.execute(select(table)).mappings()]
+            for table in tables
+        }
+
+
+def all_rows(tables: dict[str, list[Row]]) -> list[Row]:
+    """Return one row a run and evaluation, in the order of storing."""
+    results = defaultdict(list)
+    for result in tables["results"]:
+        results[result["run_id"]].append(result)
+    reasons = superseded(tables)
+    rows = []
+    for run in sorted(tables["runs"], key=lambda run: run["id"]):
+        base = _of_run(run) | {"superseded": reasons.get(run["id"])}
+        measured = {result["evaluation"]: result for result in results[run["id"]]}
+        meant = {one["evaluation"]: one for one in run["evaluations"] or []}
+        for name in sorted(measured.keys() | meant.keys()) or [None]:
+            if name in measured:
+                row = base | _of_result(measured[name])
+            elif name in meant:
+                row = base | {
+                    "evaluation": name,
+                    "alignment": meant[name].get("alignment"),
+                    "settings": meant[name].get("settings"),
+                }
+            else:
+                row = dict(base)
+            rows.append(row | {"status": _status(row)})
+    return rows
+
+
+def _of_run(run: Row) -> Row:
+    spec, provenance = run["spec"], run["provenance"]
+    row = {
+        "id": run["id"],
+        "uid": run["uid"],
+        "name": run["name"],
+        "run": run["name"],
+        "sweep": run["sweep"],
+        "algorithm": run["algorithm"],
+        "dataset": run["dataset"],
+        "sensors": run["sensors"],
+        "repetition": run["repetition"],
+        "phase": run["phase"],
+        "reason": run["reason"],
+        "created": run["created"],
+        "algorithm.version": _version(provenance.get("algorithmHash"), provenance.get("environment")),
+        "dataset.version": _version(provenance.get("datasetSha256"), provenance.get("preparation")),
+    }
+    for name, document in (
+        ("parameters", spec.get("parameters")),
+        ("input", spec.get("input")),
+        ("resources", spec.get("resources")),
+        ("dataset.attributes", run["attributes"]),
+        ("usage", run["usage"]),
+        ("trajectory", run["trajectory"]),
+        ("provenance", provenance),
+    ):
+        row |= flat(name, document or {})
+    return row
+
+
+def _version(*parts: str | None) -> tuple[str | None, ...] | None:
+    return parts if any(part is not None for part in parts) else None
+
+
+def _of_result(result: Row) -> Row:
+    row: Row = {}
+    for name, value in result["values"].items():
+        row |= flat(name, value)
+    return row | {name: result[name] for name in ("evaluation", "outcome", "coverage")}
+
+
+def flat(name: str, value: Any) -> Row:
+    """Return a nested value under names joined by dots, records of a list numbered: ``rpe[0].rmse``."""
+    found: Row = {}
+    if isinstance(value, dict):
+        for key, item in value.items():
+            found |= flat(f"{name}.{key}", item)
+    elif isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
+        for number, item in enumerate(value):
+            found |= flat(f"{name}[{number}]", item)
+    else:
+        found[name] = value
+    return found
+
+
+def _status(row: Row) -> str:
+    if row.get("outcome"):
+        return str(row["outcome"])
+    if row["phase"] == "Succeeded":
+        return "NotEvaluated"
+    return str(row["reason"] or row["phase"])
+
+
+# ---- Superseded runs
+
+
+def superseded(tables: dict[str, list[Row]]) -> dict[int, str]:
+    """Return why runs are superseded, by their id; the others are not there."""
+    found = {}
+    for run in tables["runs"]:
+        for reason, changed in (
+            (ALGORITHM_CHANGED, _changed(tables, run, "algorithm", ("algorithmHash", "environment"))),
+            (DATASET_CHANGED, _changed(tables, run, "dataset", ("datasetSha256", "preparation"))),
+            (SWEEP_EDITED, _edited(tables, run)),
+        ):
+            if changed:
+                found[run["id"]] = reason
+                break
+    return found
+
+
+def _changed(tables: dict[str, list[Row]], run: Row, kind: str, keys: Sequence[str]) -> bool:
+    """Tell whether the latest run of an algorithm or dataset in a place has another value of a key."""
+    for key in keys:
+        mine = run["provenance"].get(key)
+        if mine is None or run[kind] is None:
+            continue
+        like = [
+            other
+            for other in tables["runs"]
+            if _place(other) == _place(run)
+            and other[kind] == run[kind]
+            and other["provenance"].get(key) is not None
+        ]
+        if max(like, key=lateness)["provenance"][key] != mine:
+            return True
+    return False
+
+
+def _edited(tables: dict[str, list[Row]], run: Row) -> bool:
+    """Tell whether a later version of a run's sweep was asked for."""
+    mine = next((one for one in tables["sweeps"] if one["uid"] == run["sweep_uid"]), None)
+    if mine is None:
+        return False
+    versions = [
+        one for one in tables["sweeps"] if one["name"] == mine["name"] and _place(one) == _place(mine)
+    ]
+    return max(versions, key=lambda one: (_time(one["created"]), one["uid"])) is not mine
+
+
+def _place(row: Row) -> tuple[str | None, str | None]:
+    return row["cluster"], row["namespace"]
+
+
+def lateness(run: Row) -> tuple[float, int]:
+    """Return what orders runs from the first to the latest."""
+    return _time(run["created"]), run["id"]
+
+
+def _time(value: Any) -> float:
+    return -math.inf if value is None else float(value.timestamp())
+
+
+# ---- What is chosen
+
+
+@dataclass
+class Chosen:
+    """Rows that a question means.
+
+    Attributes:
+        rows: in the order of storing.
+        superseded: ids of runs left out because they are superseded.
+        reused: ids of runs rows of which were left out because their equals stand for them.
+    """
+
+    rows: list[Row]
+    superseded: set[int] = field(default_factory=set)
+    reused: set[int] = field(default_factory=set)
+
+
+def choose(rows: Iterable[Row], question: Question) -> Chosen:
+    """Return the rows that a question means, and what was left out."""
+    kept = list(rows)
+    if question.sweeps:
+        kept = [row for row in kept if row["sweep"] in question.sweeps]
+    if question.evaluation is not None:
+        kept = [row for row in kept if row.get("evaluation") in (question.evaluation, None)]
+    chosen = Chosen([])
+    if not question.superseded:
+        chosen.superseded = {row["id"] for row in kept if row["superseded"]}
+        kept = [row for row in kept if not row["superseded"]]
+    if question.condition is not None:
+        kept = [row for row in kept if meets(row, question.condition)]
+    if not question.reused:
+        once = _once(kept)
+        chosen.reused = {row["id"] for row in kept} - {row["id"] for row in once}
+        kept = once
+    chosen.rows = kept
+    return chosen
+
+
+def meets(row: Row, condition: tuple[str, str, Any]) -> bool:
+    """Tell whether a row meets a condition; of orders and ``==`` a missing value meets none."""
+    column, operator, wanted = condition
+    value = row.get(column)
+    tests: dict[str, Callable[[], bool]] = {
+        "is null": lambda: value is None,
+        "is not null": lambda: value is not None,
+        "==": lambda: value is not None and value == wanted,
+        "!=": lambda: value is not None and value != wanted,
+        "<": lambda: value is not None and value < wanted,
+        ">=": lambda: value is not None and value >= wanted,
+        "in": lambda: value in wanted,
+    }
+    return tests[operator]()
+
+
+def _once(rows: Sequence[Row]) -> list[Row]:
+    """Return rows without those of equal content in the same evaluation as another one that stays."""
+
+    def worth(row: Row) -> tuple[Any, ...]:
+        blameless = row["reason"] not in INFRASTRUCTURE and row["phase"] != "Cancelled"
+        return row.get("provenance.reusedFrom") is None, blameless, *lateness(row)
+
+    stays: dict[tuple[Any, Any], Row] = {}
+    for row in rows:
+        content = row.get("provenance.contentHash")
+        if content is not None:
+            key = content, row.get("evaluation")
+            stays[key] = max(stays.get(key, row), row, key=worth)
+    return [
+        row
+        for row in rows
+        if row.get("provenance.contentHash") is None
+        or stays[row["provenance.contentHash"], row.get("evaluation")] is row
+    ]
+
+
+# ---- Groups
+
+
+def varying(rows: Sequence[Row]) -> list[str]:
+    """Return the settings that differ between rows of one algorithm, sensor mode and dataset.
+
+    A setting that only some of them have differs from those that lack it.
+    """
+    subjects = defaultdict(list)
+    for row in rows:
+        subjects[row["algorithm"], row["sensors"], row["dataset"]].append(row)
+    names = {name for row in rows for name in row if name.startswith(SETTINGS) and row[name] is not None}
+    return sorted(
+        name
+        for name in names - set(FACETS)
+        if any(len({_hashable(row.get(name)) for row in inside}) > 1 for inside in subjects.values())
+    )
+
+
+def facets_of(rows: Sequence[Row], asked: Sequence[str], question: Question) -> list[str]:
+    """Return the columns that tell rows apart though nobody asked for them."""
+    names = [*FACETS]
+    if any(metric.startswith("usage.") for metric in question.metrics):
+        names += FACETS_OF_LOAD
+    if question.superseded:
+        names += FACETS_OF_VERSIONS
+    found = []
+    for name in names:
+        values = {_hashable(row.get(name)) for row in rows}
+        if name != "evaluation":
+            values -= {None}
+        if len(values) > 1 and name not in asked:
+            found.append(name)
+    return found
+
+
+def filled(rows: Sequence[Row], asked: Sequence[str], facets: Sequence[str]) -> list[Row]:
+    """Return rows with the facets that they lack, where only one value can be meant."""
+    exact = [*asked, "evaluation"]
+    found = []
+    for row in rows:
+        given = {}
+        for facet in facets:
+            if facet == "evaluation" or row.get(facet) is not None:
+                continue
+            others = [name for name in facets if name not in {*exact, facet}]
+            values = {
+                _hashable(other[facet])
+                for other in rows
+                if other.get(facet) is not None
+                and all(other.get(name) == row.get(name) for name in exact)
+                and all(_agree(other.get(name), row.get(name)) for name in others)
+            }
+            if len(values) == 1:
+                (given[facet],) = values
+        found.append(row | given)
+    return found
+
+
+def _agree(one: Any, other: Any) -> bool:
+    return one is None or other is None or one == other
+
+
+def split(rows: Iterable[Row], names: Sequence[str]) -> dict[tuple[Any, ...], list[Row]]:
+    """Return rows by their values of some columns."""
+    found = defaultdict(list)
+    for row in rows:
+        found[tuple(_hashable(row.get(name)) for name in names)].append(row)
+    return dict(found)
+
+
+def _hashable(value: Any) -> Any:
+    return repr(value) if isinstance(value, list | dict) else value
+
+
+# ---- Figures of a group
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Some numbers in short.
+
+    Attributes:
+        n: how many.
+        mean, median, min, max: None for no number.
+        std: None for less than two numbers, and for errors of runs that are all the same one.
+    """
+
+    n: int
+    mean: float | None = None
+    std: float | None = None
+    median: float | None = None
+    min: float | None = None
+    max: float | None = None
+
+
+@dataclass(frozen=True)
+class Group:
+    """What some rows came to.
+
+    Attributes:
+        keys: the values that they share, by column.
+        rows: the rows.
+        runs: their number.
+        n: number of those that count.
+        failures: those that don't, by status.
+        untracked: rows that count and were not tracked, by status.
+        deterministic: whether all that count are one and the same trajectory, several times.
+        coverage: of those of which it is known.
+        figures: by metric.
+    """
+
+    keys: Row
+    rows: tuple[Row, ...]
+    runs: int
+    n: int
+    failures: dict[str, int]
+    untracked: dict[str, int]
+    deterministic: bool
+    coverage: Figure
+    figures: dict[str, Figure]
+
+
+def groups(rows: Sequence[Row], question: Question) -> list[Group]:
+    """Return the groups of the rows chosen."""
+    asked = list(question.by or ())
+    if question.by is None:
+        asked = ["algorithm", "sensors", "dataset", *varying(rows)]
+    facets = facets_of(rows, asked, question)
+    names = [*facets, *asked]
+    parts = split(filled(rows, asked, facets), names)
+    return [group_of(inside, dict(zip(names, keys, strict=True)), question) for keys, inside in parts.items()]
+
+
+def group_of(rows: Sequence[Row], keys: Row, question: Question) -> Group:
+    """Return what the rows of a group came to."""
+    counting = [row for row in rows if counts(row, question.outcomes)]
+    same = is_deterministic(counting)
+    return Group(
+        keys=keys,
+        rows=tuple(rows),
+        runs=len(rows),
+        n=len(counting),
+        failures=dict(Counter(row["status"] for row in rows if not counts(row, question.outcomes))),
+        untracked=dict(Counter(row["status"] for row in counting if row["status"] != "Tracked")),
+        deterministic=same,
+        coverage=figure(number for row in rows if (number := covered(row)) is not None),
+        figures={name: figure_of(counting, name, deterministic=same) for name in question.metrics},
+    )
+
+
+def counts(row: Row, outcomes: str) -> bool:
+    """Tell whether a row enters the figures."""
+    return row.get("outcome") is not None if outcomes == "all" else row["status"] == "Tracked"
+
+
+def is_deterministic(counting: Sequence[Row]) -> bool:
+    """Tell whether rows that count are several of the same trajectory."""
+    hashes = {row.get("trajectory.sha256") for row in counting}
+    return len(counting) > 1 and len(hashes) == 1 and None not in hashes
+
+
+def figure_of(counting: Sequence[Row], name: str, *, deterministic: bool) -> Figure:
+    """Return the figure of a metric over the rows that count."""
+    found = figure(number for row in counting if (number := number_of(row, name)) is not None)
+    return replace(found, std=None) if deterministic and name.startswith(ERRORS) else found
+
+
+def number_of(row: Row, name: str) -> float | None:
+    """Return a row's number of a metric; None where there is none to be believed."""
+    value = row.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return None if name in DISTURBED and is_disturbed(row) else float(value)
+
+
+def is_disturbed(row: Row) -> bool:
+    """Tell whether other work on a run's cores, or throttling, falsified its load."""
+    wall = row.get("usage.wallSeconds")
+    if wall is None:
+        return False
+    contended, throttled = row.get("usage.contendedSeconds") or 0, row.get("usage.throttledSeconds") or 0
+    return bool(contended > 0.1 * wall or throttled > 0.01 * wall)
+
+
+def covered(row: Row) -> float | None:
+    """Return the share of the ground truth that a row covered; None where nobody knows."""
+    if row.get("coverage") is not None:
+        return float(row["coverage"])
+    return 0.0 if row.get("outcome") is None and row["status"] in OF_ITSELF else None
+
+
+def figure(values: Iterable[float]) -> Figure:
+    """Return numbers in short."""
+    numbers = sorted(values)
+    if not numbers:
+        return Figure(0)
+    n = len(numbers)
+    mean = math.fsum(numbers) / n
+    std = math.sqrt(math.fsum((number - mean) ** 2 for number in numbers) / (n - 1)) if n > 1 else None
+    return Figure(n, mean, std, statistics.median(numbers), numbers[0], numbers[-1])
+
+
+# ---- Ranks
+
+
+@dataclass
+class Standing:
+    """A competitor on a dataset.
+
+    Attributes:
+        group: its rows.
+        median: infinite where it is a failed run; None where nothing can be ranked.
+        rank: from 1; None where nothing can be ranked.
+        unranked: rows left out of the median, by status.
+    """
+
+    group: Group
+    median: float | None
+    rank: float | None
+    unranked: dict[str, int]
+
+
+@dataclass
+class Board:
+    """Competitors that can be compared.
+
+    Attributes:
+        facets: the values that all rows share.
+        standings: by competitor and dataset.
+        scores: by competitor, 0 for the best of all.
+        ranks: by competitor, in the order of scores, from 1.
+    """
+
+    facets: Row
+    standings: dict[tuple[tuple[Any, ...], Any], Standing]
+    scores: dict[tuple[Any, ...], float]
+    ranks: dict[tuple[Any, ...], float]
+
+
+def boards(rows: Sequence[Row], question: Question) -> list[Board]:
+    """Return competitors ranked by the first metric of a question, small is good."""
+    asked = [*question.competitors, *(["dataset"] if "dataset" not in question.competitors else [])]
+    facets = facets_of(rows, asked, replace(question, metrics=question.metrics[:1]))
+    found = []
+    for keys, inside in split(filled(rows, asked, facets), facets).items():
+        for part in _linked(inside, question):
+            found.append(_board(part, dict(zip(facets, keys, strict=True)), question))  # noqa: PERF401
+    return found
+
+
+def _linked(rows: Sequence[Row], question: Question) -> list[list[Row]]:
+    """Return the rows of competitors that share datasets, if need be by way of others."""
+    parts: list[tuple[set[Any], set[Any], list[Row]]] = []
+    for row in rows:
+        competitor = _competitor(row, question)
+        joined = ({competitor}, {row["dataset"]}, [row])
+        apart = []
+        for part in parts:
+            if competitor in part[0] or row["dataset"] in part[1]:
+                joined = (joined[0] | part[0], joined[1] | part[1], part[2] + joined[2])
+            else:
+                apart.append(part)
+        parts = [*apart, joined]
+    return [part for _, _, part in parts]
+
+
+def _competitor(row: Row, question: Question) -> tuple[Any, ...]:
+    return tuple(_hashable(row.get(name)) for name in question.competitors)
+
+
+def _board(rows: Sequence[Row], facets: Row, question: Question) -> Board:
+    standings = {}
+    for (competitor, dataset), inside in _by_standing(rows, question).items():
+        keys = dict(zip(question.competitors, competitor, strict=True)) | {"dataset": dataset}
+        ranked = [rankable(row, question) for row in inside]
+        numbers = [number for number in ranked if number is not None]
+        standings[competitor, dataset] = Standing(
+            group=group_of(inside, facets | keys, question),
+            median=statistics.median(numbers) if numbers else None,
+            rank=None,
+            unranked=dict(
+                Counter(row["status"] for row, number in zip(inside, ranked, strict=True) if number is None)
+            ),
+        )
+    shares = defaultdict(list)
+    for (competitor, dataset), standing in standings.items():
+        if standing.median is None:
+            continue
+        rivals = [
+            other.median
+            for (rival, there), other in standings.items()
+            if there == dataset and rival != competitor and other.median is not None
+        ]
+        better = sum(median < standing.median for median in rivals)
+        equal = sum(median == standing.median for median in rivals)
+        standing.rank = 1 + better + equal / 2
+        shares[competitor].append((better + equal / 2) / len(rivals) if rivals else 0.0)
+    scores = {competitor: math.fsum(parts) / len(parts) for competitor, parts in shares.items()}
+    return Board(facets, standings, scores, _ranks(scores))
+
+
+def _by_standing(rows: Sequence[Row], question: Question) -> dict[tuple[Any, Any], list[Row]]:
+    found = defaultdict(list)
+    for row in rows:
+        found[_competitor(row, question), row["dataset"]].append(row)
+    return dict(found)
+
+
+def rankable(row: Row, question: Question) -> float | None:
+    """Return what a row is ranked by: infinite where it failed, None where it says nothing."""
+    if counts(row, question.outcomes):
+        number = number_of(row, question.metrics[0])
+        if number is not None or row["status"] == "Tracked" or is_disturbed_in(row, question.metrics[0]):
+            return number
+        return math.inf
+    failed = row.get("outcome") is not None or row["status"] in OF_ITSELF
+    return math.inf if failed else None
+
+
+def is_disturbed_in(row: Row, metric: str) -> bool:
+    """Tell whether a row's number of a metric is left out because other work falsified it."""
+    return metric in DISTURBED and is_disturbed(row)
+
+
+def _ranks(scores: dict[tuple[Any, ...], float]) -> dict[tuple[Any, ...], float]:
+    """Return places by score, equal ones the mean of theirs."""
+    return {
+        competitor: 1
+        + sum(other < score and not _close(other, score) for other in scores.values())
+        + (sum(_close(other, score) for other in scores.values()) - 1) / 2
+        for competitor, score in scores.items()
+    }
+
+
+def _close(one: float, other: float) -> bool:
+    return math.isclose(one, other, rel_tol=1e-12, abs_tol=1e-12)
