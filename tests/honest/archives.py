@@ -341,7 +341,7 @@ def _empty() -> bytes:
 
 def write(tables: Tables, file: Path) -> str:
     """Write an archive's rows into an SQLite file anew, and return its URL."""
-    for ending in ("-wal", "-shm", "-journal"):
+    for ending in ("", "-wal", "-shm", "-journal"):  # who still reads the one before keeps it
         Path(f"{file}{ending}").unlink(missing_ok=True)
     file.write_bytes(_empty())
     url = f"sqlite:///{file}"
@@ -350,13 +350,14 @@ def write(tables: Tables, file: Path) -> str:
         with engine.begin() as connection:
             for table in (schema.sweeps, schema.runs, schema.results):
                 if rows := tables[table.name]:
-                    connection.execute(insert(table), [_with_times(row) for row in rows])
+                    connection.execute(insert(table), [with_times(row) for row in rows])
     finally:
         engine.dispose()
     return url
 
 
-def _with_times(row: Mapping[str, Any]) -> dict[str, Any]:
+def with_times(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row with its times read."""
     times = {
         name: datetime.fromisoformat(row[name])
         for name in ("created", "started", "finished")

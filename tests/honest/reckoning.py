@@ -288,14 +288,14 @@ def choose(rows: Iterable[Row], question: Question) -> Chosen:
 
 
 def meets(row: Row, condition: tuple[str, str, Any]) -> bool:
-    """Tell whether a row meets a condition; of orders and ``==`` a missing value meets none."""
+    """Tell whether a row meets a condition; a missing value equals nothing and is neither less nor more."""
     column, operator, wanted = condition
     value = row.get(column)
     tests: dict[str, Callable[[], bool]] = {
         "is null": lambda: value is None,
         "is not null": lambda: value is not None,
         "==": lambda: value is not None and value == wanted,
-        "!=": lambda: value is not None and value != wanted,
+        "!=": lambda: value != wanted,
         "<": lambda: value is not None and value < wanted,
         ">=": lambda: value is not None and value >= wanted,
         "in": lambda: value in wanted,
@@ -565,9 +565,12 @@ class Board:
 
 
 def boards(rows: Sequence[Row], question: Question) -> list[Board]:
-    """Return competitors ranked by the first metric of a question, small is good."""
+    """Return competitors ranked by the first metric of a question, small is good.
+
+    They are compared where all facets are equal, with those that they share datasets with.
+    """
     asked = [*question.competitors, *(["dataset"] if "dataset" not in question.competitors else [])]
-    facets = facets_of(rows, asked, replace(question, metrics=question.metrics[:1]))
+    facets = facets_of(rows, asked, question)
     found = []
     for keys, inside in split(filled(rows, asked, facets), facets).items():
         for part in _linked(inside, question):

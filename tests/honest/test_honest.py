@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every number that a user sees is the one of the definition, over made-up archives and the paper's runs."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from random import Random
+from typing import TYPE_CHECKING
+
+import archives
+import pytest
+import reckoning
+from check import check, reckoned
+from comparing import VIEWS, problems
+from hypothesis import HealthCheck, given, settings
+from reckoning import Question
+from views import Views, chosen
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from archives import Tables
+
+PAPER = Path(__file__).parents[3] / "shared" / "data" / "icra2023"
+ARCHIVES = 24
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Views]:
+    with Views(tmp_path_factory.mktemp("honest")) as found:
+        yield found
+
+
+@pytest.mark.parametrize("seed", range(ARCHIVES))
+def test_all_views_show_what_the_definition_says(views: Views, seed: int) -> None:
+    """More: ``python tests/honest/check.py --archives 5000``."""
+    names = [name for place, name in enumerate(VIEWS) if place % 4 == seed % 4]
+    assert not list(check(views, archives.made_up(Random(seed)), Random(seed), names))
+
+
+@given(tables=archives.archives())
+@settings(
+    max_examples=15,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+def test_the_smallest_archive_that_is_shown_wrongly(views: Views, tables: Tables) -> None:
+    views.write(tables)
+    rows = reckoned(views.home)
+    for question in (Question(), Question(superseded=True, outcomes="all")):
+        assert not problems(views, question, rows, ["api aggregate json", "results table json"])
+
+
+def test_the_program_prints_what_the_command_does(views: Views) -> None:
+    views.write(archives.made_up(Random(3)))
+    question = Question(superseded=True, metrics=("ate.rmse", "usage.cpu.meanCores"))
+    for words in (
+        ("results", "table", *chosen(question), "--format", "json"),
+        ("results", "list", *chosen(question), "--format", "csv"),
+        ("paper-table", *chosen(question), "--format", "csv"),
+    ):
+        assert views.shell(*words) == views.command(*words)
+
+
+def test_no_row_is_lost_or_counted_twice() -> None:
+    """Of the definition itself: what its sentences promise of sums."""
+    seen: Counter[str] = Counter()
+    for seed in range(100):
+        tables = archives.made_up(Random(seed))
+        rows = _rows_of(tables)
+        for question in (Question(), Question(superseded=True), Question(outcomes="all", by=("algorithm",))):
+            chosen_rows = reckoning.choose(rows, question).rows
+            groups = reckoning.groups(chosen_rows, question)
+            assert sum(group.runs for group in groups) == len(chosen_rows)
+            assert all(group.n + sum(group.failures.values()) == group.runs for group in groups)
+            assert all(len({row.get("evaluation") for row in group.rows}) == 1 for group in groups)
+            places = [
+                one for board in reckoning.boards(chosen_rows, question) for one in board.standings.values()
+            ]
+            assert sum(place.group.runs for place in places) == len(chosen_rows)
+            seen["deterministic"] += sum(group.deterministic for group in groups)
+            seen["failed"] += sum(place.median == float("inf") for place in places)
+            seen["unranked"] += sum(place.median is None for place in places)
+        seen.update(str(row["superseded"]) for row in rows)
+        seen["reused"] += len(reckoning.choose(rows, Question()).reused)
+    # Archives in which little goes wrong would show nothing.
+    assert min(seen.values()) > 20, seen
+    assert set(seen) >= {"algorithm changed", "dataset changed", "sweep edited", "None"}
+
+
+def _rows_of(tables: Tables) -> list[reckoning.Row]:
+    runs = [archives.with_times(run) for run in tables["runs"]]
+    sweeps = [archives.with_times(sweep) for sweep in tables["sweeps"]]
+    return reckoning.all_rows({"runs": runs, "sweeps": sweeps, "results": tables["results"]})
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Views]:
+    if not PAPER.is_dir():
+        pytest.skip("the runs of the original paper are not there (../shared/data/icra2023)")
+    with Views(tmp_path_factory.mktemp("published")) as found:
+        for alignment in ("sim3", "se3"):
+            truth = ("--ground-truth", str(PAPER / "groundtruth"), "--alignment", alignment)
+            found.command("import", "slam-hive", str(PAPER / "runs"), *truth)
+        yield found
+
+
+LOADS = ("ate.rmse", "rpe[0].rmse", "usage.cpu.meanCores", "usage.memory.peakBytes")
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        Question(),
+        Question(outcomes="all", metrics=LOADS, evaluation="sim3", by=("sensors", "algorithm", "dataset")),
+        Question(metrics=LOADS, condition=("dataset", "==", "rgbd-dataset-freiburg2-desk")),
+        Question(superseded=True, competitors=("algorithm",), condition=("coverage", ">=", 0.9)),
+    ],
+    ids=["all", "table III", "table IV", "covered"],
+)
+def test_the_runs_of_the_paper(published: Views, question: Question) -> None:
+    rows = reckoned(published.home)
+    assert len(rows) == 162
+    assert not problems(published, question, rows, VIEWS)
+
+
+def test_an_archive_is_its_number() -> None:
+    """So that one that was shown wrongly can be had again."""
+    assert archives.made_up(Random(5)) == archives.made_up(Random(5))
+    assert json.loads(json.dumps(archives.made_up(Random(5)))) == archives.made_up(Random(5))
