@@ -222,7 +222,8 @@ class _Place:
         self.standing = board.standings[place]
         self.keys = self.standing.group.keys
         self.rank = board.ranks.get(place[0])
-        self.score = board.scores.get(place[0])
+        score = board.scores.get(place[0])
+        self.score = None if score is None else float(score)
 
 
 def _places(boards: Iterable[Board]) -> list[_Place]:

@@ -11,6 +11,7 @@ import math
 import statistics
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import select
@@ -560,7 +561,7 @@ class Board:
 
     facets: Row
     standings: dict[tuple[tuple[Any, ...], Any], Standing]
-    scores: dict[tuple[Any, ...], float]
+    scores: dict[tuple[Any, ...], Fraction]
     ranks: dict[tuple[Any, ...], float]
 
 
@@ -624,8 +625,9 @@ def _board(rows: Sequence[Row], facets: Row, question: Question) -> Board:
         better = sum(median < standing.median for median in rivals)
         equal = sum(median == standing.median for median in rivals)
         standing.rank = 1 + better + equal / 2
-        shares[competitor].append((better + equal / 2) / len(rivals) if rivals else 0.0)
-    scores = {competitor: math.fsum(parts) / len(parts) for competitor, parts in shares.items()}
+        shares[competitor].append(Fraction(2 * better + equal, 2 * max(len(rivals), 1)))
+    # Exact, as equal scores share a rank.
+    scores = {competitor: sum(parts, Fraction()) / len(parts) for competitor, parts in shares.items()}
     return Board(facets, standings, scores, _ranks(scores))
 
 
@@ -652,15 +654,10 @@ def is_disturbed_in(row: Row, metric: str) -> bool:
     return metric in DISTURBED and is_disturbed(row)
 
 
-def _ranks(scores: dict[tuple[Any, ...], float]) -> dict[tuple[Any, ...], float]:
+def _ranks(scores: dict[tuple[Any, ...], Fraction]) -> dict[tuple[Any, ...], float]:
     """Return places by score, equal ones the mean of theirs."""
+    places = sorted(scores.values())
     return {
-        competitor: 1
-        + sum(other < score and not _close(other, score) for other in scores.values())
-        + (sum(_close(other, score) for other in scores.values()) - 1) / 2
+        competitor: 1 + places.index(score) + (places.count(score) - 1) / 2
         for competitor, score in scores.items()
     }
-
-
-def _close(one: float, other: float) -> bool:
-    return math.isclose(one, other, rel_tol=1e-12, abs_tol=1e-12)
