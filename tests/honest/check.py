@@ -79,7 +79,10 @@ CONDITIONS: tuple[tuple[str, str, Any], ...] = (
 
 def question(random: Random, rows: Sequence[Row]) -> Question:
     """Make a question up that fits the rows of an archive."""
-    sweeps = sorted({str(row["sweep"]) for row in rows if row["sweep"] is not None})
+    # A name that is used in several namespaces must be told apart by them.
+    places = {(str(row["sweep"]), row["namespace"]) for row in rows if row["sweep"] is not None}
+    names = [name for name, _ in places]
+    sweeps = sorted(name for name in names if names.count(name) == 1)
     asked = tuple(random.sample(sweeps, min(random.choice((0, 0, 0, 1, 1, 2)), len(sweeps))))
     inside = [row for row in rows if not asked or row["sweep"] in asked]
     evaluations = sorted({str(row["evaluation"]) for row in inside if row.get("evaluation") is not None})

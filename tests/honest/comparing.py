@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from reckoning import Board, Figure, Group, Question, Row
     from views import Record, Report, Views
 
-VERSIONS = frozenset(reckoning.FACETS_OF_VERSIONS)
+VERSIONS = frozenset({"algorithm.version", "dataset.version"})
+"""Keys that are shown as digits of what they stand for."""
+
 COSTS = ("usage.cpu.seconds", "usage.memory.peakBytes")
 _UNITS = {"usage.memory.peakBytes": 2.0**-20}
 _LAST_DIGIT = 0.50001e-5
@@ -33,11 +35,17 @@ def problems(views: Views, question: Question, rows: Sequence[Row], names: Itera
         rows: of the same archive, as ``reckoning.all_rows`` has them.
         names: of the views, as in VIEWS.
     """
-    chosen = reckoning.choose(rows, question).rows
     found = []
     for name in names:
+        meant = replace(question, reused=True) if name in EACH else question
+        if name not in REUSED | EACH:
+            meant = replace(meant, reused=False)
+        chosen = reckoning.choose(rows, meant).rows
+        if name.startswith("api") and question.evaluation is not None:
+            # The API knows conditions alone.
+            chosen = [row for row in chosen if row.get("evaluation") == question.evaluation]
         try:
-            found += [f"{name}: {problem}" for problem in VIEWS[name](views, question, chosen)]
+            found += [f"{name}: {problem}" for problem in VIEWS[name](views, meant, chosen)]
         except Exception as error:  # noqa: BLE001 - whatever goes wrong in a view is what is looked for
             found.append(f"{name}: {type(error).__name__}: {error}")
     return found
@@ -139,6 +147,7 @@ def _group(shown: Record, right: Group) -> list[str]:
         ("failures", right.failures),
         ("total", sum(right.failures.values())),
         ("untracked", right.untracked),
+        ("deterministic", right.deterministic),
     ):
         if name in shown and shown[name] != value:
             found.append(f"{name} is {shown[name]}, not {value}")
@@ -164,7 +173,12 @@ def _printed(shown: Record, right: Group) -> list[str]:
     """Compare a group whose numbers are texts of five decimals."""
     found = [
         f"{name} is {shown[name]}, not {value}"
-        for name, value in (("n", right.n), ("failures", right.failures))
+        for name, value in (
+            ("n", right.n),
+            ("failures", right.failures),
+            ("untracked", right.untracked),
+            ("deterministic", right.deterministic),
+        )
         if shown[name] != value
     ]
     for name, texts_ in shown["figures"].items():
@@ -523,6 +537,9 @@ VIEWS: dict[str, Callable[[Views, Question, Sequence[Row]], list[str]]] = {
 
 REUSED = frozenset({"results export json", "results export csv", "pandas", "polars"})
 """Views that can show rows of equal content all."""
+
+EACH = frozenset({"results list", "api runs"})
+"""Views that show runs one by one: those of equal content all."""
 
 ONE_SWEEP = frozenset(name for name in VIEWS if name.startswith("results"))
 """Views that can be asked for one sweep at most."""

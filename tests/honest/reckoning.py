@@ -37,14 +37,22 @@ OF_ITSELF = {
 }
 """Reasons for which the algorithm is to blame: such a run covered nothing, and is worse than any number."""
 
-FACETS = ("algorithm", "sensors", "dataset", "evaluation", "alignment", "settings", "input.pace")
+FACETS = (
+    *("algorithm", "sensors", "dataset", "evaluation", "alignment", "settings", "input.pace"),
+    *("algorithm.version", "dataset.version"),
+)
 """Columns that are never pooled."""
+
+OWNERS = {
+    "alignment": "evaluation",
+    "settings": "evaluation",
+    "algorithm.version": "algorithm",
+    "dataset.version": "dataset",
+}
+"""Facets that tell nothing apart where they follow from another column that does."""
 
 FACETS_OF_LOAD = ("provenance.cpuModel", "usage.includesReader")
 """Columns that are never pooled where a figure of load is shown."""
-
-FACETS_OF_VERSIONS = ("algorithm.version", "dataset.version")
-"""Columns that are never pooled where superseded runs are shown."""
 
 SETTINGS = ("parameters.", "input.", "dataset.attributes.", "resources.")
 """What the names of settings begin with."""
@@ -133,6 +141,7 @@ def _of_run(run: Row) -> Row:
         "name": run["name"],
         "run": run["name"],
         "sweep": run["sweep"],
+        "namespace": run["namespace"],
         "algorithm": run["algorithm"],
         "dataset": run["dataset"],
         "sensors": run["sensors"],
@@ -349,8 +358,6 @@ def facets_of(rows: Sequence[Row], asked: Sequence[str], question: Question) -> 
     names = [*FACETS]
     if any(metric.startswith("usage.") for metric in question.metrics):
         names += FACETS_OF_LOAD
-    if question.superseded:
-        names += FACETS_OF_VERSIONS
     found = []
     for name in names:
         values = {_hashable(row.get(name)) for row in rows}
@@ -572,11 +579,19 @@ def boards(rows: Sequence[Row], question: Question) -> list[Board]:
     """
     asked = [*question.competitors, *(["dataset"] if "dataset" not in question.competitors else [])]
     facets = facets_of(rows, asked, question)
+    rows = filled(rows, asked, facets)
+    told = {*asked, *facets}
+    facets = [name for name in facets if OWNERS.get(name) not in told or not _follows(rows, name)]
     found = []
-    for keys, inside in split(filled(rows, asked, facets), facets).items():
+    for keys, inside in split(rows, facets).items():
         for part in _linked(inside, question):
             found.append(_board(part, dict(zip(facets, keys, strict=True)), question))  # noqa: PERF401
     return found
+
+
+def _follows(rows: Sequence[Row], name: str) -> bool:
+    """Tell whether a facet has one value for each value of the column that owns it."""
+    return len(split(rows, [OWNERS[name], name])) == len(split(rows, [OWNERS[name]]))
 
 
 def _linked(rows: Sequence[Row], question: Question) -> list[list[Row]]:

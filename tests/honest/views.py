@@ -187,7 +187,16 @@ class Views:
             for metric, cell in zip(question.metrics, shown, strict=False):
                 mean, _, std = cell.partition(" ± ")
                 figures[metric] = {"mean": mean, "std": std or None}
-            groups.append({"n": int(shown[-2]), "failures": _words(shown[-1]), "figures": figures})
+            failures, _, untracked = shown[-1].partition("; in n: ")
+            groups.append(
+                {
+                    "n": int(shown[-2].removesuffix(" =")),
+                    "deterministic": shown[-2].endswith(" ="),
+                    "failures": _words(failures),
+                    "untracked": _words(untracked),
+                    "figures": figures,
+                }
+            )
         return groups
 
     def aggregate(self, question: Question, *, flat: bool = False) -> list[Record]:
@@ -456,8 +465,6 @@ def _group(row: Record, question: Question) -> Record:
     figures = {}
     for name in (*question.metrics, "coverage"):
         figures[name] = {part: _number(row.pop(f"{name}.{part}")) for part in PARTS}
-        for more in ("deterministic", "disturbed"):
-            row.pop(f"{name}.{more}", None)
     failures = row.pop("failures.by")
     group = {
         "failures": failures if isinstance(failures, dict) else json.loads(failures),
@@ -467,9 +474,9 @@ def _group(row: Record, question: Question) -> Record:
         "coverage": figures.pop("coverage"),
         "figures": figures,
     }
-    for name in ("untracked", "untracked.by"):
-        if (value := row.pop(name, None)) not in (None, ""):
-            group[name] = json.loads(value) if isinstance(value, str) else value
+    for column, name in (("untracked.by", "untracked"), ("deterministic", "deterministic")):
+        value = row.pop(column)
+        group[name] = json.loads(value) if isinstance(value, str) else value
     return group | {"keys": {name: value for name, value in row.items() if name not in _NOT_KEYS}}
 
 
@@ -480,7 +487,7 @@ def _cell(group: Record) -> Record:
         "total": group["failed"],
         "coverage": group["coverage"] or nothing,
         "figures": {name: {part: found[part] for part in PARTS} for name, found in group["figures"].items()},
-        **{name: group[name] for name in ("untracked",) if name in group},
+        **{name: group[name] for name in ("untracked", "deterministic") if name in group},
     }
 
 
