@@ -13,6 +13,7 @@ import json
 import sys
 import time
 from collections import Counter
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from random import Random
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import archives
 import reckoning
+from breaking import BREAKS, broken
 from comparing import ONE_SWEEP, VIEWS, problems
 from reckoning import Question
 from sqlalchemy import create_engine
@@ -136,10 +138,17 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="number of the first")
     parser.add_argument("--view", action="append", choices=sorted(VIEWS), help="only this one; several times")
     parser.add_argument("--keep", type=Path, help="folder for archives that are shown wrongly")
+    parser.add_argument(
+        "--break", type=int, choices=range(1, len(BREAKS) + 1), dest="mistake", help="break a line first"
+    )
     parser.add_argument("--go-on", action="store_true", help="don't stop at the first, count by view")
     options = parser.parse_args()
     start, wrong = time.monotonic(), Counter[str]()
-    with TemporaryDirectory() as folder, Views(Path(folder)) as views:
+    with ExitStack() as stack:
+        views = stack.enter_context(Views(Path(stack.enter_context(TemporaryDirectory()))))
+        if options.mistake:
+            print(f"broken: {BREAKS[options.mistake - 1].what}")
+            stack.enter_context(broken(BREAKS[options.mistake - 1]))
         for number in range(options.seed, options.seed + options.archives):
             tables = archives.made_up(Random(number))
             found = list(check(views, tables, Random(-1 - number), options.view or ()))

@@ -7,6 +7,7 @@ made here too. It is slow, and meant to be: each rule stands here as docs/result
 
 from __future__ import annotations
 
+import hashlib
 import math
 import statistics
 from collections import Counter, defaultdict
@@ -165,8 +166,10 @@ def _of_run(run: Row) -> Row:
     return row
 
 
-def _version(*parts: str | None) -> tuple[str | None, ...] | None:
-    return parts if any(part is not None for part in parts) else None
+def _version(*parts: str | None) -> str | None:
+    """Return 8 digits that tell versions apart; None where nothing is known of it."""
+    known = "\0".join(part or "" for part in parts)
+    return hashlib.sha256(known.encode()).hexdigest()[:8] if any(parts) else None
 
 
 def _of_result(result: Row) -> Row:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import archives
 import pytest
 import reckoning
+from breaking import BREAKS, Break, broken
 from check import check, reckoned
 from comparing import VIEWS, problems
 from hypothesis import HealthCheck, given, settings
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 PAPER = Path(__file__).parents[3] / "shared" / "data" / "icra2023"
 ARCHIVES = 24
+TABLES = ["results table json"]
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +40,15 @@ def test_all_views_show_what_the_definition_says(views: Views, seed: int) -> Non
     """More: ``python tests/honest/check.py --archives 5000``."""
     names = [name for place, name in enumerate(VIEWS) if place % 4 == seed % 4]
     assert not list(check(views, archives.made_up(Random(seed)), Random(seed), names))
+
+
+@pytest.mark.parametrize("one", BREAKS, ids=lambda one: one.what)
+def test_a_broken_line_is_noticed(views: Views, one: Break) -> None:
+    with broken(one):
+        found = (check(views, archives.made_up(Random(seed)), Random(seed), TABLES) for seed in range(40))
+        assert any(list(problems_of) for problems_of in found)
+    # The same archives are shown rightly as soon as the line is right again.
+    assert not list(check(views, archives.made_up(Random(0)), Random(0), TABLES))
 
 
 @given(tables=archives.archives())
