@@ -659,17 +659,9 @@ def _by_standing(rows: Sequence[Row], question: Question) -> dict[tuple[Any, Any
 def rankable(row: Row, question: Question) -> float | None:
     """Return what a row is ranked by: infinite where it failed, None where it says nothing."""
     if counts(row, question.outcomes):
-        number = number_of(row, question.metrics[0])
-        if number is not None or row["status"] == "Tracked" or is_disturbed_in(row, question.metrics[0]):
-            return number
-        return math.inf
+        return number_of(row, question.metrics[0])
     failed = row.get("outcome") is not None or row["status"] in OF_ITSELF
     return math.inf if failed else None
-
-
-def is_disturbed_in(row: Row, metric: str) -> bool:
-    """Tell whether a row's number of a metric is left out because other work falsified it."""
-    return metric in DISTURBED and is_disturbed(row)
 
 
 def _ranks(scores: dict[tuple[Any, ...], Fraction]) -> dict[tuple[Any, ...], float]:
