@@ -10,7 +10,7 @@ WORKERS ?= 3
 TESTS ?=
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-packages constraints cluster-build cluster-up cluster-down images lint bench fuzz fuzz-api install crds clean help
+.PHONY: demo test test-packages constraints cluster-build cluster-up cluster-down images lint bench fuzz fuzz-api honest install crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -20,6 +20,7 @@ help:
 	@echo 'make cluster-up, cluster-down   a real Kubernetes for tests, on this machine'
 	@echo 'make fuzz    ten minutes of broken files for all readers'
 	@echo 'make fuzz-api   five minutes of made-up questions for the API'
+	@echo 'make honest  every view of results beside their definition, over 5,000 made-up archives'
 	@echo 'make bench   speed and memory, beside the limits'
 
 $(STAMP): pyproject.toml constraints.txt
@@ -72,6 +73,9 @@ fuzz: $(STAMP)
 
 fuzz-api: $(STAMP)
 	$(BIN)/python tests/fuzz/api.py --seconds 300
+
+honest: $(STAMP)
+	$(BIN)/python tests/honest/check.py --archives 5000
 
 # The newest versions that fit, for the next machines to install.
 constraints:

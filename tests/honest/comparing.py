@@ -37,15 +37,22 @@ def problems(views: Views, question: Question, rows: Sequence[Row], names: Itera
         meant = replace(question, reused=True) if name in EACH else question
         if name not in REUSED | EACH:
             meant = replace(meant, reused=False)
-        chosen = reckoning.choose(rows, meant).rows
-        if name.startswith("api") and question.evaluation is not None:
-            # The API knows conditions alone.
-            chosen = [row for row in chosen if row.get("evaluation") == question.evaluation]
+        chosen = reckoning.choose(_of_api(rows, meant) if name.startswith("api") else rows, meant)
         try:
-            found += [f"{name}: {problem}" for problem in VIEWS[name](views, meant, chosen)]
+            found += [f"{name}: {problem}" for problem in VIEWS[name](views, meant, chosen.rows)]
+            if name == "api aggregate json" and chosen.rows:
+                said, right = views.left_out(meant), (len(chosen.superseded), len(chosen.reused))
+                found += [f"{name}: runs left out are {said}, not {right}"] if said != right else []
         except Exception as error:  # noqa: BLE001 - whatever goes wrong in a view is what is looked for
             found.append(f"{name}: {type(error).__name__}: {error}")
     return found
+
+
+def _of_api(rows: Sequence[Row], question: Question) -> Sequence[Row]:
+    """Return the rows that the API means by an evaluation: to it that is a condition like others."""
+    if question.evaluation is None:
+        return rows
+    return [row for row in rows if row.get("evaluation") == question.evaluation]
 
 
 # Rows

@@ -271,7 +271,7 @@ class Chosen:
     Attributes:
         rows: in the order of storing.
         superseded: ids of runs left out because they are superseded.
-        reused: ids of runs rows of which were left out because their equals stand for them.
+        reused: ids of runs a row of which was left out because its equal stands for it.
     """
 
     rows: list[Row]
@@ -286,15 +286,15 @@ def choose(rows: Iterable[Row], question: Question) -> Chosen:
         kept = [row for row in kept if row["sweep"] in question.sweeps]
     if question.evaluation is not None:
         kept = [row for row in kept if row.get("evaluation") in (question.evaluation, None)]
+    if question.condition is not None:
+        kept = [row for row in kept if meets(row, question.condition)]
     chosen = Chosen([])
     if not question.superseded:
         chosen.superseded = {row["id"] for row in kept if row["superseded"]}
         kept = [row for row in kept if not row["superseded"]]
-    if question.condition is not None:
-        kept = [row for row in kept if meets(row, question.condition)]
     if not question.reused:
         once = _once(kept)
-        chosen.reused = {row["id"] for row in kept} - {row["id"] for row in once}
+        chosen.reused = {row["id"] for row in kept if not any(row is other for other in once)}
         kept = once
     chosen.rows = kept
     return chosen

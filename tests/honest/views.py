@@ -208,6 +208,17 @@ class Views:
             return [_group(row, question) for row in self.csv("analysis/aggregate", pairs)]
         return [_cell(group) for group in self.get("analysis/aggregate", pairs)["groups"]]
 
+    def left_out(self, question: Question) -> tuple[int, int]:
+        """Return how many runs ``/api/v1/analysis/aggregate`` says it leaves out: superseded, equal ones."""
+        notes = " ".join(self.get("analysis/aggregate", filters(question))["notes"])
+        said = (
+            r"([\d,]+) runs? of earlier versions left out",
+            r"([\d,]+) runs? repeats? the content of others",
+        )
+        found = [re.search(pattern, notes) for pattern in said]
+        counts = [int(match[1].replace(",", "")) if match else 0 for match in found]
+        return counts[0], counts[1]
+
     def repeated(self, question: Question) -> list[Record]:
         """Return the groups of ``/api/v1/analysis/repeatability``."""
         metric = question.metrics[0]
