@@ -22,18 +22,21 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from typing import TYPE_CHECKING, Any, Self
+from unittest.mock import patch
 
 import archives
 from starlette.testclient import TestClient
-from typer.testing import CliRunner
+from typer.main import get_command
 
 import slamhive
 from slamhive.cli.main import app
 from slamhive.dashboard.app import create_app
 from slamhive.dashboard.sources import Workstation
+from slamhive.model.errors import SlamHiveError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -48,6 +51,7 @@ PARTS = ("n", "mean", "std", "median", "min", "max")
 SHOWN = ("uid", "evaluation", "alignment", "outcome", "coverage", "phase", "reason", "ate.rmse")
 """Columns that are asked for where rows are listed."""
 
+_COMMAND = get_command(app)
 _DIGITS = ".5f"
 _PAGE = 7
 
@@ -85,11 +89,16 @@ class Views:
 
     def command(self, *words: str) -> str:
         """Return what a ``slamhive`` command prints, called in this process."""
+        stream, complaints = io.StringIO(), io.StringIO()
         environment = {"SLAMHIVE_HOME": str(self.home), "SLAMHIVE_ARCHIVE": ""}
-        outcome = CliRunner().invoke(app, words, env=environment)
-        if outcome.exit_code:
-            raise CommandError(f"slamhive {' '.join(words)}: {outcome.exception!r} {outcome.output[-300:]}")
-        return outcome.stdout
+        with patch.dict(os.environ, environment), redirect_stdout(stream), redirect_stderr(complaints):
+            try:
+                code = _COMMAND.main(list(words), "slamhive", standalone_mode=False)
+            except SlamHiveError as error:
+                raise CommandError(f"slamhive {' '.join(words)}: {error}") from None
+        if code:
+            raise CommandError(f"slamhive {' '.join(words)}: {code} {complaints.getvalue()[-300:]}")
+        return stream.getvalue()
 
     def shell(self, *words: str) -> str:
         """Return what a ``slamhive`` command prints, called as a program."""
