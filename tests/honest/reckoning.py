@@ -55,6 +55,9 @@ OWNERS = {
 FACETS_OF_LOAD = ("provenance.cpuModel", "usage.includesReader")
 """Columns that are never pooled where a figure of load is shown."""
 
+FACETS_OF_MEMORY = ("usage.memory.kind",)
+"""Columns that are never pooled where a figure of memory is shown."""
+
 SETTINGS = ("parameters.", "input.", "dataset.attributes.", "resources.")
 """What the names of settings begin with."""
 
@@ -115,8 +118,9 @@ def all_rows(tables: dict[str, list[Row]]) -> list[Row]:
         results[result["run_id"]].append(result)
     reasons = superseded(tables)
     rows = []
+    known = {name for run in tables["runs"] for name, value in run["provenance"].items() if value is not None}
     for run in sorted(tables["runs"], key=lambda run: run["id"]):
-        base = _of_run(run) | {"superseded": reasons.get(run["id"])}
+        base = _of_run(run, known) | {"superseded": reasons.get(run["id"])}
         measured = {result["evaluation"]: result for result in results[run["id"]]}
         meant = {one["evaluation"]: one for one in run["evaluations"] or []}
         for name in sorted(measured.keys() | meant.keys()) or [None]:
@@ -134,7 +138,7 @@ def all_rows(tables: dict[str, list[Row]]) -> list[Row]:
     return rows
 
 
-def _of_run(run: Row) -> Row:
+def _of_run(run: Row, known: set[str]) -> Row:
     spec, provenance = run["spec"], run["provenance"]
     row = {
         "id": run["id"],
@@ -150,8 +154,8 @@ def _of_run(run: Row) -> Row:
         "phase": run["phase"],
         "reason": run["reason"],
         "created": run["created"],
-        "algorithm.version": _version(provenance.get("algorithmHash"), provenance.get("environment")),
-        "dataset.version": _version(provenance.get("datasetSha256"), provenance.get("preparation")),
+        "algorithm.version": _version(provenance, known, ("algorithmHash", "environment")),
+        "dataset.version": _version(provenance, known, ("datasetSha256", "preparation")),
     }
     for name, document in (
         ("parameters", spec.get("parameters")),
@@ -166,10 +170,12 @@ def _of_run(run: Row) -> Row:
     return row
 
 
-def _version(*parts: str | None) -> str | None:
-    """Return 8 digits that tell versions apart; None where nothing is known of it."""
-    known = "\0".join(part or "" for part in parts)
-    return hashlib.sha256(known.encode()).hexdigest()[:8] if any(parts) else None
+def _version(provenance: Row, known: set[str], names: Sequence[str]) -> str | None:
+    """Return 8 digits that tell versions apart; None where something isn't known that other runs have."""
+    parts = [provenance.get(name) for name in names if name in known]
+    if not parts or None in parts:
+        return None
+    return hashlib.sha256("\0".join(map(str, parts)).encode()).hexdigest()[:8]
 
 
 def _of_result(result: Row) -> Row:
@@ -285,7 +291,7 @@ def choose(rows: Iterable[Row], question: Question) -> Chosen:
     if question.sweeps:
         kept = [row for row in kept if row["sweep"] in question.sweeps]
     if question.evaluation is not None:
-        kept = [row for row in kept if row.get("evaluation") in (question.evaluation, None)]
+        kept = [row for row in kept if row.get("evaluation") == question.evaluation]
     if question.condition is not None:
         kept = [row for row in kept if meets(row, question.condition)]
     chosen = Chosen([])
@@ -317,24 +323,21 @@ def meets(row: Row, condition: tuple[str, str, Any]) -> bool:
 
 
 def _once(rows: Sequence[Row]) -> list[Row]:
-    """Return rows without those of equal content in the same evaluation as another one that stays."""
+    """Return rows without those of equal content, evaluation and settings as another one that stays."""
 
     def worth(row: Row) -> tuple[Any, ...]:
         blameless = row["reason"] not in INFRASTRUCTURE and row["phase"] != "Cancelled"
-        return row.get("provenance.reusedFrom") is None, blameless, *lateness(row)
+        measured, computed = row.get("outcome") is not None, row.get("provenance.reusedFrom") is None
+        return measured, blameless, computed, *lateness(row)
 
-    stays: dict[tuple[Any, Any], Row] = {}
+    def identity(row: Row) -> tuple[Any, ...]:
+        return row.get("provenance.contentHash"), row.get("evaluation"), row.get("settings")
+
+    stays: dict[tuple[Any, ...], Row] = {}
     for row in rows:
-        content = row.get("provenance.contentHash")
-        if content is not None:
-            key = content, row.get("evaluation")
-            stays[key] = max(stays.get(key, row), row, key=worth)
-    return [
-        row
-        for row in rows
-        if row.get("provenance.contentHash") is None
-        or stays[row["provenance.contentHash"], row.get("evaluation")] is row
-    ]
+        key = identity(row)
+        stays[key] = max(stays.get(key, row), row, key=worth)
+    return [row for row in rows if row.get("provenance.contentHash") is None or stays[identity(row)] is row]
 
 
 # ---- Groups
@@ -361,6 +364,8 @@ def facets_of(rows: Sequence[Row], asked: Sequence[str], question: Question) -> 
     names = [*FACETS]
     if any(metric.startswith("usage.") for metric in question.metrics):
         names += FACETS_OF_LOAD
+    if any(metric.startswith("usage.memory.") for metric in question.metrics):
+        names += FACETS_OF_MEMORY
     found = []
     for name in names:
         values = {_hashable(row.get(name)) for row in rows}
@@ -585,6 +590,10 @@ def boards(rows: Sequence[Row], question: Question) -> list[Board]:
     rows = filled(rows, asked, facets)
     told = {*asked, *facets}
     facets = [name for name in facets if OWNERS.get(name) not in told or not _follows(rows, name)]
+    if "algorithm" in question.competitors and "algorithm.version" in facets:
+        # Versions of an algorithm compete with each other, and with all others.
+        facets.remove("algorithm.version")
+        question = replace(question, competitors=(*question.competitors, "algorithm.version"))
     found = []
     for keys, inside in split(rows, facets).items():
         for part in _linked(inside, question):
@@ -658,8 +667,11 @@ def _by_standing(rows: Sequence[Row], question: Question) -> dict[tuple[Any, Any
 
 def rankable(row: Row, question: Question) -> float | None:
     """Return what a row is ranked by: infinite where it failed, None where it says nothing."""
+    metric = question.metrics[0]
     if counts(row, question.outcomes):
-        return number_of(row, question.metrics[0])
+        number = number_of(row, metric)
+        lost = number is None and row["status"] != "Tracked" and metric.startswith(ERRORS)
+        return math.inf if lost else number
     failed = row.get("outcome") is not None or row["status"] in OF_ITSELF
     return math.inf if failed else None
 

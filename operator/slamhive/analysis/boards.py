@@ -10,19 +10,18 @@ import numpy as np
 
 from slamhive.analysis.grouping import (
     LOAD,
-    SUBJECT,
     Groups,
     apart,
     counting,
     covered,
     disturbance_notes,
-    failing,
     pooling_notes,
     ranked_errors,
     sound,
     unranked_notes,
     varies,
     varying,
+    worst,
 )
 from slamhive.analysis.statistics import median_of_sorted
 
@@ -33,6 +32,8 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.grouping import Outcomes
 
+VERSION = "algorithm.version"
+
 COMPETITORS = ("algorithm", "sensors")
 """What is compared unless told."""
 
@@ -42,6 +43,7 @@ class Grid:
     """Competitors that can be compared on their datasets.
 
     Attributes:
+        metric: what is compared.
         facets: the values that all runs share, of columns that vary between grids.
         frame: the runs.
         competitors: what each is, by column, (c,).
@@ -54,6 +56,7 @@ class Grid:
         medians: (c, d), failed runs last: infinite for a failed one, NaN where no run has a rank.
     """
 
+    metric: str
     facets: dict[str, Any]
     frame: Frame
     competitors: list[dict[str, Any]]
@@ -112,8 +115,12 @@ def prepare(
         outcomes: which runs have a figure that counts.
         by_dataset: whether each dataset is a grid of its own.
     """
-    frame, facets = apart(frame, (*by, *SUBJECT), metrics)
+    frame, facets = apart(frame, (*by, "dataset"), metrics)
     notes: list[str] = []
+    if "algorithm" in by and VERSION in facets:
+        # Versions of an algorithm compete with each other, and with all others.
+        facets.remove(VERSION)
+        by = [*by, VERSION]
     if not any(metric.startswith(LOAD) for metric in metrics):
         if varies(frame, "provenance.cpuModel") and "provenance.cpuModel" not in by:
             notes.append("runs of different processors are compared with each other")
@@ -125,8 +132,7 @@ def prepare(
     notes += [*pooling_notes(pooled), *disturbance_notes(frame, metrics), *unranked_notes(frame, outcomes)]
     if by_dataset:
         facets = [*facets, "dataset"]
-    counted = counting(frame, outcomes) & sound(frame, metrics[0])
-    marks = Marks(counted, failing(frame, outcomes), covered(frame))
+    marks = Marks(counting(frame, outcomes), worst(frame, metrics[0], outcomes), covered(frame))
     groups = Groups(frame, facets)
     told = [name for name in by if name not in facets]
     grids = []
@@ -157,7 +163,7 @@ def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
 
 def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], marks: Marks) -> Grid:
     competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
-    numbers = frame.column(metric).floats()
+    numbers = np.where(sound(frame, metric), frame.column(metric).floats(), np.nan)
     medians = np.full((competitors.count, datasets.count), np.nan)
     members: dict[tuple[int, int], Indices] = {}
     for rows in Groups(frame, (*by, "dataset")).members():
@@ -167,4 +173,5 @@ def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], 
         if len(ranked):
             medians[place] = median_of_sorted(ranked)
     names = [key["dataset"] for key in datasets.keys]
-    return Grid(facets, frame, competitors.keys, names, members, numbers, **vars(marks), medians=medians)
+    told = (metric, facets, frame, competitors.keys, names, members, numbers)
+    return Grid(*told, **vars(marks), medians=medians)

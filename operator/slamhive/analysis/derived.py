@@ -134,15 +134,18 @@ def _extended(frame: Frame) -> Column:
 
 
 def _version(frame: Frame, names: Sequence[str]) -> Column:
-    """Return 8 digits of several values together; missing where none of them is known."""
-    parts = [_codes(frame, name) for name in names]
+    """Return 8 digits of several values together; missing where one isn't known that other rows have."""
+    parts = [_codes(frame, name) for name in names if not frame.column(name).is_empty]
+    if not parts:
+        return Column.missing(len(frame))
     combined = _crossed(parts, len(frame))
     _, firsts, places = np.unique(combined, return_index=True, return_inverse=True)
     digits: list[str | None] = []
     for row in firsts.tolist():
-        values = [str(values[codes[row]]) if codes[row] >= 0 else "" for codes, values in parts]
-        text = "\0".join(values)
-        digits.append(hashlib.sha256(text.encode()).hexdigest()[:_DIGITS] if any(values) else None)
+        known_parts = [str(values[codes[row]]) for codes, values in parts if codes[row] >= 0]
+        text = "\0".join(known_parts)
+        complete = len(known_parts) == len(parts)
+        digits.append(hashlib.sha256(text.encode()).hexdigest()[:_DIGITS] if complete else None)
     known = sorted({text for text in digits if text})
     lookup = np.array([known.index(text) if text else -1 for text in digits], dtype=np.int32)
     return Column.of_codes(lookup[places], known)
@@ -154,11 +157,13 @@ def _superseded(frame: Frame, sweeps: Sequence[SweepVersion]) -> Column:
     words = np.full(len(frame), -1, dtype=np.int32)
     reasons = (ALGORITHM_CHANGED, DATASET_CHANGED, SWEEP_EDITED)
     for reason, owner, names in ((0, "algorithm", _ALGORITHM), (1, "dataset", _DATASET)):
-        group = _crossed([*place, _codes(frame, owner)], len(frame))
+        names_of = _codes(frame, owner)
+        group = _crossed([*place, names_of], len(frame))
         for name in names:
             codes, values = _codes(frame, name)
             if len(values) > 1:
-                words[(words < 0) & _differs_from_latest(codes, group, order)] = reason
+                known = np.where(names_of[0] < 0, -1, codes)  # a missing name is nobody else's
+                words[(words < 0) & _differs_from_latest(known, group, order)] = reason
     words[(words < 0) & _of_earlier_sweep(frame, sweeps)] = 2
     return Column.of_codes(words, reasons)
 

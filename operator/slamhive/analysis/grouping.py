@@ -277,6 +277,19 @@ def failing(frame: Frame, outcomes: Outcomes) -> Mask:
     return found
 
 
+def worst(frame: Frame, metric: str, outcomes: Outcomes) -> Mask:
+    """Tell which rows rank behind all numbers of a metric, (n,).
+
+    Those that failed of themselves; and where all evaluated runs count, those that lost their way so that
+    they have no error at all.
+    """
+    found = failing(frame, outcomes)
+    if outcomes is Outcomes.ALL and metric.startswith(ERRORS):
+        without = np.isnan(frame.column(metric).floats()) & frame.column("outcome").present
+        found = found | (without & ~where_equal(frame, "status", Outcome.TRACKED.value))
+    return found
+
+
 def covered(frame: Frame) -> Floats:
     """Return the coverage that each row stands for, (n,): 0 where a run failed of itself, NaN if unknown."""
     coverage = frame.column("coverage").floats()
@@ -437,12 +450,14 @@ class _Material:
         self._words = status.values
         self._status = status.codes
         self._counted = counting(frame, outcomes)
-        self._failed = failing(frame, outcomes)
         self._coverage = covered(frame)
-        trajectory = frame.column("trajectory.sha256")
-        self._trajectories = None if trajectory.kind.is_numeric else trajectory.codes
+        self._frame = frame
         self._metrics = {
-            name: (frame.column(name).floats(), self._counted & sound(frame, name), name.startswith(ERRORS))
+            name: (
+                frame.column(name).floats(),
+                self._counted & sound(frame, name),
+                worst(frame, name, outcomes) if name.startswith(ERRORS) else None,
+            )
             for name in metrics
         }
 
@@ -451,7 +466,7 @@ class _Material:
         coverage, counted, status = self._coverage[rows], self._counted[rows], self._status[rows]
         untracked = tally(self._words, status[counted])
         untracked.pop(Outcome.TRACKED.value, None)
-        same = self._are_equal(rows[counted])
+        same = are_equal(self._frame, rows[counted])
         return Cell(
             keys=keys,
             runs=len(rows),
@@ -463,31 +478,34 @@ class _Material:
             deterministic=same,
         )
 
-    def _are_equal(self, rows: Indices) -> bool:
-        """Tell whether more than one run wrote the very same trajectory, and none another one."""
-        if self._trajectories is None or len(rows) < 2:
-            return False
-        codes = self._trajectories[rows]
-        return bool(codes[0] >= 0 and (codes == codes[0]).all())
-
     def _figure(self, rows: Indices, name: str, *, same: bool) -> Figure:
-        everywhere, counting_, is_error = self._metrics[name]
+        everywhere, counting_, worst_ = self._metrics[name]
         numbers, inside = everywhere[rows], counting_[rows]
         inside &= ~np.isnan(numbers)
         values = numbers[inside]
         summary = summarize(values)
         points = tuple(values.tolist()) if len(values) < ENOUGH else ()
         interval = mean_interval(summary) if summary else None
-        if not is_error:
+        if worst_ is None:
             return Figure(summary, points, interval, median_interval(np.sort(values)))
-        failed = int(np.count_nonzero(self._failed[rows]))
-        ranked = ranked_errors(numbers, inside, self._failed[rows])
+        failed = int(np.count_nonzero(worst_[rows]))
+        ranked = ranked_errors(numbers, inside, worst_[rows])
         middle = median_of_sorted(ranked) if len(ranked) else None
         if same and summary is not None:
             # One result, however often it came out: there is no sample that could have a spread.
-            one = replace(summary, mean=summary.median, std=None)
+            mean = summary.median if summary.min == summary.max else summary.mean
+            one = replace(summary, mean=mean, std=None)
             return Figure(one, points, None, None, failed, middle)
         return Figure(summary, points, interval, median_interval(ranked), failed, middle)
+
+
+def are_equal(frame: Frame, rows: Indices) -> bool:
+    """Tell whether rows are several of the very same trajectory, and none of another one."""
+    trajectory = frame.column("trajectory.sha256")
+    if trajectory.kind.is_numeric or len(rows) < 2:
+        return False
+    codes = trajectory.codes[rows]
+    return bool(codes[0] >= 0 and (codes == codes[0]).all())
 
 
 def tally(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:

@@ -9,13 +9,13 @@ datasets are drawn first, then repetitions within each (Field and Welsh 2007).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS, prepare
-from slamhive.analysis.grouping import Outcomes, tally
+from slamhive.analysis.grouping import ERRORS, Outcomes, are_equal, tally
 from slamhive.analysis.statistics import (
     Interval,
     Summary,
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.analysis.boards import Grid
-    from slamhive.analysis.columns import Floats
+    from slamhive.analysis.columns import Floats, Indices
     from slamhive.analysis.frame import Frame
 
 DRAWS = 1000
@@ -159,7 +159,7 @@ def _board(grid: Grid, draws: int) -> Board:
     scores, ratios = _scores(grid.medians[None])[0], _ratios(grid.medians[None])[0]
     drawn_ranks = np.apply_along_axis(average_ranks, 1, np.nan_to_num(_scores(drawn), nan=1.0))
     drawn_ratios = _ratios(drawn)
-    ranks, within = average_ranks(scores), _dataset_ranks(grid.medians)
+    ranks, within = _places(scores), _dataset_ranks(grid.medians)
     entries = [
         Entry(
             keys=key,
@@ -176,7 +176,7 @@ def _board(grid: Grid, draws: int) -> Board:
         )
         for number, key in enumerate(grid.competitors)
     ]
-    entries.sort(key=lambda entry: (entry.rank, entry.ratio))
+    entries.sort(key=lambda entry: (np.isnan(entry.rank), entry.rank, entry.ratio))
     return Board(grid.facets, grid.datasets, entries)
 
 
@@ -192,9 +192,16 @@ def _standing(grid: Grid, place: tuple[int, int], rank: float) -> Standing:
         failures=tally(status.values, status.codes[rows][~counted]),
         median=float(grid.medians[place]),
         rank=rank,
-        summary=summarize(values),
+        summary=_without_spread(summarize(values), grid, rows[counted]),
         coverage=grid.mean_coverage(place),
     )
+
+
+def _without_spread(summary: Summary | None, grid: Grid, counted: Indices) -> Summary | None:
+    """Return a summary; without a spread where all runs that count are one and the same result."""
+    if summary is None or not grid.metric.startswith(ERRORS):
+        return summary
+    return replace(summary, std=None) if are_equal(grid.frame, counted) else summary
 
 
 def _dataset_ranks(medians: Floats) -> Floats:
@@ -203,6 +210,13 @@ def _dataset_ranks(medians: Floats) -> Floats:
     for place in range(medians.shape[1]):
         there = ~np.isnan(medians[:, place])
         ranks[there, place] = average_ranks(medians[there, place])
+    return ranks
+
+
+def _places(scores: Floats) -> Floats:
+    """Return ranks by score, NaN where nothing is ranked; scores that differ by rounding alone are equal."""
+    ranks, there = np.full(scores.shape, np.nan), ~np.isnan(scores)
+    ranks[there] = average_ranks(np.round(scores[there], 12))
     return ranks
 
 

@@ -156,19 +156,21 @@ def _why(frame: Frame, mask: Mask) -> str:
 
 
 def once(frame: Frame) -> Mask:
-    """Tell which rows stay when equal content counts once an evaluation, (n,).
+    """Tell which rows stay when equal content counts once an evaluation and its settings, (n,).
 
-    Of equal ones the run stays that was computed and not reused; then one that the machine and the user let
-    end; then the latest.
+    Of equal ones a measured run stays; then one that the machine and the user let end; then one that was
+    computed and not reused; then the latest.
     """
     content = frame.column("provenance.contentHash")
     kept = np.ones(len(frame), dtype=bool)
     if content.kind.is_numeric:
         return kept
     known = np.flatnonzero(content.codes >= 0)
-    evaluation = frame.column("evaluation")
-    evaluations = np.full(len(frame), -1) if evaluation.kind.is_numeric else evaluation.codes
-    groups = content.codes.astype(np.int64) * (len(evaluation.values) + 1) + evaluations + 1
+    groups = content.codes.astype(np.int64)
+    for name in ("evaluation", "settings"):
+        column = frame.column(name)
+        codes = np.full(len(frame), -1) if column.kind.is_numeric else column.codes
+        groups = groups * (len(column.values) + 1) + codes + 1
     if len(np.unique(groups[known])) == len(known):
         return kept
     created = frame.column("created").floats()
@@ -176,8 +178,9 @@ def once(frame: Frame) -> Mask:
         (
             -frame.column("id").floats(),
             -np.where(np.isnan(created), -np.inf, created),
-            _ended_by_others(frame),
             frame.column("provenance.reusedFrom").present,
+            _ended_by_others(frame),
+            ~frame.column("outcome").present,
         )
     )
     order = order[content.codes[order] >= 0]
@@ -230,12 +233,12 @@ def of_sweep(frame: Frame, name: str, where: str) -> Mask:
 
 
 def _of_evaluation(frame: Frame, name: str, where: str) -> Frame:
-    """Return the rows of an evaluation, and those of runs that belong to none."""
+    """Return the rows of an evaluation: of runs that it measured, or was meant to measure."""
     chosen = where_equal(frame, "evaluation", name)
     if not chosen.any():
         known = [str(one) for one in frame.column("evaluation").factorized()[1] if one is not None]
         raise UnknownNameError("evaluation", name, known, where)
-    return frame.select(chosen | ~frame.column("evaluation").present)
+    return frame.select(chosen)
 
 
 def first_rows(frame: Frame) -> Indices:

@@ -187,7 +187,7 @@ def _board_json(board: Board) -> dict[str, Any]:
 def _entry_json(entry: Entry) -> dict[str, Any]:
     return {
         "keys": entry.keys,
-        "rank": entry.rank,
+        "rank": plain(entry.rank),
         "rankInterval": interval_json(entry.rank_interval),
         "score": plain(entry.score),
         "ratio": plain(entry.ratio),
@@ -207,7 +207,7 @@ def _standing_json(standing: Standing) -> dict[str, Any]:
         "n": standing.n,
         "failures": standing.failures,
         "median": plain(standing.median),
-        "medianFailed": plain(standing.median) is None,
+        "medianFailed": standing.median == float("inf"),
         "rank": plain(standing.rank),
         "summary": summary_json(standing.summary),
         "coverage": standing.coverage,

@@ -11,7 +11,7 @@ from slamhive.reporting.drawing import BAND, WIDTH, Drawing, Style, cut
 from slamhive.reporting.markup import parse_metric, shown
 from slamhive.reporting.scales import Scale
 from slamhive.reporting.titles import column_title, keys_text
-from slamhive.tables.text import counts_text
+from slamhive.tables.text import counts_text, number_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -67,7 +67,7 @@ def board_chart(board: Board, metric: Metric) -> Markup:
         name = keys_text(entry.keys)
         if place:
             drawing.line((0, top), (WIDTH, top), "rule strong")
-        drawing.text(10, top + 13, cut(f"{entry.rank:g}  {name}", WIDTH - 120), class_="who")
+        drawing.text(10, top + 13, cut(f"{number_text(entry.rank, 'g')}  {name}", WIDTH - 120), class_="who")
         for standing in entry.standings:
             lane = board.datasets.index(standing.dataset)
             y = top + _NAME + (lane % lanes + 0.5) * _LANE

@@ -7,7 +7,6 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.comparing import compare
-from slamhive.analysis.grouping import Groups
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import pareto
 from slamhive.reporting.charts import MOST_ENTRIES, board_chart, front_chart
@@ -81,7 +80,7 @@ def _board_sheet(board: Board, metric: Metric, number: int) -> Sheet:
         ratio = "failed" if math.isinf(entry.ratio) else number_text(entry.ratio)
         lines.append(
             [
-                bold(f"{entry.rank:g}"),
+                bold(number_text(entry.rank, "g")),
                 interval_text(entry.rank_interval),
                 *(shown(value) for value in entry.keys.values()),
                 number_text(entry.score, ".2f"),
@@ -98,7 +97,9 @@ def _board_sheet(board: Board, metric: Metric, number: int) -> Sheet:
 def _standing(standing: Standing | None, metric: Metric) -> Markup:
     if standing is None:
         return Markup("–")
-    median = bold(metric.show(standing.median)) if math.isfinite(standing.median) else bold("failed")
+    median = bold("failed" if math.isinf(standing.median) else number_text(None))
+    if math.isfinite(standing.median):
+        median = bold(metric.show(standing.median))
     words = [f"n {standing.n}/{standing.runs}"]
     if standing.summary is not None and standing.n > 1:
         words.insert(0, range_text(metric, standing.summary))
@@ -215,7 +216,7 @@ def fronts_section(
     if not drawn:
         return element("p", f"No run that counts has a figure for {axes[0]}."), []
     told = [name for name in by if name != "dataset"]  # each dataset has a chart of its own
-    names = [keys_text(key) for key in Groups(frame, told).keys]
+    names = sorted({keys_text(spot.keys) for front in drawn for spot in front.spots})
     there = {keys_text(spot.keys) for front in drawn[:MOST_FRONTS] for spot in front.spots}
     charts = []
     for front in drawn[:MOST_FRONTS]:
