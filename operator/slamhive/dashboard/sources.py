@@ -279,10 +279,13 @@ class ArchiveData:
             mark = change_mark(self._engine, self._held)
         if mark == self._mark and self.loaded_once:
             return self.problem is not None
+        stamp = None
         if not self.loaded_once and self._cache is not None:
             self._saved = snapshots.restore(self._cache)
             self._loaded = self._saved or self._loaded
-        self._loaded = load(self._engine, self._loaded)
+            # Taken after the mark: what is written from here on is met at the next look.
+            stamp = snapshots.stamp_of(self._url)
+        self._loaded = load(self._engine, self._loaded, stamp)
         self._frame = self._loaded.frame.without(["folder"])
         self._mark = mark
         self.loaded_once = True

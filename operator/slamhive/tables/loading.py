@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import gc
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 from zlib import adler32, crc32
@@ -67,11 +67,13 @@ class Loaded:
         frame: one row a run and evaluation, in the order of storing.
         marks: what each run looked like in short, by its id.
         sweeps: the versions of sweeps; None where the columns that follow from them are missing.
+        stamp: what the database's files looked like then; None where that says nothing.
     """
 
     frame: Frame = field(default_factory=lambda: Frame({}, 0))
     marks: dict[int, int] = field(default_factory=dict)
     sweeps: tuple[SweepVersion, ...] | None = None
+    stamp: tuple[int, ...] | None = None
 
 
 def change_mark(engine: Engine, held: Connection) -> object:
@@ -89,12 +91,14 @@ def change_mark(engine: Engine, held: Connection) -> object:
     return mark
 
 
-def load(engine: Engine, before: Loaded | None = None) -> Loaded:
+def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | None = None) -> Loaded:
     """Return the archive as it is now.
 
     Args:
         engine: the database.
         before: an earlier moment: what has not changed since is taken from there.
+        stamp: what the database's files looked like before it was connected to: where that is as it was,
+            runs are not looked through for changes.
 
     Raises:
         SystemFault: the database doesn't answer.
@@ -102,10 +106,12 @@ def load(engine: Engine, before: Loaded | None = None) -> Loaded:
     before = before or Loaded()
     with reading(engine) as connection, _no_collections():
         known = before.marks
-        marks = _marks(connection) if known else None
+        same = stamp is not None and stamp == before.stamp
+        marks = known if same else _marks(connection) if known else None
         sweeps = _sweeps(connection)
         if marks is not None and marks == known:
-            return before if sweeps == before.sweeps else _derived(before, sweeps)
+            found_now = before if sweeps == before.sweeps else _derived(before, sweeps)
+            return replace(found_now, stamp=stamp)
         changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
         fresh, found = [], {} if marks is None else marks
         for rows in _batches(connection, changed):
@@ -113,7 +119,7 @@ def load(engine: Engine, before: Loaded | None = None) -> Loaded:
             _add_marks(found, [(*row[: len(_CHANGES)], row[-1]) for row in rows], runs=True)
             _add_marks(found, results, runs=False)
             fresh.append(_read(rows, results))
-    return Loaded(_merge(before.frame, set(changed or ()), found, fresh, sweeps), found, sweeps)
+    return Loaded(_merge(before.frame, set(changed or ()), found, fresh, sweeps), found, sweeps, stamp)
 
 
 def _derived(before: Loaded, sweeps: tuple[SweepVersion, ...]) -> Loaded:

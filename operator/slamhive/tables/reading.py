@@ -65,11 +65,12 @@ def read_archive(url: str, cache: Path | None = None) -> Frame:
     file = url.removeprefix("sqlite:///")
     if file != url and not Path(file).is_file():
         raise InputError(f"no archive at {file}; slamhive demo, run and import make one")
+    stamp = snapshots.stamp_of(url)
     engine = connect(url)
     with closing(Archive(engine)):
         kept = snapshots.file_for(cache, url) if cache is not None else None
         before = snapshots.restore(kept) if kept is not None else None
-        loaded = load(engine, before)
+        loaded = load(engine, before, stamp)
         if kept is not None:
             snapshots.keep(kept, loaded, before)
         return loaded.frame

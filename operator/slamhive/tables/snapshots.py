@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import tempfile
+import time
 import zipfile
 from contextlib import suppress
 from pathlib import Path
@@ -23,7 +24,8 @@ from slamhive.analysis.columns import Column, ColumnKind
 from slamhive.analysis.frame import DERIVED, Frame
 from slamhive.tables.loading import Loaded, loads
 
-VERSION = 3
+VERSION = 4
+_SETTLED_NANOSECONDS = 2 * 10**9
 LEAST_ROWS = 5000
 """Rows from which on a cache is worth its place."""
 
@@ -31,6 +33,30 @@ LEAST_ROWS = 5000
 def file_for(folder: Path, url: str) -> Path:
     """Return the cache's file of an archive."""
     return folder / f"dashboard-{hashlib.sha256(url.encode()).hexdigest()[:16]}.npz"
+
+
+def stamp_of(url: str) -> tuple[int, ...] | None:
+    """Return what an SQLite database's files look like; None where that can't tell whether they changed.
+
+    Times of files are coarse: a file that was written just now may be written again at the same time.
+    """
+    path = url.removeprefix("sqlite:///")
+    if path == url:
+        return None
+    found: list[int] = []
+    for name in (path, f"{path}-wal"):
+        try:
+            status = os.stat(name)  # noqa: PTH116
+        except FileNotFoundError:
+            found += [0, 0]
+            continue
+        except OSError:
+            return None
+        written = status.st_mtime_ns if status.st_size else 0  # readers make an empty log and remove it
+        found += [status.st_size, written]
+        if time.time_ns() - written < _SETTLED_NANOSECONDS:
+            return None
+    return tuple(found)
 
 
 def save(path: Path, loaded: Loaded) -> None:
@@ -50,7 +76,13 @@ def save(path: Path, loaded: Loaded) -> None:
             arrays[f"c{number}"] = column.codes
             # By themselves, so that a start needs memory for the texts of one column at a time.
             arrays[f"v{number}"] = _text_of(column.values)
-    head = {"version": VERSION, "slamhive": __version__, "rows": len(frame), "columns": described}
+    head = {
+        "version": VERSION,
+        "slamhive": __version__,
+        "rows": len(frame),
+        "columns": described,
+        "stamp": loaded.stamp,
+    }
     arrays["head"] = _text_of(head)
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +98,9 @@ def save(path: Path, loaded: Loaded) -> None:
 
 
 def keep(path: Path, loaded: Loaded, before: Loaded | None) -> bool:
-    """Write a table for the next start, if it is large and much of it is news; tells whether it was.
+    """Write a table for the next start, if it is large and saves it work; tells whether it was.
+
+    It saves work where much of it is news, or where the next start need not look for changes at all.
 
     Args:
         path: the cache's file.
@@ -76,7 +110,8 @@ def keep(path: Path, loaded: Loaded, before: Loaded | None) -> bool:
     if len(loaded.frame) < LEAST_ROWS:
         return False
     known = before.marks if before is not None else {}
-    if len(loaded.marks.items() - known.items()) <= len(loaded.marks) // 20:
+    settled = loaded.stamp is not None and (before is None or loaded.stamp != before.stamp)
+    if not settled and len(loaded.marks.items() - known.items()) <= len(loaded.marks) // 20:
         return False
     save(path, loaded)
     return True
@@ -97,7 +132,8 @@ def restore(path: Path) -> Loaded | None:
             marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None
-    return Loaded(Frame(columns, int(head["rows"])), marks) if columns else Loaded(Frame({}, 0), {})
+    frame = Frame(columns, int(head["rows"]))
+    return Loaded(frame, marks, stamp=tuple(head["stamp"]) if head["stamp"] else None)
 
 
 def _text_of(value: Any) -> Any:
