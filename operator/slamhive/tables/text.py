@@ -54,6 +54,8 @@ def spread_text(metric: Metric, summary: Summary | None) -> str:
         return mean
     std = summary.std if summary.std > _ROUNDING * abs(summary.mean) else 0.0
     spread = metric.show(std) if metric.format else format(std * metric.factor, ".2g")
+    if metric.format == ".0f" and std and not float(spread):
+        spread = format(std * metric.factor, ".1g")  # whole MiB would call it none
     return f"{mean} ± {spread}"
 
 
