@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of columns says what ``flatten`` says, and follows the archive."""
+"""The table of columns says what the archive holds of each run, and follows it."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from slamhive.dashboard.loading import Loaded, load
 
-from slamhive.analysis import flatten
-from slamhive.archive import Archive
+from slamhive.archive import Archive, SweepRecord
 from slamhive.archive.connection import connect
-from slamhive.model.results import Outcome, Phase, Result
+from slamhive.model.results import IntendedEvaluation, Outcome, Phase, Result
+from slamhive.tables.loading import Loaded, load
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,27 +18,61 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
     from slamhive.model.results import RunRecord
 
-DERIVED = {"id", "status", "disturbed", "ate.extended"}
-UNLISTED = {"folder", "transform", "notes"}
+FIRST = {
+    **{"id": 1, "uid": "uid-000", "name": "run-000", "run": "run-000", "sweep": "study"},
+    **{"algorithm": "algorithm-0", "sensors": "stereo", "dataset": "dataset-0"},
+    **{"repetition": 0, "seed": 0, "attempts": 0, "phase": "Succeeded", "status": "Tracked"},
+    **{"parameters.nFeatures": 500, "parameters.loop": True, "input.pace": "Lockstep"},
+    **{"evaluation": "se3", "alignment": "se3", "outcome": "Tracked", "coverage": 0.95, "scale": 1.0},
+    **{"ate.rmse": 0.01, "rpe[0].rmse": 1 / 3, "ate.extended": 0.01, "disturbed": False},
+    **{"usage.cpu.meanCores": 1.5, "usage.cpu.seconds": 10.0, "usage.wallSeconds": 20.0},
+    **{"trajectory.poses": 10, "trajectory.durationSeconds": 1.0, "trajectory.path": "x"},
+    **{"trajectory.sha256": "0" * 64, "dataset.attributes.loops": 0},
+    "started": "2026-01-02T03:04:00.250000+00:00",
+}
+"""All that the table has of the first run."""
+
+SHOWN = ("uid", "evaluation", "alignment", "outcome", "ate.rmse", "seed", "sweep", "phase", "reason")
 
 
 def rows_of(frame: Frame) -> list[dict[str, Any]]:
-    rows = frame.records([name for name in frame.names if name not in DERIVED])
+    rows = frame.records(frame.names)
     return [{name: value for name, value in row.items() if value is not None} for row in rows]
 
 
-def flat_rows(archive: Archive) -> list[dict[str, Any]]:
-    rows = [row for record in archive.runs() for row in flatten(record)]
-    empty = (None, [], {}, "")
-    return [
-        {name: value for name, value in row.items() if value not in empty and name not in UNLISTED}
-        for row in rows
-    ]
+def lines_of(record: RunRecord) -> list[tuple[Any, ...]]:
+    """Return what a run's rows must have in the columns SHOWN."""
+    have = {
+        one.evaluation: (one.values.get("alignment"), one.outcome, (one.values.get("ate") or {}).get("rmse"))
+        for one in record.results
+    }
+    wanted = {one.evaluation: (one.alignment, None, None) for one in record.evaluations}
+    shared = (record.spec["seed"], record.sweep, record.phase, record.reason)
+    measured = (wanted | have) or {None: (None, None, None)}
+    return [(record.uid, name, *found, *shared) for name, found in measured.items()]
 
 
-def test_the_table_holds_what_flatten_gives(assorted: str) -> None:
+def assert_holds(frame: Frame, archive: Archive) -> None:
+    found = [tuple(row.values()) for row in frame.records(SHOWN)]
+    assert found == [line for record in archive.runs() for line in lines_of(record)]
+
+
+def test_a_run_s_row_has_all_that_is_recorded_of_it(assorted: str) -> None:
+    assert rows_of(load(connect(assorted)).frame)[0] == FIRST
+
+
+def test_each_run_has_a_row_for_each_evaluation(assorted: str) -> None:
+    frame = load(connect(assorted)).frame
     with Archive.open(assorted) as archive:
-        assert rows_of(load(connect(assorted)).frame) == flat_rows(archive)
+        assert_holds(frame, archive)
+    names = ("uid", "evaluation", "status")
+    rows = [tuple(row.values()) for row in frame.records(names)]
+    assert rows[24:28] == [
+        ("uid-024", "se3", "OutOfMemory"),
+        ("uid-025", "se3", "Lost"),
+        ("uid-025", "sim3", "Tracked"),
+        ("uid-026", None, "NotEvaluated"),
+    ]
 
 
 def change_result(archive: Archive, _: Callable[..., RunRecord]) -> None:
@@ -62,11 +95,11 @@ def remove_run(archive: Archive, _: Callable[..., RunRecord]) -> None:
     archive.remove_run("uid-007")
 
 
-def rename_sweep(archive: Archive, _: Callable[..., RunRecord]) -> None:
-    assert archive.set_aside("study", "elsewhere") > 0
+def intend_evaluation(archive: Archive, _: Callable[..., RunRecord]) -> None:
+    archive.put_evaluations("uid-024", [IntendedEvaluation(evaluation="later", alignment="sim3")])
 
 
-CHANGES = (change_result, add_evaluation, add_runs, replace_run, remove_run, rename_sweep)
+CHANGES = (change_result, add_evaluation, add_runs, replace_run, remove_run, intend_evaluation)
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -79,7 +112,21 @@ def test_a_change_is_seen_as_if_all_were_read_again(
         change(archive, make_run)
         after = load(engine, before)
         assert after is not before
-        assert rows_of(after.frame) == rows_of(load(engine).frame) == flat_rows(archive)
+        assert rows_of(after.frame) == rows_of(load(engine).frame)
+        assert_holds(after.frame, archive)
+
+
+def test_a_new_version_of_a_sweep_supersedes_the_runs_of_the_one_before(
+    url: str, make_run: Callable[..., RunRecord]
+) -> None:
+    with Archive.open(url) as archive:
+        archive.put_sweep(SweepRecord(uid="old", name="study", spec={}, created="2026-01-01T00:00:00Z"))
+        archive.put_runs(make_run(number, sweep_uid="old") for number in range(3))
+        before = load(connect(url))
+        archive.put_sweep(SweepRecord(uid="new", name="study", spec={}, created="2026-02-01T00:00:00Z"))
+        after = load(connect(url), before)
+    assert before.frame.column("superseded").tolist() == [None] * 3
+    assert after.frame.column("superseded").tolist() == ["sweep edited"] * 3
 
 
 def test_nothing_is_read_again_without_a_change(assorted: str) -> None:
@@ -94,20 +141,10 @@ def test_an_empty_archive_is_an_empty_table(url: str) -> None:
 
 def test_many_small_batches_make_the_same_table(assorted: str, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = load(connect(assorted))
-    monkeypatch.setattr("slamhive.dashboard.loading.BATCH", 4)
+    monkeypatch.setattr("slamhive.tables.loading.BATCH", 4)
     found = load(connect(assorted))
     assert rows_of(found.frame) == rows_of(whole.frame)
     # Among other rows a run looks the same, so that only what has changed is read again.
     assert found.marks == whole.marks
-    monkeypatch.setattr("slamhive.dashboard.loading._STREAMED", 3)
+    monkeypatch.setattr("slamhive.tables.loading._STREAMED", 3)
     assert load(connect(assorted), found) is found
-
-
-def test_what_became_of_a_run_is_one_word(assorted: str) -> None:
-    frame = load(connect(assorted)).frame
-    words = dict(zip(frame.column("uid").tolist(), frame.column("status").tolist(), strict=True))
-    assert [words[f"uid-{number:03d}"] for number in (0, 24, 26)] == [
-        "Tracked",
-        "OutOfMemory",
-        "NotEvaluated",
-    ]

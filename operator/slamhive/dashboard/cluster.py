@@ -127,7 +127,8 @@ class ClusterSource:
             removed, self._cluster.removed = self._cluster.removed, False
             if self._archive is not None:
                 await self._archive.follow(self._executor, again=removed)
-            state = (self._cluster.changes, self._archive.revision if self._archive else "", self._problems())
+            archived = self._archive.revision if self._archive else ""
+            state = (self._cluster.changes, archived, self._problems(), self._listed)
             if state != self._built and time.monotonic() >= self._next_build:
                 begun = time.monotonic()
                 sweeps = {_address(obj): sweep_in_short(obj) for obj in self._cluster.of(Kind.SWEEP)}
@@ -145,6 +146,11 @@ class ClusterSource:
 
     @property
     def ready(self) -> bool:
+        """Whether what is shown was made of all kinds, each listed once, and of the archive."""
+        return bool(self._built) and bool(self._built[-1])
+
+    @property
+    def _listed(self) -> bool:
         """Whether every kind was listed once, and the archive read."""
         listed = len(self._troubles) == len(self._namespaces) * (len(_OTHERS) + 1)
         known = listed and len(self._cluster.runs) == len(self._namespaces)
