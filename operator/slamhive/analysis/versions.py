@@ -1,0 +1,475 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Before and after: what an edited Algorithm or Dataset changed, setting by setting, and whether by chance.
+
+The unit is the setting: runs of both versions that agree in dataset, evaluation and all that varies give one
+pair of medians, failed runs last. From 6 settings on the logarithms of their ratios are tested by flipping
+signs; fewer are tested by permuting the repetitions within each setting, by their ranks (the sum of
+Wilcoxon's rank sums), as those are exchangeable where the versions are equally good. Equal trajectories are
+one result: a system that always writes the same one is not tested, as nothing about it is chance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.comparing import LEVEL, log_ratios, signed_differences
+from slamhive.analysis.derived import ALGORITHM_CHANGED, DATASET_CHANGED
+from slamhive.analysis.grouping import (
+    CONFIGURATION,
+    ERRORS,
+    SUBJECT,
+    Groups,
+    Outcomes,
+    apart,
+    counting,
+    disturbance_notes,
+    failing,
+    ranked_errors,
+    sound,
+    tally,
+    unranked_notes,
+    varies,
+    varying,
+)
+from slamhive.analysis.statistics import ENOUGH, average_ranks, holm, median_of_sorted, sign_flip_test
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from slamhive.analysis.columns import Floats, Indices
+    from slamhive.analysis.frame import Frame
+
+ENOUGH_SETTINGS = 6
+"""Settings from which on they are what is tested: fewer can't give a p below 0.05."""
+
+MAX_EARLIER = 10
+"""Earlier versions that the current one is compared with."""
+
+SIGN_FLIPS = "sign flips over settings"
+PERMUTATIONS = "permutations of repetitions within settings"
+
+_VERSIONS = {"algorithm": "algorithm.version", "dataset": "dataset.version"}
+_REASONS = {"algorithm": ALGORITHM_CHANGED, "dataset": DATASET_CHANGED}
+_RECORDED = (
+    *("provenance.algorithmHash", "provenance.environment", "provenance.imageID"),
+    *("provenance.datasetSha256", "provenance.preparation", "provenance.cpuModel"),
+    "provenance.slamhiveVersion",
+)
+_MOST_EXACT = 20_000
+_MOST_DRAWN = 4_000_000
+_LEAST_DRAWS = 500
+_SEED = 20230529
+_CLOSE = 0.005
+
+
+@dataclass(frozen=True)
+class Version:
+    """A version of an algorithm or a dataset.
+
+    Attributes:
+        version: its 8 digits.
+        runs: number of rows.
+        first, last: when its first and last run were asked for, s since 1970; None when that isn't known.
+    """
+
+    version: str
+    runs: int
+    first: float | None
+    last: float | None
+
+
+@dataclass(frozen=True)
+class Side:
+    """The runs of one version in one setting.
+
+    Attributes:
+        runs: number of rows.
+        n: number of those that count and have a figure.
+        failures: number of the others, by what became of them.
+        median: over all that have a rank, failed ones last; infinite where it is a failed one.
+        points: the figures, where they are few.
+        ranked: different results, sorted, failed ones as +inf; equal trajectories once.
+        same: whether several runs all gave one and the same result.
+    """
+
+    runs: int
+    n: int
+    failures: dict[str, int]
+    median: float
+    points: tuple[float, ...]
+    ranked: Floats
+    same: bool
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Runs of both versions that agree in everything but the version.
+
+    Attributes:
+        keys: what they agree in, by column.
+        before, after: what they came to.
+    """
+
+    keys: dict[str, Any]
+    before: Side
+    after: Side
+
+    @property
+    def ratio(self) -> float:
+        """Median after over median before: infinite or 0 where one failed, 1 where both did."""
+        medians = np.array([self.before.median]), np.array([self.after.median])
+        return float(np.exp(_differences(*medians))[0])
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether both versions gave one result each, however often they ran."""
+        return self.before.same and self.after.same
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A column that has other values after than before.
+
+    Attributes:
+        column: its name.
+        before, after: values.
+    """
+
+    column: str
+    before: list[Any]
+    after: list[Any]
+
+
+@dataclass(frozen=True)
+class Change:
+    """A version against an earlier one.
+
+    Attributes:
+        changed: what has versions: ``algorithm`` or ``dataset``.
+        metric: the figure, small is good.
+        keys: what all of these runs share, by column.
+        before, after: the versions.
+        current: whether the later one is the current one.
+        settings: those that ran with both.
+        unpaired: number of settings that ran with one of them alone.
+        ratio: geometric mean of after over before; above 1 after is worse. NaN where failed runs forbid it.
+        wins: settings in which after is better, worse, the same.
+        test: what was tested; None where nothing was.
+        p: that both are equally good, two-sided.
+        p_holm: corrected for the number of earlier versions.
+        least_p: the smallest p that so few results can give.
+        differences: what else is not as before.
+    """
+
+    changed: str
+    metric: str
+    keys: dict[str, Any]
+    before: Version
+    after: Version
+    current: bool
+    settings: list[Setting]
+    unpaired: int
+    ratio: float
+    wins: tuple[int, int, int]
+    test: str | None
+    p: float
+    p_holm: float
+    least_p: float
+    differences: list[Difference]
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether each setting has one result before and one after, however often it ran."""
+        return bool(self.settings) and all(setting.deterministic for setting in self.settings)
+
+    @property
+    def sentence(self) -> str:
+        """What it means."""
+        if not self.settings:
+            return "no setting has results of both versions: run the current one in a setting of before"
+        told = self._told()
+        if self.deterministic:
+            return f"deterministic: {told}; each is one result, however often it ran"
+        if self.wins[2] == len(self.settings):
+            return told
+        corrected = " after correction" if self.p_holm != self.p else ""
+        if self.p_holm <= LEVEL:
+            return f"{told}: more than chance (p = {self.p_holm:.3g}{corrected})"
+        if self.least_p > LEVEL:
+            return f"{told}: too few to tell (p can't go below {self.least_p:.3g})"
+        return f"{told}: may be chance (p = {self.p_holm:.3g}{corrected})"
+
+    def _told(self) -> str:
+        better, worse, same = self.wins
+        count = len(self.settings)
+        settings = "1 setting" if count == 1 else f"{count} settings"
+        up, down = ("worse", "better") if self.metric.startswith(ERRORS) else ("higher", "lower")
+        if same == count:
+            return f"after is the same in {same} of {settings}"
+        if not math.isfinite(self.ratio):
+            return f"after is {up} in {worse} and {down} in {better} of {settings}, some of which failed"
+        if abs(math.log(self.ratio)) < _CLOSE:
+            return f"after is the same within 0.5 %, {up} in {worse} of {settings}"
+        if self.ratio > 1:
+            return f"after is {self.ratio:.3g} times {up}, in {worse} of {settings}"
+        return f"after is {1 / self.ratio:.3g} times {down}, in {better} of {settings}"
+
+
+def before_and_after(
+    frame: Frame, metric: str = "ate.rmse", outcomes: Outcomes = Outcomes.TRACKED
+) -> tuple[list[Change], list[str]]:
+    """Compare the latest version of each algorithm and dataset with the ones before it.
+
+    Args:
+        frame: one row a run and evaluation, superseded ones too.
+        metric: a column of numbers, small is good.
+        outcomes: which runs have a figure that counts; others that failed of themselves are ranked last.
+
+    Returns:
+        What changed: for each algorithm with sensors (and each dataset that was edited) the latest earlier
+        version first; and notes.
+    """
+    found = []
+    notes = [*disturbance_notes(frame, [metric]), *unranked_notes(frame, outcomes)]
+    for changed in _VERSIONS:
+        material = _Material(frame, metric, outcomes, changed)
+        notes += material.notes
+        found += material.changes()
+    return found, notes
+
+
+class _Material:
+    """The rows by what has versions, with what each row counts for.
+
+    Args:
+        frame, metric, outcomes: as for ``before_and_after``.
+        changed: what has versions.
+    """
+
+    def __init__(self, frame: Frame, metric: str, outcomes: Outcomes, changed: str) -> None:
+        self._changed, self._metric = changed, metric
+        self._name = _VERSIONS[changed]
+        known = frame.column(self._name).present
+        self.notes: list[str] = []
+        if known.any() and not known.all():
+            count = int((~known).sum())
+            rows = "1 row is" if count == 1 else f"{count:,} rows are"
+            self.notes.append(f"{rows} of no known {self._name}: left out")
+        self._frame, facets = apart(frame.select(known), [*SUBJECT, self._name], [metric])
+        other = next(name for name in _VERSIONS.values() if name != self._name)
+        shared = ["algorithm", "sensors", *(["dataset"] if changed == "dataset" else [])]
+        self._subject = [*shared, *(name for name in facets if name != other)]
+        self._setting = ["dataset", *(name for name in facets if name == other)]
+        self._numbers = self._frame.column(metric).floats()
+        self._counted = counting(self._frame, outcomes) & sound(self._frame, metric)
+        self._counted &= ~np.isnan(self._numbers)
+        self._failed = failing(self._frame, outcomes)
+        self._moments = self._latest()
+
+    def _latest(self) -> dict[tuple[Any, Any], tuple[float, float]]:
+        """Return when each version last ran, by (what has it, version), over all of its rows."""
+        created = self._frame.column("created").floats()
+        moments = zip(
+            self._frame.column(self._changed).tolist(),
+            self._frame.column(self._name).tolist(),
+            np.where(np.isnan(created), -np.inf, created).tolist(),
+            self._frame.column("id").floats().tolist(),
+            strict=True,
+        )
+        latest: dict[tuple[Any, Any], tuple[float, float]] = {}
+        for owner, version, moment, number in moments:
+            before = latest.get((owner, version), (-math.inf, -math.inf))
+            latest[owner, version] = max(before, (moment, number))
+        return latest
+
+    def changes(self) -> list[Change]:
+        """Return what changed, the subjects sorted, the latest earlier version of each first."""
+        groups = Groups(self._frame, self._subject)
+        found = []
+        for rows, keys in zip(groups.members(), groups.keys, strict=True):
+            versions: dict[Any, Indices] = {}
+            inside = Groups(self._frame.select(rows), [self._name])
+            for places, key in zip(inside.members(), inside.keys, strict=True):
+                versions[key[self._name]] = rows[places]
+            if len(versions) > 1:
+                found += self._of_subject(keys, versions)
+        return sorted(found, key=lambda change: [str(value) for value in change.keys.values()])
+
+    def _of_subject(self, keys: dict[str, Any], versions: dict[Any, Indices]) -> list[Change]:
+        owner = keys[self._changed]
+        latest_first = sorted(versions, key=lambda one: self._moments[owner, one], reverse=True)
+        if len(latest_first) > MAX_EARLIER + 1:
+            count = len(latest_first) - 1
+            told = f"{count} earlier versions of {owner}: the latest {MAX_EARLIER} are compared"
+            if told not in self.notes:
+                self.notes.append(told)
+        after, *earlier = latest_first[: MAX_EARLIER + 1]
+        changes = [self._change(keys, (one, versions[one]), (after, versions[after])) for one in earlier]
+        tested = [place for place, change in enumerate(changes) if change.test is not None]
+        for place, p_holm in zip(tested, holm([changes[place].p for place in tested]), strict=True):
+            changes[place] = replace(changes[place], p_holm=p_holm)
+        return [change for change in changes if change.settings or self._ranked_rows(versions, change)]
+
+    def _ranked_rows(self, versions: dict[Any, Indices], change: Change) -> bool:
+        """Tell whether both versions have results at all, if in no common setting."""
+        ranked = self._counted | self._failed
+        return all(bool(ranked[versions[one.version]].any()) for one in (change.before, change.after))
+
+    def _change(
+        self, keys: dict[str, Any], before: tuple[Any, Indices], after: tuple[Any, Indices]
+    ) -> Change:
+        old, new = self._frame.select(before[1]), self._frame.select(after[1])
+        # What is always the same within a version but differs between them is part of the change.
+        varied = dict.fromkeys([*self._setting, *sorted({*varying(old), *varying(new)})])
+        settings, unpaired = self._paired([name for name in varied if name not in keys], before[1], after[1])
+        medians = [np.array([getattr(one, side).median for one in settings]) for side in ("before", "after")]
+        differences = _differences(*medians)
+        signs = signed_differences(differences)
+        test, p, least_p = _tested(settings, signs)
+        finite = len(differences) > 0 and bool(np.isfinite(differences).all())
+        return Change(
+            changed=self._changed,
+            metric=self._metric,
+            keys=keys,
+            before=self._version(*before),
+            after=self._version(*after),
+            current=_REASONS[self._changed] not in {*new.column("superseded").tolist()},
+            settings=settings,
+            unpaired=unpaired,
+            ratio=math.exp(float(differences.mean())) if finite else math.nan,
+            wins=(int((signs < 0).sum()), int((signs > 0).sum()), int((signs == 0).sum())),
+            test=test,
+            p=p,
+            p_holm=p,
+            least_p=least_p,
+            differences=self._other_differences(before[1], after[1]),
+        )
+
+    def _paired(self, names: Sequence[str], before: Indices, after: Indices) -> tuple[list[Setting], int]:
+        """Return the settings with ranks on both sides, and the number of the others."""
+        both = np.concatenate([before, after])
+        groups = Groups(self._frame.select(both), names)
+        settings = []
+        for places, keys in zip(groups.members(), groups.keys, strict=True):
+            rows = both[places]
+            is_before = places < len(before)
+            sides = self._side(rows[is_before]), self._side(rows[~is_before])
+            if not any(math.isnan(side.median) for side in sides):
+                settings.append(Setting(keys, *sides))
+        return settings, groups.count - len(settings)
+
+    def _side(self, rows: Indices) -> Side:
+        counted, failed = self._counted[rows], self._failed[rows]
+        status = self._frame.column("status")
+        everything = ranked_errors(self._numbers[rows], counted, failed)
+        ranked = everything
+        if self._metric.startswith(ERRORS):
+            kept = self._different(rows)
+            ranked = ranked_errors(self._numbers[rows][kept], counted[kept], failed[kept])
+        failures = tally(status.values, status.codes[rows[~counted]])
+        return Side(
+            runs=len(rows),
+            n=int(counted.sum()),
+            failures=failures,
+            median=median_of_sorted(everything) if len(everything) else math.nan,
+            points=tuple(self._numbers[rows][counted].tolist()) if counted.sum() < ENOUGH else (),
+            ranked=ranked,
+            same=len(everything) > 1 and (len(ranked) == 1 or bool(np.isinf(everything).all())),
+        )
+
+    def _different(self, rows: Indices) -> Indices:
+        """Return the places of rows of which no earlier one has the same trajectory."""
+        column = self._frame.column("trajectory.sha256")
+        if column.kind.is_numeric:
+            return np.arange(len(rows))
+        codes = column.codes[rows]
+        _, firsts = np.unique(codes, return_index=True)
+        return np.union1d(firsts[codes[firsts] >= 0], np.flatnonzero(codes < 0)).astype(np.intp)
+
+    def _version(self, version: Any, rows: Indices) -> Version:
+        created = self._frame.column("created").floats()[rows]
+        known = created[~np.isnan(created)]
+        times = (float(known.min()), float(known.max())) if len(known) else (None, None)
+        return Version(str(version), len(rows), *times)
+
+    def _other_differences(self, before: Indices, after: Indices) -> list[Difference]:
+        """Return the settings and circumstances that share no value between two versions."""
+        both = self._frame.select(np.concatenate([before, after]))
+        names = [name for name in self._frame.stored if name.startswith(CONFIGURATION) or name in _RECORDED]
+        found = []
+        for name in names:
+            if not varies(both, name):
+                continue
+            values = [_hashable(value) for value in both.column(name).tolist()]
+            sides = dict.fromkeys(values[: len(before)]), dict.fromkeys(values[len(before) :])
+            if not sides[0].keys() & sides[1].keys():
+                found.append(Difference(name, list(sides[0]), list(sides[1])))
+        return found
+
+
+def _hashable(value: Any) -> Any:
+    return str(value) if isinstance(value, list | dict) else value
+
+
+def _differences(before: Floats, after: Floats) -> Floats:
+    """Return log(after / before), (n,): ±inf where a logarithm has no meaning, by which side is smaller."""
+    found = log_ratios(before, after)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isnan(found), np.copysign(np.inf, after - before), found)
+
+
+def _tested(settings: Sequence[Setting], signs: Floats) -> tuple[str | None, float, float]:
+    """Return what was tested, p and the least p there could be."""
+    if not settings or all(setting.deterministic for setting in settings):
+        return None, 1.0, 1.0
+    if len(settings) >= ENOUGH_SETTINGS:
+        return SIGN_FLIPS, sign_flip_test(signs), 2.0 ** (1 - len(settings))
+    pairs = [(setting.before.ranked, setting.after.ranked) for setting in settings]
+    return (PERMUTATIONS, *permutation_test(pairs))
+
+
+def permutation_test(pairs: Sequence[tuple[Floats, Floats]]) -> tuple[float, float]:
+    """Return the two-sided p of two versions being equally good in all settings, and the least possible.
+
+    The statistic is the sum of the rank sums of the second within each setting; which results are whose is
+    permuted within settings. Exact up to 20,000 arrangements, else by as many drawn ones.
+
+    Args:
+        pairs: results of both in each setting, (a,) and (b,), failed ones as +inf.
+    """
+    strata = [(average_ranks(np.concatenate(pair)), len(pair[1])) for pair in pairs]
+    arrangements = math.prod(math.comb(len(ranks), count) for ranks, count in strata)
+    middle = sum(float(ranks.mean()) * count for ranks, count in strata)
+    seen = abs(sum(float(ranks[len(ranks) - count :].sum()) for ranks, count in strata) - middle)
+    least = min(1.0, 2.0 / arrangements)
+    if arrangements <= _MOST_EXACT:
+        sums = np.zeros(1)
+        for ranks, count in strata:
+            sums = np.add.outer(sums, [sum(chosen) for chosen in combinations(ranks.tolist(), count)]).ravel()
+        return float(np.mean(np.abs(sums - middle) >= seen - 1e-9)), least
+    total = sum(len(ranks) for ranks, _ in strata)
+    draws = min(_MOST_EXACT, max(_LEAST_DRAWS, _MOST_DRAWN // total))
+    generator = np.random.default_rng(_SEED)
+    drawn = sum(_drawn_sums(ranks, count, draws, generator) for ranks, count in strata)
+    return float((np.sum(np.abs(drawn - middle) >= seen - 1e-9) + 1) / (draws + 1)), 1.0 / (draws + 1)
+
+
+def _drawn_sums(ranks: Floats, count: int, draws: int, generator: np.random.Generator) -> Floats:
+    """Return sums of some of the ranks, chosen by lot without replacement, (draws,)."""
+    most = max(1, _MOST_DRAWN // len(ranks))
+    parts = [
+        ranks[generator.random((size, len(ranks))).argsort(axis=1)[:, :count]].sum(axis=1)
+        for size in _portions(draws, most)
+    ]
+    return np.concatenate(parts)
+
+
+def _portions(total: int, most: int) -> Iterator[int]:
+    while total > 0:
+        yield min(total, most)
+        total -= most
