@@ -23,6 +23,7 @@ ANALYSES = (
     "repeatability",
     "suspects",
     "common",
+    "versions",
 )
 
 

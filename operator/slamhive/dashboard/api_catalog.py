@@ -39,15 +39,15 @@ def index(snapshot: Snapshot, source: Source) -> Body:
 
 def state(snapshot: Snapshot, source: Source) -> dict[str, Any]:
     """Return the state of the data in short."""
-    frame = current(snapshot.frame)
+    everything, frame = single(snapshot.frame), current(snapshot.frame)
     runs = single(frame)
     counts = {
         name: len(_names(runs.column(column)))
         for name, column in (("algorithms", "algorithm"), ("datasets", "dataset"))
     }
-    counts["sweeps"] = len(_sweep_names(runs))
+    counts["sweeps"] = len({*_sweep_names(everything), *snapshot.sweeps, *snapshot.asked})
     counts["evaluations"] = len(_names(frame.column("evaluation")))
-    counts["superseded"] = len(single(snapshot.frame)) - len(runs)
+    counts["superseded"] = len(everything) - len(runs)
     return {
         "revision": snapshot.revision,
         "counts": {"runs": len(runs), "rows": len(frame), **counts, "live": source.live_runs()},

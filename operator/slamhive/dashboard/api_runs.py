@@ -116,7 +116,7 @@ def columns_list(snapshot: Snapshot, pairs: Pairs, wanted: str | None) -> Body:
         pairs: the query string: filters.
         wanted: list of columns; default: all that hold something.
     """
-    frame, _ = chosen(snapshot, pairs, ("columns", "format"))
+    frame, left_out = chosen(snapshot, pairs, ("columns", "format"))
     columns(snapshot.frame, wanted, "columns")
     listed = names(wanted) or [
         name for name in snapshot.frame.names if not snapshot.frame.column(name).is_empty
@@ -126,4 +126,5 @@ def columns_list(snapshot: Snapshot, pairs: Pairs, wanted: str | None) -> Body:
         key: [item.get(key) for item in items]
         for key in ("name", "kind", "title", "unit", "group", "count", "distinct", "min", "max")
     }
-    return Body({"revision": snapshot.revision, "rows": len(frame), "items": items}, lambda: flat)
+    content = {"revision": snapshot.revision, "rows": len(frame), "items": items, "notes": left_out}
+    return Body(content, lambda: flat)

@@ -137,7 +137,8 @@ class ClusterSource:
                 frame = await loop.run_in_executor(self._executor, partial(self._build, *taken))
                 self._count += 1
                 revision = f"{self._nonce}-{self._count}"
-                self._snapshot = Snapshot(frame, revision, state[2], sweeps)
+                asked = self._archive.asked if self._archive is not None else frozenset()
+                self._snapshot = Snapshot(frame, revision, state[2], sweeps, asked)
                 self._built = state
                 took = time.monotonic() - begun
                 if self.ready:  # until then every piece is news

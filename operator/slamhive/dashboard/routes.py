@@ -19,6 +19,10 @@ Where = Annotated[
         examples=["coverage >= 0.9"],
     ),
 ]
+Superseded = Annotated[
+    str | None,
+    Query(max_length=100, description="1 for results of earlier versions too, which are left out otherwise."),
+]
 Names = Annotated[str | None, Query(max_length=10_000, description="Columns, separated by commas.")]
 FormatName = Annotated[str | None, Query(max_length=100, description="json, csv or parquet.")]
 Which = Annotated[str, Query(max_length=100, description="Runs that count: tracked or all.")]
@@ -39,6 +43,7 @@ def router(service: Service) -> APIRouter:
         request: Request,
         *,
         where: Where = None,  # noqa: ARG001 - read with all other filters
+        superseded: Superseded = None,  # noqa: ARG001
         sort: Names = None,
         columns: Names = None,
         limit: Annotated[int | None, Query(ge=1, le=api_runs.MAX_LIMIT)] = None,
@@ -74,6 +79,7 @@ def router(service: Service) -> APIRouter:
         request: Request,
         *,
         where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
         columns: Names = None,
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
@@ -92,6 +98,7 @@ def router(service: Service) -> APIRouter:
         facet: ColumnName = None,
         digits: Annotated[int | None, Query(ge=2, le=17, description="Significant digits.")] = None,
         where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Runs without a value stay in: they are drawn as failed."""
@@ -107,6 +114,7 @@ def router(service: Service) -> APIRouter:
         metrics: Names = None,
         outcomes: Which = "tracked",
         where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """What must not be pooled becomes a key by itself."""
@@ -123,6 +131,7 @@ def router(service: Service) -> APIRouter:
         by: Names = None,
         outcomes: Which = "tracked",
         where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """One board for each combination of evaluation, alignment and pace."""

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Addresses of comparisons, fronts, influences, repetitions and suspicions."""
+"""Addresses of comparisons, fronts, influences, repetitions, versions and suspicions."""
 
 # FastAPI reads the annotations of these functions, so they are no mere texts here.
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from slamhive.dashboard import api_common, api_studies
-from slamhive.dashboard.routes import FormatName, Names, Where, Which, pairs
+from slamhive.dashboard import api_common, api_studies, api_versions
+from slamhive.dashboard.routes import FormatName, Names, Superseded, Where, Which, pairs
 from slamhive.dashboard.service import Service
 
 Metric = Annotated[str, Query(max_length=10_000, description="A column of numbers, small is good.")]
@@ -26,6 +26,7 @@ def router(service: Service) -> APIRouter:
         by: Names = None,
         outcomes: Which = "tracked",
         where: Where = None,  # noqa: ARG001 - read with all other filters
+        superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """The p values are exact up to 14 datasets and corrected after Holm."""
@@ -43,6 +44,7 @@ def router(service: Service) -> APIRouter:
         by: Names = None,
         outcomes: Which = "tracked",
         where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """One front a dataset, evaluation, pace and processor."""
@@ -57,6 +59,7 @@ def router(service: Service) -> APIRouter:
         *,
         metric: Metric = ERROR,
         where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Share of the variance of the logarithm that each setting explains; adaptive searches left out."""
@@ -72,11 +75,25 @@ def router(service: Service) -> APIRouter:
         *,
         metric: Metric = ERROR,
         where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Equal trajectories count once."""
         asked = pairs(request)
         return await service.answer(request, lambda data: api_studies.repeated(data, asked, metric))
+
+    @routes.get("/versions", summary="Before and after: an edited algorithm or dataset, setting by setting")
+    async def versions(
+        request: Request,
+        *,
+        metric: Metric = ERROR,
+        outcomes: Which = "tracked",
+        where: Where = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """The latest version against each earlier one, with a test; results of earlier versions are meant."""
+        asked = pairs(request)
+        return await service.answer(request, lambda data: api_versions.changed(data, asked, metric, outcomes))
 
     @routes.get("/common", summary="Runs of a dataset measured again where all of them have poses")
     async def common(
@@ -85,6 +102,7 @@ def router(service: Service) -> APIRouter:
         by: Names = None,
         outcomes: Which = "all",
         where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Errors over the runs' own and over their common support, from their trajectories."""
@@ -98,6 +116,7 @@ def router(service: Service) -> APIRouter:
         request: Request,
         *,
         where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Such a scale is the calibration's, not the algorithm's."""

@@ -74,12 +74,14 @@ class Snapshot:
         revision: differs whenever anything differs.
         problems: sentences on what does not answer at present.
         sweeps: live sweeps of the cluster: their status by (namespace, name).
+        asked: (namespace, name) of the sweeps that the archive knows, whether they have runs or not.
     """
 
     frame: Frame = field(default_factory=lambda: Frame({}, 0))
     revision: str = "0"
     problems: tuple[str, ...] = ()
     sweeps: Mapping[tuple[str, str], Mapping[str, Any]] = field(default_factory=dict)
+    asked: frozenset[tuple[str, str]] = frozenset()
 
 
 class Source(Protocol):
@@ -166,6 +168,11 @@ class ArchiveData:
     def sweeps(self) -> tuple[SweepVersion, ...]:
         """The versions of sweeps as they were last read."""
         return self._loaded.sweeps or ()
+
+    @property
+    def asked(self) -> frozenset[tuple[str, str]]:
+        """The (namespace, name) of the sweeps in it, whether they have runs or not."""
+        return frozenset((one.namespace or "", one.name) for one in self.sweeps)
 
     @property
     def is_open(self) -> bool:
@@ -328,7 +335,7 @@ class Workstation:
         """Return the archive as it is now."""
         await self._data.follow(self._executor)
         problems = (self._data.said,) if self._data.said else ()
-        return Snapshot(self._data.frame, self._data.revision, problems)
+        return Snapshot(self._data.frame, self._data.revision, problems, asked=self._data.asked)
 
     @property
     def ready(self) -> bool:

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Which runs are meant: chips for what is chosen, a choice of column and value, a condition in words. */
-import { useAddress } from './address.js';
+import { address, useAddress } from './address.js';
+import { useData } from './api.js';
 import { cell, clip } from './format.js';
-import { Fault } from './parts.js';
+import { Fault, Tick } from './parts.js';
 import { html, useEffect, useState } from './ui.js';
 
 const GROUPS = ['run', 'result', 'errors', 'usage', 'parameters', 'input', 'resources', 'dataset', 'labels', 'metrics', 'frames', 'provenance', 'trajectory'];
@@ -18,20 +19,30 @@ export function columnOptions(columns, fits = () => true) {
   })).filter((group) => group.options.length);
 }
 
+/** Parameter of the API and of the address by which results of earlier versions are asked for; as a column it says why a run is one. */
+const SUPERSEDED = 'superseded';
+
+/** Return the headings of the columns of the runs that are meant: of earlier versions too, or of current ones alone. */
+export const useColumns = () => useData(address('/api/v1/columns', { [SUPERSEDED]: useAddress().query.get(SUPERSEDED) }));
+
+/** True where no run is known at all. @param {{data: object}} columns of useColumns */
+export const isEmpty = (columns) => columns.data?.rows === 0 && columns.data.notes.length === 0;
+
 /** True for columns of numbers and times. */
 export const isNumeric = (column) => ['number', 'integer', 'time'].includes(column.kind);
 
 const text = (pair) => (pair[1] === null ? pair[0] : /[<>!]$/.test(pair[0]) ? `${pair[0]}=${pair[1]}` : `${pair[0]} = ${pair[1]}`);
 
-/** The filters of a page. @param {{columns: object[], error?: import('./api.js').ApiError, hint?: any}} props hint: what stands below an error that is shown here */
-export function Filters({ columns, error, hint }) {
+/** The filters of a page. @param {{columns: object[], error?: import('./api.js').ApiError, hint?: any, versions?: boolean}} props hint: what stands below an error that is shown here; versions: whether earlier versions can be asked for */
+export function Filters({ columns, error, hint, versions = true }) {
   const { query, follow, change } = useAddress();
   const [column, setColumn] = useState('');
   const where = query.get('where');
   const [draft, setDraft] = useState(where);
   useEffect(() => setDraft(where), [where]);
-  const chosen = query.filters().pairs.filter(([name]) => name !== 'where');
-  const heading = columns?.find((one) => one.name === column);
+  const chosen = query.filters().pairs.filter(([name]) => name !== 'where' && name !== SUPERSEDED);
+  const offered = columns?.filter((one) => one.name !== SUPERSEDED);
+  const heading = offered?.find((one) => one.name === column);
   const add = (value) => {
     if (value !== '') follow(query.and(column, value));
     setColumn('');
@@ -46,7 +57,7 @@ export function Filters({ columns, error, hint }) {
         <button type="button" aria-label=${`Remove the filter ${clip(text(pair), 80)}`} onClick=${() => follow(query.without(pair))}>×</button></span>`)}
       <label class=${`field ${wrongChoice ? 'wrong' : ''}`}><span>Filter by</span><select value=${column} aria-invalid=${wrongChoice ? 'true' : null} onChange=${(event) => setColumn(event.target.value)}>
         <option value="">column…</option>
-        ${columnOptions(columns).map((group) => html`<optgroup label=${group.label}>${group.options.map(([name, title]) => html`<option value=${name}>${clip(title, 60)}</option>`)}</optgroup>`)}
+        ${columnOptions(offered).map((group) => html`<optgroup label=${group.label}>${group.options.map(([name, title]) => html`<option value=${name}>${clip(title, 60)}</option>`)}</optgroup>`)}
       </select></label>
       ${heading && (heading.values
         ? html`<label class="field"><span>is</span><select value="" onChange=${(event) => add(event.target.value)}><option value="">value…</option>
@@ -55,6 +66,7 @@ export function Filters({ columns, error, hint }) {
       <label class=${`field wide ${wrongWhere ? 'wrong' : ''}`}><span>Condition</span>
         <input type="text" spellcheck="false" maxlength="8000" placeholder="coverage >= 0.9 and run not in (53, 103)" value=${draft} aria-invalid=${wrongWhere ? 'true' : null}
           onInput=${(event) => setDraft(event.target.value)} onChange=${(event) => change({ where: event.target.value.trim() })} /></label>
+      ${versions && html`<${Tick} label="earlier versions too" checked=${query.get(SUPERSEDED) === '1'} onChange=${(on) => change({ [SUPERSEDED]: on ? '1' : null, after: null })} />`}
     </div>
     ${error && (error.field === 'where' || chosen.some(wrongChip)) && html`<${Fault} error=${error} />${hint}`}
   </section>`;

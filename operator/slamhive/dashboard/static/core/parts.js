@@ -39,8 +39,8 @@ export const Empty = () => html`<section class="empty"><h2>Nothing is here yet</
   <p>or take in the runs of the original SLAM Hive:</p><pre>slamhive import slam-hive FOLDER --ground-truth FOLDER --alignment sim3</pre>
   <p>This page shows them as soon as they are there; there is no need to load it again.</p></section>`;
 
-/** Nothing fits the filters. */
-export const NothingFits = () => html`<p class="empty">No run fits these filters. Take one of them away.</p>`;
+/** Nothing fits the filters. @param {{notes?: string[]}} props notes: what is left out */
+export const NothingFits = ({ notes }) => html`<div><p class="empty">No run fits these filters. Take one of them away.</p><${Notes} notes=${notes} /></div>`;
 
 /** A choice with a label. `options` are [value, text] or texts; a group is {label, options}. */
 export const Choice = ({ label, value, options, onChange, error, none }) => {

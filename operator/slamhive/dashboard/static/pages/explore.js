@@ -7,7 +7,7 @@ import { scatter } from '../charts/scatter.js';
 import { address, go, Query, useAddress } from '../core/address.js';
 import { csvOf, fetchJson, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
+import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
 import { clip, namedValue } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
@@ -38,7 +38,7 @@ function settingsOf(query, columns) {
 
 export default function Explore() {
   const { query } = useAddress();
-  const columns = useData('/api/v1/columns');
+  const columns = useColumns();
   useTitle(query.get('title') || 'Explore');
   if (columns.error) return html`<h1>Explore</h1><${Fault} error=${columns.error} />`;
   if (!columns.data) return html`<${Waiting} />`;
@@ -100,7 +100,7 @@ function Drawing({ set, data, title, csv }) {
   const [brushing, setBrushing] = useState(false);
   const parts = useMemo(() => (set.kind === 'line' ? lineParts(data, set) : pointParts(data, set)), [data, JSON.stringify(set)]);
   if (parts === null) return html`<p class="fault" role="alert">${clip(set.facet, 60)} has too many values for one chart each; choose another column.</p>`;
-  if ((data.count ?? data.groups?.length) === 0) return html`<${NothingFits} />`;
+  if ((data.count ?? data.groups?.length) === 0) return html`<${NothingFits} notes=${data.notes} />`;
   const sentences = [...new Set([...(data.mixed ?? []).map((one) => one.sentence), ...(data.notes ?? []), ...(parts[0]?.left ? [`${parts[0].left} of the charts would have no line with two values of ${clip(set.x, 60)}; they are left out, the table has them`] : [])])];
   const open = (event) => openRun(data, event);
   const many = parts.length > 1;

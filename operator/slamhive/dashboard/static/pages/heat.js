@@ -21,7 +21,7 @@ export function Heat({ set, columns, filters, title, onError }) {
   useEffect(() => onError(error), [error]);
   const drawn = useMemo(() => data && parts(data, set, rows), [data, set.figure, rows]);
   if (!data) return !error && html`<${Waiting} />`;
-  if (data.groups.length === 0) return html`<${NothingFits} />`;
+  if (data.groups.length === 0) return html`<${NothingFits} notes=${data.notes} />`;
   return html`<div class=${drawn.length > 1 ? 'facets' : ''}>${drawn.map((part) => html`<${Chart} key=${part.name} title=${part.name ? `${title}: ${clip(part.name, 100)}` : title} option=${part.option} height=${part.height}
       csv=${csvOf(url)} table=${part.table} />`)}</div>
     <${Notes} notes=${[...(data.notes ?? []), ...(drawn.length > 24 ? ['More than 24 charts: filter the runs.'] : [])]} />

@@ -3,7 +3,7 @@
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
+import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
 import { cell, clip, columnTitle, keysText, number } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Table, useTitle, Waiting } from '../core/parts.js';
 import { published } from '../core/questions.js';
@@ -12,12 +12,12 @@ import { html } from '../core/ui.js';
 import { failureText } from './groups.js';
 
 /** What tells competitors apart. */
-export const COMPETITORS = [['algorithm,sensors', 'algorithm and sensors'], ['algorithm', 'algorithm'], ['algorithm,sensors,provenance.version', 'algorithm, sensors, version']];
+export const COMPETITORS = [['algorithm,sensors', 'algorithm and sensors'], ['algorithm', 'algorithm'], ['algorithm,sensors,algorithm.version', 'algorithm, sensors, version']];
 
 export default function Leaderboard() {
   const { query, change } = useAddress();
   useTitle('Leaderboard');
-  const columns = useData('/api/v1/columns');
+  const columns = useColumns();
   const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', 'algorithm,sensors'), outcomes: query.get('outcomes', 'tracked') };
   const url = address('/api/v1/analysis/leaderboard', query.filters().with(set));
   const state = useData(url);

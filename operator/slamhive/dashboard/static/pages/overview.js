@@ -6,7 +6,7 @@ import { number } from '../core/format.js';
 import { Empty, Fault, Link, Notes, useTitle, Waiting } from '../core/parts.js';
 import { questions } from '../core/questions.js';
 import { html } from '../core/ui.js';
-import { Statuses, SweepCard } from './sweeps.js';
+import { Statuses, SweepCards } from './sweeps.js';
 
 const COUNTED = [['runs', 'runs', '/runs'], ['sweeps', 'sweeps', '/sweeps'], ['algorithms', 'algorithms', '/algorithms'], ['datasets', 'datasets', '/datasets'], ['live', 'running now', null]];
 const MOST_SWEEPS = 12;
@@ -24,11 +24,12 @@ export default function Overview() {
     ${counts && html`<dl class="counts">${COUNTED.filter(([name]) => counts[name] !== undefined).map(([name, text, href]) => html`<div><dt>${text}</dt>
       <dd>${href ? html`<${Link} href=${href}>${number(counts[name])}</${Link}>` : number(counts[name])}</dd></div>`)}</dl>`}
     ${index.data?.statuses && html`<${Statuses} statuses=${index.data.statuses} label="Runs by status" />`}
+    ${counts?.superseded > 0 && html`<p class="quiet">${number(counts.superseded)} ${counts.superseded === 1 ? 'run' : 'runs'} of earlier versions ${counts.superseded === 1 ? 'is' : 'are'} left out here: <${Link} href=${address('/runs', { superseded: 1, where: 'superseded is not null' })}>see them</${Link}>, or <${Link} href="/studies?kind=versions">what changed since</${Link}.</p>`}
     <h2>Questions</h2>
     <${Questions} columns=${columns} />
     <h2>Sweeps</h2>
     <${Fault} error=${sweeps.error} />
-    ${sweeps.data ? html`<div class="cards">${sweeps.data.items.slice(0, MOST_SWEEPS).map((sweep) => html`<${SweepCard} key=${sweep.name} sweep=${sweep} />`)}</div>
+    ${sweeps.data ? html`<${SweepCards} sweeps=${sweeps.data.items} shown=${sweeps.data.items.slice(0, MOST_SWEEPS)} />
       ${sweeps.data.items.length > MOST_SWEEPS && html`<p><${Link} href="/sweeps">All ${number(sweeps.data.items.length)} sweeps</${Link}></p>`}
       ${sweeps.data.items.length === 0 && html`<p class="quiet">No sweep is known here.</p>`}` : !sweeps.error && html`<${Waiting} />`}
     <${Notes} notes=${index.data?.notes} />`;

@@ -5,7 +5,7 @@ import { csvOf, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
 import { isNumeric } from '../core/filters.js';
 import { cell, clip, number } from '../core/format.js';
-import { NothingFits, Table, Waiting } from '../core/parts.js';
+import { NothingFits, Notes, Table, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo, useState } from '../core/ui.js';
 import { dressed } from './runrows.js';
 
@@ -24,7 +24,7 @@ export function Parallel({ set, columns, filters, onError }) {
   const option = useMemo(() => data && parallel(data, axes, set.colour || 'algorithm'), [data, axes.join(' '), set.colour]);
   const field = html`<label class="field wide"><span>Axes, in their order</span><input type="text" spellcheck="false" value=${axes.join(',')} onChange=${(event) => change({ axes: event.target.value.replaceAll(' ', '') })} /></label>`;
   if (!data) return html`<p>${field}</p>${!error && html`<${Waiting} />`}`;
-  if (data.items.length === 0) return html`<${NothingFits} />`;
+  if (data.items.length === 0) return html`<${NothingFits} notes=${data.notes} />`;
   const rows = active ? data.items.filter((_, index) => active.has(index)) : data.items;
   const select = (_, chart) => {
     const indices = chart.getModel().getSeries().flatMap((series) => series.getRawIndicesByActiveState('active').map((index) => series.option.data[index].item));
@@ -33,6 +33,7 @@ export function Parallel({ set, columns, filters, onError }) {
   return html`${query.get('embed') !== '1' && html`<p>${field}</p>`}
     <${Chart} title=${`${number(data.items.length)} runs over ${axes.length} axes`} option=${option} height=${420} csv=${csvOf(address('/api/v1/runs', asked))} table=${{ columns: dressed(data.columns), rows: data.items }} events=${{ axisareaselected: select }} />
     ${data.total > MOST && html`<p class="quiet">The first ${MOST} of ${number(data.total)} runs are drawn; filter them.</p>`}
+    <${Notes} notes=${data.notes} />
     <h2>${active ? 'Selected runs' : 'Runs'} <span class="quiet">${number(rows.length)}</span></h2>
     <p class="quiet">Drag along an axis to select; click on it to select all again. Runs without a value on an axis are drawn with a gap.</p>
     <${Table} columns=${dressed(data.columns)} rows=${rows.slice(0, 50)} caption="Runs of the chart" />`;

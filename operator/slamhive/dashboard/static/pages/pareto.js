@@ -15,7 +15,7 @@ export function Pareto({ set, filters, title, onError }) {
   useEffect(() => onError(error), [error]);
   const drawn = useMemo(() => data?.fronts.slice(0, 24).map((front) => front.points.some((point) => point.x !== null) && pareto(data, front, set)).filter(Boolean), [data, set.xlog, set.ylog]);
   if (!data) return !error && html`<${Waiting} />`;
-  if (drawn.length === 0) return html`<${NothingFits} />`;
+  if (drawn.length === 0) return html`<${NothingFits} notes=${data.notes} />`;
   return html`<div class=${drawn.length > 1 ? 'facets' : ''}>${drawn.map((one) => html`<${Chart} key=${one.name} title=${one.name ? `${title}: ${clip(one.name, 100)}` : title} option=${one.option} height=${360} csv=${csvOf(url)} table=${one.table} />`)}</div>
     <p class="quiet">Filled: nobody has both a smaller error and a smaller cost. Crosses: the median run failed.</p><${Notes} notes=${data.notes} />`;
 }

@@ -2,9 +2,9 @@
 /** All runs as a table: filtered, sorted, page by page, with the columns that the reader wants. */
 import { address, Query, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
-import { columnOptions, Filters, shownByFilters } from '../core/filters.js';
+import { columnOptions, Filters, isEmpty, shownByFilters, useColumns } from '../core/filters.js';
 import { clip, number } from '../core/format.js';
-import { Empty, Fault, Link, NothingFits, Table, Tick, useTitle, Waiting } from '../core/parts.js';
+import { Empty, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useState } from '../core/ui.js';
 import RunPage from './run.js';
 import { dressed } from './runrows.js';
@@ -21,14 +21,14 @@ function AllRuns() {
   const { query, change } = useAddress();
   const [marked, setMarked] = useState([]);
   useTitle('Runs');
-  const columns = useData('/api/v1/columns');
+  const columns = useColumns();
   const known = columns.data?.items ?? [];
   const usual = USUAL.filter((name) => known.some((one) => one.name === name));
   const chosen = query.get('columns') ? query.get('columns').split(',') : usual.length ? usual : ['run', 'algorithm'];
   const asked = { columns: ['uid', ...chosen.filter((name) => name !== 'uid')].join(','), sort: query.get('sort'), limit: query.get('limit', '100') };
   const table = address('/api/v1/runs', query.filters().with(asked));
   const state = useData(columns.data ? address('/api/v1/runs', query.filters().with({ ...asked, after: query.get('after') })) : null);
-  if (columns.data?.rows === 0) return html`<h1>Runs</h1><${Empty} />`;
+  if (isEmpty(columns)) return html`<h1>Runs</h1><${Empty} />`;
   const mark = (uid, on) => setMarked(on ? [...marked, uid].slice(-MOST_COMPARED) : marked.filter((one) => one !== uid));
   const marks = { name: 'uid', title: 'compare', sortable: false, show: (uid) => uid && html`<input type="checkbox" aria-label=${`Compare run ${clip(uid, 60)}`} checked=${marked.includes(uid)} onChange=${(event) => mark(uid, event.target.checked)} />` };
   return html`<h1>Runs ${state.data && html`<span class="quiet">${number(state.data.total)}</span>`}</h1>
@@ -39,7 +39,7 @@ function AllRuns() {
     ${state.data ? html`<p class="row"><a href=${csvOf(table)} download>CSV</a>
         ${marked.length > 0 && html`<${Link} href=${address('/compare', new Query().with({ uid: marked }))}>Compare ${marked.length} ${marked.length === 1 ? 'run' : 'runs'}</${Link}>`}</p>
       ${state.data.items.length ? html`<${Table} columns=${[marks, ...dressed(state.data.columns)]} rows=${state.data.items} caption="Runs" sort=${query.get('sort')}
-        onSort=${(sort) => change({ sort, after: null })} />` : html`<${NothingFits} />`}
+        onSort=${(sort) => change({ sort, after: null })} />` : html`<${NothingFits} />`}<${Notes} notes=${state.data.notes} />
       <nav class="row" aria-label="Pages of the table"><p class="row">${query.get('after') && html`<${Link} href=${address('/runs', query.with({ after: null }))}>First page</${Link}>`}
         ${state.current?.next && html`<${Link} href=${address('/runs', query.with({ after: Query.parse(state.current.next.split('?')[1]).get('after') }))}>Next page</${Link}>`}</p></nav>`
     : !state.error && html`<${Waiting} />`}`;

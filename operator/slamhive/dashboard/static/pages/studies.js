@@ -6,33 +6,35 @@ import { spreadChart, suspectChart } from '../charts/spread.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { columnOptions, Filters, isNumeric, shownByFilters } from '../core/filters.js';
+import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
 import { cell, clip, columnTitle, keysText, number, SUBJECT, tellingKeys } from '../core/format.js';
 import { Choice, Fault, Link, Notes, Table, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 import { Common, EACH_RUN, Narrowing } from './common.js';
 import { failureText } from './groups.js';
 import { COMPETITORS } from './leaderboard.js';
+import { Versions } from './versions.js';
 
 /** Each study: what it is called, its address, what it shows, which settings it has. */
 const STUDIES = {
   pairs: { text: 'Pairs', path: 'compare', Shown: Pairs, settings: ['metric', 'by', 'outcomes'], says: 'Competitors two by two over the datasets that both have: medians are paired, a failed median loses, p is of an exact test by flipping signs and corrected after Holm.' },
   importance: { text: 'What matters', path: 'importance', Shown: Importance, settings: ['metric'], says: 'How much of the variation each setting explains. Points that a search chose by their results are left out.' },
   repeatability: { text: 'Repeatability', path: 'repeatability', Shown: Repeatability, settings: ['metric'], says: 'Runs of the very same configuration. Equal trajectories count once.' },
+  versions: { text: 'Before and after', path: 'versions', Shown: Versions, settings: ['metric', 'outcomes'], says: 'The latest version of each algorithm and dataset against the ones before it, setting by setting: medians are paired, failed runs last. From 6 settings on signs are flipped, in fewer the repetitions are permuted; p is corrected for the number of earlier versions.' },
   common: { text: 'Common support', path: 'common', Shown: Common, settings: ['by', 'outcomes'], says: 'Runs of a dataset are measured again, each aligned anew, over the time in which all of them have poses: who gave up before the hard part gains nothing by it.' },
   suspects: { text: 'Suspects', path: 'suspects', Shown: Suspects, settings: [], says: 'Scales that are off 1 by the same factor in all runs: the calibration is wrong, or the depth factor, not the algorithm.' },
 };
 const MOST_SUBJECTS = 12;
 const MOST_ROWS = 200;
 const EVALUATED = { common: 'all' };
-const WITHOUT = { pairs: 'No two competitors have a dataset in common.', importance: 'No setting varies over enough runs.', repeatability: 'No configuration that fits these filters ran more than once.', common: 'No evaluated run fits these filters. Take one of them away.', suspects: 'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs (it takes three tracked runs and an alignment with scale, sim3).' };
+const WITHOUT = { pairs: 'No two competitors have a dataset in common.', importance: 'No setting varies over enough runs.', repeatability: 'No configuration that fits these filters ran more than once.', common: 'No evaluated run fits these filters. Take one of them away.', versions: 'No algorithm or dataset that fits these filters ran in more than one version.', suspects: 'No scale is suspect: of sensors that know the scale, none is off 1 by the same factor in all runs (it takes three tracked runs and an alignment with scale, sim3).' };
 
 export default function Studies() {
   const { query, change } = useAddress();
   const kind = Object.hasOwn(STUDIES, query.get('kind')) ? query.get('kind') : 'pairs';
   const study = STUDIES[kind];
   useTitle(query.get('title') || study.text);
-  const columns = useData('/api/v1/columns');
+  const columns = useColumns();
   const all = columns.data?.items ?? [];
   const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', 'algorithm,sensors'), outcomes: query.get('outcomes', EVALUATED[kind] ?? 'tracked') };
   const asked = Object.fromEntries(study.settings.map((name) => [name, set[name]]));
@@ -47,7 +49,7 @@ export default function Studies() {
         ${study.settings.includes('metric') && html`<${Choice} label="Measured by" value=${set.metric} options=${columnOptions(all, isNumeric)} error=${wrong('metric')} onChange=${(metric) => change({ metric })} />`}
         ${study.settings.includes('by') && html`<${Choice} label="Competitors" value=${set.by} options=${kind === 'common' ? [...COMPETITORS, [EACH_RUN, 'each run']] : COMPETITORS} error=${wrong('by')} onChange=${(by) => change({ by })} />`}
         ${study.settings.includes('outcomes') && html`<${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} error=${wrong('outcomes')} onChange=${(outcomes) => change({ outcomes })} />`}
-      </div></section>`}<${Filters} columns=${all} error=${state.error} hint=${html`<${Narrowing} columns=${all} error=${state.error} />`} />`}
+      </div></section>`}<${Filters} columns=${all} error=${state.error} hint=${html`<${Narrowing} columns=${all} error=${state.error} />`} versions=${kind !== 'versions'} />`}
     ${elsewhere && html`<${Fault} error=${state.error} />`}
     <p class="quiet">${study.says}${state.current && html` <a href=${csvOf(url)} download>CSV</a>`}</p>
     ${state.current ? html`<${study.Shown} key=${kind} data=${state.current} csv=${csvOf(url)} without=${html`<p class="empty">${WITHOUT[kind]}</p>`} />

@@ -14,8 +14,9 @@ const MOST_DRAWN = 4;
 const GROUPS = ['parameters', 'input', 'resources'];
 
 export default function Sweeps() {
-  const { path } = useAddress();
-  return path.length > 1 ? html`<${One} key=${path[1]} name=${path[1]} />` : html`<${All} />`;
+  const { path, query } = useAddress();
+  const namespace = query.all('namespace')[0] ?? null;
+  return path.length > 1 ? html`<${One} key=${`${namespace} ${path[1]}`} name=${path[1]} namespace=${namespace} />` : html`<${All} />`;
 }
 
 function All() {
@@ -23,7 +24,7 @@ function All() {
   const { data, error } = useData('/api/v1/sweeps');
   if (data?.items.length === 0) return html`<h1>Sweeps</h1><${Empty} />`;
   return html`<h1>Sweeps</h1><${Fault} error=${error} />
-    ${data ? html`<div class="cards">${data.items.map((sweep) => html`<${SweepCard} key=${sweep.name} sweep=${sweep} level="h2" />`)}</div>` : !error && html`<${Waiting} />`}`;
+    ${data ? html`<${SweepCards} sweeps=${data.items} level="h2" />` : !error && html`<${Waiting} />`}`;
 }
 
 /** How far a sweep is: finished, running, yet to begin. */
@@ -42,21 +43,46 @@ export const Statuses = ({ statuses, label }) => html`<p class="statuses" aria-l
 
 const axesText = (axes) => axes.map((axis) => `${axis.name ?? 'points'}${axis.count ? ` (${axis.count})` : ''}`).join(', ');
 
-/** A sweep in short. @param {{sweep: object, level?: string}} props level: of its heading */
-export function SweepCard({ sweep, level = 'h3' }) {
-  return html`<article class="card"><${level}><${Link} href=${`/sweeps/${encodeURIComponent(sweep.name)}`}>${clip(sweep.name, 80)}</${Link}>
+/** Return where a sweep is as the API takes it: empty for a workstation, null where its name says enough.
+ * @param {object} sweep @param {object[]} [sweeps] all of them: two may have one name in different places */
+const placeOf = (sweep, sweeps = []) => sweep.namespace ?? (sweeps.some((one) => one.name === sweep.name && one.namespace) ? '' : null);
+
+/** Return the filters that mean the runs of a sweep. @param {string|null} namespace as of placeOf */
+const runsOf = (name, namespace) => new Query([['sweep', name], ...(namespace === null ? [] : [['namespace', namespace || 'null']])]);
+
+/** Return the address of a sweep, of a page or of the API. */
+const sweepAddress = (name, namespace, prefix = '') => address(`${prefix}/sweeps/${encodeURIComponent(name)}`, new Query(namespace === null ? [] : [['namespace', namespace]]));
+
+/** Sweeps in short. @param {{sweeps: object[], shown?: object[], level?: string}} props shown: those that have a card; level: of their headings */
+export const SweepCards = ({ sweeps, shown = sweeps, level = 'h3' }) => html`<div class="cards">${shown.map((sweep) => html`<${SweepCard} key=${`${sweep.namespace ?? ''} ${sweep.name}`} sweep=${sweep} namespace=${placeOf(sweep, sweeps)} level=${level} />`)}</div>`;
+
+/** Where a sweep is, on a cluster. */
+const Place = ({ sweep }) => sweep.namespace !== null && html` <small>in ${clip(sweep.namespace, 80)}</small>`;
+
+/** How often a sweep was edited, and what that superseded: "2 versions, 24 superseded runs". */
+function Versions({ sweep, namespace }) {
+  const parts = [];
+  if (sweep.versions > 1) parts.push(`${number(sweep.versions)} versions`);
+  if (sweep.superseded > 0) parts.push(html`<${Link} href=${address('/runs', runsOf(sweep.name, namespace).with({ superseded: 1, where: 'superseded is not null' }))}>${number(sweep.superseded)} superseded ${sweep.superseded === 1 ? 'run' : 'runs'}</${Link}>`);
+  return parts.length > 0 && html`<p>${parts.map((part, at) => html`${at > 0 && ', '}${part}`)}</p>`;
+}
+
+function SweepCard({ sweep, namespace, level }) {
+  return html`<article class="card"><${level}><${Link} href=${sweepAddress(sweep.name, namespace)}>${clip(sweep.name, 80)}</${Link}><${Place} sweep=${sweep} />
       ${sweep.live && html` <span class="status live">live</span>`}</${level}>
-    <${Progress} sweep=${sweep} /><${Statuses} statuses=${sweep.statuses} />
+    <${Progress} sweep=${sweep} /><${Statuses} statuses=${sweep.statuses} /><${Versions} sweep=${sweep} namespace=${namespace} />
     <p class="quiet">${clip((sweep.algorithms ?? []).join(', '), 120)}<br />${clip((sweep.datasets ?? []).join(', '), 120)}</p>
     ${sweep.axes?.length > 0 && html`<p class="quiet">over ${clip(axesText(sweep.axes), 200)}</p>`}
-    ${sweep.best?.length > 0 && html`<p>smallest ATE: ${sweep.best.slice(0, 3).map((best, at) => html`${at > 0 && ', '}<${Link} href=${address('/runs', { sweep: sweep.name, name: best.name })}>${number(best.ate)} m</${Link}> ${clip(best.dataset ?? '', 60)}`)}</p>`}
+    ${sweep.best?.length > 0 && html`<p>smallest ATE: ${sweep.best.slice(0, 3).map((best, at) => html`${at > 0 && ', '}<${Link} href=${address('/runs', runsOf(sweep.name, namespace).with({ name: best.name }))}>${number(best.ate)} m</${Link}> ${clip(best.dataset ?? '', 60)}`)}</p>`}
     ${sweep.started && html`<p class="quiet">since ${time(sweep.started)}</p>`}</article>`;
 }
 
-function One({ name }) {
+function One({ name, namespace }) {
   useTitle(name);
-  const { data: sweep, error } = useData(`/api/v1/sweeps/${encodeURIComponent(name)}`);
-  const columns = useData(address('/api/v1/columns', { sweep: name }));
+  const { data: sweep, error } = useData(sweepAddress(name, namespace, '/api/v1'));
+  const place = sweep && namespace === null ? sweep.namespace : namespace;
+  const only = runsOf(name, place);
+  const columns = useData(address('/api/v1/columns', only));
   if (!sweep) return html`<div key="waiting"><h1>${clip(name, 160)}</h1>${error ? html`<${Fault} error=${error} /><p><${Link} href="/sweeps">To all sweeps</${Link}></p>` : html`<${Waiting} />`}</div>`;
   const varied = (columns.data?.items ?? []).filter((one) => GROUPS.includes(one.group) && one.distinct > 1);
   const links = (list, kind) => list.map((one, at) => html`${at > 0 && ', '}<${Link} href=${`/${kind}/${encodeURIComponent(one)}`}>${clip(one, 60)}</${Link}>`);
@@ -65,17 +91,16 @@ function One({ name }) {
     ['over', sweep.axes?.length && clip(axesText(sweep.axes), 400)], ['created', sweep.created && time(sweep.created)], ['first run began', sweep.started && time(sweep.started)],
     ['last run ended', sweep.finished && time(sweep.finished)], ['evaluation', sweep.evaluation && clip(cell(sweep.evaluation), 200)],
   ].filter(([, value]) => value);
-  const only = new Query([['sweep', name]]);
   const finished = (sweep.phases?.Succeeded ?? 0) + (sweep.phases?.Failed ?? 0);
-  return html`<div key="there"><h1>${clip(name, 160)}${sweep.live && html` <span class="status live">live</span>`}</h1>
-    <section class="card" aria-label="Progress"><${Progress} sweep=${sweep} /><${Statuses} statuses=${sweep.statuses} label="Runs by status" />
+  return html`<div key="there"><h1>${clip(name, 160)}<${Place} sweep=${sweep} />${sweep.live && html` <span class="status live">live</span>`}</h1>
+    <section class="card" aria-label="Progress"><${Progress} sweep=${sweep} /><${Statuses} statuses=${sweep.statuses} label="Runs by status" /><${Versions} sweep=${sweep} namespace=${place} />
       <dl class="facts">${facts.map(([key, value]) => html`<dt>${key}</dt><dd>${value}</dd>`)}</dl>
-      <p class="row"><${Link} href=${address('/leaderboard', only)}>Leaderboard</${Link}><${Link} href=${address('/studies', only)}>Studies</${Link}><${Link} href=${address('/explore', only)}>Explore</${Link}></p></section>
+      <p class="row"><${Link} href=${address('/leaderboard', only)}>Leaderboard</${Link}><${Link} href=${address('/studies', only)}>Studies</${Link}><${Link} href=${address('/studies', only.with({ kind: 'versions' }))}>Before and after</${Link}><${Link} href=${address('/explore', only)}>Explore</${Link}></p></section>
     <${Conditions} conditions=${sweep.conditions} />
     ${finished === 0 && html`<p class="quiet">No run of it has finished yet; results appear here by themselves.</p>`}
     ${varied.length > 0 && html`<section><h2>Drawn</h2><ul class="questions">${varied.filter(isNumeric).slice(0, MOST_DRAWN).flatMap((axis) => [['ate.rmse', 'ATE'], ['usage.cpu.meanCores', 'CPU'], ['usage.memory.peakBytes', 'RAM']]
       .map(([y, text]) => html`<li><${Link} href=${address('/explore', only.with({ kind: 'line', x: axis.name, y, ...(sweep.datasets?.length > 1 ? { facet: 'dataset' } : {}) }))}>${clip(axis.title.replace(/^parameters\./, ''), 60)} vs ${text}</${Link}></li>`))}</ul></section>`}
-    <${Best} sweep=${sweep} name=${name} settings=${varied} />
+    <${Best} sweep=${sweep} only=${only} settings=${varied} />
     <${RunRows} title="Points" filters=${only} extra=${[...varied.slice(0, MOST_SETTINGS).map((one) => one.name), 'ate.rmse', ...(sweep.finished ? ['finished'] : [])]} sort="-finished" />
     ${sweep.manifest && html`<details><summary>Definition</summary><pre class="text" tabindex="0">${sweep.manifest}</pre></details>`}
     <p><${Link} href="/sweeps">To all sweeps</${Link}></p></div>`;
@@ -91,11 +116,11 @@ function Conditions({ conditions }) {
 }
 
 /** The run with the smallest error on each dataset: metres of several datasets are not put in one order. */
-function Best({ sweep, name, settings }) {
+function Best({ sweep, only, settings }) {
   const datasets = (sweep.datasets ?? []).slice(0, MOST_DATASETS);
   const chosen = settings.slice(0, MOST_SETTINGS).map((one) => one.name);
   const asked = { columns: ['uid', 'run', 'algorithm', 'sensors', 'dataset', 'evaluation', ...chosen, 'coverage', 'ate.rmse'].join(','), sort: 'ate.rmse', limit: 1 };
-  const found = useAll(datasets.map((dataset) => address('/api/v1/runs', { sweep: name, dataset, status: 'Tracked', ...asked })));
+  const found = useAll(datasets.map((dataset) => address('/api/v1/runs', only.with({ dataset, status: 'Tracked', ...asked }))));
   const answers = (found ?? []).map((one) => one.data).filter((data) => data?.items.length && data.items[0]['ate.rmse'] !== null);
   if (answers.length === 0) return html`<section></section>`;
   const columns = [{ name: 'dataset', title: 'dataset' }, { name: 'run', title: 'run', show: (run, row) => (row.uid ? runLink(row.uid, cell(run ?? row.uid)) : cell(run)) },

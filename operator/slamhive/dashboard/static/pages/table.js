@@ -2,7 +2,7 @@
 /** Groups of runs as a table: what a paper prints. */
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
-import { Filters, shownByFilters } from '../core/filters.js';
+import { Filters, shownByFilters, useColumns } from '../core/filters.js';
 import { clip } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
 import { published } from '../core/questions.js';
@@ -13,7 +13,7 @@ export default function Groups() {
   const { query, change } = useAddress();
   const title = query.get('title') || 'Table';
   useTitle(title);
-  const columns = useData('/api/v1/columns');
+  const columns = useColumns();
   const set = { by: query.get('by'), metrics: query.get('metrics', 'ate.rmse'), outcomes: query.get('outcomes', 'tracked') };
   const asked = query.get('figures').split(',').filter((one) => FIGURES.includes(one));
   const figures = asked.length ? asked : FIGURES;
