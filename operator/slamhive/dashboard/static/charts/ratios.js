@@ -6,6 +6,7 @@ import { labelRoom } from './points.js';
 
 const MOST = 40;
 const WIDE_RANGE = 5;
+const NARROW = 560;
 const SIGNS = { better: ['circle', COLOURS[2]], worse: ['diamond', COLOURS[5]], same: ['emptyCircle', COLOURS[8]] };
 
 /** Return what became of a setting: better, worse or same. */
@@ -14,8 +15,8 @@ const verdict = ({ before, after }) => {
   return after.median < before.median ? 'better' : after.median > before.median ? 'worse' : 'same';
 };
 
-/** Return a setting in words. @param {object} keys @param {string[]} told columns that tell settings apart */
-export const settingText = (keys, told) => told.map((name) => (name === 'dataset' ? cell(keys[name]) : `${name.replace(/^(parameters|input)\./, '')} ${cell(keys[name])}`)).join(', ');
+/** Return a setting in words. @param {object} keys @param {string[]} told columns that tell settings apart @param {boolean} [short] whether values do without their names */
+export const settingText = (keys, told, short = false) => told.map((name) => (short || name === 'dataset' ? cell(keys[name]) : `${name.replace(/^(parameters|input)\./, '')} ${cell(keys[name])}`)).join(', ');
 
 /** Return the columns that tell settings apart; the dataset where there is a single one. @param {object[]} settings */
 export const toldApart = (settings) => {
@@ -38,16 +39,18 @@ export function ratioChart(change) {
     option: ({ width }) => ({
       grid: { left: labelRoom(width, 280), right: 30, top: 30, bottom: 50 },
       tooltip: { trigger: 'item', formatter: (item) => (item.data?.one ? `${clip(settingText(item.data.one.keys, told), 120)}\n${words(item.data.one)}` : '') },
-      xAxis: { type: log ? 'log' : 'value', scale: true, name: width < 560 ? 'after / before' : 'median after over median before', nameGap: 28, axisLabel: { formatter: (value) => number(value, 3) } },
-      yAxis: { type: 'category', inverse: true, data: shown.map((one) => clip(settingText(one.keys, told), 60)), name: '', axisLabel: { interval: 0, width: labelRoom(width, 280) - 14, overflow: 'truncate' } },
+      xAxis: { type: log ? 'log' : 'value', scale: true, name: width < NARROW ? 'after / before' : 'median after over median before', nameGap: 28, axisLabel: { formatter: (value) => number(value, 3) } },
+      yAxis: { type: 'category', inverse: true, data: shown.map((one) => clip(settingText(one.keys, told, width < NARROW), 60)), name: '', axisLabel: { interval: 0, width: labelRoom(width, 280) - 14, overflow: 'truncate' } },
       series: [{
         type: 'scatter',
         data: shown.map((one, at) => {
           const [symbol, color] = SIGNS[verdict(one)];
           return { value: [place(one), at], one, symbolSize: failed(one) ? 14 : 11, symbol: failed(one) ? 'path://M0,0L10,10M10,0L0,10' : symbol, itemStyle: { color, borderColor: color, borderWidth: failed(one) ? 2 : 0 } };
         }),
-        markLine: { silent: true, symbol: 'none', data: [{ xAxis: 1 }], label: { formatter: 'as before', position: 'end', color: 'inherit' }, lineStyle: { type: 'dashed' } },
-      }],
+        markLine: { silent: true, symbol: 'none', data: [{ xAxis: 1 }], label: { formatter: 'as before', position: 'start', color: 'inherit' }, lineStyle: { type: 'dashed' } },
+      },
+      // Nobody sees it: it keeps 1 on the axis.
+      { type: 'scatter', silent: true, symbolSize: 0.1, itemStyle: { opacity: 0 }, data: [[1, 0]] }],
     }),
   };
 }

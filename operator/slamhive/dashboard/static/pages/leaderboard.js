@@ -14,11 +14,14 @@ import { failureText } from './groups.js';
 /** What tells competitors apart. */
 export const COMPETITORS = [['algorithm,sensors', 'algorithm and sensors'], ['algorithm', 'algorithm'], ['algorithm,sensors,algorithm.version', 'algorithm, sensors, version']];
 
+/** Return what tells competitors apart unless the address says it: with earlier versions too, each version competes. */
+export const usualCompetitors = (query) => COMPETITORS[query.get('superseded') === '1' ? 2 : 0][0];
+
 export default function Leaderboard() {
   const { query, change } = useAddress();
   useTitle('Leaderboard');
   const columns = useColumns();
-  const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', 'algorithm,sensors'), outcomes: query.get('outcomes', 'tracked') };
+  const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', usualCompetitors(query)), outcomes: query.get('outcomes', 'tracked') };
   const url = address('/api/v1/analysis/leaderboard', query.filters().with(set));
   const state = useData(url);
   const suspects = useSuspects();

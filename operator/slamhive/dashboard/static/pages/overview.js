@@ -24,7 +24,7 @@ export default function Overview() {
     ${counts && html`<dl class="counts">${COUNTED.filter(([name]) => counts[name] !== undefined).map(([name, text, href]) => html`<div><dt>${text}</dt>
       <dd>${href ? html`<${Link} href=${href}>${number(counts[name])}</${Link}>` : number(counts[name])}</dd></div>`)}</dl>`}
     ${index.data?.statuses && html`<${Statuses} statuses=${index.data.statuses} label="Runs by status" />`}
-    ${counts?.superseded > 0 && html`<p class="quiet">${number(counts.superseded)} ${counts.superseded === 1 ? 'run' : 'runs'} of earlier versions ${counts.superseded === 1 ? 'is' : 'are'} left out here: <${Link} href=${address('/runs', { superseded: 1, where: 'superseded is not null' })}>see them</${Link}>, or <${Link} href="/studies?kind=versions">what changed since</${Link}.</p>`}
+    <${Superseded} count=${counts?.superseded ?? 0} />
     <h2>Questions</h2>
     <${Questions} columns=${columns} />
     <h2>Sweeps</h2>
@@ -33,6 +33,13 @@ export default function Overview() {
       ${sweeps.data.items.length > MOST_SWEEPS && html`<p><${Link} href="/sweeps">All ${number(sweeps.data.items.length)} sweeps</${Link}></p>`}
       ${sweeps.data.items.length === 0 && html`<p class="quiet">No sweep is known here.</p>`}` : !sweeps.error && html`<${Waiting} />`}
     <${Notes} notes=${index.data?.notes} />`;
+}
+
+/** How many runs are left out as they are of earlier versions, and where they are. */
+function Superseded({ count }) {
+  if (count === 0) return null;
+  const said = count === 1 ? '1 run of an earlier version is left out here' : `${number(count)} runs of earlier versions are left out here`;
+  return html`<p class="quiet">${said}. <${Link} href=${address('/runs', { superseded: 1, where: 'superseded is not null' })}>Show them</${Link}> <${Link} href=${address('/studies', { kind: 'versions' })}>What changed since</${Link}></p>`;
 }
 
 function Questions({ columns }) {

@@ -12,7 +12,7 @@ import { Choice, Fault, Link, Notes, Table, useTitle, Waiting } from '../core/pa
 import { html, useMemo } from '../core/ui.js';
 import { Common, EACH_RUN, Narrowing } from './common.js';
 import { failureText } from './groups.js';
-import { COMPETITORS } from './leaderboard.js';
+import { COMPETITORS, usualCompetitors } from './leaderboard.js';
 import { Versions } from './versions.js';
 
 /** Each study: what it is called, its address, what it shows, which settings it has. */
@@ -36,7 +36,7 @@ export default function Studies() {
   useTitle(query.get('title') || study.text);
   const columns = useColumns();
   const all = columns.data?.items ?? [];
-  const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', 'algorithm,sensors'), outcomes: query.get('outcomes', EVALUATED[kind] ?? 'tracked') };
+  const set = { metric: query.get('metric', 'ate.rmse'), by: query.get('by', usualCompetitors(query)), outcomes: query.get('outcomes', EVALUATED[kind] ?? 'tracked') };
   const asked = Object.fromEntries(study.settings.map((name) => [name, set[name]]));
   const url = address(`/api/v1/analysis/${study.path}`, query.filters().with(asked));
   const state = useData(url);

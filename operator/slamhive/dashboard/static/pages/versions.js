@@ -20,11 +20,10 @@ const Version = ({ one }) => html`<code>${one.version}</code><br /><small>${numb
 export function Versions({ data, csv, without }) {
   if (data.changes.length === 0) return without;
   const columns = [
-    { name: 'keys', title: 'of', show: (_, change) => wrapped(named(change)) }, { name: 'before', title: 'before', show: (one) => html`<${Version} one=${one} />` },
+    { name: 'keys', title: 'of', show: (_, change) => clip(named(change), 80) }, { name: 'before', title: 'before', show: (one) => html`<${Version} one=${one} />` },
     { name: 'after', title: 'after', show: (one, change) => html`<${Version} one=${one} />${!change.current && html`<br /><small>not the current one</small>`}` },
     { name: 'sentence', title: 'in words', show: wrapped }, { name: 'ratio', title: 'after over before', kind: 'number', show: (ratio, change) => (ratio === null ? (change.n ? 'failed' : '–') : number(ratio, 3)) },
     { name: 'n', title: 'settings', kind: 'integer' }, { name: 'unpaired', title: 'not in both', kind: 'integer' }, { name: 'pHolm', title: 'p', kind: 'number', show: (p) => (p === null ? '–' : p <= 0.05 ? html`<b>${number(p, 3)}</b>` : number(p, 3)) },
-    { name: 'test', title: 'tested by', show: (test) => (test === null ? '–' : wrapped(test)) },
   ];
   const drawn = data.changes.filter((change) => change.n > 0).slice(0, MOST_DRAWN);
   return html`<div><${Table} columns=${columns} rows=${data.changes} caption="Versions before and after" />
@@ -41,7 +40,7 @@ function Change({ change, metric, csv }) {
     { name: 'ratio', title: 'after over before', kind: 'number', show: (ratio, one) => (one.after.medianFailed ? (one.before.medianFailed ? 'both failed' : 'fails now') : one.before.medianFailed ? 'failed before' : number(ratio, 3)) },
   ];
   return html`<section><h2>${clip(named(change), 160)} <span class="quiet">${change.before.version} → ${change.after.version}</span></h2>
-    <p>${clip(change.sentence, 400)}</p>
+    <p>${clip(change.sentence, 400)}${change.test && html` <span class="quiet">Tested by ${change.test}.</span>`}</p>
     ${drawn && html`<${Chart} option=${drawn.option} height=${drawn.height} csv=${csv} table=${{ columns, rows: change.settings }} title=${`${clip(metric.title, 60)} after over before: ${clip(subject(change), 80)}`} />`}
     <${Table} columns=${columns} rows=${change.settings} caption=${`Settings of ${clip(named(change), 100)}`} />
     <${Differences} differences=${change.differences} /></section>`;
