@@ -23,7 +23,7 @@ export function Versions({ data, csv, without }) {
     { name: 'keys', title: 'of', show: (_, change) => clip(named(change), 80) }, { name: 'before', title: 'before', show: (one) => html`<${Version} one=${one} />` },
     { name: 'after', title: 'after', show: (one, change) => html`<${Version} one=${one} />${!change.current && html`<br /><small>not the current one</small>`}` },
     { name: 'sentence', title: 'in words', show: wrapped }, { name: 'ratio', title: 'after over before', kind: 'number', show: (ratio, change) => (ratio === null ? (change.n ? 'failed' : '–') : number(ratio, 3)) },
-    { name: 'n', title: 'settings', kind: 'integer' }, { name: 'unpaired', title: 'not in both', kind: 'integer' }, { name: 'pHolm', title: 'p', kind: 'number', show: (p) => (p === null ? '–' : p <= 0.05 ? html`<b>${number(p, 3)}</b>` : number(p, 3)) },
+    { name: 'n', title: 'settings', kind: 'integer', show: (n, change) => html`${number(n)}${change.unpaired > 0 && html`<br /><small>${number(change.unpaired)} not in both</small>`}` }, { name: 'pHolm', title: 'p', kind: 'number', show: (p) => (p === null ? '–' : p <= 0.05 ? html`<b>${number(p, 3)}</b>` : number(p, 3)) },
   ];
   const drawn = data.changes.filter((change) => change.n > 0).slice(0, MOST_DRAWN);
   return html`<div><${Table} columns=${columns} rows=${data.changes} caption="Versions before and after" />
