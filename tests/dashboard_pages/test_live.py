@@ -42,10 +42,10 @@ class Cluster(Workstation):
             "lastTransitionTime": "2026-01-01T00:00:00Z",
         }
         best = {"name": "study-0", "index": 0, "ate": 0.0321, "coverage": 1.0, "dataset": "hall"}
-        live = {"live": bool(self.phases.get("Running")), "total": 60, "phases": self.phases}
+        live = {"uid": "study", "live": bool(self.phases.get("Running")), "total": 60, "phases": self.phases}
         sweep = {**live, "conditions": [condition], "best": [best], "spec": {}}
         revision = f"{archived.revision} {self.phases} {self.problems}"
-        return replace(archived, sweeps={"study": sweep}, revision=revision, problems=self.problems)
+        return replace(archived, sweeps={("", "study"): sweep}, revision=revision, problems=self.problems)
 
 
 class Served:
