@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import traceback
 from contextlib import closing
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -355,6 +356,32 @@ def put_version_1(url: str) -> None:
 def test_urls_that_cannot_be_used(bad: str) -> None:
     with pytest.raises(InputError, match="is not a database URL; allowed are sqlite:///PATH"):
         Archive.open(bad)
+
+
+CANARY = "S3cret-canary"
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "postgresql://slam:{}@db.example:54 32/slam",
+        "mysql://slam:{}@db.example/slam",
+        "jdbc:postgresql://slam:{}@db.example/slam",
+        " postgresql://slam:{}@127.0.0.1:1/slam",
+        "postgresql://slam:p@{}@127.0.0.1:1/slam",
+        "postgresql://sl/am:{}@127.0.0.1:1/slam",
+        "postgresql://slam:{}",
+        "postgresql://slam@127.0.0.1:1/slam?password={}",
+        "sqlite://slam:{}@db.example/slam",
+        "host=127.0.0.1 port=1 password={}",
+        "slam:{}@db.example",
+    ],
+)
+def test_no_error_tells_a_password(url: str) -> None:
+    pytest.importorskip("psycopg")
+    with pytest.raises((InputError, SystemFault)) as caught:
+        Archive.open(url.format(CANARY))
+    assert CANARY not in "".join(traceback.format_exception(caught.value))
 
 
 def test_a_file_that_is_no_database(tmp_path: Path) -> None:

@@ -103,3 +103,15 @@ async def test_the_description_needs_no_network(api: Any) -> None:
     page = (await api.raw.get("/api/v1/docs")).text
     assert "/api/v1/runs/{uid}" in page
     assert "http" not in page.replace("<!doctype html>", "")
+
+
+async def test_no_answer_tells_the_databases_password(
+    open_app: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = Workstation("postgresql://slam:S3cret-canary@db.example:54 32/slam")
+    async with open_app(source) as api:
+        answers = [await api.raw.get(path) for path in (*PATHS, "/readyz")]
+    assert any("is not a database URL" in answer.text for answer in answers)
+    assert "S3cret-canary" not in caplog.text
+    for answer in answers:
+        assert "S3cret-canary" not in f"{answer.headers}{answer.text}"

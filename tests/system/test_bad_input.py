@@ -192,7 +192,19 @@ def test_an_archive_that_is_none_is_named(call: Any, tmp_path: Path, monkeypatch
     monkeypatch.setenv("SLAMHIVE_ARCHIVE", "mysql://x/y")
     code, _, err = call("run", path)
     assert code == 2
-    assert "mysql://x/y" in err
+    assert "mysql://…" in err
+
+
+@pytest.mark.parametrize("command", ["results list", "report"])
+@pytest.mark.parametrize("url", ["mysql://me:{}@x/y", "postgresql://me:{}@h:5 4/y"])
+def test_no_command_tells_the_databases_password(
+    command: str, url: str, call: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SLAMHIVE_ARCHIVE", url.format("S3cret-canary"))
+    code, out, err = call(*command.split())
+    assert code == 2
+    assert "is not a database URL" in err
+    assert "S3cret-canary" not in out + err
 
 
 @pytest.mark.parametrize(

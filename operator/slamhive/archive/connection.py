@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,8 @@ _SQLITE_SETTINGS = (
     "synchronous = FULL",
 )
 _LOCK_KEY = 0x51A_711E
+_SECRET_OPTIONS = ("password", "sslpassword")
+_SCHEME = re.compile(r"\s*([A-Za-z][A-Za-z0-9+:]{0,40})://")
 _DRIVERS = {"sqlite": "sqlite+pysqlite", "postgresql": "postgresql+psycopg", "postgres": "postgresql+psycopg"}
 
 
@@ -60,11 +63,17 @@ def connect(url: str) -> Engine:
     return engine
 
 
-def shown(url: URL) -> str:
-    """Return a URL as it may be printed: without the password; a file as its path."""
+def shown(url: URL | str) -> str:
+    """Return a database URL as it may be printed: without its password; a file as its path.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(url, str):
+        url = _parse(url)
     if url.get_backend_name() == "sqlite" and url.database:
         return url.database
-    return url.render_as_string(hide_password=True)
+    return url.difference_update_query(_SECRET_OPTIONS).render_as_string(hide_password=True)
 
 
 @contextmanager
@@ -109,14 +118,21 @@ def reading(engine: Engine) -> Iterator[Connection]:
 
 def _parse(url: str) -> URL:
     try:
-        parsed = make_url(url)
+        parsed = make_url(url.strip())
         backend = parsed.drivername.split("+")[0]
     except (exc.ArgumentError, ValueError):
         backend, parsed = "", URL.create("none")
-    if backend not in _DRIVERS:
+    is_server = any((parsed.username, parsed.password, parsed.host, parsed.port))
+    if backend not in _DRIVERS or (backend == "sqlite" and is_server):
         raise InputError(
-            f"archive: {url!r} is not a database URL; allowed are sqlite:///PATH and "
+            f"archive: {_beginning(url)} is not a database URL; allowed are sqlite:///PATH and "
             "postgresql://USER:PASSWORD@HOST/DATABASE"
+        )
+    if is_server and "@" in f"{parsed.host}{parsed.database}":
+        # What follows the first @ would be taken for the host, and be shown.
+        raise InputError(
+            f"archive: {_beginning(url)} holds more than one @; in a user's name or password it is written "
+            "%40, and / is written %2F"
         )
     parsed = parsed.set(drivername=_DRIVERS[backend])
     if parsed.get_backend_name() == "sqlite" and parsed.database not in (None, "", ":memory:"):
@@ -126,6 +142,12 @@ def _parse(url: str) -> URL:
         except OSError as error:
             raise InputError(f"archive {parsed.database}: {folder}: {error.strerror}") from None
     return parsed
+
+
+def _beginning(url: str) -> str:
+    """Return as much of a text as holds no password, however wrongly it is written."""
+    found = _SCHEME.match(url)
+    return f"'{found[1]}://…'" if found else "what is given"
 
 
 def _tune_sqlite(engine: Engine) -> None:

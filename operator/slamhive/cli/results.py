@@ -18,7 +18,7 @@ from slamhive.analysis.metrics import Metric
 from slamhive.analysis.ordering import order_by, order_rows
 from slamhive.analysis.selection import Chosen, Selection, choose
 from slamhive.archive import Archive
-from slamhive.archive.connection import connect
+from slamhive.archive.connection import connect, shown
 from slamhive.archive.records import run_row
 from slamhive.cli.console import out, remark
 from slamhive.cli.tables import Format, show, write_csv, write_json, write_markdown
@@ -361,7 +361,7 @@ def _remark(chosen: Chosen, found: Aggregate | None = None) -> None:
     for note in chosen.notes:
         remark(f"{note}; --superseded shows them" if "earlier versions left out" in note else note)
     if not len(chosen.frame) and not chosen.superseded:
-        location = Home.from_environment().archive_url.removeprefix("sqlite:///")
+        location = shown(Home.from_environment().archive_url)
         remark(f"no such run in {location}; slamhive demo, run and import bring some")
     elif found is not None and found.cells and not any(cell.n for cell in found.cells):
         remark("none of these runs counts: nothing is averaged; --outcomes all takes all that were evaluated")

@@ -16,7 +16,7 @@ from __future__ import annotations
 import fcntl
 import os
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,7 +31,8 @@ class Home:
     """Where things are kept."""
 
     path: Path
-    archive_url: str
+    archive_url: str = field(repr=False)
+    """May hold a password: `slamhive.archive.connection.shown` is for printing."""
 
     @classmethod
     def from_environment(cls) -> Home:
