@@ -7,15 +7,19 @@ import math
 import random
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.comparing import compare
 from slamhive.analysis.derived import with_derived
 from slamhive.analysis.importance import importance
 from slamhive.analysis.leaderboard import leaderboard
-from slamhive.analysis.pareto import pareto
+from slamhive.analysis.pareto import nondominated, pareto
 from slamhive.analysis.repeating import repeatability, suspects
+from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
@@ -206,3 +210,32 @@ def test_a_single_run_says_nothing_of_repeatability(again: int) -> None:
 def test_a_scale_that_is_off_by_the_same_factor_is_suspect(scales: list[float], found: int) -> None:
     rows = [make_row("a", "x", 1.0, scale=scale, alignment="sim3") for scale in scales]
     assert len(suspects(frame_of(rows))) == found
+
+
+@given(st.data())
+def test_the_front_is_what_its_definition_says(data: st.DataObject) -> None:
+    number = st.sampled_from([0.0, -0.0, 1.0, 2.0, 2.5, 3.0, math.inf, -math.inf, math.nan])
+    points = data.draw(st.lists(st.tuples(number, number), max_size=12))
+    x, y = np.array(points, dtype=float).reshape(-1, 2).T
+    known = np.isfinite(x) & np.isfinite(y)
+    as_good = (x[None] <= x[:, None]) & (y[None] <= y[:, None])
+    better = (x[None] < x[:, None]) | (y[None] < y[:, None])
+    expected = known & ~(as_good & better & known[None]).any(axis=1)
+    assert nondominated(x, y).tolist() == expected.tolist()
+
+
+def test_a_front_of_very_many_needs_no_table_of_pairs() -> None:
+    # A table of all pairs would have 90 billion entries.
+    x = np.arange(300_000.0)
+    assert nondominated(x, -x).all()
+    assert np.flatnonzero(nondominated(x, x)).tolist() == [0]
+
+
+def test_a_board_of_too_many_is_refused_with_what_helps() -> None:
+    rows = [make_row(f"a{k}", "dataset-0", 1.0) for k in range(501)]
+    with pytest.raises(
+        InputError, match=r"leaderboard by algorithm: 501 competitors .* at most 500 .* condition"
+    ):
+        leaderboard(frame_of(rows), by=["algorithm"])
+    (board,) = leaderboard(frame_of(rows[:500]), by=["algorithm"], draws=2).boards
+    assert len(board.entries) == 500

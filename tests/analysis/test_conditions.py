@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamhive.analysis.columns import Column, ColumnKind, times
+from slamhive.analysis.conditions import Membership, Name
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.frame import Frame
 
@@ -54,6 +55,31 @@ def test_a_mask_is_what_each_row_says(text: str) -> None:
     node = parse_where(text, TABLE)
     rows = [Frame({name: Column.of([values[k]]) for name, values in TABLE.items()}, 1) for k in range(5)]
     assert node.mask(frame()).tolist() == [bool(node.mask(row)[0]) for row in rows]
+
+
+@given(st.sampled_from([*TABLE]), st.lists(st.sampled_from(LITERALS), min_size=1))
+def test_being_one_of_several_is_to_equal_one(name: str, literals: list[str]) -> None:
+    one_of = parse_where(f"{name} in ({', '.join(literals)})", TABLE)
+    equal = parse_where(" or ".join(f"{name} == {literal}" for literal in literals), TABLE)
+    assert one_of.mask(frame()).tolist() == equal.mask(frame()).tolist()
+
+
+class Counted(float):
+    """A number that counts how often it is compared."""
+
+    count = 0
+    __hash__ = float.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        Counted.count += 1
+        return float.__eq__(self, other)  # type: ignore[arg-type]
+
+
+def test_values_are_looked_up_and_not_compared_with_each() -> None:
+    held = Frame({"seed": Column.of([k + 0.5 for k in range(1000)])}, 1000)
+    node = Membership(Name("seed"), tuple(Counted(k + 0.25) for k in range(500)), negated=False)
+    assert not node.mask(held).any()
+    assert Counted.count < 10_000
 
 
 def test_times_compare_as_their_texts() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamhive.analysis import ExpressionError, Frame, parse_where
+from slamhive.analysis import ExpressionError, Frame, expressions, parse_where
 from slamhive.analysis.columns import Column
 
 ROW = {
@@ -128,3 +128,30 @@ def test_any_text_is_a_condition_or_a_mistake(text: str) -> None:
     except ExpressionError:
         return
     assert condition.mask(frame_of(ROW)).tolist() in ([True], [False])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("run == " + "1" * 5000, "a number may have 300 digits, this one has 5000"),
+        ("1" * 9999 + "x", "not a number"),
+        ("run in (" + "9," * 500 + "9)", "a condition may hold 500 numbers and texts"),
+        ("run == 1" + " or run == 1" * 500, "a condition may"),
+        ("run" + " or run" * 500, "a condition may name columns 500 times"),
+    ],
+)
+def test_what_would_cost_too_much_is_refused(text: str, words: str) -> None:
+    with pytest.raises(ExpressionError, match=words):
+        parse_where(text, ROW)
+
+
+def test_five_hundred_literals_are_allowed() -> None:
+    assert holds("run in (" + ", ".join(str(k) for k in range(500)) + ")")
+
+
+def test_a_long_number_is_read_in_linear_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    # In quadratic time this would take hours.
+    monkeypatch.setattr(expressions, "MAX_LENGTH", 10**7)
+    for text in ("1" * 2_000_000 + "x", "1." + "1" * 2_000_000 + "x", "1e" + "1" * 2_000_000 + "x"):
+        with pytest.raises(ExpressionError, match="not a number"):
+            parse_where(text, ROW)

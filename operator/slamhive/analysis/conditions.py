@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import operator
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -128,16 +128,27 @@ class Membership:
 
     def mask(self, frame: Frame) -> Mask:
         """Tell for each row."""
-        column = self.operand.column(frame)
-        if column is None or column.kind is not ColumnKind.TEXT or not _are_texts(self.values):
-            return _by_value(self.operand, frame, self._test)
-        # Texts equal texts as they are: a table of names is gone through without a call for each.
-        wanted = set(self.values)
-        verdicts = [(value in wanted) != self.negated for value in column.values]
-        return np.array([*verdicts, (None in wanted) != self.negated], dtype=bool)[column.codes]
+        return _by_value(self.operand, frame, lambda value: self._holds(value) != self.negated)
 
-    def _test(self, found: Any) -> bool:
-        return any(equal(found, value) for value in self.values) != self.negated
+    def _holds(self, found: Any) -> bool:
+        """Tell whether a value is equal to one of them, as `equal` means it, at the cost of a look-up."""
+        if isinstance(found, str):
+            return found in self._texts or _as_number(found) in self._numbers
+        if isinstance(found, int | float):
+            return found in self._numbers or found in self._text_numbers
+        return found is None and None in self.values
+
+    @cached_property
+    def _texts(self) -> frozenset[str]:
+        return frozenset(value for value in self.values if isinstance(value, str))
+
+    @cached_property
+    def _numbers(self) -> frozenset[float]:
+        return frozenset(value for value in self.values if isinstance(value, int | float))
+
+    @cached_property
+    def _text_numbers(self) -> frozenset[float | str]:
+        return frozenset(map(_as_number, self._texts))
 
 
 @dataclass(frozen=True)
@@ -176,10 +187,6 @@ def equal(left: Any, right: Any) -> bool:
     """Tell whether two values mean the same; a text is read as a number where it meets one."""
     left, right = _alike(left, right)
     return bool(left == right)
-
-
-def _are_texts(values: tuple[Any, ...]) -> bool:
-    return all(value is None or isinstance(value, str) for value in values)
 
 
 def _is_plain(column: Column) -> bool:

@@ -42,10 +42,14 @@ if TYPE_CHECKING:
 
 MAX_LENGTH = 10_000
 MAX_DEPTH = 50
+MAX_LITERALS = 500
+MAX_COLUMNS = 500
+MAX_DIGITS = 300
 
 _TOKEN = re.compile(
-    r"""\s*(?:
-      (?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.]))
+    # Digits are never given back (++): each shorter number would be tried in vain, in quadratic time.
+    r"""\s*+(?:
+      (?P<number>(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?+(?![\w.]))
     | (?P<text>'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*")
     | `(?P<quoted>[^`]+)`
     | (?P<name>[^\W\d]\w*(?:\[\d+\])*(?:\.\w+(?:\[\d+\])*)*)
@@ -105,6 +109,8 @@ class _Parser:
         self._tokens = _tokens(text)
         self._next = 0
         self._depth = 0
+        self._literals = 0
+        self._named = 0
 
     def parse(self) -> Node:
         condition = self._any()
@@ -203,6 +209,9 @@ class _Parser:
             name = token.value
             if name not in self._columns:
                 self._fail(f"unknown column {name!r}{self._hint(name)}", token.position)
+            self._named += 1
+            if self._named > MAX_COLUMNS:
+                self._fail(f"a condition may name columns {MAX_COLUMNS} times", token.position)
             return Name(name)
         return Literal(self._literal())
 
@@ -213,7 +222,12 @@ class _Parser:
     def _literal(self) -> Any:
         sign = self._take("-", "+")
         token = self._token
+        self._literals += 1
+        if self._literals > MAX_LITERALS:
+            self._fail(f"a condition may hold {MAX_LITERALS} numbers and texts")
         match token.kind:
+            case "number" if len(token.value) > MAX_DIGITS:
+                self._fail(f"a number may have {MAX_DIGITS} digits, this one has {len(token.value)}")
             case "number":
                 value: Any = float(token.value)
                 value = int(token.value) if token.value.isdecimal() else value

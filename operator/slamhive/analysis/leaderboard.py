@@ -24,6 +24,7 @@ from slamhive.analysis.statistics import (
     resampled_medians,
     summarize,
 )
+from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
 
 DRAWS = 1000
+MAX_COMPETITORS = 500
+"""Each is compared with each in each draw: the cost grows with their square."""
 _SEED = 20230529
 
 
@@ -141,8 +144,17 @@ def leaderboard(
         by: columns that tell competitors apart.
         outcomes: which runs have a figure that counts; all others are ranked last.
         draws: bootstrap samples.
+
+    Raises:
+        InputError: a board would have more than `MAX_COMPETITORS`.
     """
     found = prepare(frame, [metric], by, outcomes)
+    most = max((len(grid.competitors) for grid in found.grids), default=0)
+    if most > MAX_COMPETITORS:
+        raise InputError(
+            f"leaderboard by {', '.join(by)}: {most} competitors on one board, at most {MAX_COMPETITORS} can "
+            "be ranked; fewer columns in by, or a condition on the runs, leave fewer"
+        )
     return Leaderboard(metric, tuple(by), [_board(grid, draws) for grid in found.grids], found.notes)
 
 

@@ -110,8 +110,12 @@ def _range(values: Floats) -> tuple[float, float]:
 
 def nondominated(x: Floats, y: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Tell which points no other one beats, (n,); those that aren't finite in both never stand."""
-    known = np.isfinite(x) & np.isfinite(y)
-    as_good = (x[None] <= x[:, None]) & (y[None] <= y[:, None])
-    better = (x[None] < x[:, None]) | (y[None] < y[:, None])
-    beaten = (as_good & better & known[None]).any(axis=1)
-    return known & ~beaten
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    order = known[np.lexsort((y[known], x[known]))]
+    across, up = x[order], y[order]
+    # Of points with one x the first in this order is the best; those before it have a smaller x.
+    first = np.searchsorted(across, across, side="left")
+    lowest_before = np.concatenate(([np.inf], np.minimum.accumulate(up)))[first]
+    stands = np.zeros(len(x), dtype=bool)
+    stands[order] = (up == up[first]) & (up < lowest_before)
+    return stands
