@@ -37,6 +37,22 @@ HOSTILE = {
     "a folder as process record": 'record = run.parent / "process.json"; record.unlink(); record.mkdir()',
 }
 
+LEFT_BEHIND = {
+    "folders 1,500 deep": """
+place = os.open(output, os.O_RDONLY)
+for _ in range(1500):
+    os.mkdir("d", dir_fd=place)
+    below = os.open("d", os.O_RDONLY, dir_fd=place)
+    os.close(place)
+    place = below
+""",
+    "locked folders": """
+(output / "locked" / "inner").mkdir(parents=True)
+(output / "locked").chmod(0)
+output.chmod(0)
+""",
+}
+
 
 @pytest.mark.parametrize("what", HOSTILE)
 def test_what_an_algorithm_writes_ends_no_other_run(what: str, run_acts: Callable, home: Home) -> None:
@@ -63,3 +79,13 @@ def test_an_error_nobody_foresaw_ends_its_run_alone(
     broken = next(record for record in notes.records if record.index == 0)
     assert broken.reason is Reason.SYSTEM_FAULT
     assert "ZeroDivisionError: no such number" in broken.message
+
+
+@pytest.mark.parametrize("what", LEFT_BEHIND)
+def test_a_run_can_be_run_again_whatever_folders_it_left(what: str, run_acts: Callable, home: Home) -> None:
+    adapter = home.path / "algorithms/actor/adapter.py"
+    adapter.write_text(_HEAD + LEFT_BEHIND[what] + "\n")
+    run_acts(["crash"], template={"retries": 0})
+    adapter.write_text(_HEAD)
+    job, notes = run_acts(["crash"], template={"retries": 0}, rerun=True)
+    assert list(job.states) == [PointState.SUCCEEDED], notes.records[-1].message

@@ -14,7 +14,6 @@ import json
 import os
 import re
 import stat
-import subprocess
 import sys
 import time
 from contextlib import suppress
@@ -22,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slamhive.data.erasing import erase
 from slamhive.data.once import evict, last_use, remove_free
 from slamhive.jobs.known import api_lister, archived, known_by_file, known_to
 from slamhive.jobs.program import arguments, run_program
@@ -218,8 +218,8 @@ def _remove(find: Find) -> bool:
         return _said(find, lambda: remove_free(find.path))
     if find.kind == "runs":
         aside = find.path.with_name(f".{find.path.name}.removing")
-        return _said(find, lambda: _erase(find.path.rename(aside)))
-    return _said(find, lambda: _erase(find.path))
+        return _said(find, lambda: erase(find.path.rename(aside)))
+    return _said(find, lambda: erase(find.path))
 
 
 def _said(find: Find, remove: Callable[[], bool]) -> bool:
@@ -232,16 +232,6 @@ def _said(find: Find, remove: Callable[[], bool]) -> bool:
     if not gone:
         _tell(f"{find.path}: is in use or can't be removed")
     return gone
-
-
-def _erase(path: Path) -> bool:
-    """Remove a file or a tree, however deep it is and whatever its folders allow."""
-    if path.is_symlink() or not path.is_dir():
-        path.unlink()
-        return True
-    # Neither follows links inside. An algorithm may have locked its folders, which are ours all the same.
-    subprocess.run(["chmod", "-R", "u+rwX", "--", str(path)], check=False, stderr=subprocess.DEVNULL)
-    return subprocess.run(["rm", "-rf", "--", str(path)], check=False).returncode == 0
 
 
 def _tell(sentence: str) -> None:

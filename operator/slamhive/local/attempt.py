@@ -14,7 +14,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import signal
 import stat
 import subprocess
@@ -26,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from slamhive.analysis.measuring import read_estimate
+from slamhive.data.erasing import erase
 from slamhive.engine import AttemptEnd
 from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
@@ -254,8 +254,8 @@ class Attempt:
         return found if isinstance(found, dict) else None
 
     def _lay_out(self, order: AttemptOrder) -> None:
-        if self.folder.exists():
-            shutil.rmtree(self.folder)
+        if self.folder.exists() and not erase(self.folder):
+            raise SystemFault(f"{self.folder}: what an earlier attempt left can't be removed")
         for folder in (self.output, self.folder / "home", self.folder / "tmp"):
             folder.mkdir(parents=True)
         (self.run / "dataset").symlink_to(order.dataset.resolve())
