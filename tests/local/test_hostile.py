@@ -3,15 +3,20 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from slamhive.engine import PointState
+from slamhive.local.attempt import Attempt
 from slamhive.model.results import Reason
+from slamhive.monitor.trajectory import check_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from slamhive.data.preparation import Variant
     from slamhive.local.home import Home
@@ -89,3 +94,25 @@ def test_a_run_can_be_run_again_whatever_folders_it_left(what: str, run_acts: Ca
     adapter.write_text(_HEAD)
     job, notes = run_acts(["crash"], template={"retries": 0}, rerun=True)
     assert list(job.states) == [PointState.SUCCEEDED], notes.records[-1].message
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
+def test_a_compressed_trajectory_is_refused_as_on_a_cluster(pack: Callable, tmp_path: Path) -> None:
+    """Unpacking it is not even begun: it may become gigabytes."""
+    text = b"".join(b"%d 0 0 0 0 0 0 1\n" % k for k in range(100))
+    output = tmp_path / "run" / "output"
+    output.mkdir(parents=True)
+    (output / "trajectory.txt").write_bytes(pack(text))
+    attempt = Attempt(tmp_path)
+    (tmp_path / "summary.json").write_text('{"exitCode": 0}')
+    assert attempt.trajectory() is None
+    problem = "output/trajectory.txt is compressed; it must be plain text"
+    assert attempt.end().trajectory_problem == problem
+    assert check_trajectory(str(output)).problem == problem
+
+
+def test_compressed_segments_are_refused_as_on_a_cluster(run_acts: Callable, home: Home) -> None:
+    segments = '(output / "segments.csv").write_bytes(__import__("gzip").compress(b"start,end\\n"))'
+    (home.path / "algorithms/actor/adapter.py").write_text(f"{_HEAD.replace('crash', 'good')}{segments}\n")
+    _, notes = run_acts(["good"], template={"retries": 0})
+    assert "output/segments.csv is compressed; it must be plain text" in str(notes.records[0].message)

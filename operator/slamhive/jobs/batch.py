@@ -23,6 +23,7 @@ from slamhive.jobs.opening import opened
 from slamhive.jobs.program import parse
 from slamhive.jobs.requests import RunItem
 from slamhive.model.errors import DataError, SlamHiveError
+from slamhive.monitor.files import compression_problem
 from slamhive_eval import EvaluationError, Relations, Trajectory, read_relations, read_segments, read_tum
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 TRAJECTORY = "output/trajectory.txt"
 _TRAJECTORY_BYTES = 512 << 20
 _SEGMENTS_BYTES = 1 << 20
-_PACKED = (b"\x1f\x8b", b"BZh")
 _WORKER_BYTES = 192 << 20
 _SPARE = 0.9
 
@@ -117,8 +117,9 @@ class Bench:
 
 
 def _require_plain(descriptor: int, path: str) -> None:
-    if os.pread(descriptor, 3, 0).startswith(_PACKED):
-        raise DataError(f"{path} is compressed; it must be plain text")
+    problem = compression_problem(descriptor, path)
+    if problem:
+        raise DataError(problem)
 
 
 def identity(item: Mapping[str, Any]) -> dict[str, Any]:

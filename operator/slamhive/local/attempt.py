@@ -34,6 +34,7 @@ from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
 from slamhive.monitor import SupervisorSpec, end_orphans
+from slamhive.monitor.files import compression_problem
 from slamhive.playback.judging import judge
 from slamhive_eval import EvaluationError
 
@@ -241,6 +242,10 @@ class Attempt:
         if path.stat().st_size > _TRAJECTORY_LIMIT:
             return f"output/trajectory.txt is larger than {_TRAJECTORY_LIMIT >> 20} MiB", False
         try:
+            with path.open("rb") as file:
+                problem = compression_problem(file.fileno(), "output/trajectory.txt")
+            if problem:
+                return problem, False
             read_estimate(path)
         except EvaluationError as error:
             return str(error).replace(str(path), "output/trajectory.txt"), False

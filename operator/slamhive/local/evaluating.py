@@ -12,6 +12,7 @@ from slamhive.data.entries import file_sha256
 from slamhive.data.groundtruth import ground_truth
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.sensors import SensorMode
+from slamhive.monitor.files import compression_problem
 from slamhive_eval import EvaluationError, read_segments
 
 if TYPE_CHECKING:
@@ -82,8 +83,12 @@ class Evaluator:
         subject = subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)
         segments = path.with_name(SEGMENTS)
         try:
+            _require_plain(path)
             estimate = read_estimate(path)
-            pieces = read_segments(segments) if estimate is not None and segments.is_file() else None
+            pieces = None
+            if estimate is not None and segments.is_file():
+                _require_plain(segments)
+                pieces = read_segments(segments)
             return measure(truth.poses, estimate, settings, subject, name, pieces=pieces)
         except EvaluationError as error:
             raise InputError(str(error)) from None
@@ -139,3 +144,13 @@ class Evaluator:
             if name not in self._truths:
                 self._truths[name] = ground_truth(entry, self._bench.home.folder("truths"))
             return self._truths[name]
+
+
+def _require_plain(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            problem = compression_problem(file.fileno(), f"output/{path.name}")
+    except OSError as error:
+        raise InputError(f"output/{path.name}: can't be read: {error.strerror or error}") from None
+    if problem:
+        raise InputError(problem)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _PIPE_BYTES = 256 << 10
 _LINE_BYTES = 64 << 10
 _MAX_ENTRIES = 200_000
+_COMPRESSED = (b"\x1f\x8b", b"BZh")
 
 
 class UsageTable:
@@ -137,3 +138,17 @@ def directory_bytes(path: str, enough: int) -> int:
                     with suppress(OSError):
                         total += entry.stat(follow_symlinks=False).st_size
     return total
+
+
+def compression_problem(descriptor: int, name: str) -> str | None:
+    """Return what is wrong with an algorithm's text file that is compressed, None where it is not.
+
+    A megabyte can unpack to gigabytes, so none is unpacked: not in a pod, not on a workstation.
+
+    Args:
+        descriptor: The file, open for reading.
+        name: What the sentence calls it.
+    """
+    if os.pread(descriptor, 3, 0).startswith(_COMPRESSED):
+        return f"{name} is compressed; it must be plain text"
+    return None

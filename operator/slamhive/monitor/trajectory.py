@@ -11,11 +11,11 @@ import math
 import operator
 import os
 from array import array
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
-from typing import IO, TYPE_CHECKING, cast
+from typing import IO, TYPE_CHECKING
 
+from slamhive.monitor.files import compression_problem
 from slamhive.monitor.metrics import NotRegularError, open_regular
 
 if TYPE_CHECKING:
@@ -78,13 +78,15 @@ def check_trajectory(output_directory: str, limit: int = LIMIT_BYTES) -> Traject
 
     Args:
         output_directory: Where the algorithm wrote.
-        limit: Bytes it may have, also when it is compressed and unpacked.
+        limit: Bytes it may have.
     """
     try:
         with open_regular(f"{output_directory}/trajectory.txt") as descriptor:
             size = os.fstat(descriptor).st_size
             if size > limit:
                 return TrajectoryCheck(problem=f"{_NAME} is larger than {limit >> 20} MiB")
+            if problem := compression_problem(descriptor, _NAME):
+                return TrajectoryCheck(problem=problem)
             with open(descriptor, "rb", closefd=False) as file:
                 return TrajectoryCheck(_read(file, limit))
     except (FileNotFoundError, NotRegularError):
@@ -103,29 +105,9 @@ def _read(file: IO[bytes], limit: int) -> TrajectoryInfo:
         digest.update(block)
     file.seek(0)
     poses = _Poses()
-    with _unpacked(file) as text:
-        for lines in _blocks(text, limit):
-            poses.add(lines)
+    for lines in _blocks(file, limit):
+        poses.add(lines)
     return TrajectoryInfo(poses.count, poses.last - poses.first, digest.hexdigest())
-
-
-@contextmanager
-def _unpacked(file: IO[bytes]) -> Iterator[IO[bytes]]:
-    """Give the text of a file that may be compressed, as slamhive_eval reads it."""
-    magic = file.read(3)
-    file.seek(0)
-    if magic[:2] != b"\x1f\x8b" and magic != b"BZh":
-        yield file
-        return
-    import bz2  # noqa: PLC0415 - as above
-    import gzip  # noqa: PLC0415
-    import zlib  # noqa: PLC0415
-
-    try:
-        with gzip.open(file) if magic != b"BZh" else bz2.open(file) as text:
-            yield cast("IO[bytes]", text)
-    except (OSError, EOFError, ValueError, zlib.error) as error:
-        raise _Fault(f"the compressed data is broken or cut off ({error})") from None
 
 
 def _blocks(text: IO[bytes], limit: int) -> Iterator[list[bytes]]:
