@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 
-from slamhive.monitor.processes import read_file
+from slamhive.monitor.processes import forbid_inspection, read_file
 from slamhive.monitor.spec import SpecError, SupervisorSpec
 from slamhive.monitor.supervisor import Supervisor
 
@@ -18,6 +18,7 @@ _USAGE = "usage: python -m slamhive.monitor --spec FILE"
 
 def main(arguments: list[str]) -> int:
     """Supervise the run a file describes and return the exit code."""
+    forbid_inspection()
     if arguments in (["-h"], ["--help"]):
         sys.stdout.write(f"{_USAGE}\n{__doc__}")
         return 0

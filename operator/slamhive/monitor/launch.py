@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
-from slamhive.monitor.processes import set_parent_death_signal
+from slamhive.monitor.processes import allow_inspection, set_parent_death_signal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -90,6 +90,7 @@ def _become(
         _reset_signals()
         _redirect(*outputs)
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+        allow_inspection()  # only then is the next ours to write
         with suppress(OSError):
             _write("/proc/self/oom_score_adj", _OOM_SCORE)
         step = f"enter the working directory {spec.cwd}"

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
 _PR_SET_PDEATHSIG = 1
+_PR_SET_DUMPABLE = 4
 _PR_SET_CHILD_SUBREAPER = 36
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
@@ -37,6 +38,20 @@ def set_parent_death_signal(number: int) -> None:
 def become_subreaper() -> None:
     """Become the parent of every descendant whose own parent ends."""
     _prctl(_PR_SET_CHILD_SUBREAPER, 1)
+
+
+def forbid_inspection() -> None:
+    """Close our memory, files and root directory to other processes of our user.
+
+    The algorithm has the same user, and could else rewrite through /proc what is said of it. Ending us is not
+    kept from it. A program that we start is open again; until then a child of ours is closed too.
+    """
+    _prctl(_PR_SET_DUMPABLE, 0)
+
+
+def allow_inspection() -> None:
+    """Undo that: also our own writing to /proc/self."""
+    _prctl(_PR_SET_DUMPABLE, 1)
 
 
 def _prctl(option: int, value: int) -> None:

@@ -25,7 +25,7 @@ from slamhive.monitor.metrics import frame_counts, plain_values, read_metrics, r
 from slamhive.monitor.orphans import write_atomically
 from slamhive.monitor.outcome import out_of_memory
 from slamhive.monitor.playing import played_mean_cores
-from slamhive.monitor.processes import read_file
+from slamhive.monitor.processes import forbid_inspection, read_file
 from slamhive.monitor.sidecarstate import SidecarState
 from slamhive.monitor.signals import Signals
 from slamhive.monitor.spec import TERMINATION_MESSAGE, SidecarSpec, SpecError
@@ -247,6 +247,7 @@ def _say(text: str) -> None:
 
 def main() -> int:
     """Watch the run that the environment describes and return the exit code."""
+    forbid_inspection()
     try:
         spec = SidecarSpec.from_json(os.environ.get(VARIABLE, ""))
     except SpecError as error:
