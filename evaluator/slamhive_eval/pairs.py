@@ -20,6 +20,9 @@ UNITS: tuple[Unit, ...] = get_args(Unit)
 MIN_RANKED_PAIRS = 30
 """A relative error of fewer pairs says too little to rank by."""
 
+MAX_ANGLE_PAIRS = 3_000_000
+"""Of all pairs by angle, which may be half the square of the poses: to compare these takes 1 GB."""
+
 _CHUNK = 4_000_000
 """Products held at once when all angles are compared with all (32 MB)."""
 
@@ -51,7 +54,7 @@ def find_pairs(
         Indices, shape (k, 2), possibly none.
 
     Raises:
-        OptionError: Unknown unit, or a number out of bounds.
+        OptionError: Unknown unit, a number out of bounds, or more than `MAX_ANGLE_PAIRS` by angle.
     """
     _check(delta, unit, rel_tolerance)
     if unit == "frames":
@@ -146,9 +149,17 @@ def _all_by_angle(q: FloatArray, delta: float, tolerance: float) -> IndexArray:
     largest, smallest = np.cos(low / 2.0), np.cos(high / 2.0)
     rows = max(1, _CHUNK // n)
     found = []
+    count = 0
     for start in range(0, n, rows):
-        half_cosine = np.abs(q[start : start + rows] @ q.T)
-        i, j = np.nonzero((half_cosine <= largest) & (half_cosine >= smallest))
-        i += start
-        found.append(np.column_stack((i, j))[j > i])
+        # From the block's first pose on: pairs with an earlier one were found there.
+        half_cosine = np.abs(q[start : start + rows] @ q[start:].T)
+        i, j = np.nonzero(np.triu((half_cosine <= largest) & (half_cosine >= smallest), k=1))
+        count += len(i)
+        if count > MAX_ANGLE_PAIRS:
+            raise OptionError(
+                f"more than {MAX_ANGLE_PAIRS:,} pairs of poses are {np.rad2deg(delta):.6g}° apart within "
+                f"{np.rad2deg(tolerance):.6g}°; a smaller tolerance, another delta "
+                "or consecutive pairs give fewer"
+            )
+        found.append(np.column_stack((i + start, j + start)))
     return np.concatenate(found)

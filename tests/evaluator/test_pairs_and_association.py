@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slamhive_eval import Trajectory, associate, find_pairs, interpolate, rotation
+from slamhive_eval import OptionError, Trajectory, associate, find_pairs, interpolate, rotation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -130,3 +130,12 @@ def test_interpolation(wander: Callable[..., Trajectory]) -> None:
     np.testing.assert_array_equal(np.flatnonzero(found), np.arange(0, 101, 4))
     outside = np.array((whole.stamps[0] - 1, whole.stamps[-1] + 1))
     assert not interpolate(sparse, outside, 100.0)[0].any()
+
+
+def test_more_pairs_by_angle_than_can_be_compared_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slamhive_eval.pairs.MAX_ANGLE_PAIRS", 4950)
+    still = at([k / 8 for k in range(100)])
+    assert len(find_pairs(still, 1e-9, "deg", all_pairs=True, rel_tolerance=1.0)) == 4950
+    more = at([k / 8 for k in range(101)])
+    with pytest.raises(OptionError, match=r"more than 4,950 pairs of poses are 1e-09° .* smaller tolerance"):
+        find_pairs(more, 1e-9, "deg", all_pairs=True, rel_tolerance=1.0)
