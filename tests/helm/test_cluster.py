@@ -156,7 +156,7 @@ CAN = {
         "pods": READ,
         "pods/log": ("get",),
         "pods.metrics.k8s.io": ("get", "list"),
-        "events": ("get", "create", "patch"),
+        "events": ("get", "list", "create", "patch"),
     },
     "runs": {},
     "collector": {

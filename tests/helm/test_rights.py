@@ -51,7 +51,7 @@ def test_the_operator_has_what_it_needs(helm: Any) -> None:
     assert found["pods"] == READ
     assert found["pods/log"] == {"get"}
     assert found["pods.metrics.k8s.io"] == {"get", "list"}
-    assert found["events"] == {"get", "create", "patch"}
+    assert found["events"] == {"get", "list", "create", "patch"}
     # What people describe is theirs: the operator changes only its state.
     for kind in KINDS - {"mappingruns"}:
         assert found[f"{kind}.slamhive.io"] == READ

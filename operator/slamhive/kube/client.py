@@ -198,6 +198,22 @@ class Api(Transport):
             return False
         return True
 
+    async def events_of(self, namespace: str, uid: str, reason: str) -> Objects:
+        """Return the Events of an object that give a reason, the newest last.
+
+        Args:
+            namespace: where the object is.
+            uid: its uid.
+            reason: one word, such as FailedCreate.
+        """
+        path = f"/api/v1/namespaces/{namespace}/events"
+        query = {"fieldSelector": f"involvedObject.uid={uid},reason={reason}", "limit": PAGE}
+        answer = await self.json(Request("list", "events", namespace, "GET", path, query=query))
+        return sorted(
+            answer.get("items") or (),
+            key=lambda item: item.get("lastTimestamp") or item.get("eventTime") or "",
+        )
+
     async def _write_event(self, body: Object) -> None:
         name, namespace = body["metadata"]["name"], body["metadata"]["namespace"]
         path = f"/api/v1/namespaces/{namespace}/events"

@@ -106,6 +106,10 @@ class Forbidden(ApiError):  # noqa: N818
         self.retryable = self.is_quota
 
 
+REFUSALS = (Invalid, Forbidden)
+"""What the API server answers where trying again need not help, a used-up quota aside."""
+
+
 class TooManyRequests(ApiError):  # noqa: N818
     """The server asks to wait.
 

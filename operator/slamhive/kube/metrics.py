@@ -21,6 +21,8 @@ from prometheus_client import (
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 
+from slamhive.kube.status import rmse_of
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from wsgiref.simple_server import WSGIServer
@@ -117,7 +119,7 @@ class Metrics:
     def record_result(self, algorithm: str, dataset: str, result: Mapping[str, Any]) -> None:
         """Count what the run's own evaluation found: call it once a run."""
         self._outcomes.labels(algorithm, dataset, result.get("outcome") or "").inc()
-        rmse = (result.get("ate") or {}).get("rmse")
+        rmse = rmse_of(result)
         if rmse is not None:
             self._ate.labels(algorithm, dataset).observe(rmse)
 

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 Problem = tuple[Reason, str]
 
 _NO_POD = "NoPod"
+_POD_REFUSED = "PodRefused"
 _POD_SECONDS = 5.0
 
 
@@ -105,20 +106,38 @@ class Attempted:
         """Return a sentence about why it waits."""
         return self.waiting.message if self.waiting else None
 
-    def give_up_at(self, grace_seconds: float) -> float | None:
+    def give_up_at(self, grace_seconds: float, refusal_seconds: float | None = None) -> float | None:
         """Return when its waiting counts as its end, s since 1970; None when it never does.
 
         Args:
             grace_seconds: how long what may pass is waited for.
+            refusal_seconds: how long, where its pod is refused; default: as long.
         """
         if self.waiting is None or self.waiting.end is None:
             return None
+        if self.waiting.reason == _POD_REFUSED and refusal_seconds is not None:
+            grace_seconds = refusal_seconds
         return (self.waiting.since or 0.0) + (0.0 if self.waiting.hopeless else grace_seconds)
+
+    @property
+    def lacks_pod(self) -> bool:
+        """Tell whether its Job has no pod, nobody knows why."""
+        return self.waiting_reason == _NO_POD
+
+    def with_refusal(self, message: str | None) -> Attempted:
+        """Return the attempt with the API server's sentence on why its Job has no pod; None: it has none."""
+        if message is None or self.waiting is None:
+            return self
+        told = clean(f"its pod is refused: {message}")
+        if "exceeded quota" in message:
+            return replace(self, waiting=Waiting("QuotaExceeded", told))
+        end = AttemptEnd(reason=Reason.SYSTEM_FAULT, message=told)
+        return replace(self, waiting=Waiting(_POD_REFUSED, told, self.waiting.since, end))
 
     @property
     def usual_until(self) -> float:
         """Return until when nobody need be told of its waiting, s since 1970: a new Job has no pod yet."""
-        if self.waiting is None or self.waiting.reason != _NO_POD:
+        if self.waiting is None or not self.lacks_pod:
             return 0.0
         return (self.waiting.since or 0.0) + _POD_SECONDS
 
@@ -161,7 +180,8 @@ def _without_pod(job: Object) -> Attempted:
     if (job.get("spec") or {}).get("suspend"):
         waiting = Waiting("Suspended", "its Job waits in a queue")
     else:
-        waiting = Waiting(_NO_POD, "its Job has no pod yet", moment(job["metadata"].get("creationTimestamp")))
+        begun = (job.get("status") or {}).get("startTime") or job["metadata"].get("creationTimestamp")
+        waiting = Waiting(_NO_POD, "its Job has no pod yet", moment(begun))
     return Attempted(AttemptState.RUNNING, number=number, waiting=waiting)
 
 

@@ -106,6 +106,7 @@ class Settings(Model):
     uid: int = Field(default=65532, ge=1, le=2**31 - 1)
     default_parallelism: int = Field(default=8, ge=1)
     image_pull_grace_seconds: float = Field(default=120.0, ge=0)
+    refusal_grace_seconds: float = Field(default=120.0, ge=0)
     evaluation: EvaluationJobs = EvaluationJobs()
     preparation: PreparationJobs = PreparationJobs()
     variants_limit: Quantity = "100Gi"

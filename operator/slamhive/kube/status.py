@@ -69,6 +69,20 @@ def holds(status: Mapping[str, Any], kind: str) -> bool | None:
     return None
 
 
+def since(status: Mapping[str, Any], kind: str, *, standing: bool) -> float | None:
+    """Return since when a condition has been as it is, s since 1970; None when it isn't so.
+
+    Args:
+        status: the status.
+        kind: type of the condition.
+        standing: whether it is to hold or not to hold.
+    """
+    for item in status.get("conditions") or ():
+        if item["type"] == kind and item.get("status") == str(standing):
+            return moment(item.get("lastTransitionTime"))
+    return None
+
+
 def run_state(status: Mapping[str, Any]) -> RunState:
     """Return what a MappingRun's status remembers for the engine."""
     reason = status.get("reason")
@@ -117,15 +131,21 @@ def result_of(field: Mapping[str, Any]) -> Result:
 def display(usage: Usage | None, results: Iterable[Mapping[str, Any]]) -> dict[str, str]:
     """Return the figures that kubectl prints of a run."""
     shown: dict[str, str] = {}
-    first = next(iter(results), None)
-    error = (first or {}).get("ate") or {}
-    if isinstance(error.get("rmse"), int | float):
-        shown["ate"] = metres(error["rmse"])
+    rmse = rmse_of(next(iter(results), None) or {})
+    if rmse is not None:
+        shown["ate"] = metres(rmse)
     if usage is not None and usage.cpu.mean_cores is not None:
         shown["cpu"] = f"{usage.cpu.mean_cores:.2f}"
     if usage is not None and usage.memory.peak_bytes is not None:
         shown["memory"] = f"{usage.memory.peak_bytes / 2**20:.0f}Mi"
     return shown
+
+
+def rmse_of(result: Mapping[str, Any]) -> float | None:
+    """Return the RMSE of a result's absolute trajectory error, m; None where it holds no such number."""
+    error = result.get("ate")
+    found = error.get("rmse") if isinstance(error, dict) else None
+    return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
 
 
 def metres(value: float) -> str:

@@ -23,14 +23,26 @@ from slamhive.engine import (
 from slamhive.kube.builders import configuration, read_job, run_job
 from slamhive.kube.builders.player import player
 from slamhive.kube.builders.run import job_name
-from slamhive.kube.errors import AlreadyExists, Forbidden
+from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, Forbidden
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of, reference
 from slamhive.kube.observing import Attempted, observe_attempt, observe_read
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.finishing import attempt_fields, provenance, twin_fields, usage_suspect
 from slamhive.kube.reconciling.records import image_digest
+from slamhive.kube.reconciling.refusals import why_no_pod
 from slamhive.kube.reconciling.variants import VariantSeen, Wanted
-from slamhive.kube.status import changes, condition, iso, merged, moment, phase_of, run_state, state_fields
+from slamhive.kube.status import (
+    changes,
+    condition,
+    holds,
+    iso,
+    merged,
+    moment,
+    phase_of,
+    run_state,
+    since,
+    state_fields,
+)
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase, Reason
 from slamhive.model.sensors import SensorMode
@@ -49,6 +61,7 @@ if TYPE_CHECKING:
 
 _TAKEN_SECONDS = 2.0
 _QUOTA_SECONDS = 15.0
+_PODLESS_SECONDS = 15.0
 
 
 @dataclass(frozen=True)
@@ -179,8 +192,15 @@ class RunReconciler:
             attempted = attempted.with_report(report)
             facts = replace(facts, attempted=attempted)
         now = op.clock()
-        patience = attempted.give_up_at(op.settings.image_pull_grace_seconds)
-        waits_for = [patience - now] if patience is not None and patience > now else []
+        waits_for = []
+        if attempted.lacks_pod and attempted.usual_until <= now and facts.job is not None:
+            attempted = attempted.with_refusal(await why_no_pod(op, facts.job))
+            facts = replace(facts, attempted=attempted)
+            waits_for.append(_PODLESS_SECONDS)
+        patience = attempted.give_up_at(
+            op.settings.image_pull_grace_seconds, op.settings.refusal_grace_seconds
+        )
+        waits_for += [patience - now] if patience is not None and patience > now else []
         if patience is not None and patience <= now:
             attempted = attempted.given_up()
             facts = replace(facts, attempted=attempted)
@@ -191,7 +211,9 @@ class RunReconciler:
         cancel = bool(facts.body["spec"].get("cancel"))
         twin = await self._twins.find(op, facts) if fresh and not cancel else None
         decision = decide_run(state, self._observed(facts, state, twin), now)
-        delay = await self._act(op, facts, decision)
+        delay, denied = await self._try(op, facts, state, decision)
+        if denied:
+            return delay
         if patience is not None and patience <= now and facts.job is not None:
             await op.delete(key_of(Kind.JOB, facts.job))  # it would go on trying
             if "subPath" in (attempted.waiting_message or ""):
@@ -287,6 +309,35 @@ class RunReconciler:
         )
         return None
 
+    async def _try(
+        self, op: Operator, facts: RunFacts, state: RunState, decision: Decision
+    ) -> tuple[float | None, bool]:
+        """Do what was decided; returns when to come back, and whether a Job can't be made, which is told."""
+        try:
+            return await self._act(op, facts, decision), False
+        except InputError as error:
+            await self._refuse(op, facts.body, state, Reason.INVALID_PARAMETERS, str(error))
+            return None, True
+        except REFUSALS as error:
+            if not any(isinstance(action, Prepare | Start) for action in decision.actions):
+                raise
+            return await self._denied(op, facts, state, error), True
+
+    async def _denied(self, op: Operator, facts: RunFacts, state: RunState, error: ApiError) -> float | None:
+        """Tell that the cluster refuses a Job; the run fails when it does so for long."""
+        now, message = op.clock(), str(error)
+        begun = since(facts.body["status"], "Admitted", standing=False)
+        left = (now if begun is None else begun) + op.settings.refusal_grace_seconds - now
+        fresh = [condition("Admitted", False, "JobRefused", message)]
+        if left <= 0:
+            await self._refuse(op, facts.body, state, Reason.SYSTEM_FAULT, message, why=fresh)
+            return None
+        fields = state_fields(state)
+        await self._write(op, facts.body, fields, [condition("Accepted", True, "Accepted"), *fresh])
+        if begun is None:
+            await op.api.event(Kind.MAPPING_RUN, facts.body, "Warning", "JobRefused", message)
+        return min(left, _QUOTA_SECONDS)
+
     @staticmethod
     async def _read(op: Operator, facts: RunFacts) -> tuple[Report | None, bool]:
         """Have a Job read what the pod did not tell; returns the report and whether to wait for it."""
@@ -305,14 +356,21 @@ class RunReconciler:
         return seen.report, not seen.ended
 
     async def _refuse(
-        self, op: Operator, run: dict[str, Any], state: RunState, reason: Reason, message: str
+        self,
+        op: Operator,
+        run: dict[str, Any],
+        state: RunState,
+        reason: Reason,
+        message: str,
+        *,
+        why: list[dict[str, Any]] | None = None,
     ) -> None:
+        """Have a run fail that cannot start; ``why`` are conditions in the place of Accepted."""
         after = decide_run(state, RunObserved(problem=(reason, message)), op.clock()).state
-        fresh = [
-            condition("Accepted", False, str(reason), message),
-            condition("Complete", True, str(reason), message),
-        ]
+        fresh = why or [condition("Accepted", False, str(reason), message)]
+        fresh.append(condition("Complete", True, str(reason), message))
         await self._write(op, run, state_fields(after) | {"completionTime": iso(op.clock())}, fresh)
+        await _announce(op, key_of(Kind.MAPPING_RUN, run))
 
     async def _record(
         self, op: Operator, facts: RunFacts, state: RunState, twin: RunRecord | None
@@ -325,6 +383,8 @@ class RunReconciler:
             return usual if usual > 0 else None  # the Job says that it was created
         fields = state_fields(state) | {"variant": facts.wanted.name}
         fresh = [condition("Accepted", True, "Accepted"), *_scheduling(attempted, state)]
+        if holds(facts.body["status"], "Admitted") is False:
+            fresh.append(condition("Admitted", True, "Admitted"))
         if state.phase is Phase.RUNNING and attempted.started is None:
             fields |= {"phase": str(Phase.PENDING)}
         elif state.phase is Phase.RUNNING:
@@ -372,14 +432,7 @@ class RunReconciler:
     async def _after(self, op: Operator, facts: RunFacts) -> None:
         run = op.store.get(facts.key)
         if run is not None:
-            spec = run["spec"]
-            op.metrics.record_finished(
-                spec["algorithmRef"]["name"], spec["datasetRef"]["name"], run["status"]
-            )
-            if phase_of(run["status"]) is Phase.FAILED:
-                status = run["status"]
-                text = status.get("message") or ""
-                await op.api.event(Kind.MAPPING_RUN, run, "Warning", status.get("reason") or "Failed", text)
+            await _announce(op, facts.key)
             self._twins.learn(run)
             self._evaluations.consider(op, run)
 
@@ -405,6 +458,18 @@ class RunReconciler:
         if not image or algorithm is None or algorithm["status"].get("imageID") == image:
             return
         await op.patch(key, {"status": {"imageID": image}}, subresource="status")
+
+
+async def _announce(op: Operator, key: Key) -> None:
+    """Tell those who look at figures and Events how a run ended."""
+    run = op.store.get(key)
+    if run is None:
+        return
+    spec, status = run["spec"], run["status"]
+    op.metrics.record_finished(spec["algorithmRef"]["name"], spec["datasetRef"]["name"], status)
+    if phase_of(status) is Phase.FAILED:
+        text = status.get("message") or ""
+        await op.api.event(Kind.MAPPING_RUN, run, "Warning", status.get("reason") or "Failed", text)
 
 
 def _is_lost(attempt: AttemptState, state: RunState) -> bool:

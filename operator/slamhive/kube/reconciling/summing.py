@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.kube.status import condition
+from slamhive.kube.status import condition, rmse_of
 from slamhive.model.results import Outcome
 
 if TYPE_CHECKING:
@@ -58,9 +58,9 @@ def _summary(group: Group, runs: Iterable[Object]) -> Object:
         place = (run["spec"]["algorithmRef"]["name"], run["spec"]["datasetRef"]["name"])
         outcomes[result["outcome"]] += 1
         counts[place] += 1
-        error = (result.get("ate") or {}).get("rmse")
-        if result["outcome"] == Outcome.TRACKED and isinstance(error, int | float):
-            errors[place].append(float(error))
+        error = rmse_of(result)
+        if result["outcome"] == Outcome.TRACKED and error is not None:
+            errors[place].append(error)
     groups = [
         {"algorithm": algorithm, "dataset": dataset, "runs": counts[algorithm, dataset]}
         | _statistics(errors[algorithm, dataset])

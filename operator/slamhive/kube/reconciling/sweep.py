@@ -21,7 +21,7 @@ from slamhive.engine import (
     Verdict,
     decide_sweep,
 )
-from slamhive.kube.errors import AlreadyExists, Conflict, Forbidden
+from slamhive.kube.errors import REFUSALS, AlreadyExists, Conflict
 from slamhive.kube.kinds import Key, Kind, Label, key_of
 from slamhive.kube.reconciling.archiving import Retirement, at_its_end
 from slamhive.kube.reconciling.catalogue import parse
@@ -251,10 +251,8 @@ class SweepReconciler:
             if seen.body["metadata"]["uid"] not in owners:
                 return f"the name {key.name} is taken by a MappingRun that is not of this Sweep"
             run = found
-        except Forbidden as error:
-            if error.is_quota or error.is_terminating:
-                return str(error)
-            raise
+        except REFUSALS as error:
+            return str(error)
         seen.memory.states[index] = PointState.ACTIVE
         seen.runs[index] = run
         return None
@@ -295,6 +293,8 @@ class SweepReconciler:
             subresource="status",
         )
         memory.written_at = now
+        if blocked and not holds(body["status"], "Blocked"):
+            await op.api.event(Kind.SWEEP, answer, "Warning", "CannotCreate", blocked)
         await self._tell(op, body, answer)
         return []
 

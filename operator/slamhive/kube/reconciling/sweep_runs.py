@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import PointState
 from slamhive.kube.kinds import MANAGER, Key, Kind, Label, key_of, reference
-from slamhive.kube.status import phase_of
+from slamhive.kube.status import phase_of, rmse_of
 from slamhive.model.crd_status import BEST_LENGTH
 from slamhive.model.results import Outcome, Phase
 
@@ -160,13 +160,13 @@ def keys(runs: Iterable[Mapping[str, Any]]) -> list[Key]:
 
 
 def _best_entry(run: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any] | None:
-    error = (result.get("ate") or {}).get("rmse")
-    if result.get("outcome") != Outcome.TRACKED or not isinstance(error, int | float):
+    error = rmse_of(result)
+    if result.get("outcome") != Outcome.TRACKED or error is None:
         return None
     entry: dict[str, Any] = {
         "name": run["metadata"]["name"],
         "index": point_of(run),
-        "ate": float(error),
+        "ate": error,
         "coverage": result.get("coverage"),
         "algorithm": run["spec"]["algorithmRef"]["name"],
         "dataset": run["spec"]["datasetRef"]["name"],

@@ -28,6 +28,7 @@ _BAD = {
     "Accepted": ("False", "not accepted"),
     "Blocked": ("True", "blocked"),
     "Suspended": ("True", "suspended"),
+    "Admitted": ("False", "refused by the cluster"),
     "Scheduled": ("False", "not scheduled"),
     "Evaluated": ("False", "not evaluated"),
     "LiveUsage": ("False", "no live usage"),
@@ -148,7 +149,7 @@ def troubles(kind: Kind, body: Mapping[str, Any], now: float) -> list[str]:
     if not conditions and age > _UNNOTICED_SECONDS:
         return ["no operator has taken notice of it; is one installed for this namespace?"]
     ended = kind is Kind.MAPPING_RUN and phase_of(status).is_finished
-    passed = {"Accepted", "Scheduled"} if ended else set()
+    passed = {"Accepted", "Admitted", "Scheduled"} if ended else set()
     passed |= {"LiveUsage"} if is_over(kind, body) else set()
     told = []
     for item in conditions:
