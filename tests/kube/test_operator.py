@@ -47,6 +47,7 @@ class FakeApi:
         self.errors: list[Exception] = []
         self.listed: list[tuple[Kind, str | None]] = []
         self.count: Any = None
+        self.told: list[tuple[str, str, str, str]] = []
 
     def have(self, kind: Kind, obj: dict[str, Any]) -> None:
         self.objects[key_of(kind, obj)] = obj
@@ -87,12 +88,17 @@ class FakeApi:
             raise NotFound("not there")
         present = self.objects[key]
         metadata = present["metadata"] | {"resourceVersion": str(version)}
-        self.objects[key] = present | {"metadata": metadata} | body
+        self.objects[key] = present | body | {"metadata": metadata}
         return self.objects[key]
 
     async def delete(self, key: Key, *, uid: str | None, **options: Any) -> None:
         self._next()
         self.objects.pop(key, None)
+
+    async def event(
+        self, kind: Kind, regarding: dict[str, Any], event_type: str, reason: str, message: str
+    ) -> None:
+        self.told.append((regarding["metadata"]["name"], event_type, reason, message))
 
     async def pod_metrics(self, namespace: str, labels: str) -> list[dict[str, Any]]:
         raise NotFound("no metrics API")
@@ -282,12 +288,82 @@ async def test_failures_are_tried_again_and_told(
     assert op.failed_tasks == []
 
 
+async def look(op: Operator, key: Key, times: int = 1) -> None:
+    for _ in range(times):
+        while len(op.queue):
+            op.queue.done(await op.queue.get())
+        await op.handle(key)
+
+
+def conditions(api: FakeApi, key: Key) -> dict[str, tuple[str, str, str]]:
+    found = api.objects[key]["status"].get("conditions") or ()
+    return {item["type"]: (item["status"], item["reason"], item["message"]) for item in found}
+
+
+@pytest.mark.parametrize(
+    ("error", "looks"),
+    [(KeyError("lidar"), 5), (ServerFault("500"), 5), (Conflict("newer"), 5), (Invalid("refused"), 1)],
+)
+async def test_what_keeps_failing_says_so_itself_until_it_goes_on(
+    op: Operator, api: FakeApi, toy: Toy, error: Exception, looks: int
+) -> None:
+    other = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": ""}
+    body = thing(version=5) | {"status": {"conditions": [other]}}
+    api.have(RUN, body)
+    op.observe(RUN, "ADDED", body)
+    toy.act = failing(error)
+    await look(op, KEY, looks - 1)
+    assert "ReconcileError" not in conditions(api, KEY)
+    await look(op, KEY, 3)
+    word = type(error).__name__
+    assert conditions(api, KEY)["ReconcileError"] == ("True", word, f"{word}: {error}")
+    assert api.told == [("demo", "Warning", "ReconcileError", f"{word}: {error}")]
+    toy.act = None
+    await look(op, KEY)
+    assert conditions(api, KEY) == {
+        "Accepted": ("True", "Accepted", ""),
+        "ReconcileError": ("False", "Recovered", ""),
+    }
+
+
+@pytest.mark.parametrize(("name", "kind"), [("sweep:demo", Kind.SWEEP), ("run:demo", RUN)])
+async def test_a_failing_measurement_is_told_at_what_asks_for_it(
+    op: Operator, api: FakeApi, toy: Toy, name: str, kind: Kind
+) -> None:
+    op._reconcilers[Kind.EVALUATION] = toy
+    api.have(kind, thing(version=5))
+    op.observe(kind, "ADDED", thing(version=5))
+    toy.act = failing(Invalid("refused"))
+    await look(op, Key(Kind.EVALUATION, "lab", name))
+    assert conditions(api, Key(kind, "lab", "demo"))["EvaluationError"][0] == "True"
+
+
+async def test_an_object_that_cannot_be_written_is_no_further_failure(
+    op: Operator, api: FakeApi, toy: Toy
+) -> None:
+    api.have(RUN, thing(version=5))
+    op.observe(RUN, "ADDED", thing(version=5))
+    toy.act = failing(Invalid("refused"))
+    api.errors = [Conflict("newer"), Forbidden("no right")]
+    await look(op, KEY)
+    assert not api.told
+    await look(op, KEY)
+    assert conditions(api, KEY)["ReconcileError"][1] == "Invalid"
+    toy.act = None
+    api.errors = [ServerFault("down")]
+    await look(op, KEY)
+    assert op.queue.delayed == 1
+    await look(op, KEY)
+    assert conditions(api, KEY)["ReconcileError"][0] == "False"
+
+
 async def test_the_same_mistake_is_told_once(
-    op: Operator, toy: Toy, caplog: pytest.LogCaptureFixture
+    op: Operator, api: FakeApi, toy: Toy, caplog: pytest.LogCaptureFixture
 ) -> None:
     toy.act = failing(InputError("unknown parameter"))
+    api.have(RUN, thing(version=5))
     await op.start()
-    for version in (5, 6, 7):
+    for version in (5, 1006, 2007):
         op.observe(RUN, "MODIFIED", thing(version=version))
         await settle(op)
     assert len(toy.seen) == 3

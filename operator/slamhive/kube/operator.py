@@ -16,6 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.errors import ApiError, Conflict, Forbidden, NotFound, StartError, Unauthorized
+from slamhive.kube.failing import tell_failure, tell_recovery
 from slamhive.kube.kinds import MANAGER, OUR_KINDS, Key, Kind, Label, key_of
 from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
@@ -38,9 +39,12 @@ MANAGED = f"{Label.MANAGED_BY}={MANAGER}"
 """Label selector of the Jobs and pods that are ours."""
 
 SLOW_RETRY_SECONDS = 300.0
+FAILURES_TOLD = 5
+"""Failures in a row from which on an object says so itself; what waiting can't mend is told at once."""
 STUCK_SECONDS = 300.0
 _SECOND_LIST_SECONDS = 10.0
 _LONGEST_START_WAIT = 30.0
+_RECOVERY_SECONDS = 15.0
 
 _log = logging.getLogger("slamhive.operator")
 _current: ContextVar[Key | None] = ContextVar("slamhive_current_key", default=None)
@@ -97,6 +101,7 @@ class Operator:
         self.broken = asyncio.Event()
         self._tasks: list[asyncio.Task[None]] = []
         self._told: dict[Key, str] = {}
+        self._failures: dict[Key, int] = {}
         self._busy_since: dict[Key, float] = {}
         self._podless: dict[str, str] = {}
         self._finding_pods = asyncio.Lock()
@@ -140,6 +145,7 @@ class Operator:
         if kind is Kind.POD and uid:
             self.usage.forget(uid)
         self._told.pop(key, None)
+        self._failures.pop(key, None)
         self._enqueue(routes(kind, obj, self.store, new=True))
 
     def _note_podless(self, kind: Kind, obj: Object) -> None:
@@ -356,20 +362,32 @@ class Operator:
         except SlamHiveError as error:
             outcome = error.reason
             self._failed(key, error)
-        except Exception:  # noqa: BLE001 - no single object ends the operator
+            ordinary = error.retryable or isinstance(error, Conflict | NotFound)
+            await self._count_failure(key, error, passes=ordinary)
+        except Exception as error:  # noqa: BLE001 - no single object ends the operator
             outcome = "unforeseen"
             self.metrics.count_error(str(key.kind), outcome)
             delay = self.queue.retry(key)
             _log.exception("%s: reconciling failed in an unforeseen way; again in %.1f s", key, delay)
+            await self._count_failure(key, error, passes=True)
         else:
             self.queue.forget(key)
             self._told.pop(key, None)
+            self._failures.pop(key, None)
+            if not await tell_recovery(self, key):
+                again = min(_RECOVERY_SECONDS, again or _RECOVERY_SECONDS)
             if again is not None:
                 self.queue.add(key, again)
         finally:
             _current.reset(token)
             self._busy_since.pop(key, None)
             self.metrics.observe_reconcile(str(key.kind), outcome, time.monotonic() - started)
+
+    async def _count_failure(self, key: Key, error: Exception, *, passes: bool) -> None:
+        """Have an object say what keeps it from going on, once that doesn't look like passing."""
+        self._failures[key] = self._failures.get(key, 0) + 1
+        if not passes or self._failures[key] >= FAILURES_TOLD:
+            await tell_failure(self, key, error)
 
     def _failed(self, key: Key, error: SlamHiveError) -> None:
         self.metrics.count_error(str(key.kind), error.reason)

@@ -131,7 +131,8 @@ def result_of(field: Mapping[str, Any]) -> Result:
 def display(usage: Usage | None, results: Iterable[Mapping[str, Any]]) -> dict[str, str]:
     """Return the figures that kubectl prints of a run."""
     shown: dict[str, str] = {}
-    rmse = rmse_of(next(iter(results), None) or {})
+    first: Mapping[str, Any] = next(iter(results), {})
+    rmse = rmse_of(first)
     if rmse is not None:
         shown["ate"] = metres(rmse)
     if usage is not None and usage.cpu.mean_cores is not None:

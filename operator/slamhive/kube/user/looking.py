@@ -31,6 +31,8 @@ _BAD = {
     "Admitted": ("False", "refused by the cluster"),
     "Scheduled": ("False", "not scheduled"),
     "Evaluated": ("False", "not evaluated"),
+    "EvaluationError": ("True", "can't be evaluated"),
+    "ReconcileError": ("True", "the operator can't go on"),
     "LiveUsage": ("False", "no live usage"),
     "UsageSuspect": ("True", "usage suspect"),
 }
