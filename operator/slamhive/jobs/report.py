@@ -21,6 +21,7 @@ from slamhive.jobs.opening import read_bytes
 from slamhive.jobs.program import arguments, parse, read_request, run_program
 from slamhive.jobs.requests import EvaluateRequest
 from slamhive.model.errors import InputError
+from slamhive.model.reported import problem_of_values
 from slamhive.model.results import Outcome, Result
 
 if TYPE_CHECKING:
@@ -127,6 +128,9 @@ def _result(given: Any, evaluation: str | None, where: str) -> Result:
     if not isinstance(values, dict):
         raise InputError(f"{where}: values: must be an object")
     values = beside | values
+    problem = problem_of_values(values)
+    if problem:
+        raise InputError(f"{where}: {problem}")
     size = len(json.dumps(values))
     if size > _VALUES_BYTES:
         raise InputError(f"{where}: values take {size} bytes, at most {_VALUES_BYTES} are kept of a run")

@@ -56,7 +56,7 @@ Problem = tuple[Reason, str]
 
 _NO_POD = "NoPod"
 _POD_REFUSED = "PodRefused"
-_POD_SECONDS = 5.0
+POD_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
@@ -122,24 +122,18 @@ class Attempted:
     @property
     def lacks_pod(self) -> bool:
         """Tell whether its Job has no pod, nobody knows why."""
-        return self.waiting_reason == _NO_POD
+        return lacks_pod(self.waiting)
 
     def with_refusal(self, message: str | None) -> Attempted:
         """Return the attempt with the API server's sentence on why its Job has no pod; None: it has none."""
-        if message is None or self.waiting is None:
-            return self
-        told = clean(f"its pod is refused: {message}")
-        if "exceeded quota" in message:
-            return replace(self, waiting=Waiting("QuotaExceeded", told))
-        end = AttemptEnd(reason=Reason.SYSTEM_FAULT, message=told)
-        return replace(self, waiting=Waiting(_POD_REFUSED, told, self.waiting.since, end))
+        return self if self.waiting is None else replace(self, waiting=explained(self.waiting, message))
 
     @property
     def usual_until(self) -> float:
         """Return until when nobody need be told of its waiting, s since 1970: a new Job has no pod yet."""
         if self.waiting is None or not self.lacks_pod:
             return 0.0
-        return (self.waiting.since or 0.0) + _POD_SECONDS
+        return (self.waiting.since or 0.0) + POD_SECONDS
 
     def given_up(self) -> Attempted:
         """Return the attempt as ended by what it waits for; its Job is still there and is to be deleted."""
@@ -151,6 +145,26 @@ class Attempted:
             return replace(self, needs_read=False)
         end = self.end if self.ending is None else _judged(self.ending, report)
         return replace(self, report=report, needs_read=False, end=end)
+
+
+def lacks_pod(waiting: Waiting | None) -> bool:
+    """Tell whether what is waited for is a Job's pod."""
+    return waiting is not None and waiting.reason == _NO_POD
+
+
+def explained(waiting: Waiting, message: str | None) -> Waiting:
+    """Return what a Job without a pod waits for.
+
+    Args:
+        waiting: as it was seen.
+        message: the API server's sentence on the pod; None: it said nothing.
+    """
+    if message is None:
+        return waiting
+    told = clean(f"its pod is refused: {message}")
+    if "exceeded quota" in message:
+        return Waiting("QuotaExceeded", told)
+    return Waiting(_POD_REFUSED, told, waiting.since, AttemptEnd(reason=Reason.SYSTEM_FAULT, message=told))
 
 
 def observe_attempt(job: Object | None, pods: Iterable[Object]) -> Attempted:

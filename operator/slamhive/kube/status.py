@@ -117,7 +117,8 @@ def state_fields(state: RunState) -> dict[str, Any]:
 
 def result_field(result: Result) -> dict[str, Any]:
     """Return a result as an item of a MappingRun's ``status.results``."""
-    return result.values | {
+    values = {key: value for key, value in result.values.items() if key not in _RESULT_FIELDS}
+    return values | {
         key: value for key, value in result.as_json().items() if key in _RESULT_FIELDS and value is not None
     }
 

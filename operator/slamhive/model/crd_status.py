@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from slamhive.model.reported import MOST_RPE, ErrorFigures
 from slamhive.model.results import Frames, Outcome, Phase, Provenance, TrajectoryInfo, Usage
 from slamhive.model.sweep import MAX_POINTS
 
@@ -15,6 +16,8 @@ Schema = dict[str, Any]
 
 _NAME_LENGTH = 253
 _TEXT_LENGTH = 4096
+MOST_RESULTS = 32
+"""Evaluations whose results a MappingRun's status holds."""
 BEST_LENGTH = 10
 """Runs that a Sweep's status shows as its best."""
 
@@ -68,10 +71,7 @@ _COMMON: dict[str, Schema] = {
 }
 _ERROR = _object(
     "Statistics of an error.",
-    **{
-        name: _number(f"{name} of the error.")
-        for name in ("rmse", "mean", "median", "std", "min", "max", "sse")
-    },
+    **{name: _number(f"{name} of the error.") for name in ErrorFigures.model_fields},
 ) | {"x-kubernetes-preserve-unknown-fields": True}
 _RESULT = _object(
     "What one evaluation found.",
@@ -84,7 +84,7 @@ _RESULT = _object(
     ate=_ERROR | {"description": "Absolute trajectory error in m."},
     rpe={
         "type": "array",
-        "maxItems": 16,
+        "maxItems": MOST_RPE,
         "description": "Relative pose errors, in the order of the Evaluation.",
         "items": {"type": "object", "x-kubernetes-preserve-unknown-fields": True},
     },
@@ -130,7 +130,7 @@ def statuses(convert: Any) -> dict[str, Schema]:
         trajectory=convert(TrajectoryInfo) | {"description": "The estimated trajectory."},
         results={
             "type": "array",
-            "maxItems": 32,
+            "maxItems": MOST_RESULTS,
             "description": "What evaluations found, by evaluation.",
             "items": _RESULT,
             "x-kubernetes-list-type": "map",

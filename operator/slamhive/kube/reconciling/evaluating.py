@@ -8,6 +8,7 @@ killed in between all come to the same. What cannot be measured is noted at the 
 from __future__ import annotations
 
 import asyncio
+import logging
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.subjects import SubjectItem, Surroundings, subject_of
@@ -15,21 +16,25 @@ from slamhive.engine import AttemptState
 from slamhive.jobs.lines import Decoder
 from slamhive.kube.builders import batches, evaluator_job
 from slamhive.kube.description import Description
-from slamhive.kube.errors import AlreadyExists, ApiError, Conflict, NotFound
+from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, Conflict, NotFound
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
-from slamhive.kube.observing import EvaluatorObserved, observe_evaluator
+from slamhive.kube.observing import POD_SECONDS, EvaluatorObserved, explained, lacks_pod, observe_evaluator
 from slamhive.kube.reconciling import variants
-from slamhive.kube.reconciling.giving_up import problem_of, with_problem
+from slamhive.kube.reconciling.giving_up import is_full, problem_of, with_problem
 from slamhive.kube.reconciling.groups import Group, group_of, key_for
+from slamhive.kube.reconciling.refusals import why_no_pod
 from slamhive.kube.reconciling.summing import evaluation_status
-from slamhive.kube.status import changes, condition, display, merged, moment, result_field
-from slamhive.model.errors import InputError
+from slamhive.kube.status import changes, condition, display, holds, merged, moment, result_field
+from slamhive.model.crd_status import MOST_RESULTS
+from slamhive.model.errors import InputError, SlamHiveError
+from slamhive.model.reported import problem_of_values
 from slamhive.model.results import Result, Usage
 from slamhive.model.sensors import SensorMode
 from slamhive.plan import resolve
 
 if TYPE_CHECKING:
     from slamhive.kube.operator import Operator
+    from slamhive.kube.pods import Waiting
     from slamhive.kube.reconciling.catalogue import Catalogue
 
 Object = dict[str, Any]
@@ -39,6 +44,9 @@ _MOST_FAILURES = 3
 _AT_ONCE = 8
 _WRITE_TRIES = 5
 _WRITE_SECONDS = 2.0
+_REFUSED_SECONDS = 15.0
+
+_log = logging.getLogger("slamhive.operator")
 
 
 class Evaluations:
@@ -52,6 +60,7 @@ class Evaluations:
         self._catalogue = catalogue
         self._failures: dict[Key, int] = {}
         self._written: dict[Key, float] = {}
+        self._refused: dict[Key, tuple[float, str]] = {}
 
     def consider(self, op: Operator, run: Object) -> None:
         """Have a finished run measured, if that is asked for and was not done."""
@@ -68,19 +77,24 @@ class Evaluations:
             return None
         if group is None:
             self._failures.pop(key, None)
+            self._refused.pop(key, None)
             return None
         busy: set[str] = set()
         active = 0
+        delays: list[float] = []
         for job in self._jobs(op, group):
             pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
             seen = observe_evaluator(job, pods)
             if seen.state is AttemptState.ENDED:
                 await self._collect(op, group, job, seen)
-            else:
+                continue
+            waits = await self._wait(op, group, job, seen.waiting)
+            if waits is None or waits > 0:
                 active += 1
                 busy |= _names(job)
+                delays += [] if waits is None else [waits]
         group = group_of(op, key) or group
-        delays = await self._start_missing(op, group, busy, active)
+        delays += await self._start_missing(op, group, busy, active)
         delays += await self._write(op, group)
         return min(delays, default=None)
 
@@ -112,9 +126,51 @@ class Evaluations:
         if len(missing) < wanted.batch_size and wait > 0:
             return [wait]
         items = await self._items(op, group, missing)
+        delays = []
         for batch in list(batches(items, wanted.batch_size))[: wanted.parallel_jobs - active]:
-            await self._start(op, group, [dict(item) for item in batch])
+            delays += await self._try_to_start(op, group, [dict(item) for item in batch])
+        return delays
+
+    async def _try_to_start(self, op: Operator, group: Group, batch: list[Object]) -> list[float]:
+        """Start a batch; where its Job can't be had for long, its runs are given up."""
+        now = op.clock()
+        try:
+            await self._start(op, group, batch)
+        except InputError as error:
+            problem = str(error)
+        except REFUSALS as error:
+            if error.retryable:
+                raise
+            problem = str(error)
+            begun = self._refused.setdefault(group.key, (now, problem))[0]
+            left = begun + op.settings.refusal_grace_seconds - now
+            if left > 0:
+                self._refused[group.key] = begun, problem
+                return [min(left, _REFUSED_SECONDS)]
+        else:
+            self._refused.pop(group.key, None)
+            return []
+        names = {item["name"] for item in batch}
+        for run in group.runs:
+            if run["metadata"]["name"] in names:
+                await self._give_up(op, group, run, problem)
         return []
+
+    async def _wait(self, op: Operator, group: Group, job: Object, waiting: Waiting | None) -> float | None:
+        """Return when to look again at a Job without a pod, None: not for that; 0: it is given up."""
+        now = op.clock()
+        if waiting is None or not lacks_pod(waiting):
+            return None
+        since = waiting.since or now
+        if now - since < POD_SECONDS:
+            return POD_SECONDS
+        waiting = explained(waiting, await why_no_pod(op, job))
+        left = since + op.settings.refusal_grace_seconds - now
+        if waiting.end is None or left > 0:
+            return _REFUSED_SECONDS
+        await self._failed(op, group, job, waiting.message)
+        await op.delete(key_of(Kind.JOB, job))
+        return 0.0
 
     async def _items(self, op: Operator, group: Group, runs: list[Object]) -> list[Object]:
         items = []
@@ -123,6 +179,8 @@ class Evaluations:
                 items.append(self._item(op, run))
             except InputError as error:
                 await self._give_up(op, group, run, str(error))
+            except Exception as error:  # noqa: BLE001 - one bad record costs one record
+                await self._give_up(op, group, run, _unforeseen(op, run["metadata"]["name"], error))
         return items
 
     def _item(self, op: Operator, run: Object) -> Object:
@@ -196,11 +254,14 @@ class Evaluations:
                 problem = problem or str(error)
         limit = asyncio.Semaphore(_AT_ONCE)
 
-        async def take(record: Object) -> None:
+        async def take(record: Object) -> SlamHiveError | None:
             async with limit:
-                await self._take(op, group, record)
+                return await self._try_to_take(op, group, record)
 
-        await asyncio.gather(*(take(record) for record in decoder.records.values()))
+        told = await asyncio.gather(*(take(record) for record in decoder.records.values()))
+        passing = next((error for error in told if error is not None), None)
+        if passing is not None:
+            raise passing  # the others are taken in; these are tried again
         if decoder.is_complete:
             self._failures.pop(group.key, None)
         else:
@@ -219,6 +280,27 @@ class Evaluations:
                 await self._give_up(op, group, now, problem)
         self._failures.pop(group.key, None)
 
+    async def _try_to_take(self, op: Operator, group: Group, record: Object) -> SlamHiveError | None:
+        """Take a record in, or give its run up; returns what keeps it from either and may pass."""
+        try:
+            try:
+                await self._take(op, group, record)
+            except SlamHiveError as error:
+                if error.retryable or isinstance(error, NotFound):
+                    return error
+                await self._give_up_record(op, group, record, str(error))
+            except Exception as error:  # noqa: BLE001 - one bad record costs one record
+                problem = _unforeseen(op, str(record.get("name")), error)
+                await self._give_up_record(op, group, record, problem)
+        except SlamHiveError as error:
+            return error
+        return None
+
+    async def _give_up_record(self, op: Operator, group: Group, record: Object, problem: str) -> None:
+        run = op.store.get(Key(Kind.MAPPING_RUN, group.key.namespace, str(record.get("name"))))
+        if run is not None:
+            await self._give_up(op, group, run, f"its result can't be kept: {problem}"[:1000])
+
     async def _take(self, op: Operator, group: Group, record: Object) -> None:
         key = Key(Kind.MAPPING_RUN, group.key.namespace, str(record.get("name")))
         run = op.store.get(key)
@@ -234,6 +316,12 @@ class Evaluations:
             return
         if group.name is not None:
             result = result.replace(evaluation=group.name)
+        problem = problem_of_values(result.values)
+        if problem is None and is_full(run, result.evaluation):
+            problem = f"the run has results of {MOST_RESULTS} evaluations, the most that are kept"
+        if problem is not None:
+            await self._give_up(op, group, run, f"its result can't be kept: {problem}"[:1000])
+            return
         fresh = [condition("Evaluated", True, "Evaluated")]
         await _update(op, key, record["uid"], fresh, result_field(result))
         spec = run["spec"]
@@ -246,6 +334,9 @@ class Evaluations:
             fresh = [condition("Evaluated", False, "NotEvaluable", problem)]
             await _update(op, key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"], fresh)
         await _note(op, group, run, problem)
+        await op.api.event(
+            Kind.MAPPING_RUN, run, "Warning", "NotEvaluable", f"{group.name or 'own'}: {problem}"
+        )
 
     async def _write(self, op: Operator, group: Group) -> list[float]:
         body = op.store.get(group.key)
@@ -258,7 +349,8 @@ class Evaluations:
         generation = body["metadata"].get("generation", 1)
         status["observedGeneration"] = generation
         before = body["status"].get("conditions") or ()
-        status["conditions"] = merged(before, status.pop("fresh"), generation, now)
+        fresh = [*status.pop("fresh"), *self._admitted(group, body)]
+        status["conditions"] = merged(before, fresh, generation, now)
         patch = changes(body["status"], status)
         wait = self._written.get(group.key, 0.0) + _WRITE_SECONDS - now
         if not patch:
@@ -268,6 +360,12 @@ class Evaluations:
         self._written[group.key] = now
         await op.patch(group.key, {"status": patch}, subresource="status")
         return []
+
+    def _admitted(self, group: Group, body: Object) -> list[Object]:
+        refused = self._refused.get(group.key)
+        if refused is not None:
+            return [condition("Admitted", False, "JobRefused", refused[1])]
+        return [condition("Admitted", True, "Admitted")] if holds(body["status"], "Admitted") is False else []
 
     @staticmethod
     async def _refuse(op: Operator, key: Key, message: str) -> None:
@@ -279,6 +377,7 @@ class Evaluations:
         status = {"conditions": merged(before, fresh, body["metadata"].get("generation", 1), op.clock())}
         if changes(body["status"], status):
             await op.patch(key, {"status": status}, subresource="status")
+            await op.api.event(Kind.EVALUATION, body, "Warning", "NotAccepted", message)
 
 
 async def _note(op: Operator, group: Group, run: Object, problem: str) -> None:
@@ -332,6 +431,13 @@ async def _update(
         else:
             return
     raise Conflict(f"{key}: its status keeps changing", status=409)
+
+
+def _unforeseen(op: Operator, name: str, error: Exception) -> str:
+    """Return a sentence on what nobody foresaw, which is also logged and counted."""
+    op.metrics.count_error(str(Kind.EVALUATION), "unforeseen")
+    _log.error("MappingRun %s: measuring it failed in an unforeseen way", name, exc_info=error)
+    return f"{type(error).__name__}: {error}"[:1000]
 
 
 def _names(job: Object) -> set[str]:

@@ -14,6 +14,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.base import GROUP
+from slamhive.model.crd_status import MOST_RESULTS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,11 +31,24 @@ def problem_of(group: Group, run: Mapping[str, Any]) -> str | None:
     """Return why a run can't be measured by a group; None when that is not known."""
     if group.has_result(run):
         return None
+    if is_full(run, group.name):
+        return f"it has results of {MOST_RESULTS} evaluations, the most that are kept of a run"
     found = _noted(run).get(group.name or "")
     if not isinstance(found, dict):
         return None
     same = found.get("of") == group.owner["uid"] and found.get("settings") == group.hash
     return str(found.get("why")) if same else None
+
+
+def is_full(run: Mapping[str, Any], evaluation: str | None) -> bool:
+    """Tell whether a run's status has no room for another evaluation's result.
+
+    Args:
+        run: the run.
+        evaluation: name of the evaluation, whose earlier result is replaced; None: not known.
+    """
+    names = {result["evaluation"] for result in run["status"].get("results") or ()}
+    return len(names) >= MOST_RESULTS and evaluation is not None and evaluation not in names
 
 
 def with_problem(group: Group, run: Mapping[str, Any], problem: str) -> dict[str, str]:

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values of a result that a MappingRun's status types, whoever measured them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ConfigDict, Field, ValidationError
+
+from slamhive.model.base import Model, explain
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+MOST_RPE = 16
+_SHOWN = 60
+_WORDS = {
+    "float_type": "must be a number",
+    "model_type": "must be an object",
+    "dict_type": "must be an object",
+    "list_type": "must be a list",
+    "too_long": f"at most {MOST_RPE} are kept",
+}
+
+
+class ErrorFigures(Model):
+    """Statistics of an error; an evaluator may add its own."""
+
+    model_config = ConfigDict(extra="ignore", strict=True)
+
+    rmse: float | None = None
+    mean: float | None = None
+    median: float | None = None
+    std: float | None = None
+    min: float | None = None
+    max: float | None = None
+    sse: float | None = None
+
+
+class ReportedValues(Model):
+    """The typed ones among a result's values; others are kept as they are."""
+
+    model_config = ConfigDict(extra="ignore", strict=True)
+
+    scale: float | None = None
+    ate: ErrorFigures | None = None
+    rpe: list[dict[str, Any]] | None = Field(default=None, max_length=MOST_RPE)
+
+
+def problem_of_values(values: Mapping[str, Any]) -> str | None:
+    """Say which of a result's values a status can't hold, and why; None where it holds them all."""
+    try:
+        ReportedValues.model_validate(dict(values))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        return (
+            f"{place}: {_WORDS.get(first['type']) or explain(first)}, found {str(first['input'])[:_SHOWN]!r}"
+        )
+    return None

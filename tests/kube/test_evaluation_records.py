@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results that can't be kept, without a cluster: one bad record costs one record."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from testcluster.kept import GRACE, RUN, Cluster, catalogued, standing
+
+from slamhive.jobs.lines import encode_all
+from slamhive.jobs.report import report
+from slamhive.jobs.requests import EvaluateRequest
+from slamhive.kube.errors import Forbidden, Invalid, ServerFault
+from slamhive.kube.kinds import Key, Kind, Label
+
+GOOD = {"outcome": "Tracked", "coverage": 1.0, "values": {"ate": {"rmse": 0.1}}}
+DONE = {"terminated": {"exitCode": 0, "reason": "Completed", "finishedAt": "2027-01-15T08:00:00Z"}}
+COMPLETE = [{"type": "Complete", "status": "True"}]
+
+
+def finished(name: str, **more: Any) -> dict[str, Any]:
+    trajectory = {"poses": 2, "durationSeconds": 1, "sha256": "a" * 64}
+    path = f"runs/uid-{name}/pod/output/trajectory.txt"
+    return {"phase": "Succeeded", "trajectory": trajectory | {"path": path}, "variant": "v"} | more
+
+
+@pytest.fixture
+async def cluster() -> Cluster:
+    made = catalogued()
+    for name in ("a", "b"):
+        made.apply(Kind.MAPPING_RUN, name, RUN, **finished(name))
+    made.evaluation = made.apply(
+        Kind.EVALUATION, "mine", {"runs": {"names": ["a", "b"]}, "evaluator": {"image": "x", "command": []}}
+    )
+    return made
+
+
+def ended(cluster: Cluster, log: str) -> Key:
+    """Have an evaluator Job that measured both runs, and printed a log."""
+    labels = {
+        str(Label.ROLE): "evaluate",
+        str(Label.EVALUATION): "mine",
+        str(Label.MANAGED_BY): "slamhive",
+    }
+    owner = {"kind": "Evaluation", "name": "mine", "uid": "uid-mine"}
+    noted = {"slamhive.io/runs": "a,b"}
+    job = cluster.apply(
+        Kind.JOB, "job", {}, conditions=COMPLETE, labels=labels, owner=owner, annotations=noted
+    )
+    containers = [{"name": "report", "state": DONE}]
+    owner = {"kind": "Job", "name": "job", "uid": "uid-job"}
+    cluster.apply(
+        Kind.POD, "pod", {}, phase="Succeeded", containerStatuses=containers, labels=labels, owner=owner
+    )
+    cluster.printed["pod"] = log
+    return job
+
+
+def records(of_a: dict[str, Any]) -> str:
+    """Return a log with a record of run a and a good one of run b."""
+    told = [{"uid": "uid-a", "name": "a", "result": GOOD | {"evaluation": "mine"} | of_a}]
+    told.append({"uid": "uid-b", "name": "b", "result": GOOD | {"evaluation": "mine"}})
+    return "".join(encode_all(told))
+
+
+async def taken(cluster: Cluster, log: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the statuses of the Evaluation and of run a when a log was taken in."""
+    job = ended(cluster, log)
+    await cluster.look(cluster.evaluation)
+    status = await cluster.look(cluster.evaluation, 10)
+    assert job not in cluster.objects
+    [result] = cluster.objects[Key(Kind.MAPPING_RUN, "lab", "b")]["status"]["results"]
+    assert result["ate"] == {"rmse": 0.1}
+    return status, cluster.objects[Key(Kind.MAPPING_RUN, "lab", "a")]["status"]
+
+
+WRONG = [
+    ({"values": {"ate": "good"}}, "ate: must be an object, found 'good'"),
+    ({"values": {"ate": {"rmse": "0.2"}}}, "ate.rmse: must be a number, found '0.2'"),
+    ({"values": {"rpe": "x"}}, "rpe: must be a list, found 'x'"),
+    ({"values": {"rpe": [{}] * 17}}, "rpe: at most 16 are kept"),
+    ({"values": {"scale": True}}, "scale: must be a number, found 'True'"),
+]
+
+
+@pytest.mark.parametrize(("of_a", "problem"), WRONG)
+async def test_a_wrong_result_is_given_up_and_the_others_are_kept(
+    cluster: Cluster, of_a: dict[str, Any], problem: str
+) -> None:
+    status, run = await taken(cluster, records(of_a))
+    assert (status["evaluated"], status["failed"]) == (1, 1)
+    assert standing(status, "Complete")[:2] == ("True", "SomeFailed")
+    assert f"a: its result can't be kept: {problem}" in standing(status, "Complete")[2]
+    assert problem in cluster.told["a", "NotEvaluable"]
+    assert "results" not in run
+
+
+@pytest.mark.parametrize(("of_a", "problem"), WRONG)
+def test_another_evaluators_wrong_result_is_reported_as_an_error(of_a: dict[str, Any], problem: str) -> None:
+    runs = [{"uid": "uid-a", "name": "a"}]
+    request = EvaluateRequest.model_validate({"evaluation": "mine", "settings": {}, "runs": runs})
+    [record] = report(request, json.dumps({"name": "a"} | GOOD | of_a))
+    assert record["error"].startswith(f"results.jsonl, line 1: {problem}")
+
+
+async def test_a_result_that_the_api_refuses_is_given_up(cluster: Cluster) -> None:
+    def check(_: Key, body: dict[str, Any]) -> None:
+        if any(result.get("odd") for result in body.get("status", {}).get("results", ())):
+            raise Invalid("status.results[0].odd: no")
+
+    cluster.check = check
+    status, run = await taken(cluster, records({"values": {"odd": 1}}))
+    assert "a: its result can't be kept: status.results[0].odd: no" in standing(status, "Complete")[2]
+    assert "results" not in run
+
+
+async def test_what_nobody_foresaw_costs_one_record(cluster: Cluster) -> None:
+    def check(_: Key, body: dict[str, Any]) -> None:
+        if any(result.get("odd") for result in body.get("status", {}).get("results", ())):
+            raise KeyError("odd")
+
+    cluster.check = check
+    status, _ = await taken(cluster, records({"values": {"odd": 1}}))
+    assert "a: its result can't be kept: KeyError: 'odd'" in standing(status, "Complete")[2]
+
+
+async def test_a_fault_that_passes_is_no_reason_to_give_up(cluster: Cluster) -> None:
+    faults = [ServerFault("down")]
+
+    def check(key: Key, _: dict[str, Any]) -> None:
+        if key.name == "a" and faults:
+            raise faults.pop()
+
+    cluster.check = check
+    status, run = await taken(cluster, records({}))
+    assert (status["evaluated"], status["failed"]) == (2, 0)
+    assert run["results"][0]["outcome"] == "Tracked"
+
+
+async def test_values_do_not_stand_in_for_a_results_own_fields(cluster: Cluster) -> None:
+    _, run = await taken(cluster, records({"coverage": None, "values": {"coverage": "all", "note": "x"}}))
+    assert run["results"] == [{"note": "x", "evaluation": "mine", "outcome": "Tracked"}]
+
+
+async def test_a_run_with_32_results_is_told_and_never_measured(cluster: Cluster) -> None:
+    results = [{"evaluation": f"e{number}", "outcome": "Tracked"} for number in range(32)]
+    cluster.apply(Kind.MAPPING_RUN, "a", RUN, **finished("a", results=results))
+    status, run = await taken(cluster, records({}))
+    assert "a: it has results of 32 evaluations" in standing(status, "Complete")[2]
+    assert run["results"] == results
+    assert not [key for key in cluster.objects if key.kind is Kind.JOB]
+
+
+async def test_runs_whose_evaluator_is_refused_for_long_are_given_up(cluster: Cluster) -> None:
+    cluster.refusals[Kind.JOB] = Forbidden("admission webhook denied the request")
+    cluster.described()
+    status = await cluster.look(cluster.evaluation)
+    assert standing(status, "Admitted") == ("False", "JobRefused", "admission webhook denied the request")
+    assert status["failed"] == 0
+    await cluster.look(cluster.evaluation, GRACE + 1)
+    status = await cluster.look(cluster.evaluation, GRACE)
+    assert status["failed"] == 2
+    assert "a: admission webhook denied the request" in standing(status, "Complete")[2]
+
+
+async def test_runs_whose_evaluators_pod_is_refused_are_given_up(cluster: Cluster) -> None:
+    cluster.described()
+    cluster.failed_creates = ["Error creating: pods is forbidden: no such image"]
+    for _ in range(8):
+        await cluster.look(cluster.evaluation, GRACE + 1)
+    status = await cluster.look(cluster.evaluation, GRACE)
+    assert "a: its pod is refused: pods is forbidden: no such image" in standing(status, "Complete")[2]
+    assert not [key for key in cluster.objects if key.kind is Kind.JOB]
