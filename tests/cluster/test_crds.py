@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from slamhive.cli.main import app
 from slamhive.model import crd
+from slamhive.model.algorithm import TEXT_LIMIT
 from slamhive.model.crd_rules import FROZEN as FROZEN_KINDS
 from slamhive.model.errors import InputError
 from slamhive.model.loading import KINDS
@@ -69,6 +70,18 @@ def test_the_api_server_refuses(crds: Cluster, mistake: Mistake) -> None:
     code, text = _dry(crds, mistake.manifest("wrong"))
     assert code == 1
     assert any(mistake.field in line and mistake.server in line for line in text.splitlines()), text
+
+
+@pytest.mark.parametrize("place", ["default", "values"])
+def test_texts_of_parameters_have_a_length(crds: Cluster, place: str) -> None:
+    body = manifest("Algorithm", "long")
+    for length, refused in ((TEXT_LIMIT, False), (TEXT_LIMIT + 1, True)):
+        text = "x" * length
+        values = {"default": text} | ({"values": [text]} if place == "values" else {})
+        body["spec"]["parameters"] = {"note": {"type": "String"} | values}
+        code, said = _dry(crds, body)
+        assert (code != 0) is refused
+        assert not refused or f"parameters.note.{place}" in said
 
 
 @pytest.mark.parametrize("mistake", UNTOLD, ids=_label)

@@ -25,11 +25,12 @@ async def cluster() -> Cluster:
 
 
 async def test_a_run_whose_job_cannot_be_built_fails(cluster: Cluster) -> None:
-    text = {f"note{number}": "\N{SNOWMAN}" * 5000 for number in range(14)}
-    key = cluster.apply(Kind.MAPPING_RUN, "one", RUN | {"parameters": text})
+    text = {f"note{number}": "x" * 9000 for number in range(14)}
+    noted = {"example.org/note": "x" * 150_000}
+    key = cluster.apply(Kind.MAPPING_RUN, "one", RUN | {"parameters": text}, annotations=noted)
     status = await cluster.look(key)
     assert (status["phase"], status["reason"]) == ("Failed", "InvalidParameters")
-    assert "at most 204800 fit into an object" in status["message"]
+    assert "bytes in all, an object holds 262144" in status["message"]
     assert standing(status, "Accepted") == ("False", "InvalidParameters", status["message"])
     assert cluster.told["one", "InvalidParameters"] == status["message"]
 

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from slamhive.model.algorithm import AlgorithmSpec, Asset, Parameter
 from slamhive.model.dataset import DataFile, DatasetSpec, GroundTruth, Recording
+from slamhive.model.errors import InputError
 from slamhive.model.evaluation import RunSelector
 from slamhive.model.results import Usage
 from slamhive.model.sensors import Sensor
@@ -30,6 +31,9 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
         (Asset, {"name": "a", "url": "https://x"}, "needs its sha256"),
         (Asset, {"name": "../a", "path": "a"}, "pattern"),
         (Asset, {"name": "a", "path": "/a"}, "pattern"),
+        (Asset, {"name": "a:b", "path": "a"}, "pattern"),
+        (AlgorithmSpec, ALGORITHM | {"assets": [{"name": "a", "path": "a"}] * 2}, "used once"),
+        (AlgorithmSpec, ALGORITHM | {"image": " i"}, "pattern"),
         (Asset, {"name": "a", "path": "a/../../b"}, "pattern"),
         (DataFile, {"path": "a", "url": "https://x"}, "needs its sha256"),
         (Recording, {}, "either files or synthetic"),
@@ -79,6 +83,8 @@ def test_what_does_not_fit_together_is_refused(model: Any, fields: dict[str, Any
         ({"type": "Boolean", "default": True}, 1, "only true or false"),
         ({"type": "String", "default": "a", "values": ["a", "b"]}, "c", "only one of 'a', 'b'"),
         ({"type": "String", "default": "a"}, None, "null is not allowed"),
+        ({"type": "String", "default": "a"}, "x" * 16384, None),
+        ({"type": "String", "default": "a"}, "x" * 16385, "16385 characters are too many, at most 16384"),
         ({"type": "Number", "nullable": True}, None, None),
         ({"type": "Number", "default": 1.5}, 2, None),
     ],
@@ -86,6 +92,17 @@ def test_what_does_not_fit_together_is_refused(model: Any, fields: dict[str, Any
 def test_values_of_parameters(declared: dict[str, Any], value: Any, message: str | None) -> None:
     problem = Parameter.model_validate(declared).problem(value)
     assert problem is None if message is None else message in str(problem)
+
+
+def test_parameters_have_a_length_in_all() -> None:
+    names = [f"note{number}" for number in range(9)]
+    declared = {name: {"type": "String", "default": ""} for name in names}
+    spec = AlgorithmSpec.model_validate(ALGORITHM | {"parameters": declared})
+    assert len(spec.fill(dict.fromkeys(names[:7], "x" * 16384))) == 9
+    with pytest.raises(
+        InputError, match=r"parameters: they take \d+ bytes, at most 131072 reach a container"
+    ):
+        spec.fill(dict.fromkeys(names, "x" * 16384))
 
 
 def test_fields_have_their_outside_names_and_absent_ones_are_left_out() -> None:

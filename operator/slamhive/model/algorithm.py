@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from slamhive.model.base import Choice, Model, Name, Resource, Scalar, Sha256
+from slamhive.model.base import Choice, Image, Model, Name, Resource, Scalar, Sha256
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.ros1 import Ros1
 from slamhive.model.sensors import ROLES, Role, SensorMode
@@ -18,6 +19,16 @@ RelativePath = Annotated[
     StringConstraints(pattern=rf"^{_SEGMENT}(/{_SEGMENT})*$", max_length=1024),
     Field(description="A path that stays below its folder: not absolute, no . or .. in it."),
 ]
+_BOUND_SEGMENT = r"([^/.:]|\.[^/.:]|\.\.[^/:])[^/:]*"
+AssetName = Annotated[
+    str,
+    StringConstraints(pattern=rf"^{_BOUND_SEGMENT}(/{_BOUND_SEGMENT})*$", max_length=1024),
+    Field(description="A path that stays below its folder and holds no colon: it is mounted in containers."),
+]
+TEXT_LIMIT = 16 * 1024
+"""Characters of a parameter's text."""
+PARAMETERS_LIMIT = 128 * 1024
+"""Bytes of a run's parameters as JSON: they reach a container in an annotation of its pod."""
 
 
 class Pace(Choice):
@@ -67,9 +78,9 @@ class Parameter(Model):
         """Say what is wrong with a value, or return None when it is allowed."""
         if value is None:
             return None if self.nullable else f"null is not allowed, only {self._allowed()}"
-        if not self._right_type(value):
-            return f"{value!r} is not allowed, only {self._allowed()}"
-        if self.values is not None and value not in self.values:
+        if isinstance(value, str) and len(value) > TEXT_LIMIT:
+            return f"{len(value)} characters are too many, at most {TEXT_LIMIT} are allowed"
+        if not self._right_type(value) or (self.values is not None and value not in self.values):
             return f"{value!r} is not allowed, only {self._allowed()}"
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if number and self.minimum is not None and value < self.minimum:  # type: ignore[operator]
@@ -167,7 +178,7 @@ class Mode(Model):
 class Asset(Model):
     """A file that an algorithm needs beside the recording, such as a vocabulary or weights."""
 
-    name: RelativePath = Field(description="File name under assets/ in the run folder.")
+    name: AssetName = Field(description="File name under assets/ in the run folder, without a colon.")
     path: RelativePath | None = Field(default=None, description="File beside the Algorithm's own.")
     url: str | None = Field(default=None, pattern=r"^https://", description="Where to get it.")
     sha256: Sha256 | None = Field(default=None, description="Checksum of the file.")
@@ -208,7 +219,7 @@ class AlgorithmSpec(Model):
     homepage: str | None = Field(default=None, description="Where the algorithm lives.")
     license: str | None = Field(default=None, description="Licence as an SPDX expression.")
     version: str | None = Field(default=None, description="Version of the algorithm.")
-    image: str | None = Field(default=None, description="Container image.")
+    image: Image | None = Field(default=None, description="Container image.")
     command: list[str] = Field(
         default_factory=list, description="Program in the container; default: its own."
     )
@@ -240,6 +251,9 @@ class AlgorithmSpec(Model):
         names = [mode.name for mode in self.modes]
         if len(set(names)) != len(names):
             raise ValueError("modes: each mode may be named once")
+        assets = [asset.name for asset in self.assets]
+        if len(set(assets)) != len(assets):
+            raise ValueError("assets: each name may be used once")
         if Pace.REALTIME in self.paces and self.realtime is None:
             raise ValueError("realtime: needed for the pace Realtime (queue and drop policy)")
         if self.ros1 is not None and Pace.REALTIME not in self.paces:
@@ -276,7 +290,7 @@ class AlgorithmSpec(Model):
         """Return all parameters with defaults filled in, sorted by name.
 
         Raises:
-            InputError: a parameter is unknown or its value is not allowed.
+            InputError: a parameter is unknown, its value is not allowed, or they are too long in all.
         """
         for name, value in parameters.items():
             declared = self.parameters.get(name)
@@ -287,7 +301,15 @@ class AlgorithmSpec(Model):
             problem = declared.problem(value)
             if problem:
                 raise InputError(f"parameters.{name}: {problem}")
-        return {name: parameters.get(name, self.parameters[name].default) for name in sorted(self.parameters)}
+        filled = {
+            name: parameters.get(name, self.parameters[name].default) for name in sorted(self.parameters)
+        }
+        size = len(json.dumps(filled, ensure_ascii=False).encode())
+        if size > PARAMETERS_LIMIT:
+            raise InputError(
+                f"parameters: they take {size} bytes, at most {PARAMETERS_LIMIT} reach a container"
+            )
+        return filled
 
 
 class Algorithm(Resource):

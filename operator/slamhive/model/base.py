@@ -20,7 +20,9 @@ API_VERSION = f"{GROUP}/{VERSION}"
 _DURATION = r"^([0-9]{1,5}(h|m|s|ms)){1,4}$"
 QUANTITY_PATTERN = r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$"
 _NAME = r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$"
+_IMAGE = r"^\S+$"
 _MEANINGS = {
+    _IMAGE: "expected the name of an image, without blanks",
     _DURATION: "expected a duration such as 90s, 1h30m or 250ms",
     QUANTITY_PATTERN: "expected a quantity such as 2, 500m or 4Gi",
     _NAME: "expected a name of lower-case letters, digits, - and .",
@@ -62,6 +64,7 @@ Name = Annotated[
 ]
 NAME_LIMIT = 63
 """Longest name of an object of ours: it must fit into a label."""
+Image = Annotated[str, StringConstraints(pattern=_IMAGE)]
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Scalar = bool | int | float | str | None
 

@@ -79,7 +79,7 @@ class _Converter:
         if schema.get("default") is not None:
             result["default"] = schema["default"]
         if len(options) > 1 or not (schema.keys() & {"type", "const", "enum"}):
-            return result | {KEEP: True, "nullable": True}
+            return result | {KEEP: True, "nullable": True} | EXTRA.get(where, {})
         if "const" in schema:
             result["enum"] = [schema["const"]]
         return self._typed(schema, result, where)

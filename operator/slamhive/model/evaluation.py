@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from slamhive.model.base import Choice, Duration, Model, Name, Reference, Resource
+from slamhive.model.base import Choice, Duration, Image, Model, Name, Reference, Resource
 
 
 class Alignment(Choice):
@@ -80,7 +80,7 @@ class RunSelector(Model):
 class Evaluator(Model):
     """A container that evaluates in the place of ours."""
 
-    image: str = Field(description="Container image.")
+    image: Image = Field(description="Container image.")
     command: list[str] = Field(default_factory=list, description="Program in the container.")
 
 
