@@ -9,7 +9,7 @@ import pytest
 from testcluster.kept import GRACE, RUN, Cluster, catalogued, standing
 
 from slamhive.kube.errors import Forbidden, Invalid
-from slamhive.kube.kinds import Kind
+from slamhive.kube.kinds import Key, Kind
 
 if TYPE_CHECKING:
     from slamhive.kube.errors import ApiError
@@ -108,6 +108,21 @@ async def test_a_pod_that_may_still_come_is_waited_for(
     assert status["phase"] == "Pending"
     assert standing(status, "Scheduled")[1] == reason
     assert cluster.op.queue.delayed == 1
+
+
+async def test_a_preparation_whose_pod_is_refused_fails_its_run(cluster: Cluster) -> None:
+    key = cluster.apply(Kind.MAPPING_RUN, "one", RUN | {"input": {"duration": "5s"}})
+    assert (await cluster.look(key))["phase"] == "Preparing"
+    cluster.failed_creates = [f"Error creating: {REFUSED_POD}"]
+    dataset = Key(Kind.DATASET, "lab", "hall")
+    status = await cluster.look(dataset, 10)
+    told = f"its pod is refused: {REFUSED_POD}"
+    assert (status["variants"][1]["phase"], status["variants"][1]["message"]) == ("Preparing", told)
+    assert cluster.op.queue.delayed == 1
+    status = await cluster.look(dataset, GRACE)
+    assert status["variants"][1]["phase"] == "Failed"
+    status = await cluster.look(key, 1)
+    assert (status["phase"], status["reason"], status["message"]) == ("Failed", "SystemFault", told)
 
 
 async def test_a_sweep_whose_runs_are_refused_ends(cluster: Cluster) -> None:

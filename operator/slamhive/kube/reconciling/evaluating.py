@@ -18,11 +18,11 @@ from slamhive.kube.builders import batches, evaluator_job
 from slamhive.kube.description import Description
 from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, Conflict, NotFound
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
-from slamhive.kube.observing import POD_SECONDS, EvaluatorObserved, explained, lacks_pod, observe_evaluator
+from slamhive.kube.observing import EvaluatorObserved, observe_evaluator
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.giving_up import is_full, problem_of, with_problem
 from slamhive.kube.reconciling.groups import Group, group_of, key_for
-from slamhive.kube.reconciling.refusals import why_no_pod
+from slamhive.kube.reconciling.refusals import patience
 from slamhive.kube.reconciling.summing import evaluation_status
 from slamhive.kube.status import changes, condition, display, holds, merged, moment, result_field
 from slamhive.model.crd_status import MOST_RESULTS
@@ -158,19 +158,11 @@ class Evaluations:
 
     async def _wait(self, op: Operator, group: Group, job: Object, waiting: Waiting | None) -> float | None:
         """Return when to look again at a Job without a pod, None: not for that; 0: it is given up."""
-        now = op.clock()
-        if waiting is None or not lacks_pod(waiting):
-            return None
-        since = waiting.since or now
-        if now - since < POD_SECONDS:
-            return POD_SECONDS
-        waiting = explained(waiting, await why_no_pod(op, job))
-        left = since + op.settings.refusal_grace_seconds - now
-        if waiting.end is None or left > 0:
-            return _REFUSED_SECONDS
-        await self._failed(op, group, job, waiting.message)
-        await op.delete(key_of(Kind.JOB, job))
-        return 0.0
+        waiting, seconds = await patience(op, job, waiting)
+        if waiting is not None and seconds == 0.0:
+            await self._failed(op, group, job, waiting.message)
+            await op.delete(key_of(Kind.JOB, job))
+        return seconds
 
     async def _items(self, op: Operator, group: Group, runs: list[Object]) -> list[Object]:
         items = []

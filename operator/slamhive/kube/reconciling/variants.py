@@ -16,6 +16,7 @@ from slamhive.kube.builders import variant_job, variant_name
 from slamhive.kube.errors import AlreadyExists
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
 from slamhive.kube.observing import observe_variant
+from slamhive.kube.reconciling.refusals import patience
 from slamhive.kube.status import changes, iso, moment
 from slamhive.model.base import quantity
 from slamhive.model.results import Reason
@@ -177,20 +178,40 @@ class DatasetReconciler:
             return None
         before = entries(op, key)
         after = dict(before)
+        delays: list[float] = []
         for job in op.store.select(Kind.JOB, key.namespace, Label.DATASET, key.name):
             name = job["metadata"].get("labels", {}).get(Label.VARIANT)
             if name is not None:
-                after[name] = self._entry(op, key.namespace, name, job, before.get(name) or {})
+                entry = self._entry(op, key.namespace, name, job, before.get(name) or {})
+                after[name] = await self._without_pod(op, job, entry, delays)
         after = _within(op, key.namespace, after)
         if after == before:
-            return None
+            return min(delays, default=None)
         body = {
             "metadata": {"resourceVersion": dataset["metadata"]["resourceVersion"]},
             "status": {"variants": list(after.values())},
         }
         await op.patch(key, body, subresource="status")
         self._wake(op, key)
-        return None
+        return min(delays, default=None)
+
+    @staticmethod
+    async def _without_pod(
+        op: Operator, job: dict[str, Any], entry: dict[str, Any], delays: list[float]
+    ) -> dict[str, Any]:
+        """Return an entry with why its Job has no pod; one whose pod is refused for long has failed."""
+        if entry["phase"] != "Preparing":
+            return entry
+        pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
+        waiting, seconds = await patience(op, job, observe_variant(job, pods).waiting)
+        if waiting is None or seconds is None:
+            return {field: value for field, value in entry.items() if field != "message"}
+        if seconds > 0:
+            delays.append(seconds)
+            return entry | {"message": waiting.message}
+        await op.delete(key_of(Kind.JOB, job))
+        told = {"phase": "Failed", "message": f"{Reason.SYSTEM_FAULT}: {waiting.message}"}
+        return entry | told | {"changedTime": iso(op.clock())}
 
     @staticmethod
     def _entry(
