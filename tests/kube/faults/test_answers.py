@@ -68,6 +68,24 @@ async def test_each_call_fails_before_it_succeeds(
     assert min(hits[method] for method in ("POST", "PATCH", "DELETE")) >= 2
 
 
+@pytest.mark.parametrize("status", [403, 422])
+async def test_jobs_that_stay_refused(arena: Arena, tmp_path: Path, status: int) -> None:
+    kubeconfig = tmp_path / "kubeconfig"
+
+    async def course(instance: Instance) -> list[dict[str, Any]]:
+        outcome = await instance.finish(refusalGraceSeconds=0.5)
+        assert outcome.created["jobs"] == {}
+        return [run["status"] for run in instance.arena.seen.alive("mappingruns", instance.namespace)]
+
+    async with proxied(arena.admin, Trouble(refused_jobs=status), kubeconfig):
+        [kept] = await arena.play(SCENARIOS["study"], course, kubeconfig)
+    assert (kept["phase"], kept["reason"]) == ("Failed", "SystemFault")
+    standing = {item["type"]: item for item in kept["conditions"]}
+    for kind, holds in (("Admitted", "False"), ("Complete", "True")):
+        assert standing[kind]["status"] == holds
+        assert "played: " in standing[kind]["message"]
+
+
 @pytest.mark.parametrize("name", WATCHES)
 async def test_watches_and_lists_that_break(arena: Arena, tmp_path: Path, name: str) -> None:
     expected = await undisturbed(arena)

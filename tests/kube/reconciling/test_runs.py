@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from testcluster.kwok import run_message
-from testcluster.lab import algorithm, condition_of, dataset, run, status_of, until
+from testcluster.lab import algorithm, condition_of, dataset, manifest, run, status_of, until
 
 from slamhive.kube.kinds import Key, Kind
 
@@ -85,6 +85,17 @@ async def test_an_algorithm_without_an_image_cannot_run(lab: Lab) -> None:
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
     assert status["reason"] == "AlgorithmUnavailable"
     assert "names no image" in status["message"]
+
+
+async def test_a_run_whose_pod_is_refused_fails_with_the_reason(lab: Lab) -> None:
+    limits = {"limits": [{"type": "Container", "max": {"cpu": "1500m"}}]}
+    lab.apply(manifest("LimitRange", "small", **limits) | {"apiVersion": "v1"})
+    async with lab.operator(refusalGraceSeconds=1) as op:
+        lab.apply(run(resources={"cpu": "2", "memory": "1Gi"}, retries=0))
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
+    assert (status["phase"], status["reason"]) == ("Failed", "SystemFault")
+    assert "its pod is refused: pods " in status["message"]
+    assert "maximum cpu usage per Container is 1500m" in status["message"]
 
 
 async def test_a_run_waits_for_its_catalog(make_lab: Callable[..., Lab]) -> None:

@@ -21,7 +21,14 @@ if TYPE_CHECKING:
 
     from slamhive.kube.client import Api
 
-_REASONS = {409: "Conflict", 410: "Expired", 429: "TooManyRequests", 500: "InternalError"}
+_REASONS = {
+    403: "Forbidden",
+    422: "Invalid",
+    409: "Conflict",
+    410: "Expired",
+    429: "TooManyRequests",
+    500: "InternalError",
+}
 _DROPPED = {"Host", "Content-Length", "Accept-Encoding"}
 
 
@@ -32,6 +39,7 @@ class Trouble:
     Attributes:
         status: what is answered in the place of the truth.
         taken: whether creates are answered that the name is taken.
+        refused_jobs: what creating a Job is answered, each time.
         reset: whether the connection breaks, in the middle of the answer if there is one.
         executed: whether the call is carried out all the same.
         one_page: whether lists come in pages of one object, and the first second page is gone.
@@ -43,6 +51,7 @@ class Trouble:
 
     status: int | None = None
     taken: bool = False
+    refused_jobs: int | None = None
     reset: bool = False
     executed: bool = False
     one_page: bool = False
@@ -80,6 +89,9 @@ class Proxy:
         ours = request.headers.get("User-Agent") == "slamhive"  # kopf ends when a page is gone
         if self.trouble.one_page and request.query.get("limit") and ours:
             return await self._page(request)
+        if self.trouble.refused_jobs and request.method == "POST" and request.path.endswith("/jobs"):
+            self.hits["POST"] += 1
+            return _status(self.trouble.refused_jobs)
         place = (request.method, request.path)
         self._calls[place] += 1
         is_due = self._calls[place] == 1 if request.method == "GET" else self._calls[place] % 2 == 1
