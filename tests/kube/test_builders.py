@@ -31,7 +31,7 @@ from slamhive.kube.builders import (
     variant_name,
 )
 from slamhive.kube.settings import Settings
-from slamhive.model.algorithm import Algorithm
+from slamhive.model.algorithm import TEXT_LIMIT, Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluator
@@ -310,10 +310,8 @@ def test_a_player_is_added_beside_the_algorithm() -> None:
     ("change", "part"),
     [
         ({"image": None, "local": {}}, "has no image"),
-        ({"assets": [{"name": "a:b", "url": "https://x.org/a", "sha256": SHA}]}, "no colon"),
-        ({"assets": [{"name": "a", "url": "https://x.org/a", "sha256": SHA}] * 2}, "named once"),
         (
-            {"parameters": {"p": {"type": "String", "default": "x" * ANNOTATION_LIMIT}}},
+            {"parameters": {f"p{k}": {"type": "String", "default": "\x7f" * TEXT_LIMIT} for k in range(7)}},
             "the configuration has",
         ),
     ],

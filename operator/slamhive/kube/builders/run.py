@@ -232,10 +232,6 @@ def _algorithm(plan: _Plan, settings: Settings) -> Manifest:
 def _assets(algorithm: AlgorithmSpec) -> list[Manifest]:
     """Return the files that preparation fetched; those with a path are in the image."""
     fetched = [asset for asset in algorithm.assets if asset.url is not None]
-    names = [asset.name for asset in fetched]
-    for name in names:
-        if ":" in name or names.count(name) > 1:
-            raise InputError(f"assets: {name!r} must be named once and hold no colon to be mounted")
     return [
         mount("data", f"/slamhive/assets/{asset.name}", read_only=True, subPath=f"assets/{asset.sha256}")
         for asset in fetched
