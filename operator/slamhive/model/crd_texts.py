@@ -37,6 +37,8 @@ TEXTS: dict[str, str] = {
     "TrajectoryInfo.path": "The file, below the run's folder.",
     "Provenance.contentHash": "Hash of everything that decides the result: equal hashes, equal runs.",
     "Provenance.specHash": "Hash of the spec as far as it decides the result.",
+    "Provenance.algorithmHash": "Hash of what the Algorithm says of its program.",
+    "Provenance.preparation": "Version of the preparation of recordings.",
     "Provenance.environment": "Hash of the program and what it links to.",
     "Provenance.imageID": "Digest of the image that ran.",
     "Provenance.datasetSha256": "Checksum of the recording that the variant was made of.",
