@@ -225,7 +225,7 @@ def test_a_runs_record_tells_what_was_asked_and_what_it_was_given(*, reused: boo
     run["spec"]["input"]["duration"] = "1m"
     run["metadata"]["annotations"] = {"slamhive.io/asked": '{"frameRate": 30}'}
     known = facts(run, DESCRIPTION)
-    told = provenance(known.attempted, known, "c" * 64)
+    told = provenance(known.attempted, known, algorithm_hash="a" * 64, content_hash="c" * 64)
     if reused:
         other = record_of(
             a_run(10) | {"status": {"phase": "Succeeded", "provenance": told | {"asked": {"rate": 2}}}}
