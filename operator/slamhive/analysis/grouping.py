@@ -231,8 +231,8 @@ def aggregate(
     notes = [*pooling_notes(pooled), *disturbance_notes(frame, metrics)]
     same = sum(cell.deterministic for cell in cells)
     if same and any(name.startswith(ERRORS) for name in metrics):
-        rows = "1 row" if same == 1 else f"{same} rows"
-        notes.append(f"{rows} with an = beside n: deterministic: one result, n equal runs")
+        rows = "1 row is" if same == 1 else f"{same} rows are"
+        notes.append(f"{rows} deterministic: one result, n equal runs")
     return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, members, tuple(notes))
 
 

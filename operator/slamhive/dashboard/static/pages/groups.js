@@ -15,11 +15,13 @@ export function groupTable(data, which = FIGURES) {
   // A column that nobody asked for is worth its room where it has several values, not for being unknown of some.
   const known = (key) => [...values(key)].filter((value) => value !== null).length;
   const varied = data.keys.filter((key) => (key.facet ? known(key) > 1 : data.groups.length < 2 || values(key).size > 1));
+  // Equal trajectories are one result: their errors have no spread.
+  const equal = data.groups.some((group) => group.deterministic) ? [{ name: 'equal', title: 'deterministic' }] : [];
   const figures = data.metrics.flatMap((metric) => which.map((one) => ({ ...metric, kind: 'number', name: `${metric.name} ${one}`, title: `${metric.title} ${one}` })));
   return {
-    columns: [...varied, { name: 'n', kind: 'integer', title: 'n' }, { name: 'runs', kind: 'integer', title: 'runs' }, { name: 'failures', title: 'failures' }, { name: 'coverage', kind: 'number', title: 'coverage' }, ...figures],
+    columns: [...varied, { name: 'n', kind: 'integer', title: 'n' }, { name: 'runs', kind: 'integer', title: 'runs' }, { name: 'failures', title: 'failures' }, { name: 'coverage', kind: 'number', title: 'coverage' }, ...equal, ...figures],
     rows: data.groups.map((group) => ({
-      ...group.keys, n: group.n, runs: group.runs, coverage: group.coverage?.mean ?? null, failures: failureText(group.failures),
+      ...group.keys, n: group.n, runs: group.runs, coverage: group.coverage?.mean ?? null, failures: failureText(group.failures), equal: group.deterministic ? `one result, ${group.n} equal runs` : '',
       ...Object.fromEntries(data.metrics.flatMap((metric) => which.map((one) => [`${metric.name} ${one}`, group.figures[metric.name]?.[one] ?? null]))),
     })),
   };
