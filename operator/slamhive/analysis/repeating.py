@@ -82,7 +82,8 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
         ran = "configuration" if alone == 1 else "configurations"
         notes = [*notes, f"{alone} {ran} ran once: a single run says nothing of repeatability"]
     frame = frame.select(counts[all_of_them.of_row] > 1)
-    found = aggregate(frame, [metric], keys)
+    # By the same columns: what is left of the rows might not need all of them, and would be pooled.
+    found = aggregate(frame, [metric], all_of_them.names)
     numbers = frame.column(metric).floats()
     trajectories = frame.column("trajectory.sha256")
     counted = frame.column("status")
