@@ -9,7 +9,9 @@ import cv2
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from typer.testing import CliRunner
 
+from slamhive.cli.datasets import app
 from slamhive.data.carmen import import_carmen, read_log, scan_points
 from slamhive.data.entries import DatasetEntry
 from slamhive.data.euroc import import_euroc
@@ -163,6 +165,26 @@ def test_the_real_euroc_folder(shared: Path, tmp_path: Path) -> None:
     report = inspect(DatasetEntry(dataset, tmp_path / "out"))
     assert (report.errors, report.warnings) == ([], [])
     assert {sensor.name: sensor.messages for sensor in report.sensors} == {"camera": 95, "imu": 29_120}
+
+
+def test_the_manifest_of_a_bag_elsewhere_works_where_it_is_written(
+    camera_entries: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
+    bag = camera_entries[0.5].root / "recording.bag"
+    runner = CliRunner()
+    for words in (["add", str(bag), "--name", "mine"], ["add", "mine.yaml"], ["check", "mine"]):
+        found = runner.invoke(app, words)
+        assert found.exit_code == 0, found.output
+    assert (here / "recording.bag").resolve() == bag.resolve()
+    (here / "other").mkdir()
+    monkeypatch.chdir(here / "other")
+    Path("recording.bag").write_text("another one")
+    found = runner.invoke(app, ["add", str(bag), "--name", "again"])
+    assert "recording.bag: cannot be linked" in str(found.exception)
 
 
 def test_a_suggestion_from_a_generated_bag_is_nearly_its_dataset(camera_entries: Any, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -256,12 +257,29 @@ def _suggest(source: Path, name: str) -> None:
     target = Path(f"{name}.yaml")
     if target.exists():
         raise InputError(f"{target} exists already; complete it and add it: slamhive dataset add {target}")
-    suggestion = suggest_dataset(source, name)
+    suggestion = suggest_dataset(_within_reach(source), name)
     target.write_text(suggestion.text, encoding="utf-8")
     out.print(f"wrote {target}", soft_wrap=True)
     for sentence in suggestion.missing:
         remark(f"- {sentence}")
     remark(f"then: slamhive dataset add {target}")
+
+
+def _within_reach(source: Path) -> Path:
+    """Return a recording's place below this folder, by a link if need be: a manifest's paths start here."""
+    if Path(os.path.abspath(source)).is_relative_to(Path.cwd()):  # noqa: PTH100 - links stay links
+        return source
+    link = Path(source.resolve().name)
+    if not (link.exists() and link.samefile(source)):
+        try:
+            link.symlink_to(source.resolve())
+        except OSError as error:
+            raise InputError(
+                f"{link}: cannot be linked to {source}: {error.strerror}; a manifest's paths start from its "
+                "folder"
+            ) from None
+        out.print(f"linked {link} to {source.resolve()}", soft_wrap=True)
+    return link
 
 
 def _options(given: dict[str, Any]) -> InputOptions:

@@ -40,7 +40,8 @@ app = typer.Typer(no_args_is_help=True, help="Finished runs: lists, tables, file
 
 LIST_COLUMNS = (
     *("run", "sweep", "algorithm", "sensors", "dataset", "repetition", "phase", "evaluation", "outcome"),
-    *("ate.rmse", "rpe[0].rmse", "coverage", "usage.cpu.meanCores", "usage.memory.peakBytes"),
+    *("ate.rmse", "rpe[0].rmse", "coverage", "usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores"),
+    "usage.memory.peakBytes",
 )
 TABLE_METRICS = (
     *("ate.rmse", "rpe[0].rmse", "relations.translation.mean", "relations.rotationDeg.mean"),
@@ -87,7 +88,7 @@ def list_results(
         Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=True, option="--")
     )
     frame = found.frame
-    shown = [Metric.parse(name) for name in _names(columns) or LIST_COLUMNS]
+    shown = [Metric.parse(name) for name in _names(columns) or _usual(LIST_COLUMNS, frame)]
     names = [metric.column for metric in shown]
     frame.require(names)
     rows = _sorted(frame, sort).records(names)
@@ -153,7 +154,7 @@ def show_table(
     """
     chosen = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded, option="--"))
     frame = chosen.frame
-    metrics = [Metric.parse(text) for text in metric or _usual_metrics(frame)]
+    metrics = [Metric.parse(text) for text in metric or _usual(TABLE_METRICS, frame, filled=True)]
     by, across = _names(rows), _names(columns) or []
     frame.require([*(one.column for one in metrics), *(by or ()), *across])
     found = aggregate(frame, [one.column for one in metrics], by, outcomes, across)
@@ -313,11 +314,17 @@ def _show_relations(result: Result) -> None:
     show(out, ["relations by time", "n", *units], lines)
 
 
-def _usual_metrics(frame: Frame) -> list[str]:
-    """Return what a table shows unless told: mean cores only where the clock set the pace."""
+def _usual(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:
+    """Return what is shown unless told: mean cores only where the clock set the pace.
+
+    Args:
+        names: what is shown otherwise.
+        frame: the rows.
+        filled: whether columns without a value are left out.
+    """
     realtime = where_equal(frame, "input.pace", "Realtime").any()
-    left_out = set() if realtime else {"usage.cpu.meanCores"}
-    return [name for name in TABLE_METRICS if name not in left_out and not frame.column(name).is_empty]
+    shown = [name for name in names if realtime or name != "usage.cpu.meanCores"]
+    return [name for name in shown if not (filled and frame.column(name).is_empty)]
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -71,9 +72,10 @@ def suggest_dataset(path: Path, name: str, base: Path | None = None) -> Suggesti
     with Recording([path], guess_format(path)) as recording:
         look = _Look(recording, name)
         found = look.suggestion()
-    base = (base or Path.cwd()).resolve()
-    if path.resolve().is_relative_to(base):
-        file = str(path.resolve().relative_to(base))
+    base = base or Path.cwd()
+    there = Path(os.path.abspath(path))  # noqa: PTH100 - a link below the folder is in it
+    if there.is_relative_to(base):
+        file = str(there.relative_to(base))
     else:
         file = path.name
         found.missing.append(
