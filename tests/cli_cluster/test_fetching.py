@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from conftest import Desk
 
-RESULT = {"evaluation": "default", "outcome": "Tracked", "coverage": 0.99, "ate": {"rmse": 0.125}}
+RESULT = {"evaluation": "se3", "outcome": "Tracked", "coverage": 0.99, "ate": {"rmse": 0.125}}
 
 
 def is_complete(status: dict[str, Any]) -> bool:
@@ -112,9 +112,17 @@ async def test_other_runs_of_the_name_are_not_mixed_in(lab: Lab, desk: Desk) -> 
         await status_of(op, Kind.SWEEP, "study", is_complete)
     said = await desk.types("fetch", "study")
     uid = lab.cluster.get("sweep", "study", "-n", lab.namespace)["metadata"]["uid"]
-    assert [record.uid for record in records(desk)] == ["u-0"]
-    assert len(records(desk, f"study@{uid[:8]}")) == 3
-    assert f"kept as study@{uid[:8]}" in said.text
+    assert [record.sweep_uid for record in records(desk)] == [None, uid, uid, uid]
+    address = f"{lab.namespace}/study"
+    assert f"--sweep {address} means that of the cluster" in said.text
+    for name, code, words in (
+        ("study", 2, f"write which of {address}, /study"),
+        (address, 0, ""),
+        ("/study", 0, ""),
+    ):
+        table = desk.type("results", "list", "--sweep", name, "--columns", "name")
+        assert table.code == code
+        assert words in table.text
 
 
 async def test_a_single_run_is_a_sweep_of_one(lab: Lab, desk: Desk) -> None:
