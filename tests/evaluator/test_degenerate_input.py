@@ -140,7 +140,7 @@ CASES: list[tuple[str, Make, list[str], int, str]] = [
         2,
         "broken or cut off",
     ),
-    ("an empty file", lambda _: b"", NONE, 2, "holds no poses"),
+    ("no pose: an empty file, or comments alone", lambda _: b"# no pose\n", NONE, 2, "holds no poses"),
     ("no orientations (a tracker, GNSS)", bare, ["ape", "--align", "se3"], 0, "rmse"),
     ("no orientations (a tracker, GNSS)", bare, ["rpe"], 2, "orientations"),
     ("no orientations (a tracker, GNSS)", bare, ["ape", "--relation", "angle_deg"], 2, "orientations"),

@@ -125,10 +125,12 @@ def largest_ended() -> int | None:
     """Return the peak of the largest process that we, or those we waited for, waited for, bytes.
 
     It is exact to the last moment, which no sample is. A child begins with the peak of who forked it, so that
-    a figure that isn't above our own peak says nothing: then it is None.
+    a figure that isn't above our own peak says nothing: then it is None. Our own is that of our program: the
+    kernel's ru_maxrss of us would still know the peak of who started us.
     """
-    largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    return largest * 1024 if largest > resource.getrusage(resource.RUSAGE_SELF).ru_maxrss else None
+    largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+    own = _bytes_of(read_file("/proc/self/status"), b"\nVmHWM:")
+    return largest if largest > own else None
 
 
 def _bytes_of(text: bytes, key: bytes) -> int:
