@@ -55,14 +55,7 @@ def result(name: str, rmse: float, **values: Any) -> Result:
 
 
 def rows_of(record: RunRecord) -> list[dict[str, Any]]:
-    results = record.results
-    found = Results(
-        [1] * len(results),
-        [one.evaluation for one in results],
-        [one.outcome.value for one in results],
-        [one.coverage for one in results],
-        [one.values for one in results],
-    )
+    found = Results.of((1, one) for one in record.results)
     whole = {name: [value] for name, value in (run_row(record) | {"id": 1}).items()}
     columns, length = columns_of_runs(whole, found, LEFT_OUT)
     frame = Frame(columns, length)

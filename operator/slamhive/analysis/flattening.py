@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import re
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
 from slamhive.analysis.columns import Column, times
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from slamhive.analysis.columns import Indices
+    from slamhive.model.results import Result
 
     Document = Mapping[str, Any]
     Part = tuple[dict[str, Column], int]
@@ -109,6 +110,18 @@ class Results(NamedTuple):
     outcomes: list[str | None]
     coverages: list[float | None]
     values: list[Any]
+
+    @classmethod
+    def of(cls, found: Iterable[tuple[int, Result]]) -> Self:
+        """Return the results of runs by their ids."""
+        pairs = list(found)
+        return cls(
+            [run for run, _ in pairs],
+            [result.evaluation for _, result in pairs],
+            [result.outcome.value for _, result in pairs],
+            [result.coverage for _, result in pairs],
+            [result.values for _, result in pairs],
+        )
 
 
 def columns_of_runs(

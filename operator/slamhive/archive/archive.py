@@ -313,13 +313,6 @@ class Archive:
         with reading(self._engine) as connection:
             return [SweepRecord.model_validate(dict(row)) for row in connection.execute(query).mappings()]
 
-    def sweep_names(self) -> list[str]:
-        """Return the names of all sweeps that runs belong to, sorted."""
-        column = schema.runs.c.sweep
-        query = select(column).where(column.is_not(None)).distinct().order_by(column)
-        with reading(self._engine) as connection:
-            return [str(name) for name in connection.execute(query).scalars()]
-
     def catalog(self, kind: str) -> list[CatalogEntry]:
         """Return the stored Algorithms or Datasets by name, versions of a name in the order of storing."""
         table = _CATALOG[kind]

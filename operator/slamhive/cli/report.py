@@ -17,6 +17,7 @@ from slamhive import __version__
 from slamhive.analysis import Metric, Outcomes, Selection, choose
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.cli.console import remark
+from slamhive.cli.results import Output, Superseded
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
 from slamhive.reporting.latex import latex
@@ -45,10 +46,6 @@ Sweeps = Annotated[
 EvaluationName = Annotated[
     str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as se3 or sim3.")
 ]
-Superseded = Annotated[
-    bool, typer.Option("--superseded", help="Results of earlier versions too: of an edited algorithm, …")
-]
-Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to a file.")]
 
 
 class TableFormat(StrEnum):

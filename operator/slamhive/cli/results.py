@@ -241,14 +241,7 @@ def _sweeps(name: str | None) -> tuple[str, ...]:
 def _rows_of(record: RunRecord) -> list[Row]:
     """Return all that is known of a run, one row an evaluation."""
     row = run_row(record) | {"id": 0}
-    results = record.results
-    found = Results(
-        [0] * len(results),
-        [result.evaluation for result in results],
-        [result.outcome.value for result in results],
-        [result.coverage for result in results],
-        [result.values for result in results],
-    )
+    found = Results.of((0, result) for result in record.results)
     columns, length = columns_of_runs({name: [value] for name, value in row.items()}, found, frozenset())
     frame = Frame(columns, length)
     return frame.records([name for name in frame.names if not frame.column(name).is_empty])

@@ -131,21 +131,16 @@ def columns_of_live(
         settings: how Sweeps are measured, by their UIDs.
     """
     rows: list[dict[str, Any]] = []
-    results = Results([], [], [], [], [])
+    measured: list[tuple[int, Result]] = []
     intended = _Intended(datasets, settings)
     for run in runs:
         number = numbers[run.uid]
         spec = datasets.get((run.namespace, run.dataset), {})
         more = {"attributes": spec.get("attributes") or {}, "evaluations": intended.of(run)}
         rows.append({**run.row, "id": number, **more})
-        for result in run.results:
-            results.runs.append(number)
-            results.evaluations.append(result.evaluation)
-            results.outcomes.append(result.outcome.value)
-            results.coverages.append(result.coverage)
-            results.values.append(result.values)
+        measured += [(number, result) for result in run.results]
     names = rows[0] if rows else {}
-    return columns_of_runs({name: [row[name] for row in rows] for name in names}, results)
+    return columns_of_runs({name: [row[name] for row in rows] for name in names}, Results.of(measured))
 
 
 class _Intended:
