@@ -4,34 +4,54 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+JAVASCRIPT := tests/javascript
+JAVASCRIPT_STAMP := $(JAVASCRIPT)/node_modules/.installed
+# Node.js comes with the Python packages.
+NPM := cd $(JAVASCRIPT) && PATH="$(CURDIR)/$(BIN):$$PATH" npm
 # How many tests run side by side; many wait for a cluster most of the time.
 WORKERS ?= 3
 # Which tests; all when empty.
 TESTS ?=
+THE_REST := cluster or image or ros or slow
+pytest = $(BIN)/python -m pytest -n $(WORKERS) $(1) $(TESTS)
+# Otherwise pytest would compile all tests anew in each worker, each time.
+unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-packages constraints cluster-build cluster-up cluster-down images lint bench fuzz fuzz-api honest install crds clean help
+.PHONY: demo test test-cluster test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench fuzz fuzz-api honest audit install crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
-	@echo 'make test    run all tests'
+	@echo 'make test    run the tests that need neither root nor a cluster nor minutes'
+	@echo 'make test-cluster   run the rest: on a real Kubernetes, with images, with ROS nodes (Debian, root, Go), the slow ones'
 	@echo 'make lint    style, types, layers'
+	@echo 'make docs    the docs site, in site/'
 	@echo 'make images  build the container images'
+	@echo 'make dist    wheels and source distributions of slamhive and slamhive-eval'
+	@echo 'make pins    versions and hashes of all Python packages'
+	@echo 'make audit   known vulnerabilities of all packages'
 	@echo 'make cluster-up, cluster-down   a real Kubernetes for tests, on this machine'
-	@echo 'make fuzz    ten minutes of broken files for all readers'
-	@echo 'make fuzz-api   five minutes of made-up questions for the API'
+	@echo 'make fuzz    ten minutes of broken files for all readers, then many made-up inputs for all else'
+	@echo 'make fuzz-api   five minutes of made-up questions for the API, over 80,000 runs'
 	@echo 'make honest  every view of results beside their definition, over 5,000 made-up archives'
 	@echo 'make bench   speed and memory, beside the limits'
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml evaluator/pyproject.toml hatch_build.py constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'slamhive needs Python 3.11 or newer: make PYTHON=python3.12 …'; exit 2; }
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
 	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get install -y -q python3-venv; } || \
 	  { echo 'Python has no venv module: sudo apt-get install python3-venv'; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --editable . --group dev --constraint constraints.txt
+	@echo "Installing $$(grep -c == constraints.txt) packages into $(VENV); nothing is printed for a minute or three."
+	$(BIN)/python -m pip install --quiet --require-hashes --only-binary :all: --requirement constraints.txt
+	$(BIN)/python -m pip install --quiet --no-index --no-deps --no-build-isolation --editable .
+	$(BIN)/python -m pip install --quiet --no-index --no-deps --no-build-isolation --editable ./evaluator
+	@touch $@
+
+# Biome and TypeScript, as the lock file has them; make lint alone needs them.
+$(JAVASCRIPT_STAMP): $(STAMP) $(JAVASCRIPT)/package.json $(JAVASCRIPT)/package-lock.json
+	$(NPM) ci --ignore-scripts --no-audit --no-fund --loglevel=error
 	@touch $@
 
 install: $(STAMP)
@@ -39,10 +59,12 @@ install: $(STAMP)
 demo: $(STAMP)
 	$(BIN)/slamhive demo
 
-test: $(STAMP) test-packages cluster-build
-	@$(BIN)/python -m pytest -n $(WORKERS) --no-loadscope-reorder $(TESTS) || { \
-	  [ $$? = 1 ] && echo 'Once more, alone, what failed side by side:' && \
-	  $(BIN)/python -m pytest --last-failed --last-failed-no-failures none --maxfail 5 -v $(TESTS); }
+# Neither root nor a cluster: those tests are the next command's.
+test: $(STAMP)
+	$(call pytest,-m 'not ($(THE_REST))')
+
+test-cluster: $(STAMP) test-packages cluster-build
+	$(call pytest,-m '$(THE_REST)')
 
 # What the test cluster is made of; without root, Go or Debian its tests are skipped and say how to have them.
 cluster-build:
@@ -58,18 +80,29 @@ images: $(STAMP)
 test-packages:
 	@tests/install-packages
 
-lint: $(STAMP)
+# Source distributions and wheels of slamhive and slamhive-eval.
+dist: $(STAMP)
+	cd evaluator && ../$(BIN)/python -m hatchling build --directory ../dist
+	$(BIN)/python -m hatchling build --directory dist
+
+# The docs site, in site/.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+lint: $(STAMP) $(JAVASCRIPT_STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	cd images && ../$(BIN)/mypy --strict building
 	$(BIN)/lint-imports --no-logo 2>/dev/null || $(BIN)/lint-imports
+	$(NPM) run --silent lint
 
 bench: $(STAMP)
 	$(BIN)/python tests/bench/run.py
 
 fuzz: $(STAMP)
 	$(BIN)/python tests/fuzz/readers.py --seconds 600
+	SLAMHIVE_EXAMPLES=thorough $(BIN)/python -m pytest -m hypothesis $(TESTS)
 
 fuzz-api: $(STAMP)
 	$(BIN)/python tests/fuzz/api.py --seconds 300
@@ -77,19 +110,18 @@ fuzz-api: $(STAMP)
 honest: $(STAMP)
 	$(BIN)/python tests/honest/check.py --archives 5000
 
-# The newest versions that fit, for the next machines to install.
-constraints:
-	$(PYTHON) -m venv --clear $(VENV)/fresh
-	$(VENV)/fresh/bin/python -m pip install --quiet --upgrade 'pip>=25.1'
-	$(VENV)/fresh/bin/python -m pip install --quiet --editable . --group dev
-	{ sed -n '/^#/p' constraints.txt; $(VENV)/fresh/bin/python -m pip freeze --exclude-editable; } > $(VENV)/constraints.txt
-	mv $(VENV)/constraints.txt constraints.txt
-	rm -rf $(VENV)/fresh
+# Versions and hashes of all Python packages: make pins writes them anew, NEWEST=1 takes newer versions.
+pins: $(STAMP)
+	images/pin $(if $(NEWEST),--newest)
+
+# Advisories about all that is pinned; needs pypi.org (or SERVICE=osv) and the npm registry itself, no mirror.
+audit: $(STAMP)
+	PATH="$(BIN):$$PATH" $(BIN)/python tests/audit/run.py $(if $(SERVICE),--service $(SERVICE))
 
 # The CRDs from the models, and the chart's copies of them and of the catalog.
 crds: $(STAMP)
 	$(BIN)/python -m slamhive.model.crd crds
-	SLAMHIVE_UPDATE=1 $(BIN)/python -m pytest -q tests/helm -k copies
+	SLAMHIVE_UPDATE=1 $(BIN)/python -m pytest -q tests/helm -k copies_are_equal
 
 clean:
-	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(JAVASCRIPT)/node_modules build dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

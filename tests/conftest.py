@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A home with a small dataset and an algorithm that does what its parameter says."""
+"""The order of all tests, hypothesis' profiles, and a home with a small dataset and an algorithm.
+
+The order is drawn at random: its seed is printed first, and ``--order-seed`` repeats it. Files that take
+longest come first, so that no worker is left with one of them at the end.
+"""
 
 from __future__ import annotations
 
+import os
 import shutil
+from collections import defaultdict
 from pathlib import Path
+from random import Random, SystemRandom
 from typing import Any
 
 import pytest
+from hypothesis import settings as hypothesis_settings
 from xdist.scheduler import LoadScopeScheduling
 
 from slamhive.data.store import materialise
@@ -17,9 +25,62 @@ from slamhive.model.loading import load_file
 
 TESTS = Path(__file__).parent
 ACTOR = TESTS / "actor"
-FIRST = ("e2e", "kube/reconciling", "kube/faults", "shows", "system", "local", "helm", "cluster")
-"""Folders whose tests take longest."""
+NEEDS = {"node_cluster": "node", "ros": "ros"}
+"""Markers of the tests that ask for a fixture."""
+LONG = ("slow", "image", "ros")
+"""Markers of tests that may take longer than a minute."""
+CLUSTERS = frozenset({"control_plane", "node_cluster"})
+"""Fixtures of real clusters: what uses one may take as long."""
 ON_NODE = ("tests/e2e/", "tests/helm/test_cluster.py", "tests/cluster/test_local.py")
+
+SLOWEST = (
+    "e2e/",
+    "kube/faults/",
+    "kube/reconciling/",
+    "cluster/test_local.py",
+    "helm/test_cluster.py",
+    "shows/",
+    "system/test_killing.py",
+    "docs/test_documents.py",
+    "dashboard_pages/test_pages.py",
+    "system/test_running.py",
+    "contract/test_process.py",
+    "honest/test_honest.py",
+    "monitor/test_ending.py",
+    "monitor/test_sidecar.py",
+    "monitor/test_measuring.py",
+    "faults/test_every_write.py",
+    "faults/test_jobs.py",
+    "synthetic/test_recording.py",
+    "jobs/test_evaluate.py",
+    "local/test_untouchable.py",
+    "local/test_surroundings.py",
+    "dashboard/test_analysis_api.py",
+    "synthetic/test_images.py",
+    "dashboard/test_run.py",
+    "dashboard/test_budgets.py",
+    "archive/test_keeping.py",
+    "evaluator/test_report.py",
+    "jobs/test_prepare.py",
+    "data/test_preparation.py",
+    "dashboard_pages/test_drawings.py",
+    "dashboard_pages/test_versions.py",
+    "upgrade/test_homes.py",
+    "dashboard/test_fuzz.py",
+    "local/test_resuming.py",
+    "local/test_attempts.py",
+    "data/test_importers.py",
+    "jobs/test_collect.py",
+    "monitor/test_resident.py",
+)
+"""Folders and files that take longest, the longest first."""
+STORY = "e2e/"
+"""A folder whose tests follow one installation from its first sweep to its end, in the order of the files."""
+PROFILE = os.environ.get("SLAMHIVE_EXAMPLES", "quick")
+
+hypothesis_settings.register_profile("quick", max_examples=40, deadline=None, derandomize=True, database=None)
+hypothesis_settings.register_profile("thorough", max_examples=2000, deadline=None, print_blob=True)
+hypothesis_settings.load_profile(PROFILE)
 
 
 class Sharing(LoadScopeScheduling):
@@ -36,20 +97,75 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Sharing:
     return Sharing(config, log)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what takes longest, so that it doesn't end last."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that repeats an order."""
+    parser.addoption("--order-seed", type=int, help="run tests in the order that was drawn from this number")
 
-    def rank(item: pytest.Item) -> int:
-        folder = item.path.parent.relative_to(TESTS).as_posix()
-        return FIRST.index(folder) if folder in FIRST else len(FIRST)
 
-    items.sort(key=rank)
+def pytest_configure(config: pytest.Config) -> None:
+    """Draw the seed; workers are told it, as all must agree on the order."""
+    told = getattr(config, "workerinput", {}).get("order_seed", config.option.order_seed)
+    config.option.order_seed = SystemRandom().randrange(2**32) if told is None else told
+    config.option.loadscopereorder = False  # the order is ours
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Tell a worker the seed."""
+    node.workerinput["order_seed"] = node.config.option.order_seed
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    """Print what repeats the order."""
+    return f"--order-seed {config.option.order_seed}, hypothesis profile {PROFILE}"
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Print it once more beside the failures, and where there is no header."""
+    terminalreporter.write_line(pytest_report_header(config))
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest brings together the tests that share a fixture
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what tests need, and put them in the order of the seed, the files that take longest first."""
+    files = defaultdict(list)
+    for item in items:
+        for fixture in NEEDS.keys() & set(getattr(item, "fixturenames", ())):
+            item.add_marker(NEEDS[fixture])
+        name = item.path.relative_to(TESTS).as_posix()
+        if item.get_closest_marker("timeout") is None:
+            # Both cores may be taken by others: programs that need seconds may then need a minute.
+            waits = rank(name) < len(SLOWEST) or "browser" in getattr(item, "fixturenames", ())
+            is_long = any(map(item.get_closest_marker, LONG))
+            is_long = is_long or bool(CLUSTERS & set(getattr(item, "fixturenames", ())))
+            longest = 900 if is_long else 300 if waits else 60
+            item.add_marker(pytest.mark.timeout(longest))
+        files[name].append(item)
+    seed = config.option.order_seed
+    names = sorted(files)
+    Random(seed).shuffle(names)
+    names.sort(key=lambda name: (rank(name), name if name.startswith(STORY) else ""))
+    for name in names:
+        if not name.startswith(STORY):  # the same order when the file is run alone
+            Random(f"{seed} {name}").shuffle(files[name])
+    items[:] = [item for name in names for item in files[name]]
+
+
+def rank(name: str) -> int:
+    """Return when it is a file's turn: the place of what takes longest, and all others after that."""
+    return next((place for place, start in enumerate(SLOWEST) if name.startswith(start)), len(SLOWEST))
 
 
 @pytest.fixture(scope="session")
-def environments(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of environments that all homes share, as making one takes seconds."""
-    return tmp_path_factory.mktemp("environments")
+def environments() -> Path:
+    """A folder of environments that all homes share and that outlives the session: making one takes seconds.
+
+    An environment is named by its content and made under a lock, by whoever needs it first.
+    """
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    folder = cache / "slamhive-tests" / "environments"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 @pytest.fixture(scope="session")

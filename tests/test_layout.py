@@ -15,7 +15,7 @@ import pytest
 from slamhive.local.catalog import bundled, load_workshop, read_files
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep
-from slamhive.plan import Plan
+from slamhive.plan import Plan, plan_problems
 
 ROOT = Path(__file__).parents[1]
 SPDX = "SPDX-License-Identifier: Apache-2.0"
@@ -93,7 +93,7 @@ def test_every_example_loads_and_plans(path: Path) -> None:
             points = Plan(item, workshop, strict=False)
             assert points.point(len(points) - 1).spec_hash
             named = {*points.algorithm_names()} <= set(workshop.algorithms)
-            assert not named or Plan(item, workshop).check() == []
+            assert not named or plan_problems(Plan(item, workshop)) == []
         else:
             assert not isinstance(item, MappingRun) or item.spec.algorithm_ref.name in workshop.algorithms
 
@@ -116,9 +116,6 @@ def test_every_algorithm_is_complete(folder: Path) -> None:
             assert parameter.description, f"{item.name}: {name} says nothing of itself"
     docker = (folder / "Dockerfile").read_text()
     assert re.search(r"^ARG BASE", docker, re.MULTILINE)
-    for line in (folder / "requirements.txt").read_text().splitlines():
-        requirement = line.partition("#")[0].strip()
-        assert not requirement or "==" in requirement or "@" in requirement, f"{requirement} is not pinned"
 
 
 def test_folders_of_algorithms_are_algorithms() -> None:

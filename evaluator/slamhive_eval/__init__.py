@@ -66,6 +66,9 @@ if TYPE_CHECKING:
     from slamhive_eval.trajectory import Trajectory
     from slamhive_eval.writing import write_trajectory
 
+__version__ = "0.1.0"
+"""The version of slamhive-eval and of slamhive: the one place where it is written."""
+
 _MODULES = {
     "alignment": ("Alignment", "align", "umeyama_scale"),
     "association": (

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which pose of the estimate belongs to which pose of the reference, by time."""
+"""Association by time: pairs each pose of an estimate with a pose of the reference.
+
+Every comparison begins with it.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an estimator knows how wrong it is: its covariances against its errors.
+"""Consistency of an estimator: the covariances that it states, compared with its errors.
 
 NEES, the normalised estimation error squared eᵀ·P⁻¹·e, has the mean d for errors of d dimensions that
 follow their covariance (Bar-Shalom et al. 2001, section 5.4; OpenVINS reports the same).

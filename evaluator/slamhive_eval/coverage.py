@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of the ground truth an estimate covers.
+"""Coverage: the share of the ground truth for which an estimate has poses.
 
 An error says nothing about an estimate that stopped halfway: coverage stands beside every error and
 decides, with the scale and the error itself, what a run's outcome is called.

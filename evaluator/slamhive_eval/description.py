@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a trajectory is like, in figures."""
+"""Figures that describe one trajectory, for ``slamhive-eval traj``: length, duration, gaps, speeds."""
 
 from __future__ import annotations
 

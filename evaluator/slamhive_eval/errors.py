@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong, as sentences a user can act on.
+"""Errors that the evaluator raises, as sentences a user can act on.
 
 ::
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which poses a relative error compares."""
+"""Pairs of poses between which a relative error is computed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From two trajectories as they were read to two that can be compared pose by pose.
+"""Preparation of two trajectories, as they were read, for a comparison pose by pose.
 
 In this order: the estimate's clock, the poses that belong together, the frame of the body, the world.
 """

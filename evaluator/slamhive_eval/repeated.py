@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several runs of one configuration say together.
+"""Statistics over several runs of one configuration, for ``slamhive-eval repeated``.
 
 A mean alone hides how runs scatter and that some failed. The interval's method depends on how many there
 are: the percentile bootstrap covers a lognormal's mean in 73 % for three runs and in 82 % for five instead

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from typing import TYPE_CHECKING, Any
+
+from slamhive_eval.csv_writing import write_csv
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,9 +32,7 @@ def csv_table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
         The text; numbers have every digit that float64 needs.
     """
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([_plain(row.get(name)) for name in columns] for row in rows)
+    write_csv(text, columns, ([row.get(name) for name in columns] for row in rows))
     return text.getvalue()
 
 
@@ -77,12 +76,6 @@ def latex_table(
 
 def _is_best(row: Mapping[str, Any], name: str, smallest: Mapping[str, float]) -> bool:
     return name in smallest and row.get(name) == smallest[name]
-
-
-def _plain(value: Any) -> str:
-    if value is None:
-        return ""
-    return repr(value) if isinstance(value, float) else str(value)
 
 
 def _cell(value: Any, digits: int, *, bold: bool) -> str:

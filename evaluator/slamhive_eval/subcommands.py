@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which commands ``slamhive-eval`` has, and the words of one.
+"""Table of the commands of ``slamhive-eval``; loads and runs the one that was called.
 
 argparse, not typer, and only the module of the command asked for: starting is what most of a small
 evaluation takes.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where an estimate has poses: when it began, where it broke off, what several have in common.
+"""Support of an estimate: when it has poses, where it breaks off, and the time that several have in common.
 
 An estimate that begins late, loses track or starts again is compared on less, and often easier, ground
 than one that doesn't. What it missed is therefore reported beside its errors, several estimates can be

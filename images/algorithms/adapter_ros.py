@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What adapters share that are ROS 1 nodes: frames from topics, poses to a topic, an end by SIGINT.
+"""Frames, poses and the end by SIGINT of adapters that are ROS 1 nodes.
+
+Imported by ``kiss-icp-ros`` and ``orb-slam3-ros``.
 
 The node takes messages as they come and works on them one by one. What comes meanwhile waits in a short
 queue that loses its oldest, as the Algorithm declares under `realtime`. Stamps are left as they are in the

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the adapters of algorithms share: the run folder in, trajectory and metrics out.
+"""Support for adapters: reads the run folder, writes trajectory and metrics. Every adapter imports it.
 
 An adapter is a small program that runs one algorithm on the run folder `$SLAMHIVE_RUN`. It is the same
 program in a pod, a container and a local process and imports nothing of slamhive, so that this file, the

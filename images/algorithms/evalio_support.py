@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs one of evalio's pipelines: compiled ports of odometries behind one interface.
+"""Support for adapters of evalio's pipelines: compiled ports of odometries behind one interface.
 
 evalio takes scans in row-major order, stamped with their start, points with the time since then. It answers
 in the frame of the IMU, which is the lidar's own where the extrinsics between the two are left at identity.

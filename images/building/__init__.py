@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds the container images: what `make images` and `images/build` run.
+"""Build of the container images: what `make images` and `images/build` run.
 
 Standard library alone, but for the lists of packages (cyclonedx-python-lib).
 """

@@ -51,7 +51,7 @@ class Bases:
         Raises:
             BuildError: there is none, and it can't be made here.
         """
-        name = self._wanted or recipe.default_base
+        name = self._wanted or _exact(recipe.default_base)
         if not self._reachable(name):
             if self._wanted and self._wanted != STAND_IN:
                 raise BuildError(f"the base {self._wanted} is not there and no registry has it")
@@ -85,6 +85,12 @@ class Bases:
                 name != STAND_IN and self._tool.pull(name)
             )
         return self._reached[name]
+
+
+def _exact(name: str) -> str:
+    """Return a name without its tag where it has a digest: buildah takes no name with both."""
+    tagged, _, digest = name.partition("@")
+    return f"{tagged.partition(':')[0]}@{digest}" if digest else name
 
 
 def _bootstrap(folder: Path) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from building import packages
 from building.base import STAND_IN, Bases
+from building.digests import write_digests
 from building.errors import BuildError
 from building.loading import load
 from building.recipes import ROOT, Recipe, recipes
@@ -31,6 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.list:
             for recipe in known.values():
                 print(f"{recipe.name:18} {recipe.tag}")
+            return 0
+        if options.digests:
+            for name, digest in write_digests(known.values()).items():
+                print(f"{name:30} {digest}")
             return 0
         chosen = _chosen(options.names, known)
         PLACE.mkdir(parents=True, exist_ok=True)
@@ -56,6 +61,9 @@ def _parser(known: dict[str, Recipe]) -> argparse.ArgumentParser:
     parser.add_argument("names", nargs="*", metavar="NAME", help=names)
     parser.add_argument("--load", action="store_true", help=load_help)
     parser.add_argument("--base", metavar="IMAGE", help=base)
+    parser.add_argument(
+        "--digests", action="store_true", help="only write the bases' digests of today into the Dockerfiles"
+    )
     parser.add_argument("--tool", choices=["docker", "buildah"], help="what to build with")
     parser.add_argument("--list", action="store_true", help="only say what images there are")
     return parser
@@ -71,6 +79,9 @@ def _chosen(names: list[str], known: dict[str, Recipe]) -> list[Recipe]:
 def _build_all(chosen: list[Recipe], options: argparse.Namespace) -> int:
     tool = choose(options.tool, PLACE)
     bases = Bases(tool, options.base)
+    for name in sorted({recipe.default_base for recipe in chosen}):
+        if "@" not in name and not options.base:
+            print(f"{name} has no digest, its tag is trusted: images/build --digests", file=sys.stderr)
     failed = 0
     for recipe in chosen:
         try:

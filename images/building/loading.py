@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Puts images into a cluster that pulls from no registry: the test cluster's node, or kind's."""
+"""Loading of images into a cluster that pulls from no registry: the test cluster's node, or kind's."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 def test_cluster() -> Path:
-    """Return the socket of containerd on the test cluster's node, whether it runs or not."""
+    """Return the socket of containerd on the node that ``make cluster-up`` starts, whether it runs or not."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "slamhive-cluster"
-    return Path(os.environ.get("SLAMHIVE_CLUSTER_HOME") or cache) / "run" / "containerd.sock"
+    return Path(os.environ.get("SLAMHIVE_CLUSTER_HOME") or cache) / "run-default" / "containerd.sock"
 
 
 def load(tool: Tool, reference: str) -> str:

@@ -115,9 +115,9 @@ def recipes() -> dict[str, Recipe]:
 
 
 def version() -> str:
-    """Return the version of slamhive."""
-    text = (ROOT / "operator" / "slamhive" / "__init__.py").read_text()
-    return _field(text, r'^__version__ = "(.+)"$', "slamhive/__init__.py: __version__")
+    """Return the version of slamhive and slamhive-eval."""
+    text = (ROOT / "evaluator" / "slamhive_eval" / "__init__.py").read_text()
+    return _field(text, r'^__version__ = "(.+)"$', "slamhive_eval/__init__.py: __version__")
 
 
 def _own(dockerfile: Path) -> Recipe:

@@ -86,11 +86,6 @@ def log() -> None:
     good()
 
 
-def poison() -> None:
-    (run / "output" / "metrics.json").write_text("{" * 100_000)
-    good()
-
-
 def configuration() -> None:
     assert not os.access(run / "config.yaml", os.W_OK) or os.getuid() == 0
     assert not list((run / "dataset").glob("*groundtruth*"))
@@ -133,13 +128,9 @@ ACTS: dict[str, Callable[[], object]] = {
     "nothing": nothing,
     "empty": lambda: write([]),
     "nan": lambda: write([*lines[:5], "1.0 nan 0 0 0 0 0 1\n"]),
-    "unsorted": lambda: write(lines[:500][::-1]),
-    "words": lambda: write(["I was never trained\n"]),
-    "link": lambda: out.symlink_to("/etc/passwd"),
     "half": lambda: write(lines[: len(lines) * 14 // 25]),
     "elsewhere": elsewhere,
     "log": log,
-    "poison": poison,
     "configuration": configuration,
     "noted": noted,
 }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How adapters read recordings: messages to arrays, order, and what is said of broken ones."""
+"""Tests of adapters' reading of recordings: messages to arrays, their order, and errors for broken ones."""
 
 from __future__ import annotations
 

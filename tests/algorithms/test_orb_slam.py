@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the adapter of ORB-SLAM3 does around it: rectification, registration, settings, pairs."""
+"""Tests of what the adapter of ORB-SLAM3 does around it: rectification, registration, settings, pairs."""
 
 from __future__ import annotations
 

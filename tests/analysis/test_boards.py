@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is better, what matters, what repeats: on studies whose truth is known."""
+"""Tests of leaderboards, comparisons, importance and repetitions on studies whose truth is known."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive.analysis.columns import Column, ColumnKind, times
@@ -49,7 +49,6 @@ def frame() -> Frame:
     return Frame({name: Column.of(values) for name, values in TABLE.items()}, 5)
 
 
-@settings(max_examples=400, deadline=None)
 @given(conditions)
 def test_a_mask_is_what_each_row_says(text: str) -> None:
     node = parse_where(text, TABLE)

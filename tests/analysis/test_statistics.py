@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 import statistics
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from slamhive.analysis.statistics import (
     average_ranks,
@@ -24,9 +25,15 @@ from slamhive.analysis.statistics import (
 )
 
 
+@pytest.fixture(scope="module")
+def stats() -> Any:
+    """SciPy's; all workers collect this file, and importing it takes a second."""
+    return import_module("scipy.stats")
+
+
 @pytest.mark.parametrize("degrees", [1, 2, 3, 4, 9, 10, 99, 400, 401, 5000])
 @pytest.mark.parametrize("probability", [0.6, 0.95, 0.975, 0.9995])
-def test_students_quantiles(degrees: int, probability: float) -> None:
+def test_students_quantiles(stats: Any, degrees: int, probability: float) -> None:
     assert student_quantile(probability, degrees) == pytest.approx(
         stats.t.ppf(probability, degrees), rel=1e-6
     )
@@ -45,7 +52,7 @@ def test_summaries_are_those_of_the_standard_library(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [10, 11, 30, 500, 1500])
-def test_the_interval_of_a_median_covers_it(count: int) -> None:
+def test_the_interval_of_a_median_covers_it(stats: Any, count: int) -> None:
     interval = median_interval(np.arange(count, dtype=float))
     assert interval is not None
     below = int(interval.low)
@@ -60,7 +67,7 @@ def test_failures_reach_into_the_interval_of_a_median() -> None:
     assert (interval.low, interval.high) == (1.0, math.inf)
 
 
-def test_the_interval_of_a_mean_is_students() -> None:
+def test_the_interval_of_a_mean_is_students(stats: Any) -> None:
     values = np.random.default_rng(1).normal(size=20)
     summary = summarize(values)
     assert summary is not None
@@ -81,7 +88,7 @@ def test_medians_without_samples_are_those_of_samples(count: int) -> None:
 
 
 @pytest.mark.parametrize("values", [[1.0, 2.0, 3.0], [1.0, -0.5, 0.25, 2.0, 0.125], [-1.0] * 6])
-def test_flipping_signs_is_exact(values: list[float]) -> None:
+def test_flipping_signs_is_exact(stats: Any, values: list[float]) -> None:
     expected = stats.permutation_test(
         (np.array(values),), np.sum, permutation_type="samples", n_resamples=np.inf, vectorized=False
     ).pvalue
@@ -99,7 +106,7 @@ def test_holms_correction() -> None:
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
 
 
-def test_ranks_and_their_correlation() -> None:
+def test_ranks_and_their_correlation(stats: Any) -> None:
     a, b = np.array([3.0, 1.0, 1.0, 9.0]), np.array([1.0, 2.0, 3.0, np.inf])
     assert average_ranks(a) == pytest.approx(stats.rankdata(a))
     assert rank_correlation(a, b) == pytest.approx(stats.spearmanr(a, [1, 2, 3, 4]).statistic)

@@ -288,7 +288,7 @@ def test_a_selection_of_superseded_runs_alone_says_so() -> None:
     frame = frame_of([row(1.0, **CHANGED, sweep="before"), row(3.0, **NOW, sweep="after")])
     chosen = choose(frame, Selection(sweeps=("before",)))
     assert (len(chosen.frame), chosen.superseded) == (0, 1)
-    assert "all 1 run meant here is of earlier versions (algorithm changed)" in chosen.notes[0]
+    assert "all 1 run selected is of earlier versions (algorithm changed)" in chosen.notes[0]
 
 
 def test_equal_content_counts_once_as_the_run_that_computed_it() -> None:

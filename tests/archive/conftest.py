@@ -5,17 +5,19 @@ from __future__ import annotations
 
 import os
 import shutil
+import sqlite3
 import subprocess
 import tempfile
 import uuid
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from sqlalchemy import create_engine, make_url, text
+from sqlalchemy import JSON, create_engine, make_url, text
 
-from slamhive.archive import Archive
+from slamhive.archive import Archive, schema
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
 
 if TYPE_CHECKING:
@@ -87,7 +89,7 @@ def postgresql_url(server: str) -> Iterator[str]:
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def url(request: pytest.FixtureRequest) -> str:
-    return request.getfixturevalue(f"{request.param}_url")
+    return str(request.getfixturevalue(f"{request.param}_url"))
 
 
 @pytest.fixture
@@ -129,3 +131,44 @@ def make_result() -> Callable[..., Result]:
         return Result(evaluation=evaluation, outcome=outcome, coverage=0.9999999999999999, values=values)
 
     return make
+
+
+@pytest.fixture
+def put_version() -> Callable[[str, int], None]:
+    return _put_version
+
+
+def _put_version(url: str, version: int) -> None:
+    """Write the archive in versionN.sql to a database, with the tables of that version."""
+    held = sqlite3.connect(":memory:")
+    held.executescript(Path(__file__).with_name(f"version{version}.sql").read_text())
+    engine = create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
+    if engine.dialect.name == "sqlite":
+        Path(str(engine.url.database)).parent.mkdir(parents=True)
+        with closing(sqlite3.connect(str(engine.url.database))) as file:
+            held.backup(file)
+        return
+    added = {"identity"}
+    if version == 1:
+        added |= {"namespace", "cluster", "sweep_uid", "evaluations"}
+    with engine.begin() as connection:
+        schema.metadata.create_all(connection)
+        for table in schema.metadata.sorted_tables:
+            cursor = held.execute(f"SELECT * FROM {table.name}")
+            names = [item[0] for item in cursor.description]
+            for name in sorted(added & set(table.columns.keys())):
+                connection.execute(text(f"ALTER TABLE {table.name} DROP COLUMN {name}"))
+            for values in cursor.fetchall():
+                row = {
+                    name: datetime.fromisoformat(value)
+                    if value is not None and isinstance(table.columns[name].type, schema.UtcDateTime)
+                    else value
+                    for name, value in zip(names, values, strict=True)
+                }
+                marks = ", ".join(
+                    f"CAST(:{name} AS JSONB)" if isinstance(table.columns[name].type, JSON) else f":{name}"
+                    for name in names
+                )
+                columns = ", ".join(f'"{name}"' for name in names)
+                connection.execute(text(f"INSERT INTO {table.name} ({columns}) VALUES ({marks})"), row)
+    engine.dispose()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every archive keeps, returns and refuses."""
+"""Tests that every archive must pass: what it keeps, returns and refuses."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import time
 import traceback
+import uuid
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from datetime import UTC, datetime, timedelta, timezone
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from sqlalchemy import JSON, create_engine, event, text
+from sqlalchemy import create_engine, event, text
 
 from slamhive.archive import Archive, CatalogEntry, SweepRecord, Totals, schema
+from slamhive.archive.upgrading import upgrade
 from slamhive.model.errors import InputError, SystemFault, UnknownNameError
 from slamhive.model.results import (
     CpuUsage,
@@ -32,11 +35,13 @@ from slamhive.model.results import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from slamhive.model.results import Result, RunRecord
 
     MakeRun = Callable[..., RunRecord]
     MakeResult = Callable[..., Result]
+    PutVersion = Callable[[str, int], None]
 
 
 def test_a_run_comes_back_as_it_was(archive: Archive, make_run: MakeRun, make_result: MakeResult) -> None:
@@ -285,10 +290,11 @@ def test_opening_again_finds_everything(url: str, make_run: MakeRun) -> None:
         assert archive.count() == 2
 
 
-def test_an_archive_of_version_1_is_migrated(url: str) -> None:
+def test_an_archive_of_version_1_is_migrated(url: str, put_version: PutVersion) -> None:
     """The archive was written by the last version that knew sweeps by their names alone."""
-    put_version_1(url)
+    put_version(url, 1)
     for _ in range(2):
+        upgrade(url)
         with Archive.open(url) as archive:
             found = {record.uid: record for record in archive.runs()}
             sweeps = {sweep.uid: sweep.name for sweep in archive.sweeps()}
@@ -313,43 +319,77 @@ def test_an_archive_of_version_1_is_migrated(url: str) -> None:
 def test_a_newer_archive_is_refused(url: str, make_run: MakeRun, monkeypatch: pytest.MonkeyPatch) -> None:
     with Archive.open(url) as archive:
         archive.put_run(make_run())
-    monkeypatch.setattr(schema, "VERSION", 1)
-    with pytest.raises(InputError, match=r"newer slamhive \(schema 2; this one knows up to 1\)"):
-        Archive.open(url)
+    monkeypatch.setattr(schema, "VERSION", 2)
+    for attempt in (Archive.open, upgrade):
+        with pytest.raises(InputError, match=r"newer slamhive \(schema 3; this one knows up to 2\)"):
+            attempt(url)
 
 
-def put_version_1(url: str) -> None:
-    """Write the archive in version1.sql to a database, with the tables of that version."""
-    held = sqlite3.connect(":memory:")
-    held.executescript(Path(__file__).with_name("version1.sql").read_text())
-    engine = create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
-    if engine.dialect.name == "sqlite":
-        Path(str(engine.url.database)).parent.mkdir(parents=True)
-        with closing(sqlite3.connect(str(engine.url.database))) as file:
-            held.backup(file)
-        return
-    added = {"namespace", "cluster", "sweep_uid", "evaluations"}
-    with engine.begin() as connection:
-        schema.metadata.create_all(connection)
-        for table in schema.metadata.sorted_tables:
-            cursor = held.execute(f"SELECT * FROM {table.name}")
-            names = [item[0] for item in cursor.description]
-            for name in sorted(added & set(table.columns.keys())):
-                connection.execute(text(f"ALTER TABLE {table.name} DROP COLUMN {name}"))
-            for values in cursor.fetchall():
-                row = {
-                    name: datetime.fromisoformat(value)
-                    if value is not None and isinstance(table.columns[name].type, schema.UtcDateTime)
-                    else value
-                    for name, value in zip(names, values, strict=True)
-                }
-                marks = ", ".join(
-                    f"CAST(:{name} AS JSONB)" if isinstance(table.columns[name].type, JSON) else f":{name}"
-                    for name in names
-                )
-                columns = ", ".join(f'"{name}"' for name in names)
-                connection.execute(text(f"INSERT INTO {table.name} ({columns}) VALUES ({marks})"), row)
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_archive_of_an_earlier_version_waits_for_its_upgrade(
+    url: str, version: int, put_version: PutVersion
+) -> None:
+    """Only who is asked to changes the tables of a team: nobody who opens them."""
+    put_version(url, version)
+    for read_only in (True, False):
+        with pytest.raises(
+            InputError, match=rf"schema {version}; this one needs 3\); `slamhive archive upgr"
+        ):
+            Archive.open(url, read_only=read_only)
+    done = upgrade(url)
+    assert done is not None
+    assert (done.before, done.after) == (version, 3)
+    assert upgrade(url) is None
+    with Archive.open(url) as archive:
+        assert archive.count() == 6
+        assert uuid.UUID(archive.identity)
+    if "sqlite" in url:
+        assert done.copy is not None
+        with closing(sqlite3.connect(done.copy)) as copy:
+            assert copy.execute("SELECT version FROM slamhive_schema").fetchall() == [(version,)]
+            assert copy.execute("SELECT count(*) FROM runs").fetchall() == [(6,)]
+
+
+def test_a_running_slamhive_stops_writing_when_a_newer_one_takes_the_archive(
+    url: str, make_run: MakeRun
+) -> None:
+    with Archive.open(url) as old:
+        old.put_run(make_run("a"))
+        engine = create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
+        with engine.begin() as connection:
+            connection.execute(text("UPDATE slamhive_schema SET version = 4"))
+        engine.dispose()
+        with pytest.raises(InputError, match="newer slamhive"):
+            old.put_run(make_run("b"))
+        assert [one.uid for one in old.runs()] == ["a"]
+
+
+def test_who_upgrades_waits_for_who_writes(postgresql_url: str, put_version: PutVersion) -> None:
+    """A writer that has seen the old version must not find new tables under it."""
+    put_version(postgresql_url, 2)
+    engine = create_engine(postgresql_url.replace("postgresql://", "postgresql+psycopg://"))
+    with engine.connect() as writer, ThreadPoolExecutor(1) as threads:
+        writer.execute(text("SELECT version FROM slamhive_schema FOR SHARE"))
+        waiting = threads.submit(upgrade, postgresql_url)
+        asked = "SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'"
+        with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as looker:
+            deadline = time.monotonic() + 60
+            while looker.execute(text(asked)).scalar() == 0:
+                assert time.monotonic() < deadline
+                assert not waiting.done()
+        writer.commit()
+        done = waiting.result()
+    assert done is not None
     engine.dispose()
+
+
+def test_every_archive_has_an_identity(url: str, sqlite_url: str) -> None:
+    with Archive.open(url) as archive:
+        first = archive.identity
+    with Archive.open(url, read_only=True) as archive:
+        assert archive.identity == first
+    with Archive.open(sqlite_url.replace("archive.sqlite", "other.sqlite")) as archive:
+        assert archive.identity != first
 
 
 @pytest.mark.parametrize("bad", ["", "archive.db", "mysql://x/y", "sqlite:://", "postgresql://h:port/x"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the dashboard answers over 80,000 runs with 20 parameters and 30 metrics, beside its limits.
+"""Benchmark of the dashboard's answers over 80,000 runs with 20 parameters and 30 metrics, beside its limits.
 
 Each database is asked by a server process of its own over HTTP, as a browser would. An archive is warm once
 a dashboard of this version has read it: the table that it made is in the home's cache, and only what differs

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the monitor costs and how exact it is: `python tests/bench/bench_monitor.py`.
+"""Benchmark of the monitor's cost and accuracy: `python tests/bench/bench_monitor.py`.
 
 Prints one line per figure: what · ours · limit or peer.
 """

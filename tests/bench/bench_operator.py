@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the operator brings runs to their end, and what it takes: played pods on a real control plane.
+"""Benchmark of the operator: runs a second and CPU seconds, with played pods on a real control plane.
 
 Beside it the same number of plain Jobs, made by a loop with as many in flight: of one container, and of a
 run's own pod with monitor and volumes. All ways in turns, on the same control plane. CPU seconds depend less

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What slamhive adds to a run: one-second programs through the command, and the same in a shell loop.
+"""Benchmark of what slamhive adds to a run: one-second programs through the command, and in a shell loop.
 
 The program is the tests' actor: it sleeps for a second and writes a trajectory, which `slamhive run` also
 prepares a recording for, supervises, measures, evaluates and keeps.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a visitor waits: pages over 80,000 runs in headless Chromium, beside their limits.
+"""Benchmark of page loads over 80,000 runs in headless Chromium, beside their limits.
 
 Times are the page's own clock: from the navigation until the content stands, and from letting go of the mouse
 until the table below is filtered. The server is warm, the browser's cache is empty at the first page.

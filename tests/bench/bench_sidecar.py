@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sidecar costs and how exact it is, in a pod of bare namespaces: needs root.
+"""Benchmark of the sidecar's cost and accuracy, in a pod of bare namespaces: needs root.
 
 Prints one line per figure: what · ours · limit or peer.
 """
@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.trajectory import check_trajectory
 from slamhive.monitor.processes import children
-from slamhive.monitor.trajectory import check_trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "monitor"))
 from conftest import Pod, can_make_pods

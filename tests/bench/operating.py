@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What benchmarks of the operator need: a cluster of their own, its CPU time, an operator's process."""
+"""Helpers of the operator's benchmarks: a cluster of their own, its CPU time, an operator's process."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well figures of memory repeat: `python tests/bench/repeating_memory.py RUN_FOLDER… -n 10` as root.
+"""Benchmark of repeated memory figures: `python tests/bench/repeating_memory.py RUN_FOLDER… -n 10`, as root.
 
 Takes folders of finished runs of a home (`$SLAMHIVE_HOME/runs/SWEEP/RUN`) and does each again, n times with
 everything in the page cache and n times after dropping it, below GNU time. Prints a table of means and

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/cluster.md says, typed word for word beside an operator; evaluations are played as pods are."""
+"""Test of docs/cluster.md: its commands, typed word for word beside an operator.
+
+Evaluations are played as pods are.
+"""
 
 from __future__ import annotations
 

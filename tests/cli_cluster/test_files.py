@@ -276,7 +276,7 @@ def test_a_pod_that_talks_nonsense_is_not_listened_to(
         return json.dumps({"path": "usage.csv", "size": -1, "offset": 0}).encode()
 
     monkeypatch.setattr(Talk, "line", line)
-    with pytest.raises(ServerFault, match="cannot be understood"):
+    with pytest.raises(ServerFault, match="can't be understood"):
         fetch(volume.put("one"))
 
 

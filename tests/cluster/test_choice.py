@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which cluster tests use, and one clear line for each thing that is missing."""
+"""Tests of the choice of a cluster for tests, and of the line printed for each thing that is missing."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_what_is_missing_is_named_with_how_to_get_it(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(programs, "home", lambda: tmp_path)
     monkeypatch.setattr(missing.shutil, "which", lambda *_, **__: None)
     root, go, packages = missing.missing()
-    assert root == "it needs root: sudo make test"
+    assert root == "it needs root: sudo make test-cluster"
     assert go == "it needs Go 1.21 or newer on the PATH: go.dev/dl"
     assert packages.startswith("it needs Debian's packages: apt-get install containerd")
 
@@ -142,3 +142,16 @@ def test_kind_gets_the_repositorys_configuration(monkeypatch: pytest.MonkeyPatch
     assert "kind load docker-image example/image:1 --name slamhive-test-x" in lines
     assert "kind delete cluster --name slamhive-test-x" in lines
     assert (tmp_path / "kind-data" / "results").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("name", "full"),
+    [
+        ("slamhive/x:1", "docker.io/slamhive/x:1"),
+        ("x:1", "docker.io/library/x:1"),
+        ("localhost/x:1", "localhost/x:1"),
+        ("registry.example:5000/x:1", "registry.example:5000/x:1"),
+    ],
+)
+def test_an_image_is_loaded_under_the_name_that_pods_ask_for(name: str, full: str) -> None:
+    assert images.full_name(name) == full

@@ -10,7 +10,7 @@ import pytest
 from testcluster import kwok as played
 from testcluster.access import until
 
-from slamhive.kube.description import Description
+from slamhive.model.variant import VariantDescription
 from slamhive.monitor.termination import LIMIT_BYTES
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def test_preparations_tell_a_description_that_the_operator_reads(kwok: Kwok, loo
         pod = _pod(kwok.cluster, loose, "Succeeded")
     message = pod["status"]["containerStatuses"][0]["state"]["terminated"]["message"]
     assert message == played.described(played.description())
-    assert Description.model_validate(played.description()).frames == 200
+    assert VariantDescription.model_validate(played.description()).frames == 200
 
 
 def test_other_pods_keep_away_from_played_nodes(kwok: Kwok, loose: str) -> None:

@@ -87,10 +87,10 @@ async def test_every_analysis_is_json_and_a_table(api: Any, analysis: str) -> No
 
 
 @pytest.mark.parametrize("analysis", ANALYSES)
-@pytest.mark.parametrize("where", ["seed < 0", "seed == 24", "seed == 3", "outcome is null"])
-async def test_few_runs_or_none_are_no_fault(api: Any, analysis: str, where: str) -> None:
+async def test_few_runs_or_none_are_no_fault(api: Any, analysis: str) -> None:
     sign = "&" if "?" in analysis else "?"
-    await api.get(f"/analysis/{analysis}{sign}where={where}")
+    for where in ("seed < 0", "seed == 24", "seed == 3", "outcome is null"):
+        await api.get(f"/analysis/{analysis}{sign}where={where}")
 
 
 @pytest.mark.parametrize(

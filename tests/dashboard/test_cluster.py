@@ -14,7 +14,7 @@ from slamhive.archive import Archive
 from slamhive.dashboard.cluster import ClusterSource
 from slamhive.kube.client import Api
 from slamhive.kube.kinds import Key, Kind, Label
-from slamhive.kube.reconciling.records import record_of
+from slamhive.kube.records import record_of
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable

@@ -135,4 +135,4 @@ async def test_too_many_are_refused(api: Any, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("slamhive.dashboard.api_common.MOST_RESULTS", 3)
     answer = await api.get("/analysis/common", status=400)
     assert answer["field"] == "where"
-    assert answer["error"].startswith("4 results are meant, and at most 3")
+    assert answer["error"].startswith("4 results are selected, and at most 3")

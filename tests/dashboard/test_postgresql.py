@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import anyio
 import pytest
+from sqlalchemy import create_engine, exc, text
 
 from slamhive.archive import Archive
 from slamhive.dashboard.sources import Workstation
@@ -104,3 +106,49 @@ async def test_a_killed_archive_stays_on_view_and_is_followed_again(
             archive.put_run(make_run(4))
         await until(lambda: shown(4))
         assert (await client.get("/runs/uid-004"))["uid"] == "uid-004"
+
+
+ROOT = Path(__file__).parents[2]
+
+
+async def test_an_account_that_only_reads_sees_all_pages_and_changes_nothing(
+    server: Server, open_app: Callable[..., Any], make_run: Callable[..., Any]
+) -> None:
+    """The account is made by what the documentation says, word for word."""
+    with Archive.open(server.url) as archive:
+        archive.put_runs(make_run(number) for number in range(3))
+    (words,) = re.findall(
+        r"```sql\n(.*?)```", (ROOT / "docs/kubernetes.md").read_text(encoding="utf-8"), re.DOTALL
+    )
+    owner = create_engine(server.url.replace("postgresql://", "postgresql+psycopg://"))
+    with owner.begin() as connection:
+        connection.execute(text(words))
+    url = server.url.replace("slamhive@", "slamhive_reader@")
+    async with open_app(Workstation(url)) as client:
+        for path in ("", "/runs", "/runs/uid-001", "/analysis/leaderboard", "/algorithms", "/sweeps"):
+            assert (await client.raw.get(f"/api/v1{path}")).status_code == 200
+        assert (await client.get("/runs"))["total"] == 3
+        # What a newer operator does to the tables is said, and what was read stays on view.
+        with owner.begin() as connection:
+            connection.execute(text("UPDATE slamhive_schema SET version = 9"))
+
+        async def said() -> bool:
+            return any("newer slamhive (schema 9" in told for told in (await client.get(""))["problems"])
+
+        await until(said)
+        assert (await client.get("/runs"))["total"] == 3
+        with owner.begin() as connection:
+            connection.execute(text("UPDATE slamhive_schema SET version = 3"))
+    # The session's own setting is no wall: the database's is.
+    reader = create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
+    for change in (
+        "DELETE FROM runs",
+        "UPDATE slamhive_schema SET version = 1",
+        "DROP TABLE runs",
+    ):
+        with reader.connect() as connection, pytest.raises(exc.ProgrammingError, match=r"denied|owner"):
+            connection.execute(text(change))
+    reader.dispose()
+    with owner.connect() as connection:
+        assert connection.execute(text("SELECT count(*) FROM runs")).scalar() == 3
+    owner.dispose()

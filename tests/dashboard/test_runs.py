@@ -51,16 +51,16 @@ async def test_filters(api: Any, query: str, uids: list[int]) -> None:
 @pytest.mark.parametrize(
     "sort", ["", "-ate.rmse", "algorithm,-seed", "parameters.nFeatures", "-message,run", "started"]
 )
-@pytest.mark.parametrize("limit", [1, 7, 31])
-async def test_pages_put_together_are_the_whole(api: Any, sort: str, limit: int) -> None:
+async def test_pages_put_together_are_the_whole(api: Any, sort: str) -> None:
     whole = await api.get(f"/runs?limit=1000&sort={sort}")
-    items, path = [], f"/runs?limit={limit}&sort={sort}"
-    while path:
-        page = await api.get(path)
-        items += page["items"]
-        path = (page["next"] or "").removeprefix("/api/v1")
-    assert items == whole["items"]
-    assert len(items) == ROWS
+    assert len(whole["items"]) == ROWS
+    for limit in (1, 7, 31):
+        items, path = [], f"/runs?limit={limit}&sort={sort}"
+        while path:
+            page = await api.get(path)
+            items += page["items"]
+            path = (page["next"] or "").removeprefix("/api/v1")
+        assert items == whole["items"], limit
 
 
 async def test_missing_values_come_last_either_way(api: Any) -> None:
@@ -91,10 +91,10 @@ async def test_a_page_stays_in_place_while_rows_come_and_go(
     assert second["total"] == first["total"] + 1
 
 
-@pytest.mark.parametrize("token", ["", "x", "AAAA", "%00", "Ä", "0" * 5000])
-async def test_a_token_that_was_made_up_is_refused(api: Any, token: str) -> None:
-    answer = await api.get(f"/runs?after={token}", 400)
-    assert answer["field"] == "after"
+async def test_a_token_that_was_made_up_is_refused(api: Any) -> None:
+    for token in ("", "x", "AAAA", "%00", "Ä", "0" * 5000):
+        answer = await api.get(f"/runs?after={token}", 400)
+        assert answer["field"] == "after", token
 
 
 async def test_a_token_that_was_changed_is_refused(api: Any) -> None:

@@ -3,17 +3,25 @@
 
 from __future__ import annotations
 
+import asyncio
+import socket
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from typer.testing import CliRunner
 
 from slamhive.archive import Archive
+from slamhive.cli.main import app
+from slamhive.dashboard import serving
 from slamhive.dashboard.app import create_app
+from slamhive.dashboard.serving import allowed_hosts
+from slamhive.dashboard.shield import Shield
 from slamhive.dashboard.sources import Workstation
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 PATHS = ("/", "/api/v1", "/api/v1/runs", "/api/v1/runs/x/files/y", "/api/v1/nothing", "/healthz")
 
@@ -65,14 +73,41 @@ async def test_bodies_and_long_queries_are_refused(api: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("host", "status"), [("127.0.0.1:80", 200), ("localhost", 200), ("evil.example", 421)]
+    ("host", "status"),
+    [
+        ("127.0.0.1:80", 200),
+        ("localhost", 200),
+        ("192.0.2.7:8323", 200),
+        ("[2001:db8::7]:8323", 200),
+        ("evil.example", 421),
+        ("192.0.2.7.evil.example", 421),
+        ("", 421),
+    ],
 )
-async def test_on_loopback_only_its_own_names_lead_here(
-    assorted: str, open_app: Callable[..., Any], host: str, status: int
+@pytest.mark.parametrize("listening", ["127.0.0.1", "0.0.0.0"])  # noqa: S104
+async def test_only_its_own_names_lead_here(
+    assorted: str, open_app: Callable[..., Any], listening: str, host: str, status: int
 ) -> None:
-    async with open_app(Workstation(assorted), hosts={"127.0.0.1", "localhost"}) as client:
+    async with open_app(Workstation(assorted), hosts=allowed_hosts(listening)) as client:
         answer = await client.raw.get("/api/v1/runs?limit=1", headers={"Host": host})
         assert answer.status_code == status
+
+
+def test_a_dashboard_for_others_knows_its_machine_s_names_and_those_allowed() -> None:
+    assert socket.gethostname().lower() in allowed_hosts("0.0.0.0")  # noqa: S104
+    assert "slam.example" in allowed_hosts("192.0.2.7", ["Slam.example"])
+    assert socket.gethostname().lower() not in allowed_hosts("127.0.0.1") - {"localhost"}
+
+
+@pytest.mark.parametrize(("host", "told"), [("0.0.0.0", True), ("127.0.0.2", False)])  # noqa: S104
+def test_who_lets_others_in_is_told_that_there_is_no_login(
+    host: str, told: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path))
+    monkeypatch.setattr(serving, "serve", lambda _, listening, **__: listening.close())
+    result = CliRunner().invoke(app, ["dashboard", "--port", "0", "--host", host])
+    assert result.exit_code == 0, result.output
+    assert ("the dashboard has no login" in " ".join(result.output.split())) is told
 
 
 async def test_the_archive_is_opened_for_reading_alone(assorted: str, open_app: Callable[..., Any]) -> None:
@@ -115,3 +150,23 @@ async def test_no_answer_tells_the_databases_password(
     assert "S3cret-canary" not in caplog.text
     for answer in answers:
         assert "S3cret-canary" not in f"{answer.headers}{answer.text}"
+
+
+async def test_a_question_that_the_end_of_the_server_cuts_off_may_be_asked_again() -> None:
+    asked, sent = asyncio.Event(), []
+
+    async def waits(*_: Any) -> None:
+        asked.set()
+        await asyncio.Event().wait()
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    scope = {"type": "http", "method": "GET", "headers": [], "query_string": b"", "raw_path": b"/"}
+    request = asyncio.create_task(Shield(waits)(scope, send, send))
+    await asked.wait()
+    request.cancel()  # as uvicorn does when it waits no longer
+    await request
+    assert sent[0]["status"] == 503
+    assert dict(sent[0]["headers"])[b"retry-after"].isdigit()
+    assert b"ask again" in sent[1]["body"]

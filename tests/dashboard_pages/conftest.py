@@ -365,6 +365,13 @@ def site(archive_url: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         yield address
 
 
+@pytest.fixture(scope="session")
+def serve() -> Callable[[str, Path], contextlib.AbstractContextManager[str]]:
+    """Serves an archive as ``with`` begins, and gives the address."""
+    pytest.importorskip("fastapi")
+    return serving
+
+
 @pytest.fixture
 def empty_site(tmp_path: Path) -> Iterator[tuple[str, str]]:
     """The address of a dashboard over an archive that holds nothing, and the archive's."""

@@ -250,7 +250,7 @@ def test_a_view_in_space_is_turned_by_keys_and_dragging_and_kept(browser: Any, s
     browser.run(f"{SPACE}.focus()")
     browser.press("ArrowRight", "ArrowUp", "+")
     browser.wait("location.search.includes('view=-50%2C40%2C1.25')")
-    assert "seen from -50° round and 40° up" in browser.text()
+    assert "azimuth -50°, elevation 40°" in browser.text()
     turned = browser.run(picture_of("canvas.space"))
     assert turned != first
     browser.drag("canvas.space", (0.4, 0.5), (0.6, 0.5))
@@ -263,7 +263,7 @@ def test_a_view_in_space_is_turned_by_keys_and_dragging_and_kept(browser: Any, s
     browser.run(f"{SPACE}.focus()")
     browser.press("Home")
     browser.wait("!location.search.includes('view')")
-    assert "seen from -60° round and 30° up" in browser.text()
+    assert "azimuth -60°, elevation 30°" in browser.text()
 
 
 def test_dragging_along_an_axis_selects_runs(browser: Any, site: str) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What comes from elsewhere is what the list says, with its licence; nothing is fetched from outside."""
+"""Tests of the vendored files: they match the list, have licences, and fetch nothing from outside."""
 
 from __future__ import annotations
 

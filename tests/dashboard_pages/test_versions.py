@@ -13,7 +13,7 @@ from slamhive.archive import Archive, SweepRecord
 from slamhive.model.results import Provenance
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from slamhive.model.results import RunRecord
 
@@ -46,10 +46,13 @@ def edited(make_run: Callable[[int], RunRecord], version: int) -> list[RunRecord
     return runs
 
 
-@pytest.fixture
-def site(empty_site: tuple[str, str], make_run: Callable[[int], RunRecord]) -> str:
+@pytest.fixture(scope="module")
+def site(
+    serve: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory, make_run: Callable[[int], RunRecord]
+) -> Iterator[str]:
     """The address of a dashboard over a sweep that was edited, and another of its name on a cluster."""
-    address, url = empty_site
+    folder = tmp_path_factory.mktemp("edited")
+    url = f"sqlite:///{folder / 'archive.sqlite'}"
     with Archive.open(url) as archive:
         for version in (1, 2):
             created = datetime(2026, version, 1, tzinfo=UTC)
@@ -58,7 +61,8 @@ def site(empty_site: tuple[str, str], make_run: Callable[[int], RunRecord]) -> s
         archive.put_sweep(SweepRecord(uid="lab", name="study", spec={}, namespace="lab", cluster="big"))
         lab = make_run(1).replace(sweep_uid="lab", namespace="lab", cluster="big", uid="lab-1")
         archive.put_run(lab)
-    return address
+    with serve(url, folder / "log.txt") as address:
+        yield address
 
 
 def leave(browser: Any) -> None:

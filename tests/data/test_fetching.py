@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import http.server
+import itertools
 import shutil
 import ssl
 import subprocess
@@ -13,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from slamhive.data import fetching
 from slamhive.data.store import materialise
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import DataError, SystemFault
@@ -26,6 +29,20 @@ SHA256 = hashlib.sha256(CONTENT).hexdigest()
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):
+    def do_GET(self) -> None:
+        if self.path == "/endless.bag":
+            self.send_response(200)
+            self.end_headers()
+            with contextlib.suppress(OSError):  # until nobody listens any more
+                while True:
+                    self.wfile.write(CONTENT)
+        elif self.path.startswith("/to/"):
+            self.send_response(302)
+            self.send_header("Location", self.path.removeprefix("/to/"))
+            self.end_headers()
+        else:
+            super().do_GET()
+
     def log_message(self, *_: object) -> None:
         pass
 
@@ -101,6 +118,51 @@ def test_another_file_than_the_one_named_is_refused_and_not_kept(server: str, tm
 def test_a_server_that_has_it_not_is_worth_another_try(server: str, tmp_path: Path) -> None:
     with pytest.raises(SystemFault, match="404"):
         materialise(dataset(f"{server}/other.bag"), tmp_path / "root", tmp_path / "home")
+
+
+def test_a_redirect_over_https_is_followed(server: str, tmp_path: Path) -> None:
+    entry = materialise(dataset(f"{server}/to/{server}/hall.bag"), tmp_path / "root", tmp_path / "home")
+    assert (entry.root / "bags/hall.bag").read_bytes() == CONTENT
+
+
+@pytest.mark.parametrize("where", ["http://localhost:1/hall.bag", "ftp://localhost/hall.bag"])
+def test_a_redirect_away_from_https_is_refused(server: str, tmp_path: Path, where: str) -> None:
+    with pytest.raises(DataError, match=r"leads to .*, expected an https:// address"):
+        materialise(dataset(f"{server}/to/{where}"), tmp_path / "root", tmp_path / "home")
+
+
+@pytest.mark.parametrize("name", ["endless", "hall"])
+@pytest.mark.parametrize(
+    ("limit", "expected"),
+    [
+        ({"MOST_BYTES": 5000}, (DataError, "the most that is fetched")),
+        ({"LEFT_BYTES": 1 << 60}, (SystemFault, "more than the disk has room for, 0 MiB")),
+    ],
+)
+def test_a_file_without_end_is_not_kept(  # noqa: PLR0917
+    server: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    limit: dict[str, int],
+    expected: tuple[type[Exception], str],
+) -> None:
+    for constant, value in limit.items():
+        monkeypatch.setattr(fetching, constant, value)
+    with pytest.raises(expected[0], match=expected[1]):
+        materialise(dataset(f"{server}/{name}.bag"), tmp_path / "root", tmp_path / "home")
+    kept = [path for path in (tmp_path / "home").rglob("*") if path.is_file()]
+    assert [path for path in kept if path.suffix != ".lock"] == []
+
+
+def test_a_server_that_hardly_sends_is_given_up(
+    server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hours = itertools.count(0, 3600)
+    monkeypatch.setattr(fetching.time, "monotonic", lambda: next(hours))
+    monkeypatch.setattr(fetching, "STALL_BYTES", 1 << 30)
+    with pytest.raises(SystemFault, match="MiB came in 60 s"):
+        materialise(dataset(f"{server}/hall.bag"), tmp_path / "root", tmp_path / "home")
 
 
 def test_a_recording_at_hand_must_be_what_its_checksum_says(tmp_path: Path) -> None:

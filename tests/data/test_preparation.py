@@ -135,6 +135,17 @@ def test_formats_hold_the_same(lidar_entry: Any, tmp_path: Path, format_: Any) -
     assert stamps(found["/imu"]).tolist() == stamps(source["/imu"]).tolist()
 
 
+def test_a_variant_that_a_program_changed_is_made_again(lidar_entry: Any, tmp_path: Path) -> None:
+    """A folder's files too; all runs of the variant share it."""
+    variant = make(lidar_entry, [Role.LIDAR], tmp_path, [BAG2])
+    (file,) = (path for path in variant.path.iterdir() if path.suffix != ".yaml")
+    content = file.read_bytes()
+    file.chmod(0o644)
+    file.write_bytes(content[:100])
+    assert make(lidar_entry, [Role.LIDAR], tmp_path, [BAG2]) == variant
+    assert len(file.read_bytes()) == len(content)
+
+
 def as_dataset(variant: Any, entry: Any) -> DatasetEntry:
     """Take a variant for a dataset of its own."""
     recording = Recording(format=variant.format, files=[DataFile(path=variant.path.name)])

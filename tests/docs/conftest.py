@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[2]
 RECORDINGS = {
     "synthetic-lidar": {"sensors": ["Lidar", "Imu"], "lidar": {"rings": 4, "columns": 36}},
-    "synthetic-camera": {"sensors": ["Stereo"], "camera": {"width": 64, "height": 48, "rate": 10}},
+    "synthetic-camera": {"sensors": ["Stereo"], "camera": {"width": 64, "height": 48, "rate": 5}},
 }
 STAND_INS = ("kiss-icp", "genz-icp")
 ADAPTER = """\
@@ -52,7 +52,7 @@ def furnished(tmp_path_factory: pytest.TempPathFactory, environments: Path) -> P
 
 def _stand_in_dataset(folder: Path, name: str, recording: dict[str, Any]) -> None:
     manifest = yaml.safe_load((bundled("examples") / "datasets" / f"{name}.yaml").read_text())
-    manifest["spec"]["recording"] = {"synthetic": {"durationSeconds": 10, "loops": 0.2, **recording}}
+    manifest["spec"]["recording"] = {"synthetic": {"durationSeconds": 7, "loops": 0.15, **recording}}
     folder.mkdir(parents=True)
     (folder / "dataset.yaml").write_text(yaml.safe_dump(manifest))
     dataset = load_file(folder / "dataset.yaml")[0]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE.parent / "cluster"), str(HERE)]
+sys.path[:0] = [str(HERE.parent / "cluster"), str(HERE.parent / "contract"), str(HERE)]
 
 from onnode import documents  # noqa: E402
 from onnode.documents import ROOT, Desk  # noqa: E402
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 NAMESPACE = "lab"
 """As in docs/kubernetes.md."""
-IMAGES = ("slamhive", "evaluator", "kiss-icp", "genz-icp", "shell-algorithm", "misbehaving")
+IMAGES = ("slamhive", "evaluator", "kiss-icp", "genz-icp", "shell-algorithm")
 """Those that the tests run, as images/build calls them."""
 
 
@@ -38,7 +38,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if HERE in item.path.parents:
             item.add_marker("slow")
             item.add_marker("cluster")
-            item.add_marker(pytest.mark.timeout(1800))
+            item.add_marker(pytest.mark.timeout(1800), append=False)
 
 
 @pytest.fixture(scope="session")

@@ -1,44 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithms that nobody here wrote an adapter for: one that keeps the contract, many that break it."""
+"""Contract of a run on a cluster: the table of behaviours, algorithms that attack, what a run can see."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from executors import table
+from executors.cluster import OnCluster
+from executors.executor import differences
+from onnode import attacking
 from onnode.documents import ROOT
 from onnode.lab import manifest
 from onnode.node import Watch
 from testcluster.access import until
 
+from slamhive.data.erasing import erase
+
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from executors.executor import Row
     from onnode.lab import Lab
 
 IMAGES = ROOT / "tests" / "images"
 FAILED, SUCCEEDED = "Failed", "Succeeded"
-ENDS = {
-    "crash": (FAILED, "AlgorithmFailed", "exit code 3: the voxel map is empty"),
-    "segfault": (FAILED, "AlgorithmFailed", "SIGSEGV"),
-    "hang": (FAILED, "DeadlineExceeded", "20 s"),
-    "deaf": (FAILED, "DeadlineExceeded", "20 s"),
-    "memory": (FAILED, "OutOfMemory", "it needed more memory than its limit"),
-    "forks": (FAILED, "DeadlineExceeded", "20 s"),
-    "orphans": (SUCCEEDED, None, ""),
-    "log": (FAILED, "DeadlineExceeded", "20 s"),
-    "outside": (FAILED, "AlgorithmFailed", "exit code 5: nothing outside of the output can be written"),
-    "not-a-number": (FAILED, "InvalidTrajectory", "line 51: tx is nan"),
-    "garbage": (FAILED, "InvalidTrajectory", "output/trajectory.txt"),
-    "endless-line": (FAILED, "InvalidTrajectory", "line 1: is longer than 64 KiB"),
-    "vast-trajectory": (FAILED, "InvalidTrajectory", "is larger than 512 MiB"),
-    "link": (FAILED, "NoTrajectory", "is missing or not a regular file"),
-    "fifo": (FAILED, "NoTrajectory", "is missing or not a regular file"),
-    "folder": (FAILED, "NoTrajectory", "is missing or not a regular file"),
-    "no-trajectory": (FAILED, "NoTrajectory", "is missing or not a regular file"),
-    "nothing": (FAILED, "NoTrajectory", "is missing or not a regular file"),
-    "lost": (SUCCEEDED, None, ""),
-    "flood": (SUCCEEDED, None, ""),
-}
-"""Phase, reason and a part of the message for each way to misbehave."""
 LASTING = ("hang", "deaf", "forks", "memory", "log", "flood")
 """What ends within milliseconds may leave no figures."""
 
@@ -58,21 +44,8 @@ def test_an_algorithm_in_shell_alone_gets_a_result(lab: Lab) -> None:
 
 
 @pytest.fixture(scope="module")
-def misbehaved(lab: Lab) -> dict[str, dict[str, Any]]:
-    """How each mode ended, in one sweep with runs of a well-behaved algorithm beside it."""
-    lab.apply_algorithm(IMAGES / "shell-algorithm")
-    lab.apply_algorithm(IMAGES / "misbehaving")
-    template = lab.run("x", "misbehaving", timeout="20s", retries=0)["spec"]
-    template["resources"] = {"cpu": "100m", "memory": "128Mi"}
-    sweep = manifest(
-        "Sweep",
-        "misbehaving",
-        template={"spec": template},
-        matrix=[{"path": "parameters.mode", "values": [*ENDS]}],
-        # Writing gigabytes takes its time, as writing that much of log does, which is cut off.
-        include=[{"parameters.mode": "flood", "timeout": "10m", "resources.cpu": "500m"}],
-        parallelism=5,
-    )
+def behaved(lab: Lab, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Row]]:
+    """What came of all behaviours, with runs of a well-behaved algorithm beside them."""
     beside = manifest(
         "Sweep",
         "beside",
@@ -81,12 +54,14 @@ def misbehaved(lab: Lab) -> dict[str, dict[str, Any]]:
         parallelism=1,
     )
     operator = restarts(lab)
-    lab.apply(sweep, beside)
-    status = lab.completed("misbehaving", 900)
-    assert status["failed"] == sum(phase == FAILED for phase, *_ in ENDS.values())
+    lab.apply_algorithm(IMAGES / "shell-algorithm")
+    lab.apply(beside)
+    found = table.carry_out(OnCluster(lab, tmp_path_factory.mktemp("fetched")))
     assert lab.completed("beside")["succeeded"] == 3
     assert restarts(lab) == operator
-    return {run["spec"]["parameters"]["mode"]: run for run in lab.runs("misbehaving")}
+    yield found
+    for folder in lab.results.glob("runs/*/*/output/d"):
+        erase(folder)  # pytest can't remove folders that are as deep
 
 
 def restarts(lab: Lab) -> list[tuple[str, int]]:
@@ -98,17 +73,59 @@ def restarts(lab: Lab) -> list[tuple[str, int]]:
     ]
 
 
-@pytest.mark.parametrize("mode", ENDS)
-def test_misbehaving_ends_with_the_right_reason(misbehaved: dict[str, dict[str, Any]], mode: str) -> None:
-    phase, reason, message = ENDS[mode]
-    status = misbehaved[mode]["status"]
-    assert (status["phase"], status.get("reason")) == (phase, reason), status.get("message")
-    assert message in status.get("message", "")
-    assert status["attempts"] == 1
-    if mode in LASTING:
-        assert status["usage"]["wallSeconds"] > 0
-        # What is limited is what the kernel charges; what is resident counts shared libraries too.
-        assert status["usage"]["memory"]["workingSetPeakBytes"] <= 128 * 2**20
+@pytest.mark.parametrize("name", table.expected(OnCluster.name))
+def test_a_cluster_makes_of_it_what_the_table_says(name: str, behaved: dict[str, Row]) -> None:
+    """As tests/contract/test_process.py says of a workstation."""
+    assert differences(behaved[name], table.expected(OnCluster.name)[name]) == []
+
+
+@pytest.mark.parametrize("name", LASTING)
+def test_what_lasts_has_figures(lab: Lab, behaved: dict[str, Row], name: str) -> None:
+    runs = {run["spec"]["parameters"]["behaviour"]: run["status"]["usage"] for run in lab.runs("behaviours")}
+    assert runs[name]["wallSeconds"] > 0
+    # What is limited is what the kernel charges; what is resident counts shared libraries too.
+    assert runs[name]["memory"]["workingSetPeakBytes"] <= 128 * 2**20
+
+
+@pytest.fixture(scope="module")
+def attacks(lab: Lab) -> dict[str, dict[str, Any]]:
+    """Runs that reached for their monitor, by what they tried."""
+    lab.apply(attacking.algorithm("slamhive/slamhive:0.1.0"))
+    template = lab.run("x", "attacking", retries=0, evaluate=False)["spec"]
+    matrix = [{"path": "parameters.act", "values": attacking.ACTS}]
+    sweep = manifest("Sweep", "attacks", template={"spec": template}, matrix=matrix, parallelism=2)
+    lab.apply(sweep)
+    lab.completed("attacks", 600)
+    found = {}
+    for run in lab.runs("attacks"):
+        said = lab.kubectl("logs", f"job/{run['metadata']['name']}-1", "-c", "algorithm")
+        found[run["spec"]["parameters"]["act"]] = run["status"] | {"said": said}
+    return found
+
+
+def test_figures_come_from_a_process_that_the_measured_program_cannot_touch(
+    attacks: dict[str, dict[str, Any]],
+) -> None:
+    status = attacks["look"]
+    assert (status["phase"], status["said"].count("closed")) == (SUCCEEDED, 11)
+    assert "OPEN" not in status["said"]
+    assert "suspect" not in status["usage"]
+
+
+@pytest.mark.parametrize("act", attacking.SUSPECT)
+def test_who_meddles_with_the_monitor_is_suspected(attacks: dict[str, dict[str, Any]], act: str) -> None:
+    status = attacks[act]
+    held = {item["type"]: item["message"] for item in status["conditions"]}
+    assert attacking.SUSPECT[act] in status["usage"]["suspect"]
+    assert held["UsageSuspect"] == status["usage"]["suspect"]
+    assert status["usage"]["cpu"]["totalSeconds"] >= 1.0
+
+
+def test_who_kills_the_monitor_has_no_result(attacks: dict[str, dict[str, Any]]) -> None:
+    status = attacks["kill"]
+    assert (status["phase"], status["reason"]) == (FAILED, "SystemFault")
+    assert "its monitor was ended while the algorithm ran" in status["message"]
+    assert "usage" not in status
 
 
 PROBE = r"""
@@ -258,7 +275,11 @@ def test_rights_of_the_operator(lab: Lab, verb: str, resource: str, answer: str)
 
 
 def test_usage_is_the_kernels_own_account(lab: Lab) -> None:
-    """Within 1 %, beside what the node reads of the container's control group every few milliseconds."""
+    """Beside what the node reads of the container's control group every few milliseconds.
+
+    What the kernel sums or keeps itself agrees within 1 %. The working set is looked at now and then by both:
+    a peak of some milliseconds may be seen by one alone.
+    """
     spec = {"parameters": {"maxRange": 30}, "input": {"frameRate": 4}, "resources": {"cpu": "1"}}
     lab.apply(lab.run("measured", "kiss-icp", **spec))
 
@@ -275,4 +296,4 @@ def test_usage_is_the_kernels_own_account(lab: Lab) -> None:
     seconds = usage["cpu"]["seconds"] + (usage.get("readerCpuSeconds") or 0)
     assert seconds == pytest.approx(account.cpu_seconds, rel=0.01)
     assert usage["memory"]["kernelPeakBytes"] == pytest.approx(account.kernel_peak, rel=0.01)
-    assert usage["memory"]["workingSetPeakBytes"] == pytest.approx(account.working_set, rel=0.01)
+    assert usage["memory"]["workingSetPeakBytes"] == pytest.approx(account.working_set, rel=0.05)

@@ -18,13 +18,14 @@ if TYPE_CHECKING:
     from onnode.lab import Lab
 
 OPERATOR = ("-l", "app.kubernetes.io/component=operator")
-GONE_SECONDS = 30
+GONE_SECONDS = 120
+SLOW, SLOWER = 3, 1.5
+"""Frame rates, Hz, that no other test of this installation plays: what prepares them is this test's own."""
 
 
 @pytest.fixture(autouse=True)
 def reckoning(lab: Lab) -> None:
     lab.apply_algorithm(ROOT / "tests" / "images" / "shell-algorithm")
-    lab.apply_algorithm(ROOT / "tests" / "images" / "misbehaving")
 
 
 def test_an_operator_killed_twice_loses_and_doubles_nothing(lab: Lab) -> None:
@@ -87,17 +88,26 @@ def preparations(lab: Lab) -> set[str]:
 def test_a_sweep_deleted_in_the_middle_leaves_nothing(lab: Lab) -> None:
     """Not even the preparation of a recording that nobody else reads; one that somebody reads stays."""
     before = preparations(lab)
-    hang = {"algorithmRef": {"name": "misbehaving"}, "parameters": {"mode": "hang"}}
-    template = lab.run("x", "misbehaving", evaluate=False)["spec"] | hang
+    hanging = {
+        "version": "1",
+        "image": "slamhive/shell-algorithm:1.0.0",
+        "command": ["sleep", "86400"],
+        "modes": [{"name": "lidar", "roles": ["lidar"]}],
+        "recording": ["Rosbag1"],
+        "output": {"frame": "lidar"},
+        "paces": ["Lockstep"],
+    }
+    lab.apply(manifest("Algorithm", "hanging", **hanging))
+    template = lab.run("x", "hanging", evaluate=False)["spec"]
     template["resources"] = {"cpu": "50m", "memory": "64Mi"}
     lab.apply(
-        manifest("MappingRun", "other", **(template | {"input": {"frameRate": 3}})),
+        manifest("MappingRun", "other", **(template | {"input": {"frameRate": SLOW}})),
         manifest(
             "Sweep",
             "deleted",
             template={"spec": template},
             matrix=[
-                {"path": "input.frameRate", "values": [3, 2]},
+                {"path": "input.frameRate", "values": [SLOW, SLOWER]},
                 {"path": "seed", "values": [1, 2]},
             ],
             parallelism=3,
@@ -107,7 +117,7 @@ def test_a_sweep_deleted_in_the_middle_leaves_nothing(lab: Lab) -> None:
     def running() -> bool:
         runs = [run for run in lab.get(RUNS)["items"] if (run.get("status") or {}).get("phase") == "Running"]
         rates = {run["spec"]["input"]["frameRate"] for run in runs}
-        return rates == {2, 3} and "other" in {run["metadata"]["name"] for run in runs}
+        return rates >= {SLOW, SLOWER} and "other" in {run["metadata"]["name"] for run in runs}
 
     until(running, "runs on both recordings", 180)
     made = preparations(lab) - before

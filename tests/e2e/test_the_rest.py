@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the documents say after the first sweep: changing, watching, upgrading, leaving; and all of kind.md.
+"""Tests of the documents after the first sweep: change, watch, upgrade, uninstall; and all of kind.md.
 
 These tests come last, as their order in the document says: they take away what the others use.
 """
@@ -91,7 +91,7 @@ def test_kind_from_nothing_to_a_finished_sweep(kind_desk: Desk, lab: Lab, tmp_pa
     assert re.search(r"^sweep\S+first +Complete +4/4 ", told, re.MULTILINE)
     assert "docker exec slamhive-worker find /slamhive/results/runs -name trajectory.txt" in find
     assert len([*folder.glob("results/runs/**/trajectory.txt")]) == 4
-    uninstall = documents.scripts(KIND["And away"])[0]
+    uninstall = documents.scripts(KIND["Clean up"])[0]
     kind_desk.run("".join(line for line in uninstall.splitlines(keepends=True) if "kind delete" not in line))
 
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each alignment must undo, whatever the path."""
+"""Tests of the alignments: what each must undo, whatever the path."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive_eval import (
@@ -52,7 +52,6 @@ def errors_after(reference: Trajectory, estimate: Trajectory, method: str) -> tu
     return ape_errors(reference, aligned).max(), ape_errors(reference, aligned, "angle_deg").max()
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 1000), turns, points, scales)
 def test_what_each_method_undoes(
     seed: int, rpy: tuple[float, float, float], shift: tuple[float, float, float], scale: float
@@ -71,7 +70,6 @@ def test_what_each_method_undoes(
         assert degrees < 1e-5, method
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 1000), turns, points, scales)
 def test_errors_ignore_the_choice_of_world(
     seed: int, rpy: tuple[float, float, float], shift: tuple[float, float, float], scale: float
@@ -92,7 +90,6 @@ def test_errors_ignore_the_choice_of_world(
         )
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 1000), turns, points)
 def test_no_other_motion_fits_better(
     seed: int, rpy: tuple[float, float, float], shift: tuple[float, float, float]

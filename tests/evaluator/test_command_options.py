@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ape and rpe can be asked to read, match, move and align."""
+"""Tests of the options of ape and rpe: reading, matching, moving and aligning."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/evaluation.md shows works, and its table of degenerate input holds."""
+"""Tests of docs/evaluation.md: its commands work, and its table of degenerate input holds."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ def test_as_many_lines_pair_without_a_note(
         assert (found["poses"], found["notes"]) == (60, [])
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(kept=st.sets(st.integers(0, 59), min_size=1), kept_truth=st.sets(st.integers(0, 59)))
 def test_the_frame_index_pairs_what_both_have(
     drive: tuple[Trajectory, Trajectory], tmp_path: Path, kept: set[int], kept_truth: set[int]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive_eval import (
@@ -44,7 +44,6 @@ def as_the_tum_tools(
     return sorted(pairs)
 
 
-@settings(max_examples=400, deadline=None)
 @given(eighths, eighths, st.sampled_from((0.125, 0.25, 0.5, 100.0)), st.sampled_from((0.0, 0.25, -1.0)))
 def test_one_to_one(a: list[float], b: list[float], tolerance: float, offset: float) -> None:
     found = associate_uniquely(at(a), at(b), tolerance, offset)
@@ -94,7 +93,6 @@ def test_in_one_pass(truth: list[float], estimate: list[float], pairs: list[tupl
     assert list(zip(found.reference.tolist(), found.estimate.tolist(), strict=True)) == pairs
 
 
-@settings(max_examples=200, deadline=None)
 @given(eighths, eighths, st.sampled_from((0.125, 0.25, 0.5)), st.sampled_from((0.0, 0.25, -1.0)))
 def test_one_pass_is_one_to_one(a: list[float], b: list[float], tolerance: float, offset: float) -> None:
     found = associate_forward(at(a), at(b), tolerance, offset)

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from matplotlib.figure import Figure
 
 NOTEBOOK = Path(__file__).parents[2] / "docs" / "evaluation.ipynb"
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")
@@ -50,7 +49,7 @@ def run(source: str, count: int, names: dict[str, Any]) -> list[Output]:
         data: dict[str, Any] = {
             "text/plain": pprint.pformat(value, sort_dicts=False).splitlines(keepends=True)
         }
-        if isinstance(value, Figure):
+        if hasattr(value, "savefig"):  # a figure of matplotlib's
             image = io.BytesIO()
             value.savefig(image, format="png", metadata={"Software": None})
             data["image/png"] = base64.b64encode(image.getvalue()).decode()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive_eval import OptionError, Trajectory, associate, find_pairs, interpolate, rotation
@@ -32,7 +32,6 @@ def along(lengths: list[float]) -> Trajectory:
     return Trajectory(np.arange(n) * 0.5, positions, np.tile((0.0, 0, 0, 1), (n, 1)))
 
 
-@settings(max_examples=300, deadline=None)
 @given(eighths, eighths, st.sampled_from((0.0, 0.125, 0.25)), st.sampled_from((0.0, 0.25, -1.0)))
 def test_nearest_of_the_longer_for_each_of_the_shorter(
     reference: list[float], estimate: list[float], tolerance: float, offset: float
@@ -59,7 +58,6 @@ def test_of_equal_stamps_the_last_is_taken_as_in_evo() -> None:
     assert associate(at([1.0, 2.0, 2.0, 3.0]), at([2.0, 2.005])).reference.tolist() == [2, 2]
 
 
-@settings(max_examples=200, deadline=None)
 @given(steps, st.sampled_from((0.25, 0.5, 1.0)), st.sampled_from((0.0, 0.25, 1.0)))
 def test_all_pairs_by_path_and_time(lengths: list[float], delta: float, tolerance: float) -> None:
     trajectory = along(lengths)
@@ -73,7 +71,6 @@ def test_all_pairs_by_path_and_time(lengths: list[float], delta: float, toleranc
         assert found.tolist() == expected
 
 
-@settings(max_examples=100, deadline=None)
 @given(steps, st.sampled_from((0.25, 0.5, 1.0)))
 def test_consecutive_pairs_by_path_and_time(lengths: list[float], delta: float) -> None:
     trajectory = along(lengths)

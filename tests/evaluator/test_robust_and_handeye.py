@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive_eval import (
@@ -79,7 +79,6 @@ def test_without_outliers_nearly_nothing_changes(wander: Callable[..., Trajector
     assert align_robustly(truth, truth, "se3", "huber").scale == 1.0
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 100), st.lists(st.integers(0, 4), min_size=40, max_size=40))
 def test_whole_weights_are_repetitions(seed: int, counts: list[int]) -> None:
     if sum(counts) < 1:

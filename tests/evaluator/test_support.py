@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where an estimate has poses: gaps, common support, segments."""
+"""Tests of support: gaps, common support, segments."""
 
 from __future__ import annotations
 

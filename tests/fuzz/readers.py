@@ -4,7 +4,8 @@
 Files that are right are broken in all ways that files break: bytes changed, cut, repeated and swapped,
 numbers replaced by awkward ones, lines mixed between formats. Whatever comes, a reader returns or raises an
 EvaluationError of one line, within seconds, and what it returns can be evaluated. Anything else is a failure:
-its input is kept in a folder, and the exit code is 1.
+its traceback is printed, its file is kept in tests/fuzz/corpus, and the exit code is 1. The files kept there
+are read first, each time.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import bz2
 import gzip
+import hashlib
 import io
 import json
 import random
@@ -49,7 +51,9 @@ from slamhive_eval.files import read_transform
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-HANG_SECONDS = 20
+CORPUS = Path(__file__).with_name("corpus")
+"""Files that once failed: DIGEST-NAME.kept, with the name that they were read by."""
+HANG_SECONDS = 60
 MEMORY_BYTES = 6 << 30
 AWKWARD = (
     *(b"nan", b"inf", b"-inf", b"1e400", b"-0", b"1e-320", b"0x1", b"1_0", b"", b"1.5.2", b"1d3", b"(1+2j)"),
@@ -259,67 +263,100 @@ def hang(*_: object) -> NoReturn:
     raise TimeoutError(f"no answer within {HANG_SECONDS} s")
 
 
+class Reading:
+    """Reads broken files and notes what fails.
+
+    Args:
+        folder: where the files are written to be read; what isn't broken is there already.
+        keep: the folder for those that fail.
+
+    Attributes:
+        seeds: the files that are right, by the names that they are read by.
+        failures: the tracebacks, by the kind of failure.
+        count: files that were read or refused.
+        read: of those, how many were read.
+    """
+
+    def __init__(self, folder: Path, keep: Path) -> None:
+        self._folder = folder
+        self._keep = keep
+        self.seeds = text_seeds() + bag_seeds(folder)
+        self.failures: dict[str, str] = {}
+        self.count = self.read = 0
+        for name, data in self.seeds:
+            (folder / name).write_bytes(data)
+            check(folder / name, First())
+
+    def corpus(self) -> None:
+        """Read every file of the corpus."""
+        names = {Path(name).name: name for name, _ in self.seeds}
+        for path in sorted(CORPUS.glob("*.kept")):
+            self.attempt(names[path.stem.partition("-")[2]], path.read_bytes())
+
+    def broken(self, rng: random.Random) -> None:
+        """Break one of the files and read it."""
+        name, data = rng.choice(self.seeds)
+        self.attempt(name, mutate(rng, data, self.seeds))
+
+    def attempt(self, name: str, data: bytes) -> None:
+        """Read a file: how follows from its bytes, so that a file that failed fails again."""
+        path = self._folder / name
+        path.write_bytes(data)
+        digest = hashlib.sha256(data).hexdigest()
+        self.count += 1
+        signal.alarm(HANG_SECONDS)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                check(path, random.Random(digest))
+            self.read += 1
+        except EvaluationError as error:
+            if "\n" in str(error):
+                self._failed("a sentence of several lines", f"{digest[:12]}-{path.name}.kept", data)
+        except Exception as error:  # noqa: BLE001 - that is what is looked for
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            kind = f"{type(error).__name__} in {Path(frame.filename).name}, line {frame.lineno}"
+            self._failed(kind, f"{digest[:12]}-{path.name}.kept", data)
+        finally:
+            signal.alarm(0)
+
+    def _failed(self, kind: str, name: str, data: bytes) -> None:
+        """Keep the first file of each kind of failure."""
+        if kind not in self.failures:
+            self._keep.mkdir(parents=True, exist_ok=True)
+            (self._keep / name).write_bytes(data)
+            self.failures[kind] = f"{kind}: {self._keep / name}\n{traceback.format_exc()}"
+
+
 def main() -> int:
-    """Fuzz for a while and say how much."""
+    """Fuzz for a while, or over a number of files, and say how much."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--files", type=int, default=None, help="so many broken files, however long it takes")
     parser.add_argument(
         "--seed", type=int, default=None, help="repeat a session (default: another each time)"
     )
-    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir(), "slamhive-fuzz"))
+    parser.add_argument("--keep", type=Path, default=CORPUS, help="folder for files that fail")
     asked = parser.parse_args()
     seed = time.time_ns() % 2**32 if asked.seed is None else asked.seed
+    print(f"seed {seed}", flush=True)  # noqa: T201
     rng = random.Random(seed)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     signal.signal(signal.SIGALRM, hang)
-    failures: dict[str, Path] = {}
-    count = read = 0
-    slowest = 0.0
-    with tempfile.TemporaryDirectory() as name:
-        seeds = text_seeds() + bag_seeds(Path(name))
-        for file, data in seeds:  # what isn't broken is read
-            Path(name, file).write_bytes(data)
-            check(Path(name, file), First())
+    with tempfile.TemporaryDirectory() as folder:
+        reading = Reading(Path(folder), asked.keep)
+        reading.corpus()
+        kept = reading.count
         end = time.monotonic() + asked.seconds
-        while time.monotonic() < end:
-            file, data = rng.choice(seeds)
-            broken = mutate(rng, data, seeds)
-            path = Path(name, file)
-            path.write_bytes(broken)
-            count += 1
-            started = time.monotonic()
-            signal.alarm(HANG_SECONDS)
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("error")
-                    check(path, rng)
-                read += 1
-            except EvaluationError as error:
-                if "\n" in str(error):
-                    failures.setdefault("a sentence of several lines", keep(asked.keep, file, broken))
-            except Exception as error:  # noqa: BLE001 - that is what is looked for
-                frame = traceback.extract_tb(error.__traceback__)[-1]
-                what = f"{type(error).__name__} in {Path(frame.filename).name}, line {frame.lineno}: {error}"
-                if not any(known.split(":")[0] == what.split(":", maxsplit=1)[0] for known in failures):
-                    failures[what] = keep(asked.keep, file, broken)
-            finally:
-                signal.alarm(0)
-            slowest = max(slowest, time.monotonic() - started)
-    for what, kept in failures.items():
-        sys.stderr.write(f"{what} ({kept})\n")
-    sys.stdout.write(
-        f"{count} files, {read} of them read, slowest {slowest:.2f} s, {len(failures)} kinds of failure, "
-        f"seed {seed}\n"
+        while reading.count - kept < asked.files if asked.files is not None else time.monotonic() < end:
+            reading.broken(rng)
+    for failure in reading.failures.values():
+        sys.stderr.write(f"{failure}\n")
+    print(  # noqa: T201
+        f"{reading.count} files ({kept} of the corpus), {reading.read} of them read, "
+        f"{len(reading.failures)} kinds of failure"
     )
-    return 1 if failures else 0
-
-
-def keep(folder: Path, name: str, data: bytes) -> Path:
-    """Keep a file that failed."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{len(list(folder.iterdir()))}-{Path(name).name}"
-    path.write_bytes(data)
-    return path
+    return 1 if reading.failures else 0
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the charts render. Helm is looked for in $HELM, on the PATH and among the test cluster's programs.
+"""Fixtures that render the charts.
+
+Helm is looked for in $HELM, on the PATH and among the test cluster's programs.
 
 ``SLAMHIVE_UPDATE=1 pytest tests/helm`` writes what is kept (golden renders and the charts' copies of CRDs and
 catalog) instead of comparing it.

@@ -97,3 +97,39 @@ def test_a_volume_that_cannot_be_written(check: Callable[..., tuple[int, list[st
     code, lines = check()
     assert code == 1
     assert "can't write it: Not a directory" in " ".join(lines)
+
+
+EGRESS = PROGRAM.with_name("egress.py")
+
+
+@pytest.mark.parametrize(
+    ("open_ports", "told"),
+    [
+        ((), ["ok    runs reach neither API server nor dashboard"]),
+        ((443,), ["OPEN  runs reach the API server"]),
+        (
+            (443, 80),
+            ["OPEN  runs reach the API server", "OPEN  runs reach the dashboard, and by it ground truth"],
+        ),
+    ],
+)
+def test_it_says_where_the_network_keeps_no_algorithm(
+    open_ports: tuple[int, ...],
+    told: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def connect(place: tuple[str, int], _: float) -> io.BytesIO:
+        if place[1] not in open_ports:
+            raise TimeoutError
+        return io.BytesIO()
+
+    monkeypatch.setenv("KUBERNETES_SERVICE_HOST", "10.0.0.1")
+    monkeypatch.setenv("KUBERNETES_SERVICE_PORT", "443")
+    monkeypatch.setenv("DASHBOARD", "slamhive-dashboard:80")
+    monkeypatch.setattr("socket.create_connection", connect)
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(str(EGRESS), run_name="__main__")
+    lines = capsys.readouterr().out.splitlines()
+    assert (end.value.code, len(lines)) == (0, len(told))
+    assert all(line.startswith(part) for line, part in zip(lines, told, strict=True))

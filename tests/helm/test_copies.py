@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the charts carry is what the tree has: a chart can't reach files outside of itself."""
+"""Tests that the charts' copies equal the tree's files: a chart can't reach files outside of itself."""
 
 from __future__ import annotations
 

@@ -52,7 +52,11 @@ def test_it_reads_its_settings_and_finds_what_they_name(helm: Any, tmp_path: Pat
         assert mounts[str(place)]["readOnly"] is True
     assert mounts[str(found.ground_truth)]["subPath"] == "groundtruth"
     assert str(found.cache).startswith("/tmp/")
-    assert container["ports"] == [{"name": "http", "containerPort": found.port}]
+    assert container["ports"] == [
+        {"name": "http", "containerPort": found.port},
+        {"name": "health", "containerPort": found.health_port},
+    ]
+    assert found.connections_per_address == 128
 
 
 @pytest.mark.parametrize("name", WITH_DASHBOARD)
@@ -75,7 +79,7 @@ def test_probes_and_resources(helm: Any) -> None:
         ("livenessProbe", "/healthz"),
         ("readinessProbe", "/readyz"),
     ):
-        assert container[probe]["httpGet"] == {"path": path, "port": "http"}
+        assert container[probe]["httpGet"] == {"path": path, "port": "health"}
     assert {*container["resources"]["limits"]} == {*container["resources"]["requests"]} == {"cpu", "memory"}
 
 

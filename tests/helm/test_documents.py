@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the documents on clusters say about the charts: values that exist, installations that render.
+"""Tests of the documents on clusters: values that they name exist, and their installations render.
 
 A ``bash`` block is run as a whole, in the order of the document, with the cluster's programs; here helm's
 installations are rendered and kubectl's targets looked up in what they make.
@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).parents[2]
-DOCUMENTS = [ROOT / "docs" / "kubernetes.md", ROOT / "docs" / "kind.md"]
+BY_HAND = ROOT / "docs" / "develop" / "testing.md"
+DOCUMENTS = [ROOT / "docs" / "kubernetes.md", ROOT / "docs" / "kind.md", BY_HAND]
 BLOCK = re.compile(r"^```bash\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 HEREDOC = re.compile(r"^cat > (\S+) <<'END'\n(.*?)^END\n", re.MULTILINE | re.DOTALL)
-PROGRAMS = {"helm", "kubectl", "kind", "docker", "mkdir"}
+PROGRAMS = {"helm", "kubectl", "kind", "docker", "mkdir", "make", "images/build", "export"}
 OPTIONS = {"--set", "--values"}
 
 
@@ -54,13 +55,27 @@ def test_installations_render(helm: Any, document: Path, tmp_path: Path) -> None
         if words[:2] not in (["helm", "install"], ["helm", "upgrade"]):
             continue
         options = [
-            str(tmp_path / one) if before == "--values" else one
+            str(tmp_path / one) if before == "--values" else one.replace("$PWD", "/checkout")
             for before, one in pairwise(words)
             if before in OPTIONS or one in OPTIONS
         ]
         assert helm.objects(*options, chart=ROOT / words[3])
         rendered += 1
     assert rendered >= 2
+
+
+def test_by_hand_images_and_targets_are_there() -> None:
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    loaded = set()
+    for program, *words in commands(BY_HAND):
+        if program == "make":
+            assert set(words) <= {*targets}
+        if program == "images/build":
+            loaded |= {word for word in words if not word.startswith("-")}
+    (sweep,) = re.findall(r"^```yaml\n(.*?)^```$", BY_HAND.read_text(), re.MULTILINE | re.DOTALL)
+    algorithms = yaml.safe_load(sweep)["spec"]["matrix"][0]["values"]
+    assert loaded == {"slamhive", "evaluator", *algorithms}
+    assert all(list((ROOT / "images").rglob(f"{name}/Dockerfile")) for name in loaded)
 
 
 def test_values_that_are_named_exist() -> None:

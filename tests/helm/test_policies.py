@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which pods the NetworkPolicies select, and what these may reach."""
+"""Tests of the NetworkPolicies: which pods they select, and what these may reach."""
 
 from __future__ import annotations
 
@@ -68,7 +68,12 @@ def test_no_role_is_forgotten(helm: Any) -> None:
     [
         (
             "default",
-            {"operator": ({443, 6443}, True), "dashboard": ({443, 6443}, True), "test": ({443, 6443}, False)},
+            {
+                "operator": ({443, 6443}, True),
+                "dashboard": ({443, 6443}, True),
+                "test": ({443, 6443}, False),
+                "egress": NOTHING,
+            },
         ),
         (
             "team",
@@ -76,11 +81,17 @@ def test_no_role_is_forgotten(helm: Any) -> None:
                 "operator": ({6443, 53, 6432}, True),
                 "dashboard": ({6443, 53, 6432}, True),
                 "test": ({6443}, False),
+                "egress": NOTHING,
             },
         ),
         (
             "single-node",
-            {"operator": ({443, 6443}, True), "dashboard": ({443, 6443}, True), "test": ({443, 6443}, False)},
+            {
+                "operator": ({443, 6443}, True),
+                "dashboard": ({443, 6443}, True),
+                "test": ({443, 6443}, False),
+                "egress": NOTHING,
+            },
         ),
     ],
 )

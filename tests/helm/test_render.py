@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is rendered for several files of values: kept whole, and what has to hold for all of them."""
+"""Tests of the rendered charts for several values files: golden files, and rules for all of them."""
 
 from __future__ import annotations
 

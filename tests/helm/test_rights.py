@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may do what, as rendered: in namespaces alone, no secrets, no wildcards, no needless tokens."""
+"""Tests of the rendered roles: rights in namespaces alone, no secrets, no wildcards, no needless tokens."""
 
 from __future__ import annotations
 
@@ -60,11 +60,46 @@ def test_the_operator_has_what_it_needs(helm: Any) -> None:
 def test_the_others_only_read(helm: Any) -> None:
     objects = helm.objects("-f", str(VALUES / "team.yaml"))
     assert rules(objects, "dashboard") == {f"{kind}.slamhive.io": READ for kind in KINDS}
-    assert rules(objects, "collector") == {
-        f"{kind}.slamhive.io": {"get", "list"} for kind in ("algorithms", "datasets", "mappingruns")
-    }
+    lists = {f"{kind}.slamhive.io": {"get", "list"} for kind in ("algorithms", "datasets", "mappingruns")}
+    tells = {"namespaces": {"get"}, "cronjobs.batch": {"get"}, "events": {"create"}}
+    assert rules(objects, "collector") == lists | tells
     assert rules(objects, "runs") == {}
     assert {verb for verbs in rules(objects, "test").values() for verb in verbs} <= {"get", "list"}
+
+
+def test_beyond_the_namespaces_one_right_is_given_to_who_asks_for_it(helm: Any) -> None:
+    def elsewhere(*words: str) -> list[dict[str, Any]]:
+        objects = helm.objects(*words)
+        return [one for one in objects if one["metadata"].get("namespace", "lab") != "lab"]
+
+    assert elsewhere() == []
+    role, binding = elsewhere("--set", "clusterIdentity=true")
+    assert {role["metadata"]["namespace"], binding["metadata"]["namespace"]} == {"kube-system"}
+    # Two releases of one name, in two namespaces, don't meet there.
+    assert role["metadata"]["name"] == binding["roleRef"]["name"] == "slamhive-identity-lab"
+    [rule] = role["rules"]
+    assert rule == {
+        "apiGroups": [""],
+        "resources": ["namespaces"],
+        "resourceNames": ["kube-system"],
+        "verbs": ["get"],
+    }
+    accounts = [subject["name"] for subject in binding["subjects"]]
+    assert accounts == ["slamhive-operator", "slamhive-dashboard"]
+
+
+def test_the_collector_sees_its_own_namespace_and_cronjob_alone(helm: Any) -> None:
+    objects = helm.objects("-f", str(VALUES / "team.yaml"))
+    roles = [one for one in objects if one["kind"] == "Role" and one["metadata"]["name"] == "hive-collector"]
+    named = {
+        (one["metadata"]["namespace"], *rule["resources"], *rule["resourceNames"])
+        for one in roles
+        for rule in one["rules"]
+        if "resourceNames" in rule
+    }
+    places = ("lab", "students", "guests")
+    expected = {(place, "namespaces", place) for place in places}
+    assert named == expected | {(place, "cronjobs", "hive-collector") for place in places}
 
 
 def test_roles_are_bound_to_their_own_account(rendered: list[dict[str, Any]]) -> None:

@@ -52,6 +52,9 @@ def test_everything_set_arrives(helm: Any, tmp_path: Path) -> None:
     assert found.uid == 1000
     assert found.default_parallelism == 32
     assert found.metrics.run_name_label
+    assert found.passed_labels == ["kueue.x-k8s.io/", "example.org/team"]
+    assert not found.custom_evaluators
+    assert (found.output_limit, found.output_files) == ("2Gi", 5000)
     pods = found.pods
     assert pods.service_account_name == "hive-runs"
     assert pods.node_selector == {"pool": "runs"}

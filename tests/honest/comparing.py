@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the views show against what was reckoned: sentences on everything that differs."""
+"""Comparison of what the views show with what was computed apart: a sentence for each difference."""
 
 from __future__ import annotations
 

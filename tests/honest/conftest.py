@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the checker's modules are found."""
+"""Import path of the checker's modules."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ import tomllib
 from typing import TYPE_CHECKING
 
 import pytest
+from building.digests import unpinned
 from building.recipes import ROOT, Recipe, recipes
 from packaging.requirements import Requirement
 
@@ -32,10 +33,15 @@ def last_stage(recipe: Recipe) -> list[tuple[str, str]]:
     return found[start:]
 
 
+def test_bases_without_digest_are_few_and_used() -> None:
+    used = {recipe.default_base for recipe in RECIPES.values()}
+    assert set(unpinned()) <= used, "these have a digest, or nobody starts from them"
+
+
 def test_every_dockerfile_is_known() -> None:
     files = {path for folder in ("images", "tests/images") for path in (ROOT / folder).rglob("Dockerfile")}
     assert {recipe.dockerfile for recipe in RECIPES.values()} == files
-    assert {"slamhive", "evaluator", "kiss-icp", "shell-algorithm", "misbehaving"} <= set(RECIPES)
+    assert {"slamhive", "evaluator", "kiss-icp", "shell-algorithm"} <= set(RECIPES)
 
 
 @each
@@ -57,8 +63,10 @@ def test_it_starts_from_a_base_that_can_be_chosen(recipe: Recipe) -> None:
     assert found[0][1].startswith("BASE=")
     assert bases[0] == "${BASE}"
     assert set(bases[1:]) <= stages
-    assert re.fullmatch(r"[a-z/]+:[\w.-]+", recipe.default_base)
-    assert not recipe.default_base.endswith(":latest")
+    name, _, digest = recipe.default_base.partition("@")
+    assert re.fullmatch(r"[a-z/]+:[\w.-]+", name)
+    assert not name.endswith(":latest")
+    assert re.fullmatch(r"sha256:[0-9a-f]{64}", digest) or unpinned().get(name), f"{name} has no digest"
 
 
 @each
@@ -123,11 +131,36 @@ def test_an_algorithm_s_image_is_the_one_that_it_declares(name: str) -> None:
         assert ("CMD", f"[{command}]") in stage
 
 
+PINNED = [ROOT / "constraints.txt", ROOT / "images" / "hatchling.txt"]
+PINNED += sorted(path for path in (ROOT / "images").rglob("requirements.txt") if not path.is_symlink())
+HASHES = r"( \\\n    --hash=sha256:[0-9a-f]{64})+"
+PIN = re.compile(rf"(?P<name>[\w.-]+)==(?P<version>[\w.]+)( ; [^\\\n]+)?{HASHES}\n")
+
+
 def pinned(path: Path) -> dict[str, str]:
-    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
-    assert [line for line in lines if not re.fullmatch(r"[\w.-]+==[\w.]+", line)] == []
-    pairs = (line.split("==") for line in lines)
-    return {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in pairs}
+    """Return the versions of a file in which each package has hashes and nothing else stands."""
+    text = re.sub(r"^#.*\n", "", path.read_text(), flags=re.MULTILINE)
+    assert PIN.sub("", text) == ""
+    return {found["name"]: found["version"] for found in PIN.finditer(text)}
+
+
+@pytest.mark.parametrize("path", PINNED, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_every_package_has_its_hashes(path: Path) -> None:
+    assert pinned(path)
+
+
+@each
+def test_packages_are_wheels_whose_hashes_are_known(recipe: Recipe) -> None:
+    text = " ".join(value for word, value in instructions(recipe) if word == "RUN")
+    for command in re.findall(r"/pip/bin/pip [^&;]*\binstall\b[^&;]*", text):
+        assert "--no-index" in command or {"--require-hashes", "--only-binary"} <= set(command.split())
+
+
+def test_the_project_is_installed_with_hashes_alone() -> None:
+    commands = re.findall(r"-m pip install (.*)", (ROOT / "Makefile").read_text())
+    assert commands
+    for command in commands:
+        assert "--no-index --no-deps" in command or "--require-hashes --only-binary :all:" in command
 
 
 @pytest.mark.parametrize(
@@ -140,9 +173,11 @@ def pinned(path: Path) -> dict[str, str]:
 def test_the_pins_are_what_the_project_asks_for(
     image: str, extras: tuple[str, ...], alone: set[str] | None
 ) -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    optional = project["optional-dependencies"]
-    wanted = project["dependencies"] + [line for extra in extras for line in optional[extra]]
+    own = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    evaluator = tomllib.loads((ROOT / "evaluator" / "pyproject.toml").read_text())
+    optional = own["project"]["optional-dependencies"]
+    wanted = own["tool"]["hatch"]["metadata"]["hooks"]["custom"]["dependencies"]
+    wanted += evaluator["project"]["dependencies"] + [line for extra in extras for line in optional[extra]]
     versions = pinned(ROOT / "images" / image / "requirements.txt")
     for requirement in map(Requirement, wanted):
         if alone is None or requirement.name in alone:

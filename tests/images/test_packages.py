@@ -10,8 +10,6 @@ from building import packages
 from building.packages import Package
 from building.recipes import recipes
 from building.tools import Image
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
 
 IMAGE = Image("sha256:" + "ab" * 32, 1, {})
 STATUS = b"""\
@@ -59,6 +57,9 @@ def test_only_what_tells_of_packages_is_read() -> None:
 
 
 def test_the_document_is_valid_and_names_what_is_in_the_image() -> None:
+    from cyclonedx.schema import SchemaVersion  # takes two seconds
+    from cyclonedx.validation.json import JsonStrictValidator
+
     found, distribution = packages.read(FILES.items())
     text = packages.document(recipes()["evaluator"], IMAGE, found, distribution)
     assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(text) is None
@@ -72,6 +73,9 @@ def test_the_document_is_valid_and_names_what_is_in_the_image() -> None:
 
 
 def test_every_algorithm_has_a_licence_that_the_document_takes() -> None:
+    from cyclonedx.schema import SchemaVersion  # takes two seconds
+    from cyclonedx.validation.json import JsonStrictValidator
+
     for recipe in recipes().values():
         text = packages.document(recipe, IMAGE, [], "debian-12")
         assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(text) is None, recipe.name

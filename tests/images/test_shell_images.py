@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The algorithm in shell and the misbehaving one, run as programs of this machine."""
+"""The algorithm in shell, run as a program of this machine."""
 
 from __future__ import annotations
 
 import os
-import re
 import shutil
-import stat
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,6 @@ from slamhive.model.loading import load_file
 
 HERE = Path(__file__).parent
 RECKONING = HERE / "shell-algorithm" / "dead-reckoning"
-MISBEHAVE = HERE / "misbehaving" / "misbehave"
 
 pytestmark = pytest.mark.skipif(
     not all(map(shutil.which, ("sh", "awk", "od", "perl"))), reason="needs sh, awk, od and perl"
@@ -68,7 +65,7 @@ def configure(folder: Path, **changes: Any) -> None:
             "recording": {"format": "Rosbag1", "path": "dataset/recording.bag"},
         },
         "sensors": {"imu": {"topic": "/imu"}, "lidar": {"topic": "/points", "T_body_sensor": [[1.0], [0.0]]}},
-        "parameters": {"mode": "crash", "speed": 1.5, **changes},
+        "parameters": {"speed": 1.5, **changes},
         "input": {"mode": "other"},
     }
     (folder / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
@@ -109,62 +106,5 @@ def test_the_shell_algorithm_ends_with_a_sentence(folder: Path, spoil: Any, sent
     assert sentence in result.stderr.splitlines()[-1]
 
 
-def test_the_manifests_are_of_the_language() -> None:
+def test_the_manifest_is_of_the_language() -> None:
     assert spec("shell-algorithm").local is None
-    modes = spec("misbehaving").parameters["mode"].values
-    assert len(modes) >= 10
-    assert set(modes) == set(re.findall(r"^([a-z-]+)\)", MISBEHAVE.read_text(), re.MULTILINE))
-
-
-@pytest.mark.parametrize(
-    ("mode", "code", "last"),
-    [
-        ("crash", 3, "the voxel map is empty"),
-        ("segfault", -11, ""),
-        ("outside", 6, "wrote to config.yaml"),
-        ("nothing", 0, ""),
-        ("no-trajectory", 0, ""),
-        ("unheard-of", 2, "config.yaml names no mode of misbehaving, but 'unheard-of'"),
-    ],
-)
-def test_misbehaving_ends_as_its_mode_says(folder: Path, mode: str, code: int, last: str) -> None:
-    configure(folder, mode=mode)
-    result = run(MISBEHAVE, folder)
-    assert result.returncode == code
-    assert result.stderr.strip().endswith(last)
-    assert not (folder / "output" / "trajectory.txt").exists()
-
-
-@pytest.mark.parametrize(
-    ("mode", "kind"),
-    [
-        ("not-a-number", stat.S_ISREG),
-        ("garbage", stat.S_ISREG),
-        ("endless-line", stat.S_ISREG),
-        ("vast-trajectory", stat.S_ISREG),
-        ("link", stat.S_ISLNK),
-        ("fifo", stat.S_ISFIFO),
-        ("folder", stat.S_ISDIR),
-    ],
-)
-def test_misbehaving_leaves_what_its_mode_says(folder: Path, mode: str, kind: Any) -> None:
-    configure(folder, mode=mode)
-    assert run(MISBEHAVE, folder).returncode == 0
-    assert kind((folder / "output" / "trajectory.txt").lstat().st_mode)
-
-
-def test_misbehaving_goes_deaf(folder: Path) -> None:
-    configure(folder, mode="deaf")
-    with subprocess.Popen(
-        ["sh", MISBEHAVE],
-        env={"SLAMHIVE_RUN": str(folder), "PATH": os.environ["PATH"]},
-        start_new_session=True,
-    ) as process:
-        ignored = 0
-        while not ignored:
-            text = Path(f"/proc/{process.pid}/status").read_text()
-            ignored = int(re.findall(r"^SigIgn:\s*(\w+)", text, re.MULTILINE)[0], 16) & (1 << 14)
-        process.terminate()
-        with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(0.3)
-        os.killpg(process.pid, 9)

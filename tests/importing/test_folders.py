@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an import makes of folders that are right, wrong, equal, or there already."""
+"""Tests of imports from folders that are right, wrong, equal, or already there."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Programs of Jobs as real processes on folders like the volumes of their pods."""
+"""Programs of Jobs as processes on folders like the volumes of their pods."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+sys.path.append(str(Path(__file__).parents[1] / "faults"))
+
+from forking import Forks
+
+PROGRAMS = tuple(f"slamhive.jobs.{name}" for name in ("collect", "evaluate", "prepare", "read", "report"))
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
@@ -49,8 +54,9 @@ class Ended:
 class Pod:
     """A pod's volumes, and its program."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, forks: Forks) -> None:
         self.root = root
+        self._forks = forks
         for folder in ("data/datasets", "results/runs", "output", "request", "groundtruth"):
             (root / folder).mkdir(parents=True)
 
@@ -58,24 +64,50 @@ class Pod:
         (self.root / "request" / "request.json").write_text(json.dumps(request))
 
     def start(self, program: str, *options: str, log: str = "termination-log", **popen: Any) -> Any:
-        environment = os.environ | {"SLAMHIVE_TERMINATION_LOG": str(self.root / log)}
+        """Start a program as its pod does."""
+        environment = self._environment(log)
         command = [sys.executable, "-P", "-m", f"slamhive.jobs.{program}", "--root", str(self.root), *options]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         return subprocess.Popen(command, env=environment, cwd=self.root, **pipes, **popen)
+
+    def _environment(self, log: str) -> dict[str, str]:
+        return os.environ | {"SLAMHIVE_TERMINATION_LOG": str(self.root / log)}
 
     def end(self, process: Any, log: str = "termination-log") -> Ended:
         stdout, stderr = process.communicate(timeout=120)
         return Ended(process.returncode, stdout, stderr, (self.root / log).read_text())
 
     def run(self, program: str, *options: str, request: Any = None, **popen: Any) -> Ended:
+        """Run a program to its end, in a fork unless something of its process is asked for."""
         if request is not None:
             self.ask(request)
-        return self.end(self.start(program, *options, **popen))
+        if popen:
+            return self.end(self.start(program, *options, **popen))
+        out, err = self.root.with_name("out"), self.root.with_name("err")
+        code = self._forks.call(
+            module=f"slamhive.jobs.{program}",
+            function="main",
+            arguments=(),
+            words=("--root", str(self.root), *options),
+            env=self._environment("termination-log"),
+            cwd=str(self.root),
+            out=str(out),
+            err=str(err),
+        )
+        return Ended(code, out.read_text(), err.read_text(), (self.root / "termination-log").read_text())
+
+
+@pytest.fixture(scope="session")
+def forks() -> Iterator[Forks]:
+    """What forks programs: it takes a second of CPU to import what they need."""
+    found = Forks(PROGRAMS, dict(os.environ))
+    yield found
+    found.close()
 
 
 @pytest.fixture
-def pod(tmp_path: Path) -> Pod:
-    return Pod(tmp_path / "slamhive")
+def pod(tmp_path: Path, forks: Forks) -> Pod:
+    return Pod(tmp_path / "slamhive", forks)
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -23,6 +24,7 @@ from slamhive.jobs.lines import decode
 from slamhive.jobs.requests import RunItem
 from slamhive.kube.reports import read_description
 from slamhive.local.catalog import Workshop
+from slamhive.local.evaluating import Evaluator
 from slamhive.local.workbench import Workbench
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
@@ -33,6 +35,7 @@ from slamhive_eval import read_kitti, read_tum, write_tum
 if TYPE_CHECKING:
     from slamhive.local.home import Home
 
+ROOT = Path(__file__).parents[2]
 SETTINGS = {
     "rpe": [{"delta": 1, "unit": "m"}, {"delta": 5, "unit": "s", "pairs": "Consecutive"}],
     "association": {"maxDifference": "20ms"},
@@ -191,7 +194,7 @@ def on_the_workstation(home: Home, algorithm: Algorithm, dataset: Dataset, folde
             variant = bench.prepare(spec | {"sensors": "lidar"}, lidar)
             variant = replace(variant, start_time=window[0], duration_seconds=window[1] - window[0])
             settings = EvaluationSettings.model_validate(SETTINGS)
-            result = bench.evaluator.measure_file(estimate, spec, settings, variant)
+            result = Evaluator(bench).measure_file(estimate, spec, settings, variant)
         assert result is not None
         return json.loads(json.dumps(result.as_json()))
 
@@ -357,6 +360,23 @@ def test_links_lead_to_the_runs_folders(pod: Any, walked: str) -> None:
     assert found["run-1"].resolve() == Path(
         pod.root.resolve(), "results", runs[0]["folder"], "output/trajectory.txt"
     )
+
+
+def test_the_documented_evaluator_measures(pod: Any, walked: str) -> None:
+    """The example of docs/develop/adding.md, between what is laid out for it and what is told of it."""
+    document = (ROOT / "docs" / "develop" / "adding.md").read_text()
+    (script,) = re.findall(r"^```python\n# end_error.py\n(.*?)^```$", document, re.MULTILINE | re.DOTALL)
+    late = walked.rstrip().splitlines()
+    stamp, x, *rest = late[-1].split()
+    late[-1] = " ".join([stamp, str(float(x) + 0.25), *rest])
+    runs = [put_run(pod, number, text) for number, text in enumerate([walked, "\n".join(late), ""], 1)]
+    request = {"evaluation": "ends", "settings": {}, "runs": runs}
+    assert pod.run("evaluate", "--links", request=request).code == 0
+    subprocess.run([sys.executable, "-c", script], check=True, env=os.environ | {"ROOT": str(pod.root)})
+    first, second, third = decode(pod.run("report").stdout).records.values()
+    assert first["result"]["values"] == {"endErrorMetres": 0.0}
+    assert second["result"]["values"]["endErrorMetres"] == pytest.approx(0.25)
+    assert "index out of range" in third["error"]
 
 
 @pytest.mark.parametrize("change", [{"name": "../x"}, {"name": "a/b"}, {"folder": "../../etc"}])

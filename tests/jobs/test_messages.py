@@ -69,6 +69,7 @@ def test_seven_sensors_fit_with_all_their_digits() -> None:
     for role, view in given["sensors"].items():
         assert found.sensors[role].T_body_sensor == view["T_body_sensor"]
     assert found.T_body_frame == given["T_body_frame"]
+    assert found.gravity_aligned
     assert (found.start_time, found.duration_seconds) == (1403636579.763556, 181.91234567891)
 
 

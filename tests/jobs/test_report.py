@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What other evaluators write, and what a monitor left, told to the operator."""
+"""Tests of the Jobs that report to the operator what other evaluators wrote and what a monitor left."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a pod hands out of run folders: regular files alone, whole or from an offset on."""
+"""Tests of the pod that sends files of run folders: regular files alone, whole or from an offset on."""
 
 from __future__ import annotations
 

@@ -7,13 +7,20 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from testcluster.kept import RUN, Cluster, catalogued, standing
 
 from slamhive.archive import Archive
+from slamhive.kube.kinds import Kind
+from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.reconciling.archiving import at_its_end
-from slamhive.kube.reconciling.records import record_of
 from slamhive.kube.reconciling.sweep_runs import Tally
+from slamhive.kube.records import record_of
+from slamhive.kube.status import iso
+from slamhive.model.errors import InputError, SlamHiveError, SystemFault
+from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 RESULT = {"evaluation": "SE3", "outcome": "Tracked", "coverage": 1.0, "ate": {"rmse": 0.25}}
@@ -40,4 +47,134 @@ async def test_what_another_operator_measured_and_removed_counts(tmp_path: Path,
         tally = Tally()
         tally.add(await at_its_end(op, seen))
     measured = known in {"with its result", "without"}
-    assert (tally.evaluated, [item["ate"] for item in tally.best]) == ((1, [0.25]) if measured else (0, []))
+    assert (tally.evaluated, [item.ate for item in tally.best]) == ((1, [0.25]) if measured else (0, []))
+
+
+def test_a_status_of_another_version_costs_what_can_t_be_read_of_it() -> None:
+    known = record_of(a_run(results=[RESULT], attempts=2))
+    later = {"frames": {"offered": 7, "skipped": 1}, "reason": "Levitated", "display": "figures"}
+    record = record_of(a_run(results=[{"evaluation": "odd"}, RESULT], attempts=2, **later))
+    assert record.frames is not None
+    assert record.frames.offered == 7
+    assert record.replace(frames=None) == known
+    assert record_of(a_run(phase="Levitating")).phase is Phase.PENDING
+
+
+class Switched:
+    """An archive that can be made not to answer.
+
+    Attributes:
+        error: what it says to everything; None: it answers.
+    """
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self.error: SlamHiveError | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        def method(*words: Any, **options: Any) -> Any:
+            if self.error is not None:
+                raise self.error
+            return getattr(self._archive, name)(*words, **options)
+
+        return method
+
+
+POINTS, WINDOW, RETENTION = 60, 4, 3
+
+
+@pytest.fixture
+def switched(tmp_path: Path) -> Iterator[Switched]:
+    with Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}") as archive:
+        yield Switched(archive)
+
+
+@pytest.fixture
+async def cluster(switched: Switched) -> Cluster:
+    made = catalogued()
+    made.op.archive = switched  # type: ignore[assignment]
+    made.op.cluster = "cluster-1"
+    return made
+
+
+def a_sweep(cluster: Cluster) -> Any:
+    spec = {"template": {"spec": RUN}, "repetitions": POINTS, "parallelism": WINDOW}
+    return cluster.apply(Kind.SWEEP, "big", spec | {"retention": {"runs": RETENTION}})
+
+
+def runs_of(cluster: Cluster) -> list[Any]:
+    return [key for key in cluster.objects if key.kind is Kind.MAPPING_RUN]
+
+
+async def go_on(cluster: Cluster, key: Any, looks: int) -> Any:
+    """Let every run that was started end at once."""
+    status: Any = {}
+    for _ in range(looks):
+        status = await cluster.look(key, 11)
+        for run in runs_of(cluster):
+            body = cluster.objects[run]
+            if not body["status"]:
+                done = {"phase": "Succeeded", "completionTime": iso(cluster.now)}
+                cluster.objects[run] = cluster._made(body | {"status": done})
+                cluster.op.observe(Kind.MAPPING_RUN, "MODIFIED", cluster.objects[run])
+    return status
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        SystemFault("archive db: connection refused"),
+        InputError("archive db: written by a newer slamhive (schema 9; this one knows up to 3)"),
+    ],
+)
+async def test_an_archive_that_is_away_stops_new_runs_before_they_fill_the_cluster(
+    cluster: Cluster, switched: Switched, error: SlamHiveError
+) -> None:
+    key = a_sweep(cluster)
+    await go_on(cluster, key, 3)
+    switched.error = error
+    status = await go_on(cluster, key, 30)
+    assert len(runs_of(cluster)) <= RETENTION + 2 * WINDOW
+    assert status["pending"] > POINTS // 2
+    assert standing(status, "ArchiveUnavailable") == ("True", "NoAnswer", str(error))
+    assert cluster.told["big", "ArchiveUnavailable"] == str(error)
+    assert cluster.op.queue.delayed == 1
+    switched.error = None
+    status = await go_on(cluster, key, 60)
+    assert standing(status, "ArchiveUnavailable")[0] == "False"
+    assert (status["phase"], status["progress"]) == ("Complete", f"{POINTS}/{POINTS}")
+    assert len(runs_of(cluster)) == RETENTION
+    assert switched.count() == POINTS - RETENTION
+    assert {(one.cluster, one.namespace) for one in switched.runs()} == {("cluster-1", "lab")}
+    assert [one.cluster for one in switched.sweeps()] == ["cluster-1"]
+
+
+async def test_an_archive_that_is_away_at_the_start_is_told_and_waited_for(
+    cluster: Cluster, switched: Switched
+) -> None:
+    key = a_sweep(cluster)
+    switched.error = SystemFault("archive db: connection refused")
+    status = await go_on(cluster, key, 3)
+    assert standing(status, "ArchiveUnavailable")[0] == "True"
+    assert "Accepted" not in {item["type"] for item in status["conditions"]}
+    assert runs_of(cluster) == []
+    switched.error = None
+    status = await go_on(cluster, key, 5)
+    assert standing(status, "ArchiveUnavailable")[0] == "False"
+    assert runs_of(cluster)
+
+
+async def test_an_operator_that_comes_anew_to_an_absent_archive_starts_nothing(
+    cluster: Cluster, switched: Switched
+) -> None:
+    key = a_sweep(cluster)
+    await go_on(cluster, key, 3)
+    before = len(runs_of(cluster))
+    cluster.op._reconcilers = dict(reconcilers())
+    switched.error = SystemFault("archive db: connection refused")
+    status = await go_on(cluster, key, 5)
+    assert len(runs_of(cluster)) == before
+    assert standing(status, "ArchiveUnavailable")[0] == "True"
+    switched.error = None
+    status = await go_on(cluster, key, 60)
+    assert (status["phase"], status["progress"]) == ("Complete", f"{POINTS}/{POINTS}")

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording can't give: refused by the operator, told truly of runs of a Sweep, and run once."""
+"""Tests of options that a recording can't satisfy.
+
+The operator refuses them, records them for the runs of a Sweep, and runs equal runs once.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,12 @@ from slamhive.kube.kinds import Key, Kind, key_of
 from slamhive.kube.observing import Attempted
 from slamhive.kube.operator import Operator
 from slamhive.kube.reconciling.catalogue import Catalogue, parse
-from slamhive.kube.reconciling.finishing import provenance, twin_fields
-from slamhive.kube.reconciling.records import record_of
 from slamhive.kube.reconciling.reuse import Twins
-from slamhive.kube.reconciling.run import RunFacts, RunReconciler
+from slamhive.kube.reconciling.run import RunReconciler
+from slamhive.kube.reconciling.run_status import RunFacts, provenance, reused_fields
 from slamhive.kube.reconciling.sweep import SweepReconciler
 from slamhive.kube.reconciling.variants import VariantSeen, Wanted
+from slamhive.kube.records import record_of
 from slamhive.kube.settings import Settings
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
@@ -191,7 +194,7 @@ async def test_a_sweep_over_several_recordings_runs_what_comes_out_equal_once(
     assert standing == "True"
     assert message.splitlines() == [
         "input.frameRate: 15 Hz is asked, slow's lidar has 10 Hz; runs as 10",
-        "1 of 4 runs ask for what others have: run once",
+        "1 of 4 runs are equal to others and are not run again",
     ]
 
 
@@ -225,12 +228,12 @@ def test_a_runs_record_tells_what_was_asked_and_what_it_was_given(*, reused: boo
     run["spec"]["input"]["duration"] = "1m"
     run["metadata"]["annotations"] = {"slamhive.io/asked": '{"frameRate": 30}'}
     known = facts(run, DESCRIPTION)
-    told = provenance(known.attempted, known, algorithm_hash="a" * 64, content_hash="c" * 64)
+    told = provenance(known.attempted, known, algorithm_hash="a" * 64, content_hash="c" * 64).as_json()
     if reused:
         other = record_of(
             a_run(10) | {"status": {"phase": "Succeeded", "provenance": told | {"asked": {"rate": 2}}}}
         )
-        told = twin_fields(other, known)["provenance"]
+        told = reused_fields(other, known, []).as_json()["provenance"]
         assert told["reusedFrom"] == "one"
     assert told["asked"] == {"frameRate": 30, "duration": "1m"}
     assert told["effective"] == {"frameRate": 10, "duration": "9s900ms"}

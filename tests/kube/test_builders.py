@@ -30,6 +30,7 @@ from slamhive.kube.builders import (
     variant_job,
     variant_name,
 )
+from slamhive.kube.builders.common import passed_on
 from slamhive.kube.settings import Settings
 from slamhive.model.algorithm import TEXT_LIMIT, Algorithm
 from slamhive.model.dataset import Dataset
@@ -268,8 +269,18 @@ def test_a_generated_world_is_level_whether_its_dataset_says_so_or_not() -> None
     assert view.dataset.gravity_aligned
 
 
-def test_queues_labels_are_handed_on_and_ours_are_not_replaced() -> None:
+@pytest.mark.parametrize("name", JOBS)
+def test_every_pod_gets_the_runtime_class(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them run images or read data that others brought."""
+    made = settings
+    monkeypatch.setitem(globals(), "settings", lambda **pods: made(**pods | {"runtimeClassName": "gvisor"}))
+    assert JOBS[name]()["spec"]["template"]["spec"]["runtimeClassName"] == "gvisor"
+
+
+def test_queues_labels_are_handed_on_and_no_others() -> None:
     labels = {
+        "app": "payments",
+        "azure.workload.identity/use": "true",
         "kueue.x-k8s.io/queue-name": "q",
         "slamhive.io/role": "prepare",
         "slamhive.io/slot": "1",
@@ -281,7 +292,9 @@ def test_queues_labels_are_handed_on_and_ours_are_not_replaced() -> None:
         "kubectl.kubernetes.io/last-applied-configuration": "{}",
         "slamhive.io/configuration": "mine",
         "container.apparmor.security.beta.kubernetes.io/algorithm": "unconfined",
-        "example.org/team": "a",
+        "kueue.x-k8s.io/job-uid": "a",
+        "k8s.v1.cni.cncf.io/networks": "host-net",
+        "vault.hashicorp.com/agent-inject": "true",
     }
     job = built(run(labels=labels, annotations=annotations))
     for metadata in (job["metadata"], job["spec"]["template"]["metadata"]):
@@ -289,10 +302,11 @@ def test_queues_labels_are_handed_on_and_ours_are_not_replaced() -> None:
         assert metadata["labels"]["slamhive.io/role"] == "run"
         assert metadata["labels"]["slamhive.io/slot"] == "1"
         assert metadata["labels"]["app.kubernetes.io/managed-by"] == "slamhive"
-        assert not {"argocd.argoproj.io/instance", "job-name"} & metadata["labels"].keys()
-    assert job["metadata"]["annotations"] == {"example.org/team": "a"}
+        others = {"argocd.argoproj.io/instance", "job-name", "app", "azure.workload.identity/use"}
+        assert not others & metadata["labels"].keys()
+    assert job["metadata"]["annotations"] == {"kueue.x-k8s.io/job-uid": "a"}
     made = job["spec"]["template"]["metadata"]["annotations"]
-    assert made.keys() == {"example.org/team", "slamhive.io/configuration"}
+    assert made.keys() == {"kueue.x-k8s.io/job-uid", "slamhive.io/configuration"}
     assert made["slamhive.io/configuration"] != "mine"
 
 
@@ -323,7 +337,13 @@ def test_what_no_pod_can_be_made_of_is_refused(change: dict[str, Any], part: str
 
 def test_handed_on_annotations_are_to_leave_room_for_ours() -> None:
     with pytest.raises(InputError, match="the annotations have"):
-        built(run(annotations={"example.org/note": "x" * 256 * 1024}))
+        built(run(annotations={"kueue.x-k8s.io/note": "x" * 256 * 1024}))
+
+
+def test_what_is_handed_on_is_a_setting() -> None:
+    labels = {"example.org/team": "a", "example.org/teams": "b", "queue/x": "c", "queues/x": "d"}
+    allowed = settings().replace(passed_labels=["example.org/team", "queue/"])
+    assert passed_on(labels, allowed) == {"example.org/team": "a", "queue/x": "c"}
 
 
 @pytest.mark.parametrize("bad", ["../x", "a/b", "..", "", ".", "a b", "$(HOME)"])
@@ -390,7 +410,7 @@ def test_a_preparation_is_asked_for_what_matters() -> None:
     job = preparing()
     text = job["spec"]["template"]["metadata"]["annotations"]["slamhive.io/request"]
     request = json.loads(text)
-    assert request["input"] == {"frameRate": 5}
+    assert request["input"] == {"frameRate": 5, "resolution": 1.0, "remap": {}}
     assert Dataset.model_validate(request["dataset"]).spec == dataset().spec
     assert [asset["name"] for asset in request["assets"]] == ["weights/net.bin"]
     assert job["metadata"]["name"] == "prepare-v-0123"

@@ -93,6 +93,15 @@ async def test_get_sends_the_token_and_returns_plain_json(api: Api, script: Scri
     assert script.counted == [("get", "mappingruns.slamhive.io", "200")]
 
 
+@pytest.mark.parametrize(("status", "uid"), [(200, "u-1"), (403, None), (404, None)])
+async def test_a_cluster_is_told_by_its_own_namespace_where_that_may_be_seen(
+    api: Api, script: Script, status: int, uid: str | None
+) -> None:
+    script.say(status, {"metadata": {"name": "kube-system", "uid": "u-1"}})
+    assert await api.cluster_uid() == uid
+    assert script.asked == [("GET", "/api/v1/namespaces/kube-system", None)]
+
+
 CALLS: dict[str, Callable[[Api], Any]] = {
     "get": lambda api: api.get(RUN),
     "list": lambda api: api.list(Kind.MAPPING_RUN, "lab"),

@@ -7,13 +7,14 @@ import json
 from typing import Any
 
 import pytest
-from testcluster.kept import GRACE, RUN, Cluster, catalogued, standing
+from testcluster.kept import ALGORITHM, DATASET, GRACE, READY, RUN, Cluster, catalogued, standing
 
 from slamhive.jobs.lines import encode_all
 from slamhive.jobs.report import report
-from slamhive.jobs.requests import EvaluateRequest
+from slamhive.jobs.requests import EvaluateRequest, RunItem
 from slamhive.kube.errors import Forbidden, Invalid, ServerFault
 from slamhive.kube.kinds import Key, Kind, Label
+from slamhive.kube.records import NOT_EVALUABLE, record_of
 
 GOOD = {"outcome": "Tracked", "coverage": 1.0, "values": {"ate": {"rmse": 0.1}}}
 DONE = {"terminated": {"exitCode": 0, "reason": "Completed", "finishedAt": "2027-01-15T08:00:00Z"}}
@@ -74,6 +75,38 @@ async def taken(cluster: Cluster, log: str) -> tuple[dict[str, Any], dict[str, A
     [result] = cluster.objects[Key(Kind.MAPPING_RUN, "lab", "b")]["status"]["results"]
     assert result["ate"] == {"rmse": 0.1}
     return status, cluster.objects[Key(Kind.MAPPING_RUN, "lab", "a")]["status"]
+
+
+async def test_an_evaluator_of_others_is_refused_where_the_setting_says_so() -> None:
+    made = catalogued()
+    made.op.settings = made.op.settings.replace(custom_evaluators=False)
+    made.apply(Kind.MAPPING_RUN, "a", RUN, **finished("a"))
+    spec = {"runs": {"names": ["a"]}, "evaluator": {"image": "example.org/mine:1", "command": []}}
+    status = await made.look(made.apply(Kind.EVALUATION, "mine", spec))
+    assert standing(status, "Accepted")[0] == "False"
+    assert "'example.org/mine:1' is not run here" in standing(status, "Accepted")[2]
+    assert not [key for key in made.objects if key.kind is Kind.JOB]
+
+
+@pytest.mark.parametrize(
+    ("told", "declared", "level"),
+    [({"gravityAligned": True}, False, True), ({"gravityAligned": False}, True, False), ({}, True, True)],
+)
+async def test_the_evaluator_hears_what_the_preparation_said_of_gravity(
+    told: dict[str, Any], declared: bool, level: bool
+) -> None:
+    """Of a variant that an earlier version prepared the Dataset says it."""
+    made = catalogued(ALGORITHM | {"output": ALGORITHM["output"] | {"gravityAligned": True}})
+    key = Key(Kind.DATASET, "lab", "hall")
+    [variant] = made.objects[key]["status"]["variants"]
+    described = variant | {"name": "v", "description": READY | {"groundTruth": "poses"} | told}
+    made.apply(Kind.DATASET, "hall", DATASET | {"gravityAligned": declared}, variants=[described])
+    made.apply(Kind.MAPPING_RUN, "a", RUN, **finished("a"))
+    await made.look(made.apply(Kind.EVALUATION, "mine", {"runs": {"names": ["a"]}}), 100)
+    [job] = [body for key, body in made.objects.items() if key.kind is Kind.JOB]
+    noted = job["spec"]["template"]["metadata"]["annotations"]["slamhive.io/request"]
+    [item] = EvaluateRequest.model_validate(json.loads(noted)).runs
+    assert RunItem.model_validate(item).gravity_aligned is level
 
 
 WRONG = [
@@ -173,3 +206,32 @@ async def test_runs_whose_evaluators_pod_is_refused_are_given_up(cluster: Cluste
     status = await cluster.look(cluster.evaluation, GRACE)
     assert "a: its pod is refused: pods is forbidden: no such image" in standing(status, "Complete")[2]
     assert not [key for key in cluster.objects if key.kind is Kind.JOB]
+
+
+async def test_a_run_whose_trajectory_can_t_be_read_is_given_up_and_others_go_on(cluster: Cluster) -> None:
+    cluster.described()
+    key = cluster.apply(Kind.MAPPING_RUN, "a", RUN, **finished("a", trajectory={"later": 1}))
+    await cluster.look(cluster.evaluation, 100)
+    told = "its status does not say which file its trajectory is"
+    assert told in cluster.objects[key]["metadata"]["annotations"]["slamhive.io/not-evaluable"]
+    [job] = [body for found, body in cluster.objects.items() if found.kind is Kind.JOB]
+    assert job["metadata"]["annotations"]["slamhive.io/runs"] == "b"
+
+
+@pytest.mark.parametrize(
+    ("notes", "message"),
+    [
+        ({"": {"why": "it has 2 poses"}}, "not evaluated: it has 2 poses"),
+        ({"mine": {"why": "it has 2 poses"}}, None),
+        ({"": "it has 2 poses"}, None),
+        ("{", None),
+    ],
+    ids=["by its own settings", "by an Evaluation", "of another shape", "no JSON"],
+)
+def test_the_record_of_a_run_says_why_it_was_not_measured_as_a_workstation_s_does(
+    cluster: Cluster, notes: Any, message: str | None
+) -> None:
+    text = notes if isinstance(notes, str) else json.dumps(notes)
+    run = cluster.objects[Key(Kind.MAPPING_RUN, "lab", "a")]
+    run["metadata"]["annotations"] = {NOT_EVALUABLE: text}
+    assert record_of(run).message == message

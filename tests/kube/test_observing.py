@@ -43,6 +43,9 @@ DESCRIPTION = {
 }
 
 
+OK: str = PODS["ok"]["status"]["initContainerStatuses"][0]["state"]["terminated"]["message"]
+
+
 def job(*conditions: str, **spec: Any) -> dict[str, Any]:
     found = [{"type": kind, "status": "True"} for kind in conditions]
     labels = {"slamhive.io/attempt": "2"}
@@ -96,7 +99,11 @@ def seen(*pods: dict[str, Any], conditions: tuple[str, ...] = ()) -> Attempted:
             Reason.ALGORITHM_FAILED,
             'its program can\'t be started: "/etc": permission denied',
         ),
-        ("monitor-killed", Reason.ALGORITHM_FAILED, "exit code 5"),
+        (
+            "monitor-killed",
+            Reason.SYSTEM_FAULT,
+            "its monitor was ended while the algorithm ran: nobody knows what it did since",
+        ),
         ("silent", Reason.NO_TRAJECTORY, MISSING),
         ("poison", Reason.ALGORITHM_FAILED, 'exit code 2: "}{[ $(POD_UID) \\xff'),
         ("disk-full", Reason.OUTPUT_TOO_LARGE, 'Usage of EmptyDir volume "tmp" exceeds the limit "10Mi".'),
@@ -149,6 +156,7 @@ def test_what_keeps_a_pod_waiting_is_told(name: str, word: str, reason: Reason |
     assert attempted.state is AttemptState.RUNNING
     assert attempted.waiting_reason == word
     assert part in (attempted.waiting_message or "")
+    assert attempted.may_lack_variant == (name == "no-variant")
     waiting = attempted.waiting
     assert waiting is not None
     assert (waiting.end.reason if waiting.end else None) is reason
@@ -284,6 +292,47 @@ def test_what_the_monitor_did_not_tell_is_read(name: str, reason: Reason) -> Non
     assert read.end is not None
     assert read.report is not None
     assert read.end.reason is Reason.OUTPUT_TOO_LARGE
+
+
+@pytest.mark.parametrize("name", ["monitor", "player"])
+@pytest.mark.parametrize(
+    ("count", "died", "fault"),
+    [(1, "2026-11-21T15:12:19Z", True), (1, "2026-11-21T15:12:18Z", False), (0, None, False)],
+)
+def test_nothing_is_believed_of_who_died_while_the_algorithm_ran(
+    name: str, count: int, died: str | None, fault: bool
+) -> None:
+    """A report too may have been written by the algorithm then; before it began, nobody could."""
+    found = pod("ok")
+    statuses = found["status"]["initContainerStatuses"]
+    if name == "player":
+        statuses.append(copy.deepcopy(statuses[0]) | {"name": "player"})
+    statuses[-1] |= {"restartCount": count, "lastState": {"terminated": {"finishedAt": died}}}
+    attempted = seen(found)
+    assert attempted.end is not None
+    assert attempted.end.reason is (Reason.SYSTEM_FAULT if fault else None)
+    assert (attempted.report is None, attempted.needs_read) == (fault, False)
+
+
+@pytest.mark.parametrize(("seconds", "reason"), [(1, None), (600, Reason.SYSTEM_FAULT)])
+def test_an_algorithm_that_hid_from_its_monitor_has_no_result(seconds: int, reason: Reason | None) -> None:
+    found = with_report("ok", reason=None, startedAt=None, trajectory=json.loads(OK)["trajectory"])
+    state = found["status"]["containerStatuses"][0]["state"]["terminated"]
+    state["finishedAt"] = f"2026-11-21T15:{12 + seconds // 60}:20Z"
+    end = seen(found).end
+    assert end is not None
+    assert end.reason is reason
+
+
+def test_figures_that_are_doubted_are_said_so() -> None:
+    usage = {
+        "cpu": {"seconds": 0.1, "totalSeconds": 100},
+        "suspect": "its reader claims 99% of its CPU seconds",
+    }
+    found = with_report("ok", usage=usage, trajectory=json.loads(OK)["trajectory"])
+    end = seen(found).end
+    assert end is not None
+    assert end.remark == "UsageSuspect: its reader claims 99% of its CPU seconds"
 
 
 def test_the_words_of_a_monitor_that_failed_are_kept() -> None:

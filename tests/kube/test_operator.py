@@ -14,7 +14,10 @@ from slamhive.kube.errors import Conflict, Forbidden, Invalid, NotFound, ServerF
 from slamhive.kube.kinds import OUR_KINDS, Key, Kind, Label, key_of
 from slamhive.kube.operator import SLOW_RETRY_SECONDS, Operator
 from slamhive.kube.settings import Settings
+from slamhive.kube.status import condition
 from slamhive.model.errors import InputError
+from slamhive.model.results import Phase
+from slamhive.model.status import MappingRunStatus
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable
@@ -58,6 +61,9 @@ class FakeApi:
         self.version += 1
         return self.version
 
+    async def cluster_uid(self) -> str | None:
+        return "cluster-1"
+
     async def served(self, group: str, version: str) -> frozenset[str]:
         return self.plurals
 
@@ -87,8 +93,16 @@ class FakeApi:
         if key not in self.objects:
             raise NotFound("not there")
         present = self.objects[key]
-        metadata = present["metadata"] | {"resourceVersion": str(version)}
-        self.objects[key] = present | body | {"metadata": metadata}
+        asked = dict(body.get("metadata", {}))
+        if (
+            asked.get("resourceVersion", present["metadata"]["resourceVersion"])
+            != (present["metadata"]["resourceVersion"])
+        ):
+            raise Conflict("the object has been modified")
+        metadata = present["metadata"] | asked | {"resourceVersion": str(version)}
+        status = present["status"] | body.get("status", {})
+        status = {name: value for name, value in status.items() if value is not None}
+        self.objects[key] = present | body | {"metadata": metadata, "status": status}
         return self.objects[key]
 
     async def delete(self, key: Key, *, uid: str | None, **options: Any) -> None:
@@ -137,7 +151,7 @@ async def op(api: FakeApi, toy: Toy) -> AsyncIterator[Operator]:
 
 
 async def settle(op: Operator) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(50):
         while len(op.queue) or op.queue.active:  # noqa: ASYNC110 - the workers take turns with us
             await asyncio.sleep(0)
 
@@ -206,6 +220,50 @@ async def test_own_writes_enter_the_store_and_bring_others_but_not_oneself(op: O
     assert toy.seen == [str(KEY), "Sweep lab/s"]
 
 
+async def test_what_others_wrote_brings_oneself_when_it_is_read_anew(
+    op: Operator, api: FakeApi, toy: Toy
+) -> None:
+    """Its reconciler decided by the older version, and the watch will have nothing new to tell."""
+    await op.start()
+    api.have(RUN, thing(version=50, phase="Changed"))
+    versions: list[str] = []
+
+    async def read_anew(op: Operator, key: Key) -> None:
+        decided_by = op.store.get(key)
+        assert decided_by is not None
+        versions.append(decided_by["metadata"]["resourceVersion"])
+        await op.refresh(key)
+
+    toy.act = read_anew
+    op.observe(RUN, "ADDED", thing(version=5))
+    await settle(op)
+    assert versions == ["5", "50"]
+
+
+async def test_what_is_being_created_is_known_until_it_is_there(
+    op: Operator, api: FakeApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or two workers would each find the last room for a preparation."""
+    begun, answered = asyncio.Event(), asyncio.Event()
+    create = api.create
+
+    async def slowly(*words: Any) -> dict[str, Any]:
+        begun.set()
+        await answered.wait()
+        return await create(*words)
+
+    monkeypatch.setattr(api, "create", slowly)
+    where = (Kind.JOB, "lab", str(Label.ROLE))
+    body = {"metadata": {"name": "job", "namespace": "lab", "labels": {str(Label.ROLE): "prepare"}}}
+    creating = asyncio.create_task(op.create(Kind.JOB, body))
+    await begun.wait()
+    assert op.being_created(*where, "prepare") == [body]
+    assert op.being_created(*where, "run") == []
+    answered.set()
+    await creating
+    assert op.being_created(*where, "prepare") == []
+
+
 async def test_the_watch_s_echo_of_an_own_write_is_no_news(op: Operator, api: FakeApi, toy: Toy) -> None:
     await op.start()
     api.have(RUN, thing(version=5))
@@ -236,6 +294,69 @@ async def test_a_conflict_is_solved_by_reading_anew(op: Operator, api: FakeApi) 
     api.objects.clear()
     assert await op.refresh(KEY) is None
     assert op.store.get(KEY) is None
+
+
+async def test_a_status_is_written_for_the_version_that_was_seen(op: Operator, api: FakeApi) -> None:
+    seen = thing(version=5, phase="Running")
+    op.observe(RUN, "ADDED", seen)
+    api.have(RUN, thing(version=6, phase="Succeeded"))
+    with pytest.raises(Conflict):
+        await op.write_status(RUN, seen, MappingRunStatus(phase=Phase.FAILED))
+    assert api.objects[KEY]["status"] == {"phase": "Succeeded"}
+
+
+async def test_a_status_is_written_where_it_changes_and_keeps_what_others_wrote(
+    op: Operator, api: FakeApi
+) -> None:
+    theirs = condition("Theirs", True, "Known") | {"lastTransitionTime": "2026-01-02T03:04:05Z"}
+    seen = thing(version=5, phase="Running")
+    seen["status"] |= {"reason": "Odd", "later": {"x": 1}, "conditions": [theirs]}
+    api.have(RUN, seen)
+    told = [condition("Accepted", True, "Accepted")]
+    answer = await op.write_status(RUN, seen, MappingRunStatus(phase=Phase.RUNNING, reason=None), told)
+    assert answer is not None
+    assert answer == op.store.get(KEY)
+    assert {name: answer["status"][name] for name in ("phase", "later")} == {
+        "phase": "Running",
+        "later": {"x": 1},
+    }
+    assert "reason" not in answer["status"]
+    assert [item["type"] for item in answer["status"]["conditions"]] == ["Theirs", "Accepted"]
+    written = api.version
+    assert (
+        await op.write_status(RUN, answer, MappingRunStatus(phase=Phase.RUNNING, reason=None), told) is None
+    )
+    assert api.version == written
+
+
+async def test_amending_starts_from_the_newest_version(op: Operator, api: FakeApi) -> None:
+    op.observe(RUN, "ADDED", thing(version=5))
+    api.have(RUN, thing(version=6, phase="Succeeded"))
+
+    def change(seen: dict[str, Any]) -> dict[str, Any]:
+        return {"status": {"message": f"was {seen['status'].get('phase')}"}}
+
+    await op.amend(KEY, "uid-demo", change, subresource="status")
+    assert api.objects[KEY]["status"] == {"phase": "Succeeded", "message": "was Succeeded"}
+    assert await op.amend(KEY, "uid-of-another", change, subresource="status") is None
+    api.errors = [Conflict("newer"), *[ServerFault("down")]]
+    with pytest.raises(ServerFault):
+        await op.amend(KEY, "uid-demo", change, subresource="status")
+    api.objects.clear()
+    assert await op.amend(KEY, "uid-demo", change, subresource="status") is None
+    assert op.store.get(KEY) is None
+
+
+async def test_what_keeps_changing_is_tried_again_later(op: Operator, api: FakeApi) -> None:
+    op.observe(RUN, "ADDED", thing(version=5))
+    api.have(RUN, thing(version=5))
+
+    async def overtaken(key: Key, body: dict[str, Any], **_: Any) -> dict[str, Any]:
+        raise Conflict("newer")
+
+    api.patch = overtaken  # type: ignore[method-assign]
+    with pytest.raises(Conflict, match="keeps changing"):
+        await op.amend(KEY, "uid-demo", lambda _: {"status": {"phase": "x"}}, subresource="status")
 
 
 async def test_delete_means_the_very_object_in_the_store(op: Operator, api: FakeApi) -> None:
@@ -415,7 +536,7 @@ async def test_a_server_that_is_not_up_yet_is_waited_for(api: FakeApi, toy: Toy)
 async def test_sweeps_are_woken_when_live_figures_are_missing(op: Operator, api: FakeApi, toy: Toy) -> None:
     api.have(Kind.SWEEP, thing("s"))
     await op.start()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(50):
         while op.usage.available is None:  # noqa: ASYNC110 - its task takes turns with us
             await asyncio.sleep(0)
     await settle(op)
@@ -446,6 +567,6 @@ async def test_a_part_that_breaks_is_noticed(op: Operator, monkeypatch: pytest.M
     monkeypatch.setattr(op, "handle", broken)
     op.observe(RUN, "ADDED", thing(version=5))
     await op.start()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(50):
         await op.broken.wait()
     assert op.failed_tasks == ["worker-0"]

@@ -10,26 +10,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive.engine import PointState
-from slamhive.kube.reconciling.points import decode, encode
+from slamhive.kube.reconciling.sweep_runs import decode_points, encode_points
+from slamhive.model.status import SweepStatus
 from slamhive.model.sweep import MAX_POINTS
 
 
 @given(st.lists(st.sampled_from(list(PointState)), max_size=50))
 def test_states_come_back(states: list[PointState]) -> None:
-    assert decode(encode(bytes(states)), len(states)) == bytes(states)
+    assert decode_points(encode_points(bytes(states)), len(states)) == bytes(states)
 
 
 def test_the_first_point_has_the_lowest_bits() -> None:
-    assert base64.b64decode(encode(bytes([3, 0, 0, 0, 1]))) == bytes([0b11, 0b01])
+    assert base64.b64decode(encode_points(bytes([3, 0, 0, 0, 1]))) == bytes([0b11, 0b01])
 
 
 @pytest.mark.parametrize("text", [None, "", "no base64!"])
 def test_what_is_not_said_is_pending(text: str | None) -> None:
-    assert decode(text, 3) == bytes(3)
+    assert decode_points(text, 3) == bytes(3)
 
 
 def test_the_largest_sweep_fits_its_field() -> None:
-    from slamhive.model.crd_status import statuses
-
-    field = statuses(lambda _: {})["Sweep"]["properties"]["points"]
-    assert len(encode(bytes(MAX_POINTS))) <= field["maxLength"]
+    assert SweepStatus(points=encode_points(bytes(MAX_POINTS))).points

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cluster refuses for good, without a cluster: every object says why it does not go on."""
+"""Tests of objects that a cluster refuses for good, without a cluster: each says why it does not go on."""
 
 from __future__ import annotations
 
@@ -26,13 +26,24 @@ async def cluster() -> Cluster:
 
 async def test_a_run_whose_job_cannot_be_built_fails(cluster: Cluster) -> None:
     text = {f"note{number}": "x" * 9000 for number in range(14)}
-    noted = {"example.org/note": "x" * 150_000}
+    noted = {"kueue.x-k8s.io/note": "x" * 150_000}
     key = cluster.apply(Kind.MAPPING_RUN, "one", RUN | {"parameters": text}, annotations=noted)
     status = await cluster.look(key)
     assert (status["phase"], status["reason"]) == ("Failed", "InvalidParameters")
     assert "bytes in all, an object holds 262144" in status["message"]
     assert standing(status, "Accepted") == ("False", "InvalidParameters", status["message"])
     assert cluster.told["one", "InvalidParameters"] == status["message"]
+
+
+async def test_nothing_is_kept_of_a_run_that_is_deleted_before_it_ends(cluster: Cluster) -> None:
+    cluster.refusals[Kind.JOB] = Forbidden(QUOTA)
+    key = cluster.apply(Kind.MAPPING_RUN, "one", RUN)
+    await cluster.look(key)
+    runs = cluster.op._reconcilers[Kind.MAPPING_RUN]
+    assert [*runs._resolved] == [key]
+    cluster.op.observe(Kind.MAPPING_RUN, "DELETED", cluster.objects[key])
+    await cluster.look(key)
+    assert not runs._resolved
 
 
 @pytest.mark.parametrize("error", [Invalid(SENTENCE), Forbidden(WEBHOOK)])

@@ -5,7 +5,7 @@ import tracemalloc
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from slamhive.kube.kinds import Key, Kind, Label
@@ -66,6 +66,15 @@ def test_a_deletion_of_the_former_leaves_the_later_one(store: Store) -> None:
     store.put(RUN, run(version=8, uid="later"))
     assert not store.remove(RUN, "lab", "a", "former")
     assert store.count(RUN, "lab") == 1
+
+
+@pytest.mark.parametrize("versions", [(2, 101, 1), (101, 2, 3)])
+def test_the_former_object_of_a_name_does_not_come_back(store: Store, versions: tuple[int, ...]) -> None:
+    for version in versions[:2]:
+        store.put(RUN, run(version=version, uid="later" if version > 100 else "former"))
+    store.remove(RUN, "lab", "a", "later")
+    assert not store.put(RUN, run(version=versions[2], uid="former"))
+    assert store.count(RUN, "lab") == 0
 
 
 def test_objects_are_found_by_label_and_owner(store: Store) -> None:
@@ -154,6 +163,7 @@ MESSAGES = st.lists(
 
 
 @given(MESSAGES)
+@example([("a", 0, 2, False), ("a", 1, 1, False), ("a", 1, 1, True), ("a", 0, 1, False)])
 def test_any_order_of_messages_ends_with_the_newest(messages: list[tuple[str, int, int, bool]]) -> None:
     store = Store()
     deleted: set[str] = set()

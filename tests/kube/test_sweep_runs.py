@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a Sweep makes and counts."""
+"""Tests of a Sweep's runs and its counts."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 import yaml
 
+from slamhive.contract.settled import is_settled
 from slamhive.engine import PointState
 from slamhive.kube.kinds import Label
 from slamhive.kube.reconciling.sweep_runs import (
     Tally,
     free_slot,
-    is_settled,
     run_body,
     slots_used,
     state_of,
@@ -90,7 +90,7 @@ def test_a_tally_counts_cpu_once_and_ranks_tracked_runs() -> None:
     tally.add(a_run("Succeeded", name="copy", usage=usage, provenance={"reusedFrom": "a"}))
     tally.add(a_run("Failed", name="bad", usage=usage))
     assert (tally.reused, tally.evaluated, tally.cpu_seconds) == (1, 3, 6.0)
-    assert [entry["name"] for entry in tally.best] == ["a", "b"]
+    assert [entry.name for entry in tally.best] == ["a", "b"]
 
 
 @pytest.mark.parametrize(

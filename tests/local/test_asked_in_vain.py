@@ -11,6 +11,7 @@ from slamhive.local.catalog import DatasetPlace
 from slamhive.model.dataset import Dataset
 from slamhive.model.results import Phase
 from slamhive.model.sweep import Sweep
+from slamhive.plan import plan_problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,7 +54,7 @@ def run(run_sweep: Callable[..., Any]) -> Callable[..., list[RunRecord]]:
         spec = {"algorithmRef": {"name": "actor"}} | template
         body = {"template": {"spec": spec}, "matrix": matrix} | more
         job, notes = run_sweep(Sweep.model_validate({"metadata": {"name": "rates"}, "spec": body}))
-        assert job.points.check() == []
+        assert plan_problems(job.points) == []
         return sorted(notes.records, key=lambda record: record.index or 0)
 
     return go

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of algorithms that behave and of those that don't."""
+"""Tests of attempts with algorithms that behave and with ones that don't."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slamhive.model.results import Outcome, Phase, Reason
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-DEADLINE_SECONDS = 20
+DEADLINE_SECONDS = 50
 
 
 def alive_with(text: str) -> list[int]:
@@ -60,38 +60,10 @@ def test_the_run_folder_is_as_the_contract_says(run_acts: Callable) -> None:
     assert notes.records[0].phase is Phase.SUCCEEDED, notes.records[0].log_tail
 
 
-@pytest.mark.parametrize(
-    ("act", "reason", "words"),
-    [
-        ("crash", Reason.ALGORITHM_FAILED, "cannot open the map"),
-        ("segfault", Reason.ALGORITHM_FAILED, "signal"),
-        ("nothing", Reason.NO_TRAJECTORY, "trajectory.txt"),
-        ("nan", Reason.INVALID_TRAJECTORY, "line 6"),
-        ("unsorted", Reason.INVALID_TRAJECTORY, "line 2"),
-        ("words", Reason.INVALID_TRAJECTORY, "line 1"),
-        ("link", Reason.NO_TRAJECTORY, "regular file"),
-    ],
-)
-def test_a_bad_end_has_its_true_reason_and_a_sentence(
-    act: str, reason: Reason, words: str, run_acts: Callable
-) -> None:
-    job, notes = run_acts([act])
-    record = notes.records[0]
-    assert (record.phase, record.reason) == (Phase.FAILED, reason)
-    assert words in record.message
-    assert "Traceback" not in record.message
-    assert job.count(PointState.FAILED) == 1
-
-
 def test_a_hanging_run_ends_at_its_timeout_and_nothing_of_it_is_left(run_acts: Callable, home) -> None:  # noqa: ANN001
     _, notes = run_acts(["hang"], template={"timeout": "1s"})
     assert notes.records[0].reason is Reason.DEADLINE_EXCEEDED
     assert not alive_with(str(home.path))
-
-
-def test_a_run_that_fills_memory_ends_with_that_reason(run_acts: Callable) -> None:
-    _, notes = run_acts(["memory"], template={"resources": {"memory": "200Mi"}})
-    assert notes.records[0].reason is Reason.OUT_OF_MEMORY
 
 
 def test_children_that_outlive_the_program_are_ended(run_acts: Callable, home) -> None:  # noqa: ANN001
@@ -138,14 +110,6 @@ def test_a_run_without_a_pose_is_kept_and_reused_as_what_it_is(run_acts: Callabl
         assert record.results[0].values["message"] == "the algorithm wrote no pose"
         assert record.results[0].values["ate"] is None
     assert second.records[0].provenance.reused_from
-
-
-def test_numbers_that_are_no_json_do_no_harm_and_it_is_said(run_acts: Callable) -> None:
-    _, notes = run_acts(["poison"])
-    record = notes.records[0]
-    assert record.phase is Phase.SUCCEEDED
-    assert record.message == "output/metrics.json is no JSON object of at most 4 MiB and was ignored"
-    assert (record.metrics, record.usage.includes_reader) == ({}, True)
 
 
 def test_the_other_runs_go_on_beside_bad_ones(run_acts: Callable) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of an Algorithm's declarations: that they hold, that they don't, or that it can't be told."""
+"""Tests of the checks of an Algorithm's declarations: true, false, or impossible to tell."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slamhive.local.checking import Answer, Fit, _compared
         (Fit(0.30, 0.5), {"imu": Fit(0.02, 0.5), "body": Fit(0.01, 0.5)}, Answer.FAILS, "body fits better"),
         (Fit(0.3056, 1.0), {"body": Fit(0.3007, 1.0)}, Answer.UNKNOWN, "body fits about as well: 0.3007 m"),
         (Fit(0.30, 0.5), {"body": Fit(0.01, 90.0)}, Answer.UNKNOWN, "body fits about as well"),
-        (Fit(0.01, 0.5), {}, Answer.HOLDS, "no other is apart from it"),
+        (Fit(0.01, 0.5), {}, Answer.HOLDS, "there is no other to compare with"),
         (Fit(0.01, math.inf), {"body": Fit(0.30, math.inf)}, Answer.HOLDS, "body"),
     ],
 )

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +12,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.local.evaluations import bring_up_to_date, measure_record
+from slamhive.local.evaluating import Evaluator
+from slamhive.local.evaluations import Unmeasured, bring_up_to_date, measure_record
 from slamhive.local.home import Home
 from slamhive.local.run import RunDriver
 from slamhive.local.workbench import Workbench
@@ -111,3 +114,18 @@ def test_a_run_is_not_measured_on_another_dataset_of_its_name(
     _, notes = run_acts(["good"])
     monkeypatch.setattr(bench, "checksum", lambda _: "0" * 64)
     assert "dataset 'tiny'" in str(measure_record(bench, notes.records[0], ORIGIN))
+
+
+def test_a_disk_that_fails_is_told_from_a_run_that_has_nothing_to_measure(
+    run_acts: Callable, bench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, notes = run_acts(["good", "crash"])
+    good, crashed = sorted(notes.records, key=lambda record: record.phase is not Phase.SUCCEEDED)
+
+    def broken(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Evaluator, "measure_file", broken)
+    found = measure_record(bench, good, ORIGIN)
+    assert found == Unmeasured("Read-only file system", is_fault=True)
+    assert measure_record(bench, crashed, ORIGIN) == Unmeasured("Failed, it has no trajectory")

@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+import json
+import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import pytest
 
 from slamhive.analysis import Selection, choose
 from slamhive.local import workbench
@@ -18,13 +22,11 @@ from slamhive.tables.reading import read_archive
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import pytest
-
     from slamhive.local.home import Home
     from slamhive.local.workbench import Workbench
     from slamhive.model.dataset import Dataset
 
-DEADLINE_SECONDS = 20
+DEADLINE_SECONDS = 50
 
 
 def test_running_again_repeats_nothing(run_acts: Callable) -> None:
@@ -48,6 +50,17 @@ def test_another_sweep_reuses_equal_runs_but_not_failed_ones(run_acts: Callable)
     assert good.provenance.reused_from == first.points.point(0).name
     assert good.results
     assert good.usage
+
+
+def test_usage_that_another_processor_gave_is_not_taken_over(run_acts: Callable, bench: Workbench) -> None:
+    run_acts(["good"])
+    [first] = bench.archive.runs()
+    bench.archive.put_run(first.replace(provenance=first.provenance.replace(cpu_model="another")))
+    _, notes = run_acts(["good"], name="others")
+    record = notes.records[0]
+    assert record.provenance.reused_from == first.name
+    assert (record.usage, record.provenance.cpu_model) == (None, "another")
+    assert (record.trajectory, record.results) == (first.trajectory, first.results)
 
 
 def test_a_changed_adapter_makes_other_results(run_acts: Callable, home) -> None:  # noqa: ANN001
@@ -83,6 +96,44 @@ def test_an_attempt_without_its_last_word_starts_afresh(run_acts: Callable, benc
     _, again = run_acts(["good"])
     assert again.records[0].phase is Phase.SUCCEEDED
     assert (Path(record.folder) / "summary.json").exists()
+
+
+def test_poses_that_a_player_wrote_late_count_for_an_attempt_taken_up(run_acts: Callable) -> None:
+    """A player that lost its node writes what it heard after the supervisor has looked, and lives on then."""
+    _, notes = run_acts(["good"])
+    folder = Path(notes.records[0].folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    early = {key: value for key, value in summary.items() if not key.startswith("trajectory")}
+    early["trajectoryProblem"] = "output/trajectory.txt is missing or not a regular file"
+    (folder / "summary.json").write_text(json.dumps(early))
+    assert Attempt(folder).trajectory() is None
+    (folder / "player").mkdir()
+    attempt = Attempt(folder)
+    assert attempt.trajectory() == notes.records[0].trajectory.replace(
+        path=str(attempt.output / "trajectory.txt")
+    )
+    assert attempt.end().trajectory_problem is None
+    # Nobody counts them anew: they are those of the recording.
+    assert attempt.frames().offered == summary["frames"]["offered"] == notes.records[0].frames.offered
+
+
+@pytest.mark.parametrize("name", ["summary.json", "attempt.json"])
+@pytest.mark.parametrize("spoil", ["deep", "pipe", "list"])
+def test_an_attempt_whose_last_word_was_spoilt_starts_afresh(
+    run_acts: Callable, bench: Workbench, name: str, spoil: str
+) -> None:
+    job, notes = run_acts(["good"])
+    record = notes.records[0]
+    path = Path(record.folder) / name
+    path.unlink()
+    if spoil == "pipe":
+        os.mkfifo(path)
+    else:
+        path.write_text("[]" if spoil == "list" else "[" * 200_000)
+    bench.archive.remove_run(job.run_uid(0))
+    _, again = run_acts(["good"])
+    assert again.records[0].phase is Phase.SUCCEEDED
+    assert path.is_file()
 
 
 def test_a_budget_of_cpu_time_counts_what_was_spent_before(run_acts: Callable) -> None:

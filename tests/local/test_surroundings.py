@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+import io
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tarfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,16 +19,48 @@ import pytest
 import yaml
 
 from slamhive.local import cores
-from slamhive.local.environments import Unavailable, _explained
+from slamhive.local import environments as environments_module
+from slamhive.local.environments import Unavailable, _anything_in, _explained
 from slamhive.local.home import lock
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Phase, Reason
+from slamhive.monitor import hierarchy
 from slamhive.monitor.hierarchy import Hierarchy
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-DEADLINE_SECONDS = 20
+pytestmark = pytest.mark.timeout(300)
+
+DEADLINE_SECONDS = 50
+
+
+@pytest.fixture(scope="module")
+def environments(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of their own: requirements here name folders of a test."""
+    return tmp_path_factory.mktemp("environments")
+
+
+@pytest.fixture(scope="module")
+def empty_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An environment with pip alone, which takes seconds to make."""
+    folder = tmp_path_factory.mktemp("empty") / "environment"
+    subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+    return folder
+
+
+@pytest.fixture
+def _copied_environments(empty_environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Copies that environment where another one would be made."""
+    command = environments_module._command
+
+    def call(argv: list[str], *rest: object) -> None:
+        if argv[1:3] == ["-m", "venv"]:
+            shutil.copytree(empty_environment, argv[-1], symlinks=True)
+        else:
+            command(argv, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(environments_module, "_command", call)
 
 
 def test_modules_in_the_working_folder_are_not_ours(
@@ -62,6 +98,7 @@ def test_what_a_killed_slamhive_left_installing_holds_its_lock(tmp_path: Path) -
         assert held is not None
 
 
+@pytest.mark.usefixtures("_copied_environments")
 def test_packages_that_do_not_exist_are_asked_for_once(run_acts: Callable, home, bench) -> None:  # noqa: ANN001
     requirements = home.path / "algorithms/actor/requirements.txt"
     requirements.write_text("--no-index\nno-such-package==1\n")
@@ -71,9 +108,74 @@ def test_packages_that_do_not_exist_are_asked_for_once(run_acts: Callable, home,
     for record in notes.records:
         assert (record.phase, record.reason) == (Phase.FAILED, Reason.ALGORITHM_UNAVAILABLE)
         assert record.message == (
-            "packages of actor can't be installed: No matching distribution found for no-such-package==1"
+            "packages of actor can't be installed: No matching distribution found for no-such-package==1 "
+            "among the wheels; if there is only source, a line --no-binary no-such-package among the "
+            "requirements lets its own setup program run"
         )
     assert len(told) == 1
+
+
+_BACKEND = """
+import json, os, zipfile
+def build_wheel(folder, config_settings=None, metadata_directory=None):
+    with open({told!r}, "w") as file:
+        json.dump(dict(os.environ), file)
+    name = "sourced-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(os.path.join(folder, name), "w") as wheel:
+        info = "sourced-1.0.dist-info/"
+        wheel.writestr(info + "METADATA", "Metadata-Version: 2.1\\nName: sourced\\nVersion: 1.0\\n")
+        wheel.writestr(info + "WHEEL", "Wheel-Version: 1.0\\nRoot-Is-Purelib: true\\nTag: py3-none-any\\n")
+        wheel.writestr(info + "RECORD", "")
+    return name
+"""
+
+
+@pytest.fixture
+def told_by_setup(home, tmp_path: Path) -> Path:  # noqa: ANN001
+    """Make the actor need a package that has source alone; return where its setup tells its variables."""
+    told = tmp_path / "told.json"
+    files = {
+        "pyproject.toml": '[build-system]\nrequires = []\nbuild-backend = "own"\nbackend-path = ["."]\n',
+        "own.py": _BACKEND.format(told=str(told)),
+        "PKG-INFO": "Metadata-Version: 2.1\nName: sourced\nVersion: 1.0\n",
+    }
+    with tarfile.open(tmp_path / "sourced-1.0.tar.gz", "w:gz") as archive:
+        for name, text in files.items():
+            entry = tarfile.TarInfo(f"sourced-1.0/{name}")
+            entry.size = len(text)
+            archive.addfile(entry, io.BytesIO(text.encode()))
+    text = f"--no-index\n--find-links {tmp_path}\nsourced==1.0\n"
+    (home.path / "algorithms/actor/requirements.txt").write_text(text)
+    return told
+
+
+@pytest.mark.usefixtures("_copied_environments")
+def test_setup_programs_of_packages_are_not_run(run_acts: Callable, told_by_setup: Path) -> None:
+    _, notes = run_acts(["good"])
+    assert notes.records[0].reason == Reason.ALGORITHM_UNAVAILABLE
+    assert "a line --no-binary sourced among the requirements lets" in (notes.records[0].message or "")
+    assert not told_by_setup.exists()
+
+
+@pytest.mark.usefixtures("_copied_environments")
+def test_setup_programs_that_are_allowed_see_no_secret(
+    run_acts: Callable,
+    home,  # noqa: ANN001
+    told_by_setup: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    requirements = home.path / "algorithms/actor/requirements.txt"
+    requirements.write_text(requirements.read_text() + "--no-binary sourced\n")
+    kept = {"PIP_INDEX_URL": "https://mirror.test/simple", "https_proxy": "http://proxy.test:3128"}
+    kept |= {"SSL_CERT_FILE": os.environ.get("SSL_CERT_FILE", "/etc/ssl/certs/ca-certificates.crt")}
+    secrets = {"HF_TOKEN": "canary", "AWS_SECRET_ACCESS_KEY": "canary", "SLAMHIVE_ARCHIVE_PASSWORD": "canary"}
+    for name, value in (kept | secrets).items():
+        monkeypatch.setenv(name, value)
+    _, notes = run_acts(["good"])
+    assert notes.records[0].phase is Phase.SUCCEEDED, notes.records[0].message
+    seen = json.loads(told_by_setup.read_text())
+    assert {name: seen.get(name) for name in kept} == kept
+    assert "canary" not in str(seen)
 
 
 @pytest.mark.parametrize(
@@ -122,16 +224,16 @@ def test_the_tightest_quota_above_us_counts(tmp_path: Path, monkeypatch: pytest.
         Hierarchy(2, frozenset(), str(tmp_path / "v2"), str(own)),
         Hierarchy(1, frozenset({"cpu"}), str(tmp_path / "v1"), str(old)),
     ]
-    monkeypatch.setattr(cores, "own_hierarchies", lambda: trees)
-    assert cores.quota() is None
+    monkeypatch.setattr(hierarchy, "own_hierarchies", lambda: trees)
+    assert hierarchy.cpu_quota() is None
     (own / "cpu.max").write_text("max 100000\n")
     (own.parent / "cpu.max").write_text("250000 100000\n")
-    assert cores.quota() == 2.5
+    assert hierarchy.cpu_quota() == 2.5
     (old / "cpu.cfs_quota_us").write_text("150000\n")
     (old / "cpu.cfs_period_us").write_text("100000\n")
-    assert cores.quota() == 1.5
+    assert hierarchy.cpu_quota() == 1.5
     (old / "cpu.cfs_quota_us").write_text("-1\n")
-    assert cores.quota() == 2.5
+    assert hierarchy.cpu_quota() == 2.5
 
 
 @pytest.mark.skipif(len(cores.whole_cores()) < 2, reason="needs two cores")
@@ -139,3 +241,20 @@ def test_a_run_gets_no_less_than_it_asks_for(run_acts: Callable) -> None:
     _, notes = run_acts(["good"], template={"resources": {"cpu": "1200m"}})
     configuration = yaml.safe_load((Path(notes.records[0].folder) / "run/config.yaml").read_text())
     assert configuration["cores"] == sum(map(len, cores.whole_cores()[:2]))
+
+
+@pytest.mark.parametrize(
+    ("text", "has_any"),
+    [
+        (b"", False),
+        (b"# nothing but comments\n\n", False),
+        (b"numpy\n", True),
+        ("# -*- coding: latin-1 -*-\n# M\u00e4nner\nnumpy\n".encode("latin-1"), True),
+        ("numpy\n".encode("utf-16"), True),
+    ],
+    ids=["empty", "comments", "one", "Latin-1", "UTF-16"],
+)
+def test_requirements_in_every_encoding_that_pip_reads(text: bytes, has_any: bool, tmp_path: Path) -> None:
+    path = tmp_path / "requirements.txt"
+    path.write_bytes(text)
+    assert _anything_in(path) is has_any

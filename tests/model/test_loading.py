@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import tracemalloc
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -84,9 +85,13 @@ def test_values_are_those_that_kubectl_sends(text: str, expected: Any) -> None:
         ("a: &x [*x]\n", "f.yaml"),
         ("<<: 3\n", "f.yaml:1: << takes a mapping"),
         ("a: " + "[" * 2000, "f.yaml"),
-        ("a: !!python/name:os.system x", "f.yaml:1: the tag tag:yaml.org,2002:python/name:os.system means"),
-        ("a: !mine x", "f.yaml:1: the tag !mine means nothing here"),
+        (
+            "a: !!python/name:os.system x",
+            "f.yaml:1: the tag tag:yaml.org,2002:python/name:os.system is not supported",
+        ),
+        ("a: !mine x", "f.yaml:1: the tag !mine is not supported"),
         ("a: \x1f", "f.yaml: not YAML"),
+        ("a: \udce4", "f.yaml: not YAML"),  # Latin-1 on a terminal that says nothing of encodings
         ('a: "\\ud800"', "f.yaml:1: half a character"),
         ("a: " + "9" * 5000, "f.yaml:1: an integer of 5000 characters"),
     ],
@@ -100,6 +105,30 @@ def test_what_is_not_a_manifest(text: str, message: str) -> None:
 def test_anchors_and_merges_work() -> None:
     (document,) = parse("a: &a {x: 1, y: 2}\nb: {<<: *a, y: 3}\n", "f.yaml")
     assert document.value["b"] == {"x": 1, "y": 3}
+
+
+def test_aliases_take_no_more_memory_than_their_text() -> None:
+    """A deep list of wide ones: 50,000 values, each a hundred levels down."""
+    wide = "b: &b [" + ",".join(["x"] * 500) + "]"
+    deep = "c: " + "[" * 100 + ",".join(["*b"] * 100) + "]" * 100
+    tracemalloc.start()
+    try:
+        parse(f"{wide}\n{deep}\n", "f.yaml")
+        assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_aliases_of_a_long_text_are_counted_each_time() -> None:
+    text = f"a: &a '{'x' * 1_000_000}'\nb: [{','.join(['*a'] * 20)}]\n"
+    with pytest.raises(ManifestError, match=r"f\.yaml: its values have more than 16777216 characters"):
+        parse(text, "f.yaml")
+
+
+def test_a_merged_key_is_named_where_it_stands() -> None:
+    (document,) = parse("a: &a\n  x: 1\nb:\n  <<: [*a]\n  y: 2\n", "f.yaml")
+    assert document.where(("b", "x", "z")) == "f.yaml:2"
+    assert document.where(("b", "y")) == "f.yaml:5"
 
 
 def test_a_bomb_of_anchors_is_refused() -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+import slamhive
 from slamhive.monitor import SupervisorSpec, end_orphans, identify, make_run_cgroup
 from slamhive.monitor.hierarchy import own_hierarchies
 from slamhive.monitor.processes import children
@@ -23,7 +24,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 
-def wait_for(condition: Callable[[], Any], seconds: float = 20.0) -> Any:
+PACKAGES = str(Path(slamhive.__file__).parents[1])
+
+
+def wait_for(condition: Callable[[], Any], seconds: float = 50.0) -> Any:
     """Poll until a condition holds and return its value."""
     deadline = time.monotonic() + seconds
     while not (value := condition()):
@@ -123,6 +127,8 @@ class Pod:
         me = identify(os.getpid())
         self.group = make_run_cgroup(me) if accounted and me else None
         self._entered: list[subprocess.Popen[bytes]] = []
+        self.variables: dict[str, str] = {}
+        """The monitor's, beside those that a cluster gives it."""
 
     def _enter(self, *argv: str, name: str, **variables: str) -> subprocess.Popen[bytes]:
         given = [f"{key}={value}" for key, value in variables.items()]
@@ -162,9 +168,10 @@ class Pod:
             **options,
         }
         argv = ["env", "--block-signal=TERM", sys.executable, "-P", "-m", "slamhive.monitor.sidecar"]
-        state = self.folder / "monitor.json"
+        state = self.folder / "config.yaml"  # which it copies as it begins
         before = state.stat().st_mtime_ns if state.exists() else 0
-        started = self._enter(*argv, name="monitor", SLAMHIVE_SIDECAR=json.dumps(spec), NODE_NAME="n1")
+        given = {"SLAMHIVE_SIDECAR": json.dumps(spec), "NODE_NAME": "n1", "PYTHONPATH": PACKAGES}
+        started = self._enter(*argv, name="monitor", **given, **self.variables)
         done = self.folder / "summary.json"
         wait_for(lambda: at_once or done.exists() or (state.exists() and state.stat().st_mtime_ns > before))
         return started
@@ -255,7 +262,7 @@ def killed() -> Callable[[subprocess.Popen[bytes]], None]:
     def kill(process: subprocess.Popen[bytes]) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.kill(process.pid, signal.SIGKILL)
-        process.wait(20)
+        process.wait(50)
 
     return kill
 
@@ -263,3 +270,15 @@ def killed() -> Callable[[subprocess.Popen[bytes]], None]:
 @pytest.fixture(name="wait_for")
 def wait_for_fixture() -> Callable[..., Any]:
     return wait_for
+
+
+@pytest.fixture
+def sampled() -> str:
+    """Code for a measured program: waits until all that it holds is sampled, by the table's growth twice."""
+    return """
+import os, time
+def written(): return os.path.getsize('../usage.csv') if os.path.exists('../usage.csv') else 0
+for _ in range(2):
+    size = written()
+    while written() == size: time.sleep(.01)
+"""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -131,6 +132,40 @@ def test_too_much_output(run: Run) -> None:
     (run.output / "map.bin").unlink()
 
 
+TOO_MUCH = {
+    "empty files": (
+        "import os\nfor k in range(400): os.mknod(f'{k}')\ntime.sleep(60)",
+        {"output_file_limit": 300},
+        "more than 300 files and folders",
+    ),
+    "folders": (
+        "import os\nfor k in range(400): os.mkdir(f'{k}')\ntime.sleep(60)",
+        {"output_file_limit": 300},
+        "more than 300 files and folders",
+    ),
+    "deleted": (
+        "import os\nf = open('map', 'wb', 0)\nos.unlink('map')\nf.write(b'1' * 6_000_000)\ntime.sleep(60)",
+        {"output_limit_bytes": 5 * MIB},
+        "files that it deleted but holds open included",
+    ),
+    "too deep to be seen": (
+        "import os\nfor _ in range(30):\n    os.mkdir('d' * 200)\n    os.chdir('d' * 200)\ntime.sleep(60)",
+        {"output_limit_bytes": 5 * MIB},
+        "can't be looked into",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", TOO_MUCH)
+def test_too_much_output_however_it_is_hidden(run: Run, what: str) -> None:
+    code, options, told = TOO_MUCH[what]
+    options = {"output_limit_bytes": 1 << 40, "timeout_seconds": 50, **options}
+    summary = run.python(f"import time\n{code}", **options)
+    assert summary["reason"] == "OutputTooLarge"
+    assert told in summary["message"]
+    shutil.rmtree(run.output, ignore_errors=True)
+
+
 def test_fork_bomb(run: Run) -> None:
     code = """
 import os, time
@@ -166,7 +201,7 @@ def test_cancel(run: Run, number: int) -> None:
     supervisor = run.start(sys.executable, "-c", STUBBORN, kill_grace_seconds=0.1)
     pids = [run.pid("main"), run.pid("daemon")]
     supervisor.send_signal(number)
-    assert supervisor.wait(20) == 0
+    assert supervisor.wait(50) == 0
     assert run.summary()["reason"] == "Cancelled"
     assert [identify(pid) for pid in pids] == [None, None]
 
@@ -207,7 +242,7 @@ def test_end_of_the_starting_thread_does_not_end_the_run(run: Run) -> None:
     )
     thread.start()
     thread.join()
-    assert started[0].wait(20) == 0
+    assert started[0].wait(50) == 0
     assert run.summary()["reason"] is None
 
 
@@ -234,7 +269,7 @@ def test_orphans_with_a_living_supervisor(run: Run) -> None:
     run.pid("main")
     assert find_orphans(run.process_json)[0].pid == supervisor.pid
     assert end_orphans(run.process_json) == []
-    assert supervisor.wait(20) == 0
+    assert supervisor.wait(50) == 0
     assert run.summary()["reason"] == "Cancelled"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an algorithm, which has the monitor's user, can see and change of the monitor through /proc."""
+"""Tests of what an algorithm, which has the monitor's user, can see and change of it through /proc."""
 
 from __future__ import annotations
 

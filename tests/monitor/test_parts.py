@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -25,6 +26,7 @@ from slamhive.monitor import (
     cgroup_source_at,
     identify,
     make_run_cgroup,
+    output,
     proc,
     processes,
     sweep_stale_cgroups,
@@ -32,6 +34,7 @@ from slamhive.monitor import (
 from slamhive.monitor.hierarchy import Hierarchy, own_hierarchies, unified_parents
 from slamhive.monitor.log import BoundedLog, clean_tail
 from slamhive.monitor.outcome import Ending, judge
+from slamhive.monitor.output import OutputMeter
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -270,7 +273,7 @@ def test_stale_cgroups_are_swept_with_what_runs_in_them(owner: ProcessIdentity, 
                 file.write("FROZEN")
     try:
         assert set(sweep_stale_cgroups()) >= set(stale.directories)
-        assert process.wait(20) == -9
+        assert process.wait(50) == -9
         assert [os.path.exists(path) for path in living.directories] == [True] * len(living.directories)  # noqa: PTH110
     finally:
         assert living.remove()
@@ -310,7 +313,7 @@ def test_proc_source_of_another_process(
             assert sample.resident > sample.anonymous
             assert process.stdin is not None
             process.stdin.close()
-            process.wait(20)
+            process.wait(50)
             assert source.read().working_set == 0
             assert source.read().cpu >= sample.cpu
         finally:
@@ -323,3 +326,52 @@ def test_spec_is_frozen() -> None:
     assert replace(SPEC, data_seconds=2.0).data_seconds == 2.0
     with pytest.raises(AttributeError):
         SPEC.cwd = "/tmp"  # type: ignore[misc]
+
+
+def volume(free: int, files: int = 0, *, total: int = 1000, used: int = 0) -> SimpleNamespace:
+    """What a file system says of itself, in MiB and files."""
+    return SimpleNamespace(
+        f_blocks=total, f_bfree=total - used, f_bavail=free, f_frsize=1 << 20, f_files=1000, f_favail=files
+    )
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        (volume(500, 900), None),
+        (volume(15, 900), None),
+        (volume(5, 900), "the volume has 5 MiB left, and its output takes 10 MiB"),
+        (volume(500, 11), None),
+        (volume(500, 9), "the volume has room for 9 files, and its output has 10"),
+    ],
+)
+def test_who_fills_the_volume_is_ended_before_it_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: SimpleNamespace, told: str | None
+) -> None:
+    """All runs of a namespace share it: those that wrote more than what is left go first."""
+    for name in range(10):
+        (tmp_path / str(name)).write_bytes(b"1" * (1 << 20))
+    monkeypatch.setattr(output.os, "statvfs", lambda _: found)
+    stop = OutputMeter(str(tmp_path), 1 << 40, 100).problem(1.0, [])
+    assert (stop.message if stop else None) == told
+
+
+def test_who_hides_what_it_holds_is_judged_by_the_volume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def closed(path: str) -> list[str]:
+        raise PermissionError(path)
+
+    monkeypatch.setattr(output.os, "statvfs", lambda _: volume(500, 900))
+    meter = OutputMeter(str(tmp_path), 5 << 20, 100)
+    monkeypatch.setattr(output.os, "statvfs", lambda _: volume(500, 900, used=6))
+    assert meter.problem(1.0, []) is None
+    monkeypatch.setattr(output.os, "listdir", closed)
+    stop = meter.problem(1e9, [os.getpid()])
+    assert stop is not None
+    assert "while it hid the files it holds open" in stop.message
+
+
+def test_an_output_that_goes_while_it_is_measured_is_none(tmp_path: Path) -> None:
+    assert OutputMeter(str(tmp_path / "gone"), 1, 1).problem(1.0, []) is None
+    assert OutputMeter(None, 1, 1).problem(1.0, []) is None

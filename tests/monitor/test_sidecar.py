@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,13 +45,17 @@ def test_a_run_from_start_to_summary(pod: Pod) -> None:
     summary = pod.finished()
     usage = summary["usage"]
     assert usage["source"] == (pod.group.source.name if pod.group else "proc")
-    assert 0.74 < usage["cpu"]["seconds"] < 1.2
+    # What it burnt after the last sample of /proc is lost: how much, the load of the machine decides.
+    assert 0.5 < usage["cpu"]["seconds"] < 1.2
     assert usage["cpu"]["secondsPerDataSecond"] == pytest.approx(usage["cpu"]["seconds"] / 10)
     assert (usage["readerCpuSeconds"], usage["maxIncludesReader"]) == (0.25, True)
     assert summary["trajectory"]["poses"] == 2
     assert summary["trajectory"]["durationSeconds"] == 2.5
     assert summary["frames"] == {"offered": 9, "processed": None, "dropped": None}
     assert summary["metrics"] == {"readerCpuSeconds": 0.25, "framesOffered": 9, "lost": 2}
+    assert summary["metricsProblem"] == (
+        "output/metrics.json: left out times (a list), odd (no finite number)"
+    )
     assert (summary["exitCode"], summary["reason"], summary["message"]) == (None, None, "")
     assert summary["node"] == "n1"
     assert summary["cpuModel"]
@@ -63,14 +66,13 @@ def test_a_run_from_start_to_summary(pod: Pod) -> None:
     assert message["usage"]["cpu"]["seconds"] == pytest.approx(usage["cpu"]["seconds"], abs=1e-6)
     assert message["trajectory"] == summary["trajectory"]
     assert pod.end(sidecar) == summary
-    assert not (pod.folder / "monitor.json").exists()
 
 
 def test_an_algorithm_of_50_ms_is_seen(pod: Pod) -> None:
     sidecar = pod.sidecar()
     assert pod.algorithm("sleep", "0.05").wait(30) == 0
     usage = pod.end(sidecar)["usage"]
-    assert 0.02 < usage["wallSeconds"] < 5
+    assert usage["wallSeconds"] > 0
     assert usage["samples"] >= 2
 
 
@@ -83,11 +85,11 @@ def test_no_algorithm(pod: Pod) -> None:
 
 
 @with_cgroup
-def test_figures_are_the_kernels_own(pod: Pod) -> None:
+def test_figures_are_the_kernels_own(pod: Pod, sampled: str) -> None:
     sidecar = pod.sidecar()
     work = "import subprocess\nfor _ in range(100): subprocess.run(['true'])\n"
-    hold = f"x = bytearray({80 * MIB})\nx[::4096] = b'1' * len(x[::4096])\ntime.sleep(.3)\n"
-    pod.python(BURN.format(1.2) + hold + work).wait(60)
+    hold = f"x = bytearray({80 * MIB})\nx[::4096] = b'1' * len(x[::4096])\n{sampled}"
+    pod.python(BURN.format(0.3) + hold + work).wait(60)
     usage = pod.end(sidecar)["usage"]
     assert pod.group is not None
     assert usage["cpu"]["seconds"] == pytest.approx(pod.group.source.read().cpu, rel=0.01)
@@ -120,7 +122,7 @@ def test_what_can_not_be_ended_holds_nothing_up(pod: Pod, wait_for: Callable[...
         pytest.skip("needs the freezer of version 1")
     sidecar = pod.sidecar(timeoutSeconds=2.0, killGraceSeconds=0)
     pod.algorithm("sleep", "600")
-    wait_for(lambda: json.loads((pod.folder / "monitor.json").read_text())["first"])
+    wait_for((pod.folder / "usage.csv").exists)
     Path(f"{freezers[0]}/freezer.state").write_text("FROZEN")
     summary = pod.finished()
     assert summary["reason"] == "DeadlineExceeded"
@@ -164,76 +166,83 @@ def test_limits(pod: Pod, code: str, options: dict[str, Any], reason: str, part:
     pod.end(sidecar)
 
 
-def test_killed_and_started_again_it_forgets_nothing(pod: Pod, wait_for: Callable[..., Any]) -> None:
+def test_once_killed_it_believes_nothing_and_ends_the_algorithm(
+    pod: Pod, wait_for: Callable[..., Any]
+) -> None:
+    """Whatever it left could have been changed while it was away, as the algorithm has its user."""
     sidecar = pod.sidecar()
     (pod.output / "trajectory.txt").write_text(POSES)
-    begin = time.monotonic()
-    grow = (
-        f"import os, time\nx = bytearray({80 * MIB})\nx[::4096] = b'1' * len(x[::4096])\n{BURN.format(0.5)}"
-    )
-    shrink = "del x\nopen('small', 'w').close()\nwhile not os.path.exists('go'): time.sleep(.01)"
-    algorithm = pod.python(f"{grow}time.sleep(1.2)\n{shrink}")
-    wait_for((pod.output / "small").exists)
+    algorithm = pod.algorithm("sleep", "600")
+    wait_for((pod.folder / "usage.csv").exists)
     pod.send(sidecar, signal.SIGKILL)
     sidecar.wait(30)
-    table = pod.folder / "usage.csv"
-    table.write_text(table.read_text() + "0.1,0")  # half a row, as a kill leaves it
-    sidecar = pod.sidecar()
-    (pod.output / "go").touch()
+    (pod.folder / "summary.json").write_text('{"reason": null, "usage": {"cpu": {"seconds": 0.001}}}')
+    again = pod.sidecar(at_once=True)
     algorithm.wait(30)
-    elapsed = time.monotonic() - begin
-    summary = pod.end(sidecar)
-    usage = summary["usage"]
-    assert "the monitor was restarted" in summary["notes"]
-    assert usage["memory"]["anonymousPeakBytes"] > 80 * MIB
-    assert usage["memory"]["peakBytes"] > 80 * MIB
-    assert usage["cpu"]["seconds"] >= 0.5
-    assert 1.7 < usage["wallSeconds"] < elapsed
-    rows = table.read_text().splitlines()
-    assert len(rows) == usage["samples"] + 1
-    assert {row.count(",") for row in rows} == {4}
-    assert summary["trajectory"]["poses"] == 2
+    wait_for(lambda: (pod.folder / "message").exists() and pod.message()["reason"] == "SystemFault")
+    summary = pod.end(again)
+    assert (summary["reason"], summary["usage"]) == ("SystemFault", None)
+    assert "the monitor was ended while the algorithm ran" in summary["message"]
 
 
-def test_killed_while_the_algorithm_ends(pod: Pod, wait_for: Callable[..., Any]) -> None:
+def test_started_again_before_the_algorithm_it_is_as_if_it_never_died(
+    pod: Pod, wait_for: Callable[..., Any]
+) -> None:
+    first = pod.sidecar()
+    pod.send(first, signal.SIGKILL)
+    first.wait(30)
+    (pod.folder / "config.yaml").unlink()
     sidecar = pod.sidecar()
-    algorithm = pod.python(BURN.format(1.4) + "open('late', 'w').close()\ntime.sleep(600)")
-    wait_for((pod.output / "late").exists)
-    pod.send(sidecar, signal.SIGKILL)
-    pod.send(algorithm, signal.SIGKILL)
-    sidecar.wait(30)
-    algorithm.wait(30)
-    summary = pod.end(pod.sidecar())
-    assert "ended while the monitor was away" in summary["notes"][-1]
-    assert summary["usage"]["cpu"]["seconds"] > 0.2
-
-
-def test_killed_after_the_summary(pod: Pod) -> None:
-    sidecar = pod.sidecar()
-    pod.algorithm("sleep", "0.05")
+    pod.algorithm("sleep", "0.3")
     summary = pod.finished()
-    message = pod.message()
-    pod.send(sidecar, signal.SIGKILL)
-    sidecar.wait(30)
-    (pod.folder / "message").unlink()
-    again = pod.sidecar()
-    assert pod.finished() == summary
-    assert pod.end(again) == summary
-    assert pod.message() == message
+    assert (summary["reason"], summary["usage"]["suspect"]) == (None, None)
+    assert pod.end(sidecar) == summary
 
 
 def test_told_to_end_before_the_algorithm(pod: Pod, wait_for: Callable[..., Any]) -> None:
     sidecar = pod.sidecar()
     pod.algorithm("sleep", "600")
-    wait_for(lambda: json.loads((pod.folder / "monitor.json").read_text())["first"])
+    wait_for((pod.folder / "usage.csv").exists)
     pod.send(sidecar, signal.SIGTERM)
     summary = pod.end(sidecar)
     assert (summary["reason"], summary["usage"]["samples"] > 1) == ("Cancelled", True)
-    again = pod.sidecar()
-    wait_for(lambda: "restarted" in (pod.folder / "monitor.json").read_text())
-    pod.send(pod._entered[1], signal.SIGTERM)
-    wait_for(lambda: not (pod.folder / "monitor.json").exists())
-    assert pod.end(again)["reason"] is None
+
+
+TRICKS = {
+    "stop": ("os.kill(pid, 19); os.kill(pid, 18)", "made to go on, by a signal"),
+    "limit": ("resource.prlimit(pid, resource.RLIMIT_FSIZE, (1 << 40, 1 << 40))", "limits were changed"),
+    "nice": ("os.setpriority(os.PRIO_PROCESS, pid, 19)", "priority was changed"),
+    "idle": ("os.sched_setscheduler(pid, os.SCHED_IDLE, os.sched_param(0))", "priority was changed"),
+    "table": ("open('../usage.csv', 'w').write('0')", "usage.csv was changed"),
+    "another table": ("os.rename('../usage.csv', 'mine')", "usage.csv was changed"),
+}
+TRY = """
+import os, resource, time
+def command(pid):
+    try: return open(f'/proc/{pid}/cmdline', 'rb').read()
+    except OSError: return b''
+pid = next(int(p) for p in os.listdir('/proc') if p.isdigit() and b'slamhive.monitor.sidecar' in command(p))
+%s
+%s
+"""
+
+
+@pytest.mark.parametrize("pod", ["proc"], indirect=True)
+@pytest.mark.parametrize("what", TRICKS)
+def test_who_meddles_with_the_monitor_is_seen(pod: Pod, what: str, sampled: str) -> None:
+    code, told = TRICKS[what]
+    sidecar = pod.sidecar()
+    assert pod.python(TRY % (sampled, code)).wait(30) == 0
+    pod.finished()
+    assert told in pod.end(sidecar)["usage"]["suspect"]
+
+
+@pytest.mark.parametrize("pod", ["proc"], indirect=True)
+def test_nobody_is_suspected_of_nothing(pod: Pod, sampled: str) -> None:
+    sidecar = pod.sidecar()
+    pod.python(TRY % (sampled, "pass")).wait(30)
+    pod.finished()
+    assert pod.end(sidecar)["usage"]["suspect"] is None
 
 
 HOSTILE = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sidecar's parts by themselves: specification, trajectory, termination message, state."""
+"""The sidecar's parts by themselves: specification, trajectory, termination message, who is who."""
 
 from __future__ import annotations
 
@@ -14,16 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.monitor import SidecarSpec, SpecError
-from slamhive.monitor.accounting import Accounting
-from slamhive.monitor.containers import attach_cgroup
-from slamhive.monitor.outcome import Stop
-from slamhive.monitor.processes import ProcessIdentity
-from slamhive.monitor.sidecarstate import SidecarState
-from slamhive.monitor.sources import Sample
-from slamhive.monitor.summary import Reason
+from slamhive.contract.trajectory import TrajectoryInfo, check_trajectory
+from slamhive.monitor import ProcessIdentity, SidecarSpec, SpecError, containers
+from slamhive.monitor.containers import Finder, attach_cgroup
 from slamhive.monitor.termination import termination_message
-from slamhive.monitor.trajectory import TrajectoryInfo, check_trajectory
 from slamhive_eval import FileError, read_tum
 
 if TYPE_CHECKING:
@@ -42,7 +36,7 @@ LONG = "".join(LINE.format(k / 8) for k in range(20000))
         ({"timeoutSeconds": 0}, "timeoutSeconds must be a number of seconds above 0 or null, not 0"),
         ({"includesReader": 1}, "includesReader must be true or false, not 1"),
         ({"intervalSeconds": 60}, "intervalSeconds must be a number of seconds from 0.01 to 10, not 60"),
-        ({"colour": 1}, "unknown field colour; known are configuration, container, "),
+        ({"colour": 1}, "unknown field colour; known are companions, configuration, container, "),
     ],
 )
 def test_specification_refused(change: dict[str, Any], message: str) -> None:
@@ -191,33 +185,61 @@ def test_termination_message_fits(text: str, problem: str) -> None:
     assert told["message"] == kept or len(told["message"]) >= 40
 
 
-def test_state_survives(tmp_path: Path) -> None:
-    account = Accounting(10.0)
-    for k in range(30):
-        account.add(Sample(10 + k / 10, k / 20, 100 + k, 50, 70 - k))
-    state = SidecarState(
-        first=ProcessIdentity(7, 12345),
-        start=10.0,
-        accounting=account.state(),
-        stop=Stop(Reason.DEADLINE_EXCEEDED, "it took more than 1 s"),
-        notes=["one"],
-    )
-    path = str(tmp_path / "monitor.json")
-    state.save(path)
-    loaded = SidecarState.load(path)
-    assert loaded is not None
-    assert (loaded.first, loaded.stop, loaded.notes) == (state.first, state.stop, state.notes)
-    again = Accounting.from_state(loaded.accounting)
-    for one in (account, again):
-        one.add(Sample(13.5, 1.9, 10, 10, 10))
-    assert again.usage("proc") == account.usage("proc")
+class FakeProc:
+    """First processes of containers, by what they show of their environment; None: they hide it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.shown: dict[int, bytes | None] = {}
+        monkeypatch.setattr(containers.os, "listdir", lambda _: [str(pid) for pid in self.shown])
+        monkeypatch.setattr(containers.os, "pread", lambda *_: b"0 0 0 1/1 %d" % len(self.shown))
+        monkeypatch.setattr(containers, "read_file", self.read)
+        monkeypatch.setattr(
+            containers, "identify", lambda pid: ProcessIdentity(pid, pid) if pid in self.shown else None
+        )
+
+    def read(self, path: str) -> bytes:
+        pid, name = int(path.split("/")[2]), path.rpartition("/")[2]
+        if name == "environ":
+            if self.shown[pid] is None:
+                raise PermissionError(path)
+            return b"SLAMHIVE_CONTAINER=" + (self.shown[pid] or b"") + b"\0"
+        return {
+            "stat": b"%d (x) S 0 1" % pid,
+            "comm": b"x",
+            "status": b"Name:\tx\nUid:\t%d\t0\n" % os.getuid(),
+        }[name]
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"first": 3}', "null"])
-def test_state_that_can_not_be_read(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "monitor.json"
-    path.write_text(text)
-    assert SidecarState.load(str(path)) is None
+@pytest.mark.parametrize("player", [None, b"player"])
+@pytest.mark.parametrize("algorithm", [None, b"algorithm"])
+def test_a_player_that_hides_is_not_taken_for_the_algorithm(
+    player: bytes | None, algorithm: bytes | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It starts first; what a probe runs in its container is no container of its own."""
+    finder = Finder("algorithm", companions=1)
+    proc = FakeProc(monkeypatch)
+    proc.shown[10] = b"player"
+    assert finder.look(0.0) is None
+    proc.shown[10] = player
+    proc.shown[11] = b"player"
+    assert finder.look(60.0) is None
+    del proc.shown[11]
+    assert finder.look(61.0) is None
+    proc.shown[20] = algorithm
+    found = [finder.look(62.0), finder.look(90.0)]
+    finder.close()
+    assert ProcessIdentity(20, 20) in found
+    assert finder.by_exclusion == (algorithm is None)
+
+
+def test_a_player_that_hid_before_anyone_looked(monkeypatch: pytest.MonkeyPatch) -> None:
+    finder = Finder("algorithm", companions=1)
+    proc = FakeProc(monkeypatch)
+    proc.shown[10] = None
+    assert [finder.look(0.0), finder.look(60.0)] == [None, None]
+    proc.shown[20] = None
+    assert [finder.look(61.0), finder.look(90.0)] == [None, ProcessIdentity(20, 20)]
+    finder.close()
 
 
 def test_the_machines_own_cgroups_are_no_container() -> None:

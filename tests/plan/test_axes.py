@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive.model.sweep import Range
+from slamhive.plan import plan_problems
 from slamhive.plan.axes import spread
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ matrix: [{path: parameters.nFeatures, range: {from: 500, to: 1500, step: 250}}]
     values = [point.spec["parameters"]["nFeatures"] for point in points]
     assert values == [500, 750, 1000, 1250, 1500]
     assert {type(value) for value in values} == {int}
-    assert points.check() == []
+    assert plan_problems(points) == []
 
 
 def test_points_set_several_fields_nested_or_flat(plan: Callable[..., Plan]) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.model.errors import InputError
+from slamhive.plan import plan_problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -179,14 +180,14 @@ def test_check_tells_what_the_catalog_does_not_allow(
 ) -> None:
     head = "" if spec.startswith("include") else BASE
     points = plan(head + spec) if head else plan(BASE + "matrix: [{path: seed, values: [1]}]\n" + spec)
-    found = points.check()
+    found = plan_problems(points)
     assert len(found) == 1
     assert message in found[0]
 
 
 def test_a_mistake_in_the_template_is_told_once(plan: Callable[..., Plan]) -> None:
     points = plan(BASE.replace("datasetRef", "parameters: {maxRange: 0}, datasetRef") + "repetitions: 50")
-    assert points.check() == [
+    assert plan_problems(points) == [
         "spec.template.spec: parameters.maxRange: 0 is below the minimum, allowed: a number from 1 to 200 (m)"
     ]
 
@@ -198,7 +199,7 @@ def test_the_list_of_what_cannot_be_expanded_is_bounded(plan: Callable[..., Plan
 
 
 def test_missing_names_are_told(plan: Callable[..., Plan]) -> None:
-    assert [problem.split(": ")[1] for problem in plan("repetitions: 2").check()] == [
+    assert [problem.split(": ")[1] for problem in plan_problems(plan("repetitions: 2"))] == [
         "algorithmRef.name",
         "datasetRef.name",
     ]
@@ -206,12 +207,12 @@ def test_missing_names_are_told(plan: Callable[..., Plan]) -> None:
 
 def test_names_outside_the_catalog_are_allowed_when_asked(plan: Callable[..., Plan]) -> None:
     spec = "matrix: [{path: algorithm, values: [a, b]}, {path: dataset, values: [c]}]"
-    assert plan(spec, strict=False).check() == []
-    assert len(plan(spec, strict=True).check()) == 3
+    assert plan_problems(plan(spec, strict=False)) == []
+    assert len(plan_problems(plan(spec, strict=True))) == 3
 
 
 def test_the_list_of_mistakes_is_bounded(plan: Callable[..., Plan]) -> None:
     points = plan(BASE + "matrix: [{path: parameters.maxRange, range: {from: 1000, to: 1099, step: 1}}]")
-    found = points.check(limit=5)
+    found = plan_problems(points, 5)
     assert len(found) == 6
     assert found[-1] == "… and 95 more"

@@ -10,7 +10,7 @@ import pytest
 from slamhive.model.loading import parse, to_object
 from slamhive.model.results import Prepared
 from slamhive.model.sensors import SensorMode
-from slamhive.plan import FixedCatalog, Plan, option_problems, recording_fields, spec_hash
+from slamhive.plan import FixedCatalog, Plan, option_problems, plan_problems, recording_fields, spec_hash
 from slamhive.plan.effects import nominal
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def test_a_single_run_is_refused_with_what_there_is(
     study: Callable[..., Plan], mode: str, dataset: str, options: dict[str, Any], sentence: str
 ) -> None:
     points = study(mode=mode, template={"datasetRef": {"name": dataset}, "input": options})
-    assert points.check() == [f"spec.template.spec: {sentence}"]
+    assert plan_problems(points) == [f"spec.template.spec: {sentence}"]
     chosen = points.algorithms["odometry"].spec.mode(SensorMode(mode))
     given = {"pace": "Lockstep", **options}
     assert option_problems(given, points.datasets[dataset], chosen) == [sentence]
@@ -144,7 +144,7 @@ def test_what_the_recording_has_or_may_have_is_as_asked(
     study: Callable[..., Plan], mode: str, dataset: str, options: dict[str, Any]
 ) -> None:
     points = study(mode=mode, template={"datasetRef": {"name": dataset}, "input": options})
-    assert points.check() == []
+    assert plan_problems(points) == []
     assert points.point(0).asked == {}
     assert points.remarks() == []
 
@@ -152,7 +152,7 @@ def test_what_the_recording_has_or_may_have_is_as_asked(
 def test_rates_above_that_of_the_only_recording_are_refused_each_where_it_stands(
     study: Callable[..., Plan],
 ) -> None:
-    assert study("[{path: input.frameRate, values: [10, 15, 30]}]").check() == [
+    assert plan_problems(study("[{path: input.frameRate, values: [10, 15, 30]}]")) == [
         "spec.matrix[0].values[1]: input.frameRate: 15 Hz is asked, slow's lidar has 10 Hz",
         "spec.matrix[0].values[2]: input.frameRate: 30 Hz is asked, slow's lidar has 10 Hz",
     ]
@@ -160,18 +160,18 @@ def test_rates_above_that_of_the_only_recording_are_refused_each_where_it_stands
 
 def test_a_value_in_vain_on_every_recording_is_refused(study: Callable[..., Plan]) -> None:
     axes = "[{path: dataset, values: [slow, fast]}, {path: input.resolution, values: [1, 0.5]}]"
-    [sentence] = study(axes).check()
+    [sentence] = plan_problems(study(axes))
     assert sentence == (
         "spec.matrix[1].values[1]: input.resolution: 0.5 is asked, the mode lidar has no camera; "
         "nor has it an effect elsewhere in the sweep"
     )
     several = "[{path: sensors, values: [stereo, lidar]}, {path: input.resolution, values: [1, 0.5]}]"
-    assert study(several, template={"datasetRef": {"name": "fast"}}).check() == []
+    assert plan_problems(study(several, template={"datasetRef": {"name": "fast"}})) == []
 
 
 def test_a_run_cannot_start_beyond_the_end_of_any_recording(study: Callable[..., Plan]) -> None:
     points = study("[{path: dataset, values: [slow, fast]}]", template={"input": {"start": "20s"}})
-    assert points.check() == ["spec.template.spec: input.start: 20s is asked, slow lasts 15 s"]
+    assert plan_problems(points) == ["spec.template.spec: input.start: 20s is asked, slow lasts 15 s"]
 
 
 RATES = "[{path: dataset, values: [slow, fast]}, {path: input.frameRate, values: [10, 15, 30]}]"
@@ -179,7 +179,7 @@ RATES = "[{path: dataset, values: [slow, fast]}, {path: input.frameRate, values:
 
 def test_over_several_recordings_each_run_has_what_took_effect(study: Callable[..., Plan]) -> None:
     points = study(RATES)
-    assert points.check() == []
+    assert plan_problems(points) == []
     found = [(point.spec["input"]["frameRate"], point.asked) for point in points]
     assert found == [
         (10, {}),
@@ -204,7 +204,7 @@ def test_runs_that_come_out_equal_wait_for_the_first_of_them(study: Callable[...
         "input.frameRate: 15 Hz is asked, slow's lidar has 10 Hz; runs as 10",
         "input.frameRate: 30 Hz is asked, slow's lidar has 10 Hz; runs as 10",
         "input.frameRate: 30 Hz is asked, fast's lidar has 20 Hz; runs as 20",
-        "4 of 12 runs ask for what others have: run once",
+        "4 of 12 runs are equal to others and are not run again",
     ]
 
 
@@ -216,7 +216,7 @@ def test_nothing_waits_where_every_value_has_an_effect(study: Callable[..., Plan
 
 def test_a_length_beyond_the_end_is_the_rest(study: Callable[..., Plan]) -> None:
     points = study("[{path: dataset, values: [slow, fast]}]", template={"input": {"duration": "100s"}})
-    assert points.check() == []
+    assert plan_problems(points) == []
     assert [point.spec["input"]["duration"] for point in points] == ["15s", "30s"]
     assert [point.asked for point in points] == [{"duration": "100s"}] * 2
 
@@ -224,7 +224,7 @@ def test_a_length_beyond_the_end_is_the_rest(study: Callable[..., Plan]) -> None
 def test_what_a_mode_has_no_sensor_for_is_left_out(study: Callable[..., Plan]) -> None:
     axes = "[{path: sensors, values: [stereo, lidar]}, {path: input.lidar.rings, values: [8, 16]}]"
     points = study(axes, template={"datasetRef": {"name": "fast"}, "input": {"resolution": 0.5}})
-    assert points.check() == []
+    assert plan_problems(points) == []
     inputs = [point.spec["input"] for point in points]
     assert [options.get("lidar") for options in inputs] == [None, None, {"rings": 8}, {"rings": 16}]
     assert [options["resolution"] for options in inputs] == [0.5, 0.5, 1, 1]
@@ -234,7 +234,7 @@ def test_what_a_mode_has_no_sensor_for_is_left_out(study: Callable[..., Plan]) -
 
 def test_a_template_may_ask_for_more_than_some_recordings_have(study: Callable[..., Plan]) -> None:
     points = study("[{path: dataset, values: [slow, fast]}]", template={"input": {"frameRate": 12}})
-    assert points.check() == []
+    assert plan_problems(points) == []
     assert [point.spec["input"]["frameRate"] for point in points] == [10, 12]
 
 

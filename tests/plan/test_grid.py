@@ -7,7 +7,7 @@ import itertools
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive.model.base import ObjectMeta
@@ -76,7 +76,6 @@ _includes = st.lists(st.dictionaries(st.sampled_from(AXES + EXTRA), _values, min
 _excludes = st.lists(st.dictionaries(st.sampled_from(AXES), _values, min_size=1), max_size=4)
 
 
-@settings(max_examples=300, deadline=None)
 @given(axes=_axes, include=_includes, exclude=_excludes)
 def test_agrees_with_the_naive_way(axes: Any, include: Any, exclude: Any) -> None:
     exclude = [{k: v for k, v in entry.items() if k in axes} for entry in exclude]

@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from slamhive.model.base import ObjectMeta
@@ -94,7 +94,6 @@ _scalar = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
 @given(
     values=st.lists(_scalar, min_size=1, max_size=4, unique_by=lambda v: (isinstance(v, bool), v)),
     names=st.lists(

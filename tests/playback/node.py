@@ -59,6 +59,8 @@ def take(scan: PointCloud2) -> None:
         sys.stderr.write("lost the map\n")
         sys.stderr.flush()
         os._exit(3)
+    if act == "quits" and scans == 15:
+        os._exit(0)
     if act == "slow":
         time.sleep(0.25)
     if act != "silent":

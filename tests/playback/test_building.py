@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the player is asked, what it reports, and what follows from that."""
+"""Tests of the player's request, its report, and the end of a run that follows from it."""
 
 from __future__ import annotations
 

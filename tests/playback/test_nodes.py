@@ -78,6 +78,17 @@ def test_a_node_that_publishes_no_pose_is_lost(play: Callable[..., RunRecord]) -
     assert (record.frames.offered, record.frames.processed) == (30, 0)
 
 
+def test_what_was_heard_of_a_node_that_ends_before_its_recording_is_kept(
+    play: Callable[..., RunRecord],
+) -> None:
+    record = play("quits")
+    assert (record.phase, record.message or "") == ("Succeeded", "")
+    assert record.frames is not None
+    assert record.frames.processed is not None
+    assert 1 <= record.frames.processed <= 15
+    assert record.metrics["latencySeconds"]["max"] > 0
+
+
 @pytest.mark.parametrize(
     ("act", "message"),
     [("deaf", "the node did not subscribe to /points in 5 s"), ("crash", "lost the map")],

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,11 +28,8 @@ STEREO = {"sensors": ["Stereo"], "durationSeconds": 12, "loops": 0.4, "camera": 
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> Home:
-    """A home whose environments outlive the session: making them takes minutes."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    environments = cache / "slamhive-tests" / "environments"
-    environments.mkdir(parents=True, exist_ok=True)
+def home(tmp_path: Path, environments: Path) -> Home:
+    """A home of real algorithms."""
     (tmp_path / "environments").symlink_to(environments)
     return Home.at(tmp_path)
 

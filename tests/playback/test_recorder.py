@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which frame a pose belongs to, what was dropped, how long it took."""
+"""Tests of the recorder: the frame that a pose belongs to, dropped frames, latencies."""
 
 from __future__ import annotations
 

@@ -7,10 +7,9 @@ import json
 import subprocess
 import sys
 from datetime import UTC, datetime
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-import polars as pl
 import pytest
 
 import slamhive
@@ -21,7 +20,21 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_it_has_the_rows_and_values_of_an_export(assorted: Path, slamhive: Callable[..., Any]) -> None:
+@pytest.fixture(scope="module")
+def pd() -> Any:
+    """pandas; all workers collect this file, and importing it takes half a second."""
+    return import_module("pandas")
+
+
+@pytest.fixture(scope="module")
+def pl() -> Any:
+    """polars, as pandas."""
+    return import_module("polars")
+
+
+def test_it_has_the_rows_and_values_of_an_export(
+    pd: Any, assorted: Path, slamhive: Callable[..., Any]
+) -> None:
     code, out, _ = slamhive(assorted, "results", "export", "--format", "json")
     assert code == 0
     expected = json.loads(out)
@@ -44,7 +57,7 @@ def results(*words: Any, **options: Any) -> Any:
     return slamhive.results(*words, **options)
 
 
-def test_pandas_kinds(assorted: Path) -> None:
+def test_pandas_kinds(pd: Any, assorted: Path) -> None:
     found = results(assorted)
     assert isinstance(found, pd.DataFrame)
     kinds = {
@@ -62,7 +75,7 @@ def test_pandas_kinds(assorted: Path) -> None:
     assert set(found["status"]) == {"Tracked", "Lost", "OutOfMemory", "NotEvaluated"}
 
 
-def test_polars_kinds(assorted: Path) -> None:
+def test_polars_kinds(pl: Any, assorted: Path) -> None:
     found = results(assorted, frame="polars")
     assert isinstance(found, pl.DataFrame)
     kinds = {
@@ -90,7 +103,7 @@ def test_choosing(assorted: Path, frame: str) -> None:
     assert results(assorted, where="ate.rmse < 0", frame=frame).shape[0] == 0
 
 
-def test_an_evaluation_gives_each_run_once(assorted: Path, slamhive: Callable[..., Any]) -> None:
+def test_an_evaluation_gives_each_run_once(pd: Any, assorted: Path, slamhive: Callable[..., Any]) -> None:
     columns = "uid,evaluation,outcome,ate.rmse,coverage,phase,usage.cpu.meanCores"
     words = ("results", "list", "--evaluation", "sim3", "--format", "json", "--columns", columns)
     expected = {row["uid"]: row for row in json.loads(slamhive(assorted, *words)[1])}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole commands with real algorithms, in one home; environments are kept between test sessions."""
+"""Whole commands with real algorithms, in one home."""
 
 from __future__ import annotations
 
@@ -18,11 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="session")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A home whose environments of algorithms outlive the session: making them takes minutes."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    environments = cache / "slamhive-tests" / "environments"
-    environments.mkdir(parents=True, exist_ok=True)
+def home(tmp_path_factory: pytest.TempPathFactory, environments: Path) -> Path:
+    """A home of real algorithms."""
     folder = tmp_path_factory.mktemp("shows")
     (folder / "environments").symlink_to(environments)
     return folder

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 EVERYTHING = SyntheticRecording(
     seed=5,
     sensors=("Lidar", "Imu", "Stereo", "Rgbd"),
-    loops=0.2,
-    duration_seconds=9.0,
+    loops=0.15,
+    duration_seconds=7.0,
     lidar=SyntheticLidar(rings=8, columns=90),
     camera=SyntheticCamera(width=96, height=72, rate=5.0),
     header_offset_seconds=0.004,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command itself, as a process of its own on a home of its own."""
+"""The command itself, in a process of its own on a home of its own."""
 
 from __future__ import annotations
 
@@ -24,6 +24,19 @@ if TYPE_CHECKING:
     from slamhive.local.home import Home
     from slamhive.model.results import RunRecord
 
+sys.path.append(str(Path(__file__).parents[1] / "faults"))
+
+from forking import Forks
+
+IMPORTED = (
+    "slamhive.cli.main",
+    "slamhive.cli.running",
+    "slamhive.cli.results",
+    "slamhive.archive.upgrading",
+    "slamhive.data.transfer",
+    "slamhive.local.workbench",
+    "slamhive.local.catalog:load_workshop",
+)
 COMMAND = Path(sys.executable).with_name("slamhive")
 DEADLINE_SECONDS = 120.0
 HEADER = {"apiVersion": "slamhive.io/v1alpha1"}
@@ -39,12 +52,18 @@ def wait_until(condition: Callable[[], Any], what: str, seconds: float = DEADLIN
     return found
 
 
+def environment() -> dict[str, str]:
+    """Return ours, in which nothing leads to another slamhive than the installed one."""
+    return {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+
+
 class System:
     """A home, the command on it, and what can be seen of it from outside."""
 
-    def __init__(self, home: Home, folder: Path) -> None:
+    def __init__(self, home: Home, folder: Path, forks: Forks) -> None:
         self.home = home
         self.folder = folder
+        self._forks = forks
         self._started: list[subprocess.Popen[str]] = []
 
     def start(self, *arguments: str | Path) -> subprocess.Popen[str]:
@@ -61,17 +80,28 @@ class System:
                 stderr=err,
                 text=True,
                 cwd=self.folder,
-                env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-                | {"SLAMHIVE_HOME": str(self.home.path), "COLUMNS": "200"},
+                env=self._environment(),
             )
         self._started.append(process)
         return process
 
     def __call__(self, *arguments: str | Path) -> tuple[int, str, str]:
-        """Run the command to its end; return exit code, standard output and standard error."""
-        process = self.start(*arguments)
-        code = process.wait(DEADLINE_SECONDS)
-        return code, *self.printed(process)
+        """Run the command to its end, in a fork; return exit code, standard output and standard error."""
+        out, err = self.folder / "out", self.folder / "err"
+        code = self._forks.call(
+            module="slamhive.cli.main",
+            function="main",
+            arguments=(),
+            words=[str(one) for one in arguments],
+            env=self._environment(),
+            cwd=str(self.folder),
+            out=str(out),
+            err=str(err),
+        )
+        return code, out.read_text(), err.read_text()
+
+    def _environment(self) -> dict[str, str]:
+        return environment() | {"SLAMHIVE_HOME": str(self.home.path), "COLUMNS": "200"}
 
     def printed(self, process: subprocess.Popen[str]) -> tuple[str, str]:
         """Return what a command has printed so far to standard output and standard error."""
@@ -129,7 +159,7 @@ class System:
         for process in self._started:
             process.kill()
             process.wait()
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 50
         while (left := self.alive()) and time.monotonic() < deadline:
             for pid in left:
                 with suppress(ProcessLookupError):
@@ -137,10 +167,18 @@ class System:
             time.sleep(0.01)
 
 
+@pytest.fixture(scope="session")
+def forks() -> Iterator[Forks]:
+    """What forks commands that are run to their end: importing takes longer than most of them."""
+    found = Forks(IMPORTED, environment())
+    yield found
+    found.close()
+
+
 @pytest.fixture
-def system(home: Home, tmp_path: Path) -> Iterator[System]:
+def system(home: Home, tmp_path: Path, forks: Forks) -> Iterator[System]:
     """A home with the actor, and the command on it."""
-    found = System(home, tmp_path)
+    found = System(home, tmp_path, forks)
     try:
         yield found
     finally:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with the input is said in one sentence on standard error, with exit code 2."""
+"""Tests of wrong input: one sentence on standard error, and exit code 2."""
 
 from __future__ import annotations
 

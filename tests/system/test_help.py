@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import TYPE_CHECKING, Any
 
 import pytest
 import typer.main
 from typer.testing import CliRunner
 
-from slamhive.cli.main import app
+from slamhive.cli.main import COMMANDS as FIRST_WORDS
+from slamhive.cli.main import app, load
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,7 +23,7 @@ def commands(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
     children = getattr(command, "commands", {})
     yield path, bool(children)
     for name, child in children.items():
-        yield from commands(child, (*path, name))
+        yield from commands(child if path else load(name), (*path, name))
 
 
 COMMANDS = list(commands(typer.main.get_command(app)))
@@ -56,3 +59,36 @@ def test_the_version_is_printed(system: Any) -> None:
     code, out, err = system("--help")
     assert (code, err) == (0, "")
     assert "results" in out
+
+
+@pytest.mark.parametrize("name", FIRST_WORDS)
+def test_a_command_is_listed_with_the_first_line_of_its_own_help(name: str) -> None:
+    assert FIRST_WORDS[name].summary == load(name).help.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "unwanted"),
+    [
+        ("--help", "numpy pydantic rich sqlalchemy"),
+        ("--version", "numpy pydantic rich sqlalchemy"),
+        ("results list", "cv2 rosbags kubernetes yaml jinja2"),
+        ("dataset list", "cv2 rosbags kubernetes sqlalchemy"),
+        ("algorithm list", "cv2 rosbags kubernetes sqlalchemy"),
+    ],
+)
+def test_a_command_imports_only_what_it_needs(words: str, unwanted: str, tmp_path: Any) -> None:
+    """Start-up is most of the time that a short command takes."""
+    program = (
+        "import sys; from slamhive.cli.main import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print(*sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words.split()],
+        env={"SLAMHIVE_HOME": str(tmp_path), "PATH": ""},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert not set(unwanted.split()) & set(done.stderr.split())

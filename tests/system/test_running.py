@@ -15,6 +15,8 @@ import yaml
 from slamhive.local.cores import whole_cores
 from slamhive.model.results import Phase
 
+pytestmark = pytest.mark.timeout(300)
+
 CORES = len(whole_cores())
 
 
@@ -78,7 +80,7 @@ def test_a_second_runner_in_a_home_is_refused(system: Any, until: Any) -> None:
     assert (code, out) == (2, "")
     assert "another slamhive run is at work" in err
     first.send_signal(signal.SIGINT)
-    assert first.wait(30) == 130
+    assert first.wait(120) == 130
 
 
 def test_failures_are_told_and_give_exit_code_1(system: Any) -> None:
@@ -128,7 +130,7 @@ def test_watch_runs_what_a_changed_file_adds(system: Any, until: Any) -> None:
     system.sweep(matrix=axis(1, 2, 3))
     until(lambda: printed("watching", 3), "the second round")
     process.send_signal(signal.SIGINT)
-    assert process.wait(30) == 0
+    assert process.wait(120) == 0
     assert len(system.journal("start")) == 3
     numbers = sorted(record.spec["parameters"]["number"] for record in system.records())
     assert numbers == [1, 2, 3]

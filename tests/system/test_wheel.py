@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The wheel alone, in an environment of its own and far from the checkout, does what the checkout does."""
+"""The wheels alone, in environments of their own and far from the checkout, do what the checkout does."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from slamhive.local.catalog import load_workshop
 
 if TYPE_CHECKING:
     from slamhive.local.home import Home
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 ROOT = Path(__file__).parents[2]
 NO_NETWORK = ("connection broken", "NewConnectionError", "Temporary failure in name resolution")
@@ -36,14 +38,31 @@ def pip(python: Path | str, *arguments: str | Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the programs of an environment into which the wheel was installed."""
-    folder = tmp_path_factory.mktemp("wheel")
-    pip(sys.executable, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT)
-    subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True, env=clean())
-    programs = folder / "venv" / "bin"
-    pip(programs / "python", "install", "--quiet", next(folder.glob("*.whl")))
-    return programs
+def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the wheels of both distributions."""
+    folder = tmp_path_factory.mktemp("wheels")
+    sources = (ROOT, ROOT / "evaluator")
+    pip(sys.executable, "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, *sources)
+    return folder
+
+
+def install(folder: Path, *wheels: Path) -> Path:
+    """Make an environment with these wheels and what they need; return the folder of its programs."""
+    subprocess.run([sys.executable, "-m", "venv", folder], check=True, env=clean())
+    pip(folder / "bin" / "python", "install", "--quiet", *wheels)
+    return folder / "bin"
+
+
+@pytest.fixture(scope="module")
+def installed(wheels: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The programs of an environment with both distributions."""
+    return install(tmp_path_factory.mktemp("both"), *wheels.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def evaluator(wheels: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The programs of an environment with the evaluator's distribution alone."""
+    return install(tmp_path_factory.mktemp("evaluator"), *wheels.glob("slamhive_eval-*.whl"))
 
 
 def call(program: Path, *arguments: str | Path, cwd: Path, home: Path) -> str:
@@ -61,7 +80,6 @@ def call(program: Path, *arguments: str | Path, cwd: Path, home: Path) -> str:
     return result.stdout
 
 
-@pytest.mark.slow
 def test_the_wheel_brings_its_catalog_and_examples(installed: Path, tmp_path: Path) -> None:
     place: Any = {"cwd": tmp_path, "home": tmp_path / "home"}
     where = "import slamhive, slamhive_eval; print(slamhive.__file__, slamhive_eval.__file__)"
@@ -81,7 +99,6 @@ def test_the_wheel_brings_its_catalog_and_examples(installed: Path, tmp_path: Pa
     assert "synthetic-lidar" in call(installed / "slamhive", "dataset", "list", **place)
 
 
-@pytest.mark.slow
 def test_the_wheel_brings_all_pages(installed: Path) -> None:
     pages = ROOT / "operator" / "slamhive" / "dashboard" / "static"
     there = next(installed.parent.glob("lib/python*/site-packages/slamhive/dashboard/static"))
@@ -93,12 +110,31 @@ def test_the_wheel_brings_all_pages(installed: Path) -> None:
     assert "index.html" in names[0]
 
 
-@pytest.mark.slow
-def test_the_evaluator_of_the_wheel_stands_alone(installed: Path, tmp_path: Path) -> None:
-    assert "usage" in call(installed / "slamhive-eval", "--help", cwd=tmp_path, home=tmp_path).lower()
+def test_the_evaluator_needs_numpy_alone(evaluator: Path, tmp_path: Path) -> None:
+    place: Any = {"cwd": tmp_path, "home": tmp_path}
+    listed = json.loads(call(evaluator / "python", "-m", "pip", "list", "--format", "json", **place))
+    assert {one["name"] for one in listed} - {"pip", "setuptools"} == {"slamhive-eval", "numpy"}
+    path = tmp_path / "path.txt"
+    path.write_text("".join(f"{k} {k} {k * k / 9} 0 0 0 0 1\n" for k in range(4)))
+    words = ("ape", path, path, "--align", "se3", "--json")
+    by_script = call(evaluator / "slamhive-eval", *words, **place)
+    assert json.loads(by_script)["rmse"] < 1e-9
+    assert call(evaluator / "python", "-m", "slamhive_eval", *words, **place) == by_script
+    call(evaluator / "slamhive-eval", "report", path, path, "-o", tmp_path / "report.html", **place)
+    assert "</script>" in (tmp_path / "report.html").read_text()
 
 
-@pytest.mark.slow
+def test_both_have_one_version_and_slamhive_asks_for_it(installed: Path, tmp_path: Path) -> None:
+    code = (
+        "import json, slamhive, slamhive_eval; from importlib.metadata import requires, version;"
+        "print(json.dumps([slamhive.__version__, slamhive_eval.__version__, version('slamhive'),"
+        "version('slamhive-eval'), [r for r in requires('slamhive') if r.startswith('slamhive-eval=')]]))"
+    )
+    *versions, asked = json.loads(call(installed / "python", "-c", code, cwd=tmp_path, home=tmp_path))
+    assert len(set(versions)) == 1
+    assert asked == [f"slamhive-eval=={versions[0]}"]
+
+
 def test_the_wheel_runs_a_sweep(installed: Path, system: Any, home: Home) -> None:
     place: Any = {"cwd": system.folder, "home": home.path}
     out = call(installed / "slamhive", "run", system.sweep(repetitions=2), **place)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands share that compare whole estimates with their ground truth by the nearest stamps."""
+"""Options of the commands that compare whole estimates with their ground truth by the nearest stamps.
+
+``kitti``, ``repeated``, ``report`` and ``segments`` use them.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``ape`` and ``rpe`` share: their inputs, association and alignment, and the table they print."""
+"""Inputs, association, alignment and printed table of ``ape`` and ``rpe``.
+
+Other commands that compare trajectories take their options from here.
+"""
 
 from __future__ import annotations
 

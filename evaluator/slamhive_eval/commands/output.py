@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How results leave a command: as a table or one JSON object, and through what writes other forms."""
+"""Output of a command: a table, one JSON object, or the other forms that it writes to files.
+
+All commands use it.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``ape`` and ``rpe`` write to files: evo's result archives, error arrays, CSV and LaTeX tables."""
+"""Files that ``ape`` and ``rpe`` write: evo's result archives, error arrays, CSV and LaTeX tables."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0  # noqa: INP001 - no package: the text is given to python3 -c in a pod
-"""What ``helm test`` runs: are the kinds served, is the operator ready, can the volumes be written?"""
+"""Checks of ``helm test``: the kinds are served, the operator is ready, the volumes can be written."""
 
 from __future__ import annotations
 

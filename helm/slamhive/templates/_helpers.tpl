@@ -117,18 +117,20 @@ priorityClassName: {{ . }}
 {{- end -}}
 {{- end -}}
 
+{{- /* dict root read; who only reads has an account of its own, if there is one. */ -}}
 {{- define "slamhive.archiveVolumes" -}}
-{{- if .Values.archive.existingSecret -}}
+{{- $archive := .root.Values.archive -}}
+{{- if $archive.existingSecret -}}
 - name: archive-url
   secret:
-    secretName: {{ .Values.archive.existingSecret }}
+    secretName: {{ .read | default false | ternary ($archive.readSecret | default $archive.existingSecret) $archive.existingSecret }}
     defaultMode: 0440
     items:
-      - {key: {{ .Values.archive.key | quote }}, path: url}
-{{- else if .Values.archive.sqlite.enabled -}}
+      - {key: {{ $archive.key | quote }}, path: url}
+{{- else if $archive.sqlite.enabled -}}
 - name: archive
   persistentVolumeClaim:
-    claimName: {{ include "slamhive.claim" (dict "root" . "name" "archive") }}
+    claimName: {{ include "slamhive.claim" (dict "root" .root "name" "archive") }}
 {{- end -}}
 {{- end -}}
 
@@ -136,6 +138,9 @@ priorityClassName: {{ . }}
 {{- define "slamhive.check" -}}
 {{- if and .Values.archive.existingSecret .Values.archive.sqlite.enabled -}}
 {{- fail "archive: existingSecret and sqlite.enabled exclude each other; allowed: one of them" -}}
+{{- end -}}
+{{- if and .Values.archive.readSecret (not .Values.archive.existingSecret) -}}
+{{- fail "archive.readSecret: the operator needs an account that may write; allowed: with archive.existingSecret" -}}
 {{- end -}}
 {{- if and .Values.archive.sqlite.enabled .Values.workspaces -}}
 {{- fail "archive.sqlite.enabled: a file can't be shared with the workspaces; allowed: archive.existingSecret with the URL of a database, or no workspaces" -}}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs CT-ICP, as evalio has it, on the lidar of a recording.
+"""Adapter of CT-ICP, as evalio has it, for the lidar of a recording.
 
 CT-ICP estimates a pose for the start and one for the end of each scan; evalio answers the one of the start.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs GenZ-ICP on the lidar of a recording.
+"""Adapter of GenZ-ICP for the lidar of a recording.
 
 Where it undoes the motion within a scan, it moves the points to the end, and there its pose belongs, which
 is that of the lidar.

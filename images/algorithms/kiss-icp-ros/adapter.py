@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs KISS-ICP as a ROS 1 node: scans from the lidar's topic, poses to /kiss_icp/odometry."""
+"""Adapter of KISS-ICP as a ROS 1 node: scans from the lidar's topic, poses to /kiss_icp/odometry."""
 
 import numpy as np
 from adapter_recording import decode_cloud, pose_stamp

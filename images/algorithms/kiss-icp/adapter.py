@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs KISS-ICP on the lidar of a recording.
+"""Adapter of KISS-ICP for the lidar of a recording.
 
 It moves the points of a scan to its end, and there its pose belongs, which is that of the lidar.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the odometry of LIO-SAM, as evalio has it, on the lidar and the IMU of a recording.
+"""Adapter of LIO-SAM's odometry, as evalio has it, for the lidar and the IMU of a recording.
 
 This port closes no loops and takes neither GPS nor the orientation of a nine-axis IMU.
 It works on the scan two before the one that it is given, and undoes the rotation within a scan alone. By a

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs LOAM, as evalio has it, on the lidar of a recording.
+"""Adapter of LOAM, as evalio has it, for the lidar of a recording.
 
 This port has the odometry of LOAM without its mapping, and leaves the motion within a scan as it is: its pose
 belongs best to the middle of the scan.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs MAD-ICP, as evalio has it, on the lidar of a recording.
+"""Adapter of MAD-ICP, as evalio has it, for the lidar of a recording.
 
 Where it undoes the motion within a scan, it tells the time of a point by its azimuth and moves the points to
 the end, and there its pose belongs; or else best to the middle.

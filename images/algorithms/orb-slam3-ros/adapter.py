@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs ORB-SLAM3 as a ROS 1 node: images from topics, poses of the camera to /orb_slam3/odometry.
+"""Adapter of ORB-SLAM3 as a ROS 1 node: images from topics, poses of the camera to /orb_slam3/odometry.
 
 Poses are published as they are tracked. When the node is told to end, it writes its final trajectory, after
 loop closure, as output/trajectory.txt: the player keeps the published one as trajectory.online.txt.

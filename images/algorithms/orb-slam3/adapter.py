@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs ORB-SLAM3 on a camera, a stereo pair or an RGB-D camera.
+"""Adapter of ORB-SLAM3 for a camera, a stereo pair or an RGB-D camera.
 
 It is GPL-3.0 and is only ever run in an environment or image of its own, by this program.
 

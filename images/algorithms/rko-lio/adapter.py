@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs RKO-LIO on the lidar and the IMU of a recording.
+"""Adapter of RKO-LIO for the lidar and the IMU of a recording.
 
 It estimates the pose of a base frame that its caller chooses by the extrinsics: here the body. The pose
 belongs to the end of the scan.

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.ordering import sort_key
 from slamhive.model.base import Choice
 
 if TYPE_CHECKING:
@@ -32,6 +31,13 @@ if TYPE_CHECKING:
 
 _EXACT = 2.0**53
 _PLAIN = {int, float, type(None)}
+
+
+def sort_key(value: Any) -> tuple[int, float, str]:
+    """Return what values of any kind are sorted by: numbers, then texts, then what is missing."""
+    if isinstance(value, int | float):
+        return (2, 0.0, "") if value != value else (0, float(value), "")  # noqa: PLR0124 - NaN
+    return (3, 0.0, "") if value is None else (1, 0.0, str(value))
 
 
 class ColumnKind(Choice):
@@ -196,8 +202,8 @@ class Column:
             return self.numbers
         lookup = np.array([*map(_float, self.values), math.nan])
         lookup[~np.isfinite(lookup)] = math.nan
-        found: Floats = lookup[self.codes]
-        return found
+        numbers: Floats = lookup[self.codes]
+        return numbers
 
     def factorized(self) -> tuple[Integers, list[Any]]:
         """Return (codes, values): values in their order, each used, None last where one is missing."""
@@ -205,9 +211,8 @@ class Column:
             uniques, codes = np.unique(self.numbers, return_inverse=True)
             values = [None if value != value else self.plain(value) for value in uniques.tolist()]  # noqa: PLR0124
             return codes.astype(np.int32), values
-        used, codes = np.unique(self.codes, return_inverse=True)
-        lookup = [*self.values, None]
-        values = [lookup[code] for code in used.tolist()]
+        used, codes = renumbered(self.codes + 1, len(self.values) + 1)
+        values = [None if code == 0 else self.values[code - 1] for code in used.tolist()]
         order = sorted(range(len(values)), key=lambda place: sort_key(values[place]))
         ranks = np.empty(len(values), dtype=np.int32)
         ranks[order] = np.arange(len(values), dtype=np.int32)
@@ -249,3 +254,28 @@ def times(values: Sequence[Any]) -> Column:
     numbers = stamps.astype(np.int64) / 1e6
     numbers[np.isnat(stamps)] = np.nan
     return Column(ColumnKind.TIME, numbers, _NO_CODES)
+
+
+def renumbered(
+    numbers: npt.NDArray[np.integer[Any]], bound: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the numbers that occur, sorted, and the place of each row's among them, (n,).
+
+    The same as NumPy's ``unique``, several times as fast where few numbers are possible.
+
+    Args:
+        numbers: whole numbers from 0, (n,).
+        bound: above all of them.
+    """
+    if bound > 4 * len(numbers) + 1024:
+        used, places = np.unique(numbers, return_inverse=True)
+        return used.astype(np.int64), places.astype(np.int64)
+    occurs = np.zeros(bound, dtype=bool)
+    occurs[numbers] = True
+    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[numbers]
+
+
+def count_distinct(numbers: npt.NDArray[Any]) -> int:
+    """Return how many different numbers there are; sorted, which is faster than NumPy's hashing of many."""
+    ordered = np.sort(numbers)
+    return int(np.count_nonzero(ordered[1:] != ordered[:-1])) + 1 if len(ordered) else 0

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs measured again where all of them have poses.
+"""Common support: runs measured again over the time in which all of them have poses.
+
+Dashboard and report use it.
 
 An error over a run's own poses is that of the ground it covered: one that lost track before the hard part
 may look better than one that went through it. Over the support that all share they are compared alike.

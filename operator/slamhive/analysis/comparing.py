@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two by two: which competitor has the smaller errors, and whether that is more than chance.
+"""Comparison of competitors in pairs: which has the smaller errors, and whether that is more than chance.
 
 The unit is the dataset: repetitions on one dataset are not independent of each other, so each dataset gives
 one pair of medians. Their differences are logarithms of ratios, tested by flipping signs (exact up to 14
@@ -178,9 +178,9 @@ def _pair(
 def log_ratios(first: Floats, second: Floats) -> Floats:
     """Return log(second / first), (n,): ±inf where one failed, 0 where both did or both are equal."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = np.log(second / first)
-    found[first == second] = 0.0
-    return found
+        ratios = np.log(second / first)
+    ratios[first == second] = 0.0
+    return ratios
 
 
 def signed_differences(differences: Floats) -> Floats:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.columns import Column, ColumnKind, renumbered
 from slamhive.analysis.frame import DERIVED, Frame
 from slamhive.model.results import Phase
 
@@ -95,11 +95,11 @@ def _codes(frame: Frame, name: str) -> tuple[npt.NDArray[np.int64], list[Any]]:
 
 def _crossed(parts: Sequence[tuple[npt.NDArray[np.int64], list[Any]]], length: int) -> npt.NDArray[np.int64]:
     """Return one number for each row by the numbers of several columns."""
-    combined = np.zeros(length, dtype=np.int64)
+    combined, count = np.zeros(length, dtype=np.int64), 1
     for codes, values in parts:
-        combined = combined * (len(values) + 1) + codes + 1
-        if len(values) > 1:
-            combined = np.unique(combined, return_inverse=True)[1].astype(np.int64)
+        width = len(values) + 1
+        used, combined = renumbered(combined * width + codes + 1, count * width)
+        count = len(used)
     return combined
 
 
@@ -180,8 +180,8 @@ def _differs_from_latest(codes: npt.NDArray[np.int64], group: npt.NDArray[np.int
     latest = np.full(int(group.max(initial=0)) + 1, -1, dtype=np.int64)
     latest[group[known]] = codes[known]  # of several of a group the last one stays
     current = latest[group]
-    found: Mask = (codes >= 0) & (codes != current)
-    return found
+    differs: Mask = (codes >= 0) & (codes != current)
+    return differs
 
 
 def _of_earlier_sweep(frame: Frame, sweeps: Sequence[SweepVersion]) -> Mask:
@@ -194,5 +194,5 @@ def _of_earlier_sweep(frame: Frame, sweeps: Sequence[SweepVersion]) -> Mask:
     known = {one.uid for one in sweeps}
     codes, values = _codes(frame, "sweep.uid")
     earlier = np.array([value in known and value not in current for value in (*values, None)], dtype=bool)
-    found: Mask = earlier[codes]
-    return found
+    is_earlier: Mask = earlier[codes]
+    return is_earlier

@@ -8,6 +8,7 @@ there for commands, pages, reports and data frames.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -64,16 +65,17 @@ DOCUMENTS: tuple[tuple[str, str, str | None], ...] = (
     ("prepared", "provenance", "prepared"),
     ("resources", "spec", "resources"),
     ("dataset.attributes", "attributes", None),
-    ("label", "labels", None),
-    ("metrics", "metrics", None),
     ("usage", "usage", None),
     ("frames", "frames", None),
     ("trajectory", "trajectory", None),
     ("provenance", "provenance", None),
+    ("label", "labels", None),
+    ("metrics", "metrics", None),
 )
 """(prefix of the columns, JSON document of the archive, field of it): nested names are joined by dots.
 
-Where two say the same, the later one holds: what took effect stands before what was asked.
+Where two say the same, the later one holds: what took effect stands before what was asked. Last come those
+whose names are anybody's choice: they are what MAX_COLUMNS leaves out.
 """
 
 _TOLD_ELSEWHERE = {"provenance": frozenset({"effective", "asked", "prepared"})}
@@ -166,7 +168,7 @@ def _rest(document: str, held: Sequence[Document | None]) -> Sequence[Document |
 
 
 def _with_intended(runs: Mapping[str, Sequence[Any]], results: Results) -> Results:
-    """Return results with an empty one for each evaluation that a run was meant to have and has not."""
+    """Return results, with an empty one for each intended evaluation that has no result."""
     measured = set(zip(results.runs, results.evaluations, strict=True))
     complete = Results(*(list(column) for column in results))
     for run, intended in zip(runs["id"], runs["evaluations"], strict=True):
@@ -249,18 +251,54 @@ def spread(
         # Nearly always: the documents are turned round without a look-up for each value.
         (names,) = shapes
         nothing = (None,) * len(names)
-        turned = zip(*[document.values() if document else nothing for document in documents], strict=True)
-        values_by_name: dict[str, Sequence[Any]] = dict(zip(names, turned, strict=True))
+        turned: Iterable[Sequence[Any]] = zip(
+            *[document.values() if document else nothing for document in documents], strict=True
+        )
     else:
         filled = [document or _EMPTY for document in documents]
-        names = tuple(dict.fromkeys(chain(*sorted(shapes))))
-        values_by_name = {name: [document.get(name) for document in filled] for name in names}
-    for name, values in values_by_name.items():
+        names = _commonest(filled, MAX_COLUMNS)
+        # One by one: made for all names at once they would be all that the limit below is there to avoid.
+        turned = ([document.get(name) for document in filled] for name in names)
+    for name, values in zip(names, turned, strict=True):
         if not prefix and name in left_out:
             continue
         if len(found) >= MAX_COLUMNS:
             return
         _spread_values(found, f"{prefix}.{name}" if prefix else name, values)
+
+
+def _commonest(documents: Sequence[Document], most: int) -> tuple[str, ...]:
+    """Return the names in documents, those that most of them have where there are too many."""
+    shapes = Counter(tuple(document) for document in documents)
+    names = dict.fromkeys(chain(*sorted(shapes)))
+    if len(names) > most:
+        counts: Counter[str] = Counter()
+        for shape, times in shapes.items():
+            counts.update(dict.fromkeys(shape, times))
+        kept = {name for name, _ in counts.most_common(most)}
+        names = {name: None for name in names if name in kept}
+    return tuple(names)
+
+
+def bound(parts: Sequence[Part], known: Iterable[str], most: int) -> list[str]:
+    """Leave out the columns that are too many, and return their names.
+
+    Args:
+        parts: columns by name and their length.
+        known: columns that stay in any case.
+        most: others that may stay: those that most rows have.
+    """
+    names = {name for columns, _ in parts for name in columns}
+    if len(names) <= most:
+        return []
+    counts: Counter[str] = Counter(dict.fromkeys(sorted(names - {*known, *CORE_COLUMNS, *OF_RUN}), 0))
+    for columns, _ in parts:
+        counts.update({name: int(columns[name].present.sum()) for name in columns if name in counts})
+    dropped = [name for name, _ in counts.most_common()[most:]]
+    for columns, _ in parts:
+        for name in dropped:
+            columns.pop(name, None)
+    return dropped
 
 
 def _spread_values(found: dict[str, Sequence[Any]], name: str, values: Sequence[Any]) -> None:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which settings matter: how much of a figure's variance each explains, within one subject.
+"""Importance of settings: how much of a figure's variance each one explains, within one subject.
+
+The dashboard shows it.
 
 A subject is an algorithm with its sensors on a dataset, under one set of facets. The variance is that of the
 logarithm, as errors are multiplied by settings, not added to. A setting's share is η², the sum of squares

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is better: ranks over datasets with their uncertainty.
+"""Leaderboard: ranks of competitors over datasets, with their uncertainty. Dashboard and report show it.
 
 Metres of one dataset say nothing about another: so competitors are ranked within each dataset, and what is
 averaged over datasets are those ranks, and the logarithms of ratios to the best of the dataset. A run that
@@ -169,7 +169,7 @@ def _board(grid: Grid, draws: int) -> Board:
     chosen = generator.integers(0, shape[1], (draws, shape[1]))
     drawn = np.take_along_axis(drawn, chosen[:, None, :], axis=2)
     scores, ratios = _scores(grid.medians[None])[0], _ratios(grid.medians[None])[0]
-    drawn_ranks = np.apply_along_axis(average_ranks, 1, np.nan_to_num(_scores(drawn), nan=1.0))
+    drawn_ranks = average_ranks(np.nan_to_num(_scores(drawn), nan=1.0))
     drawn_ratios = _ratios(drawn)
     ranks, within = _places(scores), _dataset_ranks(grid.medians)
     entries = [

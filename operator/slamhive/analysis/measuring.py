@@ -67,7 +67,7 @@ _METHODS: dict[Alignment, Method] = {
 
 @dataclass(frozen=True)
 class Subject:
-    """What is to know of a run to measure it.
+    """The evaluator's inputs for one run.
 
     Attributes:
         mode: its sensor mode.

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from slamhive.analysis.columns import sort_key
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
@@ -17,13 +19,6 @@ T = TypeVar("T")
 
 UNIQUE = ("id", "evaluation")
 """What every order ends with, so that no two rows are equal in it."""
-
-
-def sort_key(value: Any) -> tuple[int, float, str]:
-    """Return what values of any kind are sorted by: numbers, then texts, then what is missing."""
-    if isinstance(value, int | float):
-        return (2, 0.0, "") if value != value else (0, float(value), "")  # noqa: PLR0124 - NaN
-    return (3, 0.0, "") if value is None else (1, 0.0, str(value))
 
 
 def order_by(items: Iterable[T], columns: Iterable[str], get: Callable[[T, str], Any]) -> list[T]:

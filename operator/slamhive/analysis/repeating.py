@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the same come out again? Repetitions of a configuration, and scales that are wrong by equal parts."""
+"""Repetitions of a configuration: does the same come out again? And scales that are wrong by equal parts."""
 
 from __future__ import annotations
 

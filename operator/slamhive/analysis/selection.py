@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from slamhive.analysis.columns import count_distinct
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import where_equal
 from slamhive.model.errors import InputError, UnknownNameError
@@ -25,7 +26,7 @@ _INFRASTRUCTURE = frozenset(reason.value for reason in Reason if reason.is_infra
 
 @dataclass(frozen=True)
 class Selection:
-    """Which rows are meant.
+    """The rows that a question selects.
 
     Attributes:
         sweeps: only runs of these sweeps: names, NAMESPACE/NAME (/NAME for a workstation's), or digits of
@@ -132,7 +133,7 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
         are = "is" if old == 1 else "are"
         why = _why_alone(notes[0])
         notes = [
-            f"all {_counted(old)} meant here {are} of earlier versions ({why}): ask for superseded results"
+            f"all {_counted(old)} selected {are} of earlier versions ({why}): ask for superseded results"
         ]
     return Chosen(frame, tuple(notes), old, again)
 
@@ -146,7 +147,7 @@ def _counted(count: int) -> str:
 
 
 def _runs(frame: Frame, mask: Mask) -> int:
-    return len(np.unique(frame.column("id").floats()[mask])) if mask.any() else 0
+    return count_distinct(frame.column("id").floats()[mask])
 
 
 def _why(frame: Frame, mask: Mask) -> str:
@@ -171,7 +172,7 @@ def once(frame: Frame) -> Mask:
         column = frame.column(name)
         codes = np.full(len(frame), -1) if column.kind.is_numeric else column.codes
         groups = groups * (len(column.values) + 1) + codes + 1
-    if len(np.unique(groups[known])) == len(known):
+    if count_distinct(groups[known]) == len(known):
         return kept
     created = frame.column("created").floats()
     order = np.lexsort(

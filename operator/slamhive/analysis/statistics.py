@@ -224,11 +224,18 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def average_ranks(values: Floats) -> Floats:
-    """Return ranks from 1, (n,), equal values sharing the mean of theirs."""
-    uniques, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ends = np.cumsum(counts)
-    means: Floats = (ends - (counts - 1) / 2)[inverse] if len(uniques) else np.empty(0)
-    return means
+    """Return ranks from 1 along the last axis, equal values sharing the mean of theirs; the same shape."""
+    order = np.argsort(values, axis=-1, kind="stable")
+    ordered = np.take_along_axis(values, order, axis=-1)
+    differs = ordered[..., 1:] != ordered[..., :-1]
+    always = np.ones((*values.shape[:-1], 1), dtype=bool)
+    places = np.arange(values.shape[-1])
+    first = np.maximum.accumulate(np.where(np.concatenate([always, differs], axis=-1), places, 0), axis=-1)
+    ends = np.where(np.concatenate([differs, always], axis=-1), places, len(places))
+    last = np.minimum.accumulate(ends[..., ::-1], axis=-1)[..., ::-1]
+    ranks = np.empty(values.shape)
+    np.put_along_axis(ranks, order, (first + last) / 2 + 1, axis=-1)
+    return ranks
 
 
 def rank_correlation(first: Floats, second: Floats) -> float | None:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is to know of a run to measure it, from what its Algorithm and its prepared recording say.
+"""The evaluator's inputs for one run: sensor mode, extrinsics, keyframes, time window.
+
+They come from its Algorithm and its prepared recording.
 
 The workstation and the operator derive it here, so that a trajectory has the same errors on both.
 """
@@ -49,7 +51,7 @@ class Surroundings:
 
 
 def subject_of(algorithm: AlgorithmSpec, mode: SensorMode, given: Surroundings) -> Subject:
-    """Return what is to know of a run to measure it.
+    """Build the evaluator's inputs for a run: sensor mode, extrinsics, keyframes, time window.
 
     Args:
         algorithm: the run's Algorithm.

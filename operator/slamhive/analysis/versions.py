@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Before and after: what an edited Algorithm or Dataset changed, setting by setting, and whether by chance.
+"""Effects of an edited Algorithm or Dataset, before against after: setting by setting, and whether by chance.
 
 The unit is the setting: runs of both versions that agree in dataset, evaluation and all that varies give one
 pair of medians, failed runs last. From 6 settings on the logarithms of their ratios are tested by flipping
@@ -192,17 +192,17 @@ class Change:
         """What it means."""
         if not self.settings:
             return "no setting has results of both versions: run the current one in a setting of before"
-        told = self._told()
+        change = self._told()
         if self.deterministic:
-            return f"deterministic: {told}; each is one result, however often it ran"
+            return f"deterministic: {change}; each is one result, however often it ran"
         if self.wins[2] == len(self.settings):
-            return told
+            return change
         corrected = " after correction" if self.p_holm != self.p else ""
         if self.p_holm <= LEVEL:
-            return f"{told}: more than chance (p = {self.p_holm:.3g}{corrected})"
+            return f"{change}: more than chance (p = {self.p_holm:.3g}{corrected})"
         if self.least_p > LEVEL:
-            return f"{told}: too few to tell (p can't go below {self.least_p:.3g})"
-        return f"{told}: may be chance (p = {self.p_holm:.3g}{corrected})"
+            return f"{change}: too few to tell (p can't go below {self.least_p:.3g})"
+        return f"{change}: may be chance (p = {self.p_holm:.3g}{corrected})"
 
     def _told(self) -> str:
         better, worse, same = self.wins
@@ -234,13 +234,13 @@ def before_and_after(
         What changed: for each algorithm with sensors (and each dataset that was edited) the latest earlier
         version first; and notes.
     """
-    found = []
+    changes = []
     notes = [*disturbance_notes(frame, [metric]), *unranked_notes(frame, outcomes)]
     for changed in _VERSIONS:
         material = _Material(frame, metric, outcomes, changed)
         notes += material.notes
-        found += material.changes()
-    return found, notes
+        changes += material.changes()
+    return changes, notes
 
 
 class _Material:
@@ -401,15 +401,15 @@ class _Material:
         """Return the settings and circumstances that share no value between two versions."""
         both = self._frame.select(np.concatenate([before, after]))
         names = [name for name in self._frame.stored if name.startswith(CONFIGURATION) or name in _RECORDED]
-        found = []
+        differences = []
         for name in names:
             if not varies(both, name):
                 continue
             values = [_hashable(value) for value in both.column(name).tolist()]
             sides = dict.fromkeys(values[: len(before)]), dict.fromkeys(values[len(before) :])
             if not sides[0].keys() & sides[1].keys():
-                found.append(Difference(name, list(sides[0]), list(sides[1])))
-        return found
+                differences.append(Difference(name, list(sides[0]), list(sides[1])))
+        return differences
 
 
 def _hashable(value: Any) -> Any:

@@ -59,20 +59,26 @@ class Archive:
 
     Each method is one transaction: when it returns, what it wrote survives the end of the process.
     Several processes may write at the same time; they wait for each other. All methods raise
-    SystemFault when the database doesn't answer.
+    SystemFault when the database doesn't answer, and those that write InputError when another slamhive has
+    brought it to another version meanwhile.
     """
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
 
     @classmethod
-    def open(cls, url: str) -> Self:
-        """Open the archive at a database URL, made where it isn't there yet.
+    def open(cls, url: str, *, read_only: bool = False) -> Self:
+        """Open the archive at a database URL.
+
+        Args:
+            url: the database's URL.
+            read_only: write nothing. Otherwise it is made where it isn't there yet.
 
         Raises:
-            InputError: the URL can't be used, its file is no database, or a newer slamhive wrote it.
+            InputError: the URL can't be used, its file is no database, is damaged or, to be read, not there,
+                or another version of slamhive wrote it (`upgrade` brings it up to date).
         """
-        return cls(connect(url))
+        return cls(connect(url, read_only=read_only))
 
     def close(self) -> None:
         """Let go of the database's connections."""
@@ -90,6 +96,12 @@ class Archive:
     def location(self) -> str:
         """Where it is, as it may be shown: a file's path, or the URL without its password."""
         return shown(self._engine.url)
+
+    @property
+    def identity(self) -> str:
+        """What tells this archive from every other one: a UUID."""
+        with reading(self._engine) as connection:
+            return str(connection.execute(select(schema.schema_version.c.identity)).scalar_one())
 
     def put_run(
         self, record: RunRecord, algorithm: CatalogEntry | None = None, dataset: CatalogEntry | None = None
@@ -139,6 +151,20 @@ class Archive:
         with writing(self._engine) as connection:
             self._upsert(connection, schema.sweeps, [row], ("uid",))
 
+    def settle(self, cluster: str, namespaces: Iterable[str]) -> int:
+        """Say of records of namespaces that name no cluster, as of an earlier slamhive, that they are of one.
+
+        Returns:
+            The number of runs.
+        """
+        changed = 0
+        with writing(self._engine) as connection:
+            for table in (schema.sweeps, schema.runs):
+                columns = table.c
+                unknown = columns.cluster.is_(None) & columns.namespace.in_(list(namespaces))
+                changed = connection.execute(update(table).where(unknown).values(cluster=cluster)).rowcount
+        return changed
+
     def put_catalog(self, *entries: CatalogEntry) -> None:
         """Write Algorithms and Datasets as they are now; equal ones are stored once."""
         with writing(self._engine) as connection:
@@ -151,7 +177,7 @@ class Archive:
             return connection.execute(delete(schema.runs).where(schema.runs.c.uid == uid)).rowcount > 0
 
     def put_evaluations(self, uid: str, evaluations: Iterable[IntendedEvaluation]) -> None:
-        """Add evaluations that a run is meant to be measured by, in the place of earlier ones of their names.
+        """Add intended evaluations to a run; they replace earlier ones of their names.
 
         Raises:
             UnknownNameError: no run has this UID.
@@ -184,10 +210,10 @@ class Archive:
     def by_names(self, names: Iterable[str]) -> list[RunRecord]:
         """Return the runs of these names in the order of being stored; a name may stand for several."""
         iterator = iter(dict.fromkeys(names))
-        found: list[RunRecord] = []
+        records: list[RunRecord] = []
         while batch := list(islice(iterator, BATCH)):
-            found += self.runs({"name": batch})
-        return found
+            records += self.runs({"name": batch})
+        return records
 
     def runs(
         self,
@@ -236,15 +262,15 @@ class Archive:
             .where(runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED))
             .order_by(runs.id)
         )
-        found: dict[str, FinishedPoint] = {}
+        points: dict[str, FinishedPoint] = {}
         with reading(self._engine) as connection:
             for uid, point, phase, reason, content, evaluation, outcome in connection.execute(query):
-                if uid not in found:
+                if uid not in points:
                     why = Reason(reason) if reason else None
-                    found[uid] = FinishedPoint(point, Phase(phase), why, content, {})
+                    points[uid] = FinishedPoint(point, Phase(phase), why, content, {})
                 if evaluation is not None:
-                    found[uid].outcomes[evaluation] = Outcome(outcome)
-        return found
+                    points[uid].outcomes[evaluation] = Outcome(outcome)
+        return points
 
     def cpu_seconds(self, sweep_uid: str) -> float:
         """Return the CPU time of a sweep's finished runs in s, those left out that took over a result."""
@@ -366,6 +392,9 @@ class Archive:
     ) -> None:
         statement = self._insert(table)
         changes = {name: statement.excluded[name] for name in rows[0] if name not in key}
+        if "cluster" in changes:
+            # Not all who write know it: `slamhive fetch` may not see what the operator sees.
+            changes["cluster"] = func.coalesce(changes["cluster"], table.c.cluster)
         connection.execute(statement.on_conflict_do_update(index_elements=list(key), set_=changes), rows)
 
     def _insert(self, table: Table) -> Any:

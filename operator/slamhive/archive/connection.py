@@ -3,17 +3,23 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
+import sqlite3
+import uuid
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
-from sqlalchemy import Connection, Engine, create_engine, event, exc, insert, inspect, select, text, update
+from sqlalchemy import Connection, Engine, create_engine, event, exc, insert, inspect, select, text
 from sqlalchemy.engine import URL, make_url
 
-from slamhive.archive import migrations, schema
-from slamhive.model.errors import InputError, SlamHiveError, SystemFault
+from slamhive.archive import schema
+from slamhive.data.once import flush
+from slamhive.model.errors import InputError, SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,31 +27,73 @@ if TYPE_CHECKING:
 BUSY_SECONDS = 30
 """How long a writer waits for another one's transaction."""
 
-_SQLITE_SETTINGS = (
-    f"busy_timeout = {BUSY_SECONDS * 1000}",
-    "foreign_keys = ON",
-    "journal_mode = WAL",
-    "synchronous = FULL",
-)
+_BUSY = f"busy_timeout = {BUSY_SECONDS * 1000}"
+_SQLITE_SETTINGS = (_BUSY, "foreign_keys = ON", "journal_mode = WAL", "synchronous = FULL")
+_SQLITE_READING = (_BUSY, "query_only = ON")
+_POSTGRESQL_READING = "SET SESSION CHARACTERISTICS AS TRANSACTION READ ONLY"
+_GIVING_UP = {
+    "connect_timeout": 10,
+    "tcp_user_timeout": 15_000,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+}
+"""Settings of libpq, in s and ms: without them a server that vanishes is waited for by the quarter hour."""
 _LOCK_KEY = 0x51A_711E
 _SECRET_OPTIONS = ("password", "sslpassword")
 _SCHEME = re.compile(r"\s*([A-Za-z][A-Za-z0-9+:]{0,40})://")
 _DRIVERS = {"sqlite": "sqlite+pysqlite", "postgresql": "postgresql+psycopg", "postgres": "postgresql+psycopg"}
+_DAMAGED = ("malformed", "Could not decode to UTF-8")
 
 
-def connect(url: str) -> Engine:
-    """Return an engine for a database URL, its tables made or brought to this version.
+def connect(url: str, *, read_only: bool = False) -> Engine:
+    """Return an engine for a database URL whose tables are of this version.
+
+    Args:
+        url: the database's URL.
+        read_only: let no connection write. A file in a folder that can't be written is read all the same.
+            Otherwise tables are made where there are none; those of another version are never changed.
 
     Raises:
-        InputError: the URL cannot be used, or the tables are of a newer slamhive.
+        InputError: the URL cannot be used, the file is damaged or emptied, the tables are of another version
+            or, to be read alone, not there.
         SystemFault: the database doesn't answer.
     """
-    parsed = _parse(url)
+    parsed = parse(url)
+    file = file_of(parsed)
+    if file is not None:
+        if read_only and not file.is_file():
+            raise InputError(f"no archive at {file}; slamhive demo, run and import make one")
+        if not read_only and not file.exists():
+            _make_file(file, parsed)
+        require_content(file)
+    engine = open_engine(parsed, read_only=read_only)
+    try:
+        with failures(parsed):
+            _prepare(engine, read_only=read_only)
+    except BaseException:
+        engine.dispose()
+        raise
+    return engine
+
+
+def open_engine(parsed: URL, *, read_only: bool = False) -> Engine:
+    """Return an engine with the settings of all archives, whatever tables it may find.
+
+    Raises:
+        InputError: a package for the database is missing, or the file can't be read where it is.
+    """
+    options: dict[str, Any] = {}
+    file = file_of(parsed)
+    if read_only and file is not None and not os.access(file.parent, os.W_OK, effective_ids=True):
+        place = _read_only_name(file)
+        options["creator"] = lambda: sqlite3.connect(place, uri=True, check_same_thread=False)
     try:
         engine = create_engine(
             parsed,
             json_serializer=lambda value: json.dumps(value, allow_nan=False, separators=(",", ":")),
             pool_pre_ping=parsed.get_backend_name() == "postgresql",
+            **options,
         )
     except ModuleNotFoundError:
         raise InputError(
@@ -53,13 +101,9 @@ def connect(url: str) -> Engine:
             "install slamhive with its extra: slamhive[postgresql]"
         ) from None
     if parsed.get_backend_name() == "sqlite":
-        _tune_sqlite(engine)
-    try:
-        with failures(parsed):
-            _prepare(engine, shown(parsed))
-    except BaseException:
-        engine.dispose()
-        raise
+        _tune_sqlite(engine, _SQLITE_READING if read_only else _SQLITE_SETTINGS)
+    else:
+        _tune_postgresql(engine, read_only=read_only)
     return engine
 
 
@@ -70,10 +114,23 @@ def shown(url: URL | str) -> str:
         InputError: it is none.
     """
     if isinstance(url, str):
-        url = _parse(url)
+        url = parse(url)
     if url.get_backend_name() == "sqlite" and url.database:
         return url.database
     return url.difference_update_query(_SECRET_OPTIONS).render_as_string(hide_password=True)
+
+
+def file_of(url: URL | str) -> Path | None:
+    """Return the file of an SQLite database; None for one in memory or behind a server.
+
+    Raises:
+        InputError: it is no database URL.
+    """
+    if isinstance(url, str):
+        url = parse(url)
+    if url.get_backend_name() != "sqlite" or url.database in {None, "", ":memory:"}:
+        return None
+    return Path(str(url.database))
 
 
 @contextmanager
@@ -81,7 +138,7 @@ def failures(url: URL) -> Iterator[None]:
     """Turn the database's errors into sentences.
 
     Raises:
-        InputError: the file is no database.
+        InputError: the file is no database, or is damaged.
         SystemFault: everything else, worth another try.
     """
     try:
@@ -90,9 +147,13 @@ def failures(url: URL) -> Iterator[None]:
         cause = " ".join(str(error.orig).split())
         if "not a database" in cause:
             raise InputError(f"archive {shown(url)}: the file is not an SQLite database") from None
+        if any(words in cause for words in _DAMAGED):
+            raise _damaged(url, cause) from error
         raise SystemFault(f"archive {shown(url)}: {cause}") from error
     except exc.SQLAlchemyError as error:
         raise SystemFault(f"archive {shown(url)}: {error}") from error
+    except json.JSONDecodeError as error:
+        raise _damaged(url, f"a document in it is no JSON: {error}") from error
 
 
 @contextmanager
@@ -100,7 +161,19 @@ def writing(engine: Engine) -> Iterator[Connection]:
     """Open a transaction that holds the writer's place from its beginning, committed at the end.
 
     Taking it at once is what lets a second writer wait its turn instead of failing halfway.
+
+    Raises:
+        InputError: another slamhive has brought the tables to another version since they were opened.
     """
+    with exclusively(engine) as connection:
+        # Shared: who changes the version waits for those who write by it, and they for the change.
+        require_version(connection, shared=True)
+        yield connection
+
+
+@contextmanager
+def exclusively(engine: Engine) -> Iterator[Connection]:
+    """Open a transaction as ``writing`` does, whatever tables there are."""
     with (
         failures(engine.url),
         engine.connect().execution_options(slamhive_write=True) as connection,
@@ -116,7 +189,60 @@ def reading(engine: Engine) -> Iterator[Connection]:
         yield connection
 
 
-def _parse(url: str) -> URL:
+def require_version(connection: Connection, *, shared: bool = False) -> None:
+    """Check that the tables are those that this program knows.
+
+    Args:
+        connection: the database.
+        shared: keep the version from being changed until the transaction ends.
+
+    Raises:
+        InputError: they are of another version.
+    """
+    column = schema.schema_version.c.version
+    query = select(column).with_for_update(read=True) if shared else select(column)
+    found = connection.execute(query).scalar()
+    if found != schema.VERSION:
+        raise wrong_version(connection.engine.url, found)
+
+
+def version_of(connection: Connection) -> int | None:
+    """Return the version of the tables; None where there are none."""
+    if not inspect(connection).has_table(schema.schema_version.name):
+        return None
+    return connection.execute(select(schema.schema_version.c.version)).scalar()
+
+
+def wrong_version(url: URL, found: int | None) -> InputError:
+    """Return the error that says what to do about tables of another version."""
+    name = shown(url)
+    if found is None:
+        return InputError(
+            f"archive {name}: holds no archive yet; the first command that writes to it makes the tables"
+        )
+    if found > schema.VERSION:
+        return InputError(
+            f"archive {name}: written by a newer slamhive (schema {found}; this one knows up to "
+            f"{schema.VERSION}); update slamhive or name another archive in SLAMHIVE_ARCHIVE"
+        )
+    return InputError(
+        f"archive {name}: written by an earlier slamhive (schema {found}; this one needs {schema.VERSION}); "
+        "`slamhive archive upgrade` brings it up to date, as the operator of a newer chart does"
+    )
+
+
+def alone_with_tables(connection: Connection) -> None:
+    """Keep others from making or changing tables until the transaction ends; waits for those that do."""
+    if connection.dialect.name == "postgresql":
+        connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK_KEY})
+
+
+def parse(url: str) -> URL:
+    """Return a database URL with the driver that is used.
+
+    Raises:
+        InputError: it is none, or its folder can't be made.
+    """
     try:
         parsed = make_url(url.strip())
         backend = parsed.drivername.split("+")[0]
@@ -134,14 +260,39 @@ def _parse(url: str) -> URL:
             f"archive: {_beginning(url)} holds more than one @; in a user's name or password it is written "
             "%40, and / is written %2F"
         )
-    parsed = parsed.set(drivername=_DRIVERS[backend])
-    if parsed.get_backend_name() == "sqlite" and parsed.database not in (None, "", ":memory:"):
-        folder = Path(str(parsed.database)).parent
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"archive {parsed.database}: {folder}: {error.strerror}") from None
-    return parsed
+    return parsed.set(drivername=_DRIVERS[backend])
+
+
+def require_content(file: Path) -> None:
+    """Check that an SQLite file was not emptied: SQLite would take it for a new database in silence.
+
+    Raises:
+        InputError: it has no content. A new archive is never seen that way.
+    """
+    try:
+        empty = file.stat().st_size == 0
+    except OSError:
+        return  # told when it is opened
+    if empty:
+        raise InputError(
+            f"archive {file}: the file is empty, so what it held is lost: `slamhive archive restore` puts a "
+            "backup in its place; to begin anew, remove it"
+        )
+
+
+def _damaged(url: URL, cause: str) -> InputError:
+    return InputError(
+        f"archive {shown(url)}: the file is damaged ({cause}); `slamhive archive check` says where, "
+        "`slamhive archive restore` puts a backup in its place"
+    )
+
+
+def _read_only_name(file: Path) -> str:
+    """Return how SQLite opens a file in a folder where it can't make its own beside it."""
+    name = f"file:{quote(str(file.absolute()))}?mode=ro"
+    log = file.with_name(f"{file.name}-wal")
+    # Whoever works with the file has its log there, and then the file alone is not the whole of it.
+    return name if log.exists() else f"{name}&immutable=1"
 
 
 def _beginning(url: str) -> str:
@@ -150,12 +301,12 @@ def _beginning(url: str) -> str:
     return f"'{found[1]}://…'" if found else "what is given"
 
 
-def _tune_sqlite(engine: Engine) -> None:
+def _tune_sqlite(engine: Engine, settings: tuple[str, ...]) -> None:
     def prepare(connection: Any, _record: Any) -> None:
         # The driver's own transactions begin too late; the event below begins them.
         connection.isolation_level = None
         try:
-            for setting in _SQLITE_SETTINGS:
+            for setting in settings:
                 connection.execute(f"PRAGMA {setting}").close()
         except Exception:
             connection.close()
@@ -169,37 +320,89 @@ def _tune_sqlite(engine: Engine) -> None:
     event.listen(engine, "begin", begin)
 
 
-def _prepare(engine: Engine, name: str) -> None:
-    """Make the tables, or bring them to this version, once among all processes that open the archive."""
+def _tune_postgresql(engine: Engine, *, read_only: bool) -> None:
+    def give_up(_dialect: Any, _record: Any, _words: Any, settings: dict[str, Any]) -> None:
+        for name, value in _GIVING_UP.items():
+            settings.setdefault(name, value)
+
+    def prepare(connection: Any, _record: Any) -> None:
+        with connection.cursor() as cursor:
+            cursor.execute(_POSTGRESQL_READING)
+        connection.commit()
+
+    event.listen(engine, "do_connect", give_up)
+    if read_only:
+        event.listen(engine, "connect", prepare)
+
+
+def _prepare(engine: Engine, *, read_only: bool) -> None:
+    """Make the tables, once among all processes that open the archive, or check their version."""
     with engine.connect() as connection:
-        if _version(connection) == schema.VERSION:
-            return
-    with writing(engine) as connection:
-        if engine.dialect.name == "postgresql":
-            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK_KEY})
-        found = _version(connection)
-        if found is None:
-            schema.metadata.create_all(connection)
-            connection.execute(insert(schema.schema_version).values(version=schema.VERSION))
-            return
-        if found > schema.VERSION:
-            raise InputError(
-                f"archive {name}: written by a newer slamhive (schema {found}; this one knows up to "
-                f"{schema.VERSION}); update slamhive or name another archive in SLAMHIVE_ARCHIVE"
-            )
-        _migrate(connection, found, name)
+        found = version_of(connection)
+    if found is None and not read_only:
+        with exclusively(engine) as connection:
+            alone_with_tables(connection)
+            found = version_of(connection)
+            if found is None:
+                _make_tables(connection)
+                return
+    if found != schema.VERSION:
+        raise wrong_version(engine.url, found)
 
 
-def _migrate(connection: Connection, found: int, name: str) -> None:
-    for version in range(found, schema.VERSION):
-        step = migrations.STEPS.get(version)
-        if step is None:
-            raise SlamHiveError(f"archive {name}: schema {version} can't be brought to {schema.VERSION}")
-        step(connection)
-    connection.execute(update(schema.schema_version).values(version=schema.VERSION))
+def _make_tables(connection: Connection) -> None:
+    schema.metadata.create_all(connection)
+    row = {"version": schema.VERSION, "identity": str(uuid.uuid4())}
+    connection.execute(insert(schema.schema_version).values(row))
 
 
-def _version(connection: Connection) -> int | None:
-    if not inspect(connection).has_table(schema.schema_version.name):
-        return None
-    return connection.execute(select(schema.schema_version.c.version)).scalar()
+def _make_file(file: Path, parsed: URL) -> None:
+    """Make an archive's file, whole when it is there: an empty one is never a new one.
+
+    Raises:
+        InputError: the folder can't be written.
+        SystemFault: the disk refuses.
+    """
+    aside = file.with_name(f".{file.name}.{os.urandom(6).hex()}.making")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        engine = open_engine(parsed.set(database=str(aside)))
+        try:
+            with exclusively(engine) as connection:
+                _make_tables(connection)
+        finally:
+            engine.dispose()
+        publish(aside, file)
+    except OSError as error:
+        raise InputError(f"archive {file}: {file.parent}: {error.strerror}") from None
+    finally:
+        remove_database(aside)
+
+
+def remove_database(file: Path) -> None:
+    """Remove an SQLite database with what stands beside it, if it is there."""
+    for rest in ("", "-wal", "-shm", "-journal"):
+        file.with_name(f"{file.name}{rest}").unlink(missing_ok=True)
+
+
+def publish(aside: Path, file: Path) -> bool:
+    """Give a whole file its name unless there is one of that name; tells whether it was given.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    # SQLite brings its log into the file as it closes, and says no failure.
+    log = aside.with_name(f"{aside.name}-wal")
+    if log.exists() and log.stat().st_size:
+        raise OSError(errno.EIO, os.strerror(errno.EIO), str(aside))
+    flush(aside)
+    try:
+        os.link(aside, file)
+    except FileExistsError:
+        return False
+    except OSError:  # a file system without links
+        if file.exists():
+            return False
+        aside.replace(file)
+    flush(file.parent)
+    return True

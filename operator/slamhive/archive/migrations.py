@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import uuid
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
@@ -80,7 +81,13 @@ def _identities(connection: Connection) -> None:
     sweeps.rename(connection)
 
 
-STEPS: dict[int, Callable[[Connection], None]] = {1: _identities}
+def _identity(connection: Connection) -> None:
+    """Give the archive an identity of its own."""
+    connection.execute(text("ALTER TABLE slamhive_schema ADD COLUMN identity VARCHAR(36)"))
+    connection.execute(update(schema.schema_version).values(identity=str(uuid.uuid4())))
+
+
+STEPS: dict[int, Callable[[Connection], None]] = {1: _identities, 2: _identity}
 """By version: how tables of that version become those of the next."""
 
 
@@ -119,23 +126,23 @@ def _name(sweep: str | None) -> str | None:
 
 
 def _algorithm_hashes(connection: Connection) -> dict[str, str]:
-    found = {}
+    hashes = {}
     for entry in _catalog(connection, schema.algorithms):
         try:
-            found[entry["content_hash"]] = algorithm_hash(AlgorithmSpec.model_validate(entry["spec"]))
+            hashes[entry["content_hash"]] = algorithm_hash(AlgorithmSpec.model_validate(entry["spec"]))
         except ValidationError:
             continue  # an imported one, which says little of its program
-    return found
+    return hashes
 
 
 def _datasets(connection: Connection) -> dict[str, DatasetSpec]:
-    found = {}
+    specs = {}
     for entry in _catalog(connection, schema.datasets):
         try:
-            found[entry["content_hash"]] = DatasetSpec.model_validate(entry["spec"])
+            specs[entry["content_hash"]] = DatasetSpec.model_validate(entry["spec"])
         except ValidationError:
             continue
-    return found
+    return specs
 
 
 def _catalog(connection: Connection, table: Any) -> Iterable[Mapping[str, Any]]:

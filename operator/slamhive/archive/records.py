@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between the language's records and rows of the tables."""
+"""Translation between the language's records and rows of the tables."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@
     runs ──< results        one row a run (by uid), one a run and evaluation
     sweeps                  what was asked for, one row a version of a sweep; runs name theirs by sweep_uid
     algorithms, datasets    the catalog as it was, by name and content hash; runs point to both
+    slamhive_schema         one row: version of the tables, and the archive's own identity
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from sqlalchemy.dialects.postgresql import JSONB
 if TYPE_CHECKING:
     from sqlalchemy import Dialect
 
-VERSION = 2
+VERSION = 3
 """Version of the tables below; a change to them adds one and a step to ``migrations.STEPS``."""
 
 metadata = MetaData()
@@ -58,7 +59,13 @@ class UtcDateTime(TypeDecorator[datetime]):
         return None if value is None else value.replace(tzinfo=UTC)
 
 
-schema_version = Table("slamhive_schema", metadata, Column("version", Integer, nullable=False))
+schema_version = Table(
+    "slamhive_schema",
+    metadata,
+    Column("version", Integer, nullable=False),
+    # Tells this archive from every other one, whatever its URL: a UUID, new after a restore.
+    Column("identity", String(36)),
+)
 
 
 def _catalog(name: str) -> Table:

@@ -11,19 +11,19 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from slamhive.cli.console import FAILED, command_name, listing, open_workbench, out, remark
+from slamhive.cli.console import command_name, listing, open_workbench, out, remark
+from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
+from slamhive.cli.vocabulary import train
 from slamhive.local.catalog import link_algorithm, load_workshop
-from slamhive.local.checking import Answer, check_algorithm
 from slamhive.local.environments import availability
 from slamhive.local.home import Home
 
 if TYPE_CHECKING:
     from slamhive.model.algorithm import Algorithm, Parameter
 
-app = typer.Typer(no_args_is_help=True, help="Algorithms: what is known, and whether it works.")
+app = typer.Typer(no_args_is_help=True, help="Algorithms: list, add and check them.")
 
-_COLOURS = {Answer.HOLDS: "green", Answer.FAILS: "red", Answer.UNKNOWN: "yellow"}
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -110,10 +110,13 @@ def show_algorithm(name: Name, *, as_json: AsJson = False) -> None:
 
 @app.command("check")
 def check(name: Name) -> None:
-    """Run an algorithm on a generated recording and tell whether what it declares is true, or can't be told.
+    """Check what an algorithm declares, by running it on a generated recording.
 
     Example: slamhive algorithm check kiss-icp
     """
+    from slamhive.local.checking import Answer, check_algorithm
+
+    colours = {Answer.HOLDS: "green", Answer.FAILS: "red", Answer.UNKNOWN: "yellow"}
     home = Home.from_environment()
     with home.exclusive():
         bench = open_workbench(home)
@@ -121,9 +124,12 @@ def check(name: Name) -> None:
             findings = check_algorithm(bench, name)
     for finding in findings:
         word = f"{finding.answer.value:10}"
-        out.print(f"[{_COLOURS[finding.answer]}]{word}[/] {escape(finding.text)}")
+        out.print(f"[{colours[finding.answer]}]{word}[/] {escape(finding.text)}")
     if any(finding.answer is Answer.FAILS for finding in findings):
         raise typer.Exit(FAILED)
+
+
+app.command("train-vocabulary")(train)
 
 
 def _summary(algorithm: Algorithm, problem: str | None) -> dict[str, Any]:

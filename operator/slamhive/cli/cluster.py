@@ -82,7 +82,7 @@ def submit(
     Example: slamhive submit sweep.yaml
     """
     with cluster_client():
-        from slamhive.cli import cluster_work  # noqa: PLC0415
+        from slamhive.cli import cluster_work
     place = cluster_work.Place(context, namespace)
     cluster_work.submit(files, place, with_catalog=with_catalog, dry_run=dry_run)
 
@@ -90,24 +90,24 @@ def submit(
 def status(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME…]", help="Sweeps, runs or evaluations; default: all that there is."),
+        typer.Argument(metavar="[NAME…]", help="Sweeps, runs or evaluations; default: all."),
     ] = None,
     *,
     namespace: Namespace = None,
     context: Context = None,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Stay and show what changes, until all that is named is done.")
+        bool, typer.Option("--watch", help="Keep showing what changes until everything named is done.")
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON; with --watch a line a change.")
     ] = False,
 ) -> None:
-    """Show how far sweeps, runs and evaluations on a cluster are, and what is wrong with them.
+    """Show progress and problems of sweeps, runs and evaluations on a cluster.
 
     Example: slamhive status demo --watch
     """
     with cluster_client():
-        from slamhive.cli import cluster_status, cluster_work  # noqa: PLC0415
+        from slamhive.cli import cluster_status, cluster_work
     place = cluster_work.Place(context, namespace)
     cluster_status.status(names or [], place, watch=watch, as_json=as_json)
 
@@ -127,12 +127,12 @@ def logs(
         int | None, typer.Option("--tail", min=0, metavar="N", help="Only the last N lines.")
     ] = None,
 ) -> None:
-    """Print what a run on a cluster wrote; of one whose pod is gone, the last lines.
+    """Print the log of a run on a cluster; if its pod is gone, the last lines.
 
     Example: slamhive logs demo-3f2a -f
     """
     with cluster_client():
-        from slamhive.cli import cluster_work  # noqa: PLC0415
+        from slamhive.cli import cluster_work
     place = cluster_work.Place(context, namespace)
     cluster_work.logs(run, place, container.value, follow=follow, tail=tail)
 
@@ -154,7 +154,7 @@ def cancel(
     Example: slamhive cancel demo
     """
     with cluster_client():
-        from slamhive.cli import cluster_work  # noqa: PLC0415
+        from slamhive.cli import cluster_work
     cluster_work.cancel(names, cluster_work.Place(context, namespace), delete=delete)
 
 
@@ -175,5 +175,5 @@ def fetch(
     Example: slamhive fetch demo --files
     """
     with cluster_client():
-        from slamhive.cli import cluster_fetch, cluster_work  # noqa: PLC0415
+        from slamhive.cli import cluster_fetch, cluster_work
     cluster_fetch.fetch(names, cluster_work.Place(context, namespace), files=files)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``slamhive fetch`` does, and prints."""
+"""The command ``slamhive fetch``: copies finished runs from a cluster and prints what came."""
 
 from __future__ import annotations
 
@@ -12,18 +12,8 @@ import typer
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-from slamhive.archive import Archive
-from slamhive.cli.console import (
-    FAILED,
-    INTERRUPTED,
-    bytes_text,
-    command_name,
-    complain,
-    err,
-    out,
-    plural,
-    remark,
-)
+from slamhive.cli.console import bytes_text, command_name, complain, err, open_archive, out, plural, remark
+from slamhive.cli.exits import FAILED, INTERRUPTED
 from slamhive.kube.kinds import Kind
 from slamhive.kube.user.fetching import Fetched, Fetcher, put_folder, remarks
 from slamhive.kube.user.filing import Filed, Filing, Wanted
@@ -35,6 +25,7 @@ from slamhive.model.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from slamhive.archive import Archive
     from slamhive.cli.cluster_work import Place
     from slamhive.kube.user.connecting import Cluster
 
@@ -63,7 +54,7 @@ def fetch(names: Sequence[str], place: Place, *, files: bool) -> None:
     async def work() -> None:
         nonlocal filed
         async with place.connect() as cluster:
-            with Archive.open(home.archive_url) as archive:
+            with open_archive(home) as archive:
                 copied = await fetch_into(archive, cluster, names)
                 for one in copied.fetched:
                     told = f"{escape(one.name)}: {plural(one.runs, 'run')} in {escape(archive.location)}"
@@ -77,7 +68,7 @@ def fetch(names: Sequence[str], place: Place, *, files: bool) -> None:
         asyncio.run(work())
     except KeyboardInterrupt:
         if files:
-            remark("interrupted; the same command goes on where this one was")
+            remark("interrupted; the same command goes on from here")
         raise typer.Exit(INTERRUPTED) from None
     if filed.problems:
         for sentence in filed.problems[:_SHOWN]:

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from slamhive.archive import Archive
 from slamhive.cli.cluster_fetch import fetch_into
 from slamhive.cli.cluster_work import Place, Submission, read, show_sent, submit_to
-from slamhive.cli.console import FAILED, INTERRUPTED, command_name, complain, err, out, plural, remark
+from slamhive.cli.console import command_name, complain, err, open_archive, out, plural, remark
+from slamhive.cli.exits import FAILED, INTERRUPTED
 from slamhive.cli.progress import run_line
 from slamhive.cli.results import show_table
 from slamhive.kube.errors import ApiError, NotFound
-from slamhive.kube.kinds import Key, Kind
-from slamhive.kube.reconciling.records import record_of
+from slamhive.kube.kinds import Key, Kind, Object
+from slamhive.kube.records import record_of
 from slamhive.kube.user.looking import has_failed, is_over, is_stuck, name_of, runs_of, status_of, troubles
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
@@ -32,11 +32,12 @@ if TYPE_CHECKING:
     from slamhive.kube.user.fetching import Fetched
     from slamhive.kube.user.manifests import Manifest
 
-Object = dict[str, Any]
 
 LOOK_SECONDS = 1.0
 _LIST_SECONDS = 5.0
 _NOTICE_SECONDS = 30.0
+_REFUSED_SECONDS = 5.0
+"""For so long a refusal has to stand: the operator may see a Sweep before the Datasets that came with it."""
 _WATCHED = (Kind.SWEEP, Kind.MAPPING_RUN, Kind.EVALUATION)
 
 
@@ -48,6 +49,7 @@ class _Watched:
         key: its address.
         body: what was last seen of it; None: it is gone.
         stopped: why it is waited for no longer though it is not over.
+        stuck_at: when it was first seen not to go on, s of the loop's clock; None: it goes on.
         told: runs that a line was printed of.
         listed_at: when its runs were last listed.
         listed: how many of them were done then.
@@ -56,6 +58,7 @@ class _Watched:
     key: Key
     body: Object | None = None
     stopped: str | None = None
+    stuck_at: float | None = None
     told: set[str] = field(default_factory=set)
     listed_at: float = 0.0
     listed: int = 0
@@ -124,7 +127,7 @@ async def _work(submission: Submission, home: Home, submitted: list[_Watched]) -
         names = [item.key.name for item in submitted if item.key.kind is not Kind.EVALUATION and item.body]
         if not names:
             return []
-        with Archive.open(home.archive_url) as archive:
+        with open_archive(home) as archive:
             return (await fetch_into(archive, cluster, names)).fetched
 
 
@@ -159,7 +162,10 @@ async def _look(cluster: Cluster, item: _Watched, now: float) -> None:
     """See what has become of an object; faults that pass leave it as it was."""
     try:
         item.body = await cluster.api.get(item.key)
-        item.stopped = is_stuck(item.key.kind, item.body)
+        stuck = is_stuck(item.key.kind, item.body)
+        item.stuck_at = None if stuck is None else item.stuck_at or now
+        if item.stuck_at is not None and now - item.stuck_at >= _REFUSED_SECONDS:
+            item.stopped = stuck
         if item.key.kind is Kind.SWEEP:
             await _tell_runs(cluster, item, item.body, now)
     except NotFound:
@@ -227,7 +233,7 @@ def _report(fetched: Fetched, item: _Watched) -> None:
 def _interrupted(submitted: Sequence[_Watched], place: Place) -> int:
     names = " ".join(item.key.name for item in submitted)
     if not names:
-        remark("interrupted; nothing was begun, or only in part: slamhive status shows it")
+        remark("interrupted while submitting; slamhive status shows what was begun")
         return INTERRUPTED
     name, options = command_name(), place.options
     remark(f"interrupted here; the cluster goes on with {names}")

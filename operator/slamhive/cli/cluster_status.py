@@ -127,7 +127,7 @@ def _print(cluster: Cluster, picture: Picture, *, as_json: bool, named: bool) ->
     elif picture.objects:
         wide.print(render(cluster, picture, most=None))
     else:
-        remark(f"nothing in namespace {cluster.namespace}; slamhive submit brings something")
+        remark(f"nothing in namespace {cluster.namespace}; slamhive submit sends something there")
 
 
 def as_plain(picture: Picture) -> dict[str, Any]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``slamhive submit``, ``logs`` and ``cancel`` do, and print."""
+"""The commands ``slamhive submit``, ``logs`` and ``cancel``: their work on a cluster and what they print."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from slamhive.cli.console import INTERRUPTED, command_name, listing, out, plural, remark
+from slamhive.cli.console import command_name, listing, out, plural, remark
+from slamhive.cli.exits import INTERRUPTED
 from slamhive.cli.planning import planned, sweeps_of
 from slamhive.kube.kinds import Kind
 from slamhive.kube.user import cancelling
@@ -34,7 +35,7 @@ from slamhive.local.home import Home
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
-from slamhive.plan import FixedCatalog
+from slamhive.plan import FixedCatalog, plan_problems
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
@@ -72,7 +73,7 @@ class Place:
 
 @dataclass
 class Submission:
-    """What is to be sent, and what is known of it.
+    """Manifests to send, and what the cluster holds already.
 
     Attributes:
         manifests: what was given.
@@ -115,7 +116,7 @@ def submit(files: Sequence[Path], place: Place, *, with_catalog: bool, dry_run: 
 
 
 def logs(run: str, place: Place, container: str, *, follow: bool, tail: int | None) -> None:
-    """Print a run's log: its lines to standard output, what is to be said of them to standard error."""
+    """Print a run's log: its lines to standard output, remarks to standard error."""
 
     async def work() -> None:
         async with (
@@ -188,7 +189,7 @@ def show_sent(
 
 
 def _check(submission: Submission, there: ClusterCatalog, *, with_catalog: bool) -> None:
-    """Check runs against all that will be in the cluster, and note what is to be taken there from here."""
+    """Check runs against the future catalog of the cluster, and note which entries to send along."""
     workshop = load_workshop(Home.from_environment())
     given = FixedCatalog.of(manifest.item for manifest in submission.manifests)
     here = FixedCatalog(workshop.algorithms, workshop.datasets) if with_catalog else FixedCatalog()
@@ -205,7 +206,7 @@ def _check(submission: Submission, there: ClusterCatalog, *, with_catalog: bool)
             except InputError as error:
                 problems.append(str(error))
                 continue
-            problems += [f"{manifest}: {problem}" for problem in plan.check()]
+            problems += [f"{manifest}: {problem}" for problem in plan_problems(plan)]
             plans.append((str(manifest), plan))
             submission.runs[str(manifest)] = len(plan)
     problems += unable(plans, catalog.algorithms)

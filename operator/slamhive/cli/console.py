@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where commands print: results to standard output, everything else to standard error."""
+"""Printing of all commands: results go to standard output, everything else to standard error."""
 
 from __future__ import annotations
 
@@ -10,18 +10,13 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 
-from slamhive.archive import Archive
-from slamhive.local.catalog import Workshop, load_workshop
-from slamhive.local.workbench import Workbench
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from slamhive.archive import Archive
+    from slamhive.local.catalog import Workshop
     from slamhive.local.home import Home
-
-FAILED = 1
-WRONG_INPUT = 2
-INTERRUPTED = 130
+    from slamhive.local.workbench import Workbench
 
 out = Console(highlight=False, soft_wrap=not sys.stdout.isatty())
 err = Console(stderr=True, highlight=False, soft_wrap=not sys.stderr.isatty())
@@ -45,8 +40,27 @@ def command_name() -> str:
 
 def open_workbench(home: Home, workshop: Workshop | None = None) -> Workbench:
     """Return a workbench on a home with its archive open."""
+    # Readers of recordings: a second of imports that only some commands need.
+    from slamhive.local.catalog import load_workshop
+    from slamhive.local.workbench import Workbench
+
     home.folder(".")
-    return Workbench(home, workshop or load_workshop(home), Archive.open(home.archive_url), remark)
+    return Workbench(home, workshop or load_workshop(home), open_archive(home), remark)
+
+
+def open_archive(home: Home) -> Archive:
+    """Open a home's archive to write to it, made where it isn't there yet.
+
+    A file is its owner's and is brought to this version; a server is a team's and is not.
+    """
+    from slamhive.archive import Archive
+    from slamhive.archive.connection import file_of
+    from slamhive.archive.upgrading import upgrade
+
+    done = upgrade(home.archive_url) if file_of(home.archive_url) is not None else None
+    if done is not None:
+        remark(f"the archive was brought from schema {done.before} to {done.after}; as it was: {done.copy}")
+    return Archive.open(home.archive_url)
 
 
 def bytes_text(count: float | None) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slamhive.cli.console import out
+from slamhive.cli.console import out, remark
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
 
@@ -19,6 +19,14 @@ def dashboard(
     *,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")] = DEFAULT_PORT,
     host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets others in.")] = "127.0.0.1",
+    allowed_host: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Another name that it may be called by; several times."),
+    ] = None,
+    health_port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Port of /healthz and /readyz alone; none unless given."),
+    ] = None,
     ground_truth: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER", help="DATASET.txt (TUM) or .csv (EuRoC) to draw paths over."),
@@ -29,8 +37,8 @@ def dashboard(
     Example: slamhive dashboard --port 8323
     """
     try:
-        from slamhive.dashboard.serving import allowed_hosts, listen, serve  # noqa: PLC0415 - an extra
-        from slamhive.dashboard.sources import Workstation  # noqa: PLC0415
+        from slamhive.dashboard.serving import allowed_hosts, lets_others_in, listen, serve
+        from slamhive.dashboard.sources import Workstation
     except ModuleNotFoundError as error:
         raise InputError(
             f"the dashboard needs the package {error.name}; "
@@ -38,6 +46,11 @@ def dashboard(
         ) from None
     home = Home.from_environment()
     listening = listen(host, port)
+    if lets_others_in(host):
+        remark(
+            f"--host {host}: the dashboard has no login: whoever reaches this machine sees all results, "
+            "logs and trajectories"
+        )
     shown = f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{listening.getsockname()[1]}/"
 
@@ -47,6 +60,7 @@ def dashboard(
     serve(
         Workstation(home.archive_url, home.path, ground_truth),
         listening,
-        hosts=allowed_hosts(host),
+        hosts=allowed_hosts(host, allowed_host or ()),
+        health=None if health_port is None else listen(host, health_port, "--health-port"),
         announce=announce,
     )

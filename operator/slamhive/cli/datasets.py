@@ -15,31 +15,15 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from slamhive.cli.console import (
-    FAILED,
-    bytes_text,
-    complain,
-    err,
-    listing,
-    open_workbench,
-    out,
-    plural,
-    remark,
-)
+from slamhive.cli.console import bytes_text, complain, err, listing, open_workbench, out, plural, remark
+from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
-from slamhive.data.carmen import import_carmen
-from slamhive.data.euroc import import_euroc
-from slamhive.data.inspection import inspect
-from slamhive.data.preparation import prepare
-from slamhive.data.store import add_dataset, materialise
-from slamhive.data.suggestion import suggest_dataset
 from slamhive.local.catalog import load_workshop
 from slamhive.local.home import Home
 from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.base import explain
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
-from slamhive.model.loading import load_file
 from slamhive.model.run import InputOptions, LidarInput
 from slamhive.model.sensors import ROLES, SensorMode
 
@@ -49,7 +33,7 @@ if TYPE_CHECKING:
     from slamhive.data.inspection import DatasetReport, SensorReport
     from slamhive.model.dataset import DatasetSpec
 
-app = typer.Typer(no_args_is_help=True, help="Datasets: what is known, adding more, looking into them.")
+app = typer.Typer(no_args_is_help=True, help="Datasets: list, add, check and prepare them.")
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -115,10 +99,14 @@ def add(
     if source.suffix in _MANIFESTS and source.is_file():
         _add_manifest(source, home)
     elif (source / "mav0").is_dir() or (source / "cam0").is_dir():
+        from slamhive.data.euroc import import_euroc
+
         chosen = _named(source, name)
         import_euroc(source, home.folder("datasets") / chosen, chosen)
         _added(home.path / "datasets" / chosen / "dataset.yaml")
     elif source.is_file() and source.suffix in _CARMEN:
+        from slamhive.data.carmen import import_carmen
+
         chosen = _named(source, name)
         import_carmen(source, home.folder("datasets") / chosen, chosen, relations)
         _added(home.path / "datasets" / chosen / "dataset.yaml")
@@ -132,6 +120,8 @@ def make(name: Name) -> None:
 
     Example: slamhive dataset make synthetic-lidar
     """
+    from slamhive.data.store import materialise
+
     home = Home.from_environment()
     place = load_workshop(home).dataset(name)
     if place.dataset.spec.recording.synthetic is None:
@@ -171,6 +161,8 @@ def prepare_variant(
 
     Example: slamhive dataset prepare synthetic-camera --sensors stereo --resolution 0.5 --frame-rate 7.5
     """
+    from slamhive.data.preparation import prepare
+
     bench = open_workbench(Home.from_environment())
     with bench.archive:
         entry = bench.dataset(name)
@@ -204,6 +196,8 @@ def check(name: Name, *, as_json: AsJson = False) -> None:
 
     Example: slamhive dataset check synthetic-lidar
     """
+    from slamhive.data.inspection import inspect
+
     bench = open_workbench(Home.from_environment())
     with bench.archive:
         report = inspect(bench.dataset(name), bench.home.folder("truths"))
@@ -241,6 +235,9 @@ def _named(source: Path, name: str | None) -> str:
 
 
 def _add_manifest(source: Path, home: Home) -> None:
+    from slamhive.data.store import add_dataset
+    from slamhive.model.loading import load_file
+
     datasets = [item for item in load_file(source) if isinstance(item, Dataset)]
     if not datasets:
         raise InputError(f"{source}: no Dataset in it")
@@ -254,6 +251,8 @@ def _added(manifest: Path) -> None:
 
 
 def _suggest(source: Path, name: str) -> None:
+    from slamhive.data.suggestion import suggest_dataset
+
     target = Path(f"{name}.yaml")
     if target.exists():
         raise InputError(f"{target} exists already; complete it and add it: slamhive dataset add {target}")

@@ -13,8 +13,9 @@ from rich.progress import track
 from typer.core import TyperGroup
 
 from slamhive.analysis.measuring import Subject, intended_evaluations, measure, method
-from slamhive.archive import Archive, CatalogEntry, SweepRecord
-from slamhive.cli.console import FAILED, complain, err, out, plural
+from slamhive.archive import CatalogEntry, SweepRecord
+from slamhive.cli.console import complain, err, open_archive, out, plural
+from slamhive.cli.exits import FAILED
 from slamhive.data import slamhive1
 from slamhive.local.home import Home
 from slamhive.model.errors import DataError, InputError
@@ -26,6 +27,7 @@ from slamhive_eval import EvaluationError
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from slamhive.archive import Archive
     from slamhive_eval import Trajectory
 
 
@@ -85,7 +87,7 @@ def import_slam_hive(
     settings = EvaluationSettings(alignment=alignment, frame="None")
     method(settings, Subject(SensorMode.STEREO))  # refuses what no run could be measured by
     home = Home.from_environment()
-    with Archive.open(home.archive_url) as archive:
+    with open_archive(home) as archive:
         truth = slamhive1.GroundTruthFolder(ground_truth)
         importer = SlamHiveImporter(archive, truth, settings)
         report = importer.take(track(folders, "importing", console=err, transient=True))
@@ -226,7 +228,7 @@ class SlamHiveImporter:
 
 
 def keep_ground_truth(truth: slamhive1.GroundTruthFolder, datasets: Iterable[str], home: Home) -> list[str]:
-    """Copy ground truth into the home, for the dashboard to draw paths over; return what is to be said.
+    """Copy ground truth into the home, for the dashboard's plots; return remarks.
 
     Args:
         truth: where it is.

@@ -3,47 +3,102 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from typing import Annotated
+from functools import cache
+from importlib import import_module
+from typing import Annotated, Any, NamedTuple
 
 import typer
+from typer.core import TyperGroup
 
 from slamhive import __version__
-from slamhive.cli import (
-    algorithms,
-    cluster,
-    dashboard,
-    datasets,
-    importing,
-    report,
-    results,
-    running,
-    vocabulary,
-)
-from slamhive.cli.console import FAILED, INTERRUPTED, WRONG_INPUT, complain
-from slamhive.model.errors import InputError, SlamHiveError
+from slamhive.cli.exits import FAILED, INTERRUPTED, WRONG_INPUT
+from slamhive.model.errors import InputError, SlamHiveError, sentence
 
-app = typer.Typer(
-    name="slamhive",
-    help="Compare SLAM algorithms: accuracy, CPU and memory over datasets, parameters and rates.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-app.command()(running.demo)
-app.command()(running.run)
-app.command()(running.plan)
-app.command()(running.validate)
-app.command()(dashboard.dashboard)
-app.command()(report.report)
-app.command()(report.paper_table)
-for command in (cluster.submit, cluster.status, cluster.logs, cluster.cancel, cluster.fetch):
-    app.command()(command)
-algorithms.app.command("train-vocabulary")(vocabulary.train)
-app.add_typer(results.app, name="results")
-app.add_typer(datasets.app, name="dataset")
-app.add_typer(algorithms.app, name="algorithm")
-app.add_typer(importing.app, name="import")
+
+class _Command(NamedTuple):
+    """A command by the module of this package that has it, and the first line of its help."""
+
+    module: str
+    attribute: str
+    summary: str
+
+
+# Importing all commands takes two seconds and 100 MB. ``slamhive --help`` and completion get along with this
+# table; the module is imported when its command is called. A test holds the lines against the commands' own.
+COMMANDS = {
+    "demo": _Command(
+        "running", "demo", "Compare real algorithms on a generated recording, and show the table."
+    ),
+    "run": _Command(
+        "running", "run", "Run sweeps on this machine, or on a cluster as if it were this machine."
+    ),
+    "plan": _Command("running", "plan", "Show the runs that sweeps expand to, without running them."),
+    "validate": _Command(
+        "running",
+        "validate",
+        "Check manifests: everything that run would refuse, and what is missing here.",
+    ),
+    "dashboard": _Command(
+        "dashboard",
+        "dashboard",
+        "Show the archive in a web browser: leaderboard, charts, runs. It changes nothing; Ctrl-C ends it.",
+    ),
+    "report": _Command(
+        "report",
+        "report",
+        "Write one HTML page that needs nothing else: leaderboard, comparison, charts, every run.",
+    ),
+    "paper-table": _Command(
+        "report",
+        "paper_table",
+        "Write a table for a paper: LaTeX with booktabs, best in bold, failures shown, or CSV.",
+    ),
+    "submit": _Command(
+        "cluster", "submit", "Send sweeps, runs and what they need to a cluster, which runs them."
+    ),
+    "status": _Command(
+        "cluster",
+        "status",
+        "Show progress and problems of sweeps, runs and evaluations on a cluster.",
+    ),
+    "logs": _Command(
+        "cluster", "logs", "Print the log of a run on a cluster; if its pod is gone, the last lines."
+    ),
+    "cancel": _Command(
+        "cluster",
+        "cancel",
+        "End runs on a cluster. A sweep is suspended and its runs in flight are cancelled.",
+    ),
+    "fetch": _Command(
+        "cluster", "fetch", "Copy finished runs of a cluster into the archive here, for slamhive results."
+    ),
+    "results": _Command("results", "app", "Finished runs: lists, tables, files."),
+    "dataset": _Command("datasets", "app", "Datasets: list, add, check and prepare them."),
+    "algorithm": _Command("algorithms", "app", "Algorithms: list, add and check them."),
+    "import": _Command("importing", "app", "Bring results of other systems into the archive."),
+    "archive": _Command(
+        "archive",
+        "app",
+        "Look after the archive: $SLAMHIVE_HOME/archive.sqlite, or the database in $SLAMHIVE_ARCHIVE.",
+    ),
+}
+
+
+class _Commands(TyperGroup):
+    """A group whose commands are imported when they are called."""
+
+    def resolve_command(self, ctx: typer.Context, args: list[str]) -> tuple[str | None, Any, list[str]]:  # type: ignore[override]
+        """Return the command that the first word names, its name, and the words that are left."""
+        name, named, rest = super().resolve_command(ctx, args)
+        return name, load(name) if name in COMMANDS else named, rest
+
+
+def _group(cls: type[TyperGroup], **settings: Any) -> typer.Typer:
+    group = typer.Typer(cls=cls, pretty_exceptions_enable=False, rich_markup_mode=None, **settings)
+    group.callback()(_options)
+    return group
 
 
 def _print_version(wanted: bool) -> None:
@@ -52,7 +107,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _options(
     *,
     version: Annotated[
@@ -62,22 +116,53 @@ def _options(
     pass
 
 
+def _summary_alone() -> None:
+    """Stand for a command that is not imported yet."""
+
+
+@cache
+def load(name: str) -> Any:
+    """Return a command ready to be called; its module is imported."""
+    command = COMMANDS[name]
+    made = getattr(import_module(f"slamhive.cli.{command.module}"), command.attribute)
+    alone = _group(TyperGroup)
+    if isinstance(made, typer.Typer):
+        alone.add_typer(made, name=name)
+    else:
+        alone.command(name)(made)
+    return typer.main.get_command(alone).commands[name]  # type: ignore[attr-defined]
+
+
+app = _group(
+    _Commands,
+    name="slamhive",
+    help="Compare SLAM algorithms: accuracy, CPU and memory over datasets, parameters and rates.",
+    no_args_is_help=True,
+)
+for _name, _command in COMMANDS.items():
+    app.command(_name, help=_command.summary)(_summary_alone)
+
+
 def main() -> None:
     """Run the command; what goes wrong ends in a sentence and an exit code."""
     try:
         app()
     except InputError as error:
-        complain(str(error))
-        sys.exit(WRONG_INPUT)
+        _end(str(error), WRONG_INPUT)
     except SlamHiveError as error:
-        complain(str(error))
-        sys.exit(FAILED)
+        _end(str(error), FAILED)
     except KeyboardInterrupt:
-        complain("interrupted")
-        sys.exit(INTERRUPTED)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is ending; another one must not break into that
+        _end("interrupted", INTERRUPTED)
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(0)
     except OSError as error:
-        complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-        sys.exit(FAILED)
+        _end(sentence(error), FAILED)
+
+
+def _end(message: str, code: int) -> None:
+    from slamhive.cli.console import complain  # Rich, which help and completion do without
+
+    complain(message)
+    sys.exit(code)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From manifests to the runs that they ask for."""
+"""Plans for the commands: from manifests to the runs that they ask for."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is shown while runs are at work: a bar on a terminal, a line a run elsewhere."""
+"""Progress of runs that are at work: a bar on a terminal, one line for each run elsewhere."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``slamhive report`` and ``slamhive paper-table``: what is put beside and into a paper."""
+"""The commands ``slamhive report`` and ``slamhive paper-table``: a page beside a paper, and tables for it."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
 from slamhive.reporting.presets import Preset, preset
 from slamhive.reporting.questions import parse_question, usual_questions
-from slamhive.reporting.writing import csv_text
 from slamhive.tables.reading import read_archive, revision
+from slamhive_eval.csv_writing import csv_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,12 +58,12 @@ class TableFormat(StrEnum):
 def report(
     *,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="Where to; - for standard output.")
+        Path, typer.Option("--output", "-o", metavar="FILE", help="File to write; - for standard output.")
     ] = Path("report.html"),
     title: Annotated[str, typer.Option(help="Heading of the page.")] = "SLAM comparison",
     metric: Annotated[
         str | None,
-        typer.Option("--metric", "-m", metavar="COLUMN", help="What is ranked by; small is good [ate.rmse]."),
+        typer.Option("--metric", "-m", metavar="COLUMN", help="Column to rank by; small is good [ate.rmse]."),
     ] = None,
     by: Annotated[
         str | None, typer.Option(metavar="COLUMN,…", help="What tells competitors apart [algorithm,sensors].")
@@ -220,7 +220,7 @@ def _selection(
 
 
 def _choose(selection: Selection, otherwise: str) -> tuple[Frame, tuple[str, ...]]:
-    """Return the rows that are meant, and sentences on what is left out.
+    """Return the selected rows, and sentences on what is left out.
 
     Raises:
         InputError: there are none.

@@ -18,14 +18,15 @@ from slamhive.analysis.metrics import Metric
 from slamhive.analysis.ordering import order_by, order_rows
 from slamhive.analysis.selection import Chosen, Selection, choose
 from slamhive.archive import Archive
-from slamhive.archive.connection import connect, shown
+from slamhive.archive.connection import file_of, shown
 from slamhive.archive.records import run_row
 from slamhive.cli.console import out, remark
-from slamhive.cli.tables import Format, show, write_csv, write_json, write_markdown
+from slamhive.cli.tables import Format, show, write_json, write_markdown
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import constants, flat_cells, implied, key_text, table_lines, value_text
+from slamhive_eval.csv_writing import write_csv
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -58,7 +59,7 @@ EvaluationName = Annotated[
     str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as default or sim3.")
 ]
 Sort = Annotated[
-    str | None, typer.Option(metavar="COLUMN,…", help="Order by columns; a dash before one turns it round.")
+    str | None, typer.Option(metavar="COLUMN,…", help="Order by columns; a dash before one reverses it.")
 ]
 Columns = Annotated[
     str | None, typer.Option(metavar="COLUMN,…", help="What to show, each as COLUMN[:UNIT][:.3f].")
@@ -96,7 +97,7 @@ def list_results(
         case Format.JSON:
             write_json(sys.stdout, rows)
         case Format.CSV:
-            write_csv(sys.stdout, names, rows)
+            write_csv(sys.stdout, names, ([row[name] for name in names] for row in rows))
         case _:
             lines = [[value_text(metric, row[metric.column]) for metric in shown] for row in rows]
             _print(form, [metric.title for metric in shown], lines)
@@ -166,7 +167,8 @@ def show_table(
         case Format.JSON:
             write_json(sys.stdout, flat)
         case Format.CSV:
-            write_csv(sys.stdout, list(flat[0]) if flat else [], flat)
+            names = list(flat[0]) if flat else []
+            write_csv(sys.stdout, names, ([row.get(name) for name in names] for row in flat))
         case _:
             shared = {name: value for name, value in constants(found, by or ()).items() if name not in across}
             if shared:
@@ -193,7 +195,7 @@ def export(
     ] = None,
     superseded: Superseded = False,
     reused: Annotated[
-        bool, typer.Option("--reused", help="Runs that took over an equal one's result, each by itself.")
+        bool, typer.Option("--reused", help="Include runs that took over an equal run's result.")
     ] = False,
 ) -> None:
     """Write every run and evaluation as a row, numbers with all their digits.
@@ -214,7 +216,7 @@ def export(
             case Format.JSON:
                 write_json(stream, rows)
             case Format.CSV:
-                write_csv(stream, wanted, rows)
+                write_csv(stream, wanted, ([row[name] for name in wanted] for row in rows))
             case _:
                 write_markdown(stream, wanted, ([key_text(row[name]) for name in wanted] for row in rows))
     for note in chosen.notes:
@@ -223,15 +225,17 @@ def export(
 
 @contextmanager
 def _archive() -> Iterator[Archive]:
-    with Archive.open(Home.from_environment().archive_url) as archive:
+    with Archive.open(Home.from_environment().archive_url, read_only=True) as archive:
         yield archive
 
 
 def _select(selection: Selection) -> Chosen:
     """Return the rows asked for; an archive that isn't there yet is an empty one."""
     home = Home.from_environment()
-    connect(home.archive_url).dispose()
-    return choose(read_archive(home.archive_url, home.path / "cache"), selection)
+    file = file_of(home.archive_url)
+    absent = file is not None and not file.exists()
+    found = Frame({}, 0) if absent else read_archive(home.archive_url, home.path / "cache")
+    return choose(found, selection)
 
 
 def _sweeps(name: str | None) -> tuple[str, ...]:
@@ -254,15 +258,15 @@ def _find(archive: Archive, run: str) -> list[RunRecord]:
     if named := archive.by_names([run]):
         return named
     names: list[str] = []
-    found = []
+    matching = []
     for candidate in archive.runs():
         label = candidate.labels.get("run")
         if label == run:
-            found.append(candidate)
+            matching.append(candidate)
         names.append(candidate.name)
-    if not found:
+    if not matching:
         raise UnknownNameError("run", run, names)
-    return found
+    return matching
 
 
 def _show_record(record: RunRecord, rows: Sequence[Row]) -> None:
@@ -362,9 +366,9 @@ def _remark(chosen: Chosen, found: Aggregate | None = None) -> None:
         remark(f"{note}; --superseded shows them" if "earlier versions left out" in note else note)
     if not len(chosen.frame) and not chosen.superseded:
         location = shown(Home.from_environment().archive_url)
-        remark(f"no such run in {location}; slamhive demo, run and import bring some")
+        remark(f"no such run in {location}; slamhive demo, run and import add runs")
     elif found is not None and found.cells and not any(cell.n for cell in found.cells):
-        remark("none of these runs counts: nothing is averaged; --outcomes all takes all that were evaluated")
+        remark("no run counts, so nothing is averaged; --outcomes all takes all runs that were evaluated")
 
 
 @contextmanager

@@ -14,18 +14,8 @@ from rich.markup import escape
 
 from slamhive.cli import tables
 from slamhive.cli.cluster import Context, Namespace, cluster_client
-from slamhive.cli.console import (
-    FAILED,
-    INTERRUPTED,
-    WRONG_INPUT,
-    command_name,
-    complain,
-    err,
-    open_workbench,
-    out,
-    plural,
-    remark,
-)
+from slamhive.cli.console import command_name, complain, err, open_workbench, out, plural, remark
+from slamhive.cli.exits import FAILED, INTERRUPTED, WRONG_INPUT
 from slamhive.cli.planning import planned, sweeps_of
 from slamhive.cli.progress import Display
 from slamhive.cli.results import show_table
@@ -40,7 +30,8 @@ from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep
-from slamhive.plan import local_uid
+from slamhive.monitor.processes import forbid_inspection
+from slamhive.plan import local_uid, plan_problems
 from slamhive.tables.text import short_name
 
 if TYPE_CHECKING:
@@ -81,7 +72,7 @@ def run(
 ) -> None:
     """Run sweeps on this machine, or on a cluster as if it were this machine.
 
-    Finished runs are kept: after Ctrl-C or a crash the same command goes on where it was. What runs on a
+    Finished runs are kept: after Ctrl-C or a crash the same command goes on from here. What runs on a
     cluster goes on there after Ctrl-C.
 
     Example: slamhive run sweep.yaml -j 2
@@ -90,11 +81,12 @@ def run(
         if rerun or retry_failed or watch:
             raise InputError("--on cluster: --rerun, --retry-failed and --watch are for this machine alone")
         with cluster_client():
-            from slamhive.cli import cluster_run, cluster_work  # noqa: PLC0415
+            from slamhive.cli import cluster_run, cluster_work
         place = cluster_work.Place(context, namespace)
         raise typer.Exit(cluster_run.run_on_cluster(files, place, parallelism))
     if namespace is not None or context is not None:
         raise InputError("--namespace and --context say where on a cluster: they need --on cluster")
+    forbid_inspection()  # the programs that it runs have its user, and it keeps their figures
     home = Home.from_environment()
     with home.exclusive():
         seen = _state(files)
@@ -143,7 +135,7 @@ def plan(
 
 
 def validate(files: Files) -> None:
-    """Check manifests against the catalog: everything that run would refuse, and what isn't here.
+    """Check manifests: everything that run would refuse, and what is missing here.
 
     Example: slamhive validate sweep.yaml
     """
@@ -152,7 +144,7 @@ def validate(files: Files) -> None:
     problems = 0
     for sweep in sweeps_of(objects):
         points = planned(sweep, workshop, strict=True)
-        found = points.check()
+        found = plan_problems(points)
         problems += len(found)
         for problem in found:
             complain(f"{sweep.kind} {sweep.name}: {problem}")
@@ -207,24 +199,26 @@ def _run_files(
     jobs = [_job(sweep, workshop) for sweep in sweeps]
     bench = open_workbench(home, workshop)
     with bench.archive:
-        interrupted = False
+        interrupted, faults = False, False
         if jobs:
             interrupted = _drive(jobs, bench, parallelism, rerun=rerun, retry_failed=retry_failed)
         for job in [] if interrupted else jobs:
             for problem in bring_up_to_date(bench, job.uid, job.sweep.spec.evaluation):
-                remark(problem)
+                remark(problem.sentence)
+                faults |= problem.is_fault
         for evaluation in [] if interrupted else evaluations:
             done, problems = evaluate_again(bench, evaluation)
             out.print(f"Evaluation {escape(evaluation.name)}: {plural(done, 'run')} evaluated")
             for problem in problems:
-                complain(problem)
+                complain(problem.sentence)
+                faults |= problem.is_fault
         for job in jobs:
             _report(job, bench)
     if interrupted:
-        remark("interrupted; the same command goes on where it was")
+        remark("interrupted; the same command goes on from here")
         return INTERRUPTED
     failed = any(job.count(PointState.FAILED) or job.verdict is not Verdict.COMPLETE for job in jobs)
-    return FAILED if failed else 0
+    return FAILED if failed or faults else 0
 
 
 def _drive(
@@ -232,11 +226,13 @@ def _drive(
 ) -> bool:
     with Display() as display:
         runner = Runner(bench, display, parallelism=parallelism, rerun=rerun, retry_failed=retry_failed)
-        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        before: dict[int, Any] = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
 
         def interrupt(_number: int, _frame: Any) -> None:
             runner.interrupt()
             signal.signal(signal.SIGINT, signal.default_int_handler)
+            # Once the runs have ended the command does too: a late Ctrl-C has nothing left to end.
+            before[signal.SIGINT] = signal.SIG_IGN
 
         for number in before:
             signal.signal(number, interrupt)
@@ -249,7 +245,7 @@ def _drive(
 
 def _job(sweep: Sweep, workshop: Workshop) -> Job:
     points = planned(sweep, workshop, strict=True)
-    problems = points.check()
+    problems = plan_problems(points)
     if problems:
         raise InputError("\n".join(f"{sweep.kind} {sweep.name}: {problem}" for problem in problems))
     for name in points.algorithm_names():

@@ -11,8 +11,6 @@ from typing import Annotated
 import typer
 
 from slamhive.cli.console import open_workbench, out, remark
-from slamhive.data.recordings import recording_paths
-from slamhive.data.vocabulary import train_vocabulary, training_images
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError, UnknownNameError
 
@@ -35,6 +33,9 @@ def train(
 
     Example: slamhive algorithm train-vocabulary synthetic-training -o vocabulary.txt
     """
+    from slamhive.data.recordings import recording_paths
+    from slamhive.data.vocabulary import train_vocabulary, training_images
+
     key, value = TRAINING_LABEL
     bench = open_workbench(Home.from_environment())
     with bench.archive:

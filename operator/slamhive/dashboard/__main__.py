@@ -41,7 +41,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             connect=partial(Api.connect, options.kubeconfig),
         )
         asyncio.run(_check(options.kubeconfig))
-        serve(source, listen(settings.host, settings.port), hosts=None)
+        port = settings.health_port
+        serve(
+            source,
+            listen(settings.host, settings.port),
+            hosts=None,
+            health=None if port is None else listen(settings.host, port, "healthPort"),
+            connections_per_address=settings.connections_per_address,
+        )
     except InputError as error:
         return _say(error, 2)
     except SlamHiveError as error:

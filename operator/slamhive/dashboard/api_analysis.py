@@ -8,9 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS
-from slamhive.analysis.grouping import FACETS, LOAD_FACETS, MEMORY_FACETS, SUBJECT, aggregate, varies
+from slamhive.analysis.grouping import (
+    FACETS,
+    LOAD_FACETS,
+    MEMORY_FACETS,
+    SUBJECT,
+    Groups,
+    aggregate,
+    varies,
+    varying,
+)
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.dashboard.encoding import Body, plain
+from slamhive.dashboard.problems import TooLarge
 from slamhive.dashboard.tables import (
     coded,
     figure_json,
@@ -22,6 +32,8 @@ from slamhive.tables.queries import column, columns, number_column, outcomes, se
 from slamhive.tables.text import as_columns, flat_cells, flat_summary
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.grouping import Aggregate
     from slamhive.analysis.leaderboard import Board, Entry, Leaderboard, Standing
@@ -36,6 +48,9 @@ _MEMORY, (_KIND,) = ("usage.memory.peakBytes", "usage.memory.meanBytes"), MEMORY
 
 EXACT = 5000
 """Points up to which a chart gets every digit and the UIDs of the runs."""
+
+MAX_FIGURES = 30_000
+"""Groups times figures of an answer: each takes up to 0.1 ms, with its summary and intervals."""
 
 DIGITS = 6
 DEFAULT_METRICS = (
@@ -90,18 +105,18 @@ def mixtures(frame: Frame, told: list[str]) -> list[dict[str, Any]]:
         frame: the rows.
         told: columns that a chart tells apart itself.
     """
-    found = []
-    asked = [(name, frame) for name in KEPT_APART]
+    mixed = []
+    candidates = [(name, frame) for name in KEPT_APART]
     if not set(_MEMORY).isdisjoint(told):
-        asked.append((_KIND, frame.select(frame.column(_MEMORY[0]).present)))
-    for name, rows in asked:
+        candidates.append((_KIND, frame.select(frame.column(_MEMORY[0]).present)))
+    for name, rows in candidates:
         if name in told or not varies(rows, name):
             continue
         values = rows.column(name).factorized()[1]
         shown = ", ".join("unknown" if value is None else str(value) for value in values[:6])
         sentence = f"runs of different {name} are mixed here ({shown}): choose one, or tell them apart by it"
-        found.append({"column": name, "values": values[:100], "sentence": sentence})
-    return found
+        mixed.append({"column": name, "values": values[:100], "sentence": sentence})
+    return mixed
 
 
 def aggregated(snapshot: Snapshot, pairs: Pairs, by: str | None, metrics: str | None, which: str) -> Body:
@@ -121,8 +136,34 @@ def aggregated(snapshot: Snapshot, pairs: Pairs, by: str | None, metrics: str | 
     shown = columns(snapshot.frame, metrics, "metrics", usual)
     for name in shown:
         number_column(snapshot.frame, name, "metrics")
+    keys = [*SUBJECT, *varying(frame)] if asked is None else asked
+    limit_groups(frame, keys, len(shown), "by")
     found = aggregate(frame, shown, asked, outcomes(which))
     return Body(_aggregate_json(snapshot, chosen, found), lambda: as_columns(flat_cells(found)))
+
+
+def limit_groups(frame: Frame, keys: Sequence[str], figures: int, field: str) -> None:
+    """Refuse a question whose answer would have too many figures, before they are computed.
+
+    Args:
+        frame: the rows.
+        keys: columns that tell groups apart; facets may tell apart some more.
+        figures: of each group.
+        field: parameter that says which groups there are.
+
+    Raises:
+        TooLarge: there are more than MAX_FIGURES.
+    """
+    if len(frame) * figures <= MAX_FIGURES:
+        return
+    groups = Groups(frame, keys).count
+    if groups * figures > MAX_FIGURES:
+        each = "" if figures == 1 else f" of {figures} figures each"
+        raise TooLarge(
+            f"{groups:,} groups{each} are asked for, and an answer has at most {MAX_FIGURES:,} figures: "
+            "choose fewer columns to group by, or fewer runs",
+            field,
+        )
 
 
 def _aggregate_json(snapshot: Snapshot, chosen: Chosen, found: Aggregate) -> dict[str, Any]:

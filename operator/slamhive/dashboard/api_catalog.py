@@ -15,9 +15,7 @@ from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.encoding import Body
 from slamhive.dashboard.problems import BadRequest, Missing
 from slamhive.model.base import API_VERSION
-from slamhive.model.errors import SlamHiveError, suggestion
-from slamhive.model.sweep import Sweep
-from slamhive.plan import FixedCatalog, Plan
+from slamhive.model.errors import suggestion
 from slamhive.tables.text import as_columns
 
 if TYPE_CHECKING:
@@ -27,6 +25,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
     from slamhive.archive.records import CatalogEntry, SweepRecord
     from slamhive.dashboard.sources import Snapshot, Source
+    from slamhive.dashboard.totals import StoredSweeps
 
 _MAX_NAMES = 200
 _LIVE = frozenset({"Pending", "Preparing", "Running"})
@@ -92,14 +91,14 @@ def _of_sweep(frame: Frame, namespace: str, name: str) -> Mask:
     return where_equal(frame, "sweep", name) & inside
 
 
-def sweeps(snapshot: Snapshot, source: Source) -> Body:
+def sweeps(snapshot: Snapshot, stored: StoredSweeps) -> Body:
     """Return the sweeps, the latest first, all versions of one together."""
     runs = single(snapshot.frame)
     known: dict[tuple[str, str], list[SweepRecord]] = {}
-    for sweep in source.sweeps():
+    for sweep in stored.records:
         known.setdefault((sweep.namespace or "", sweep.name), []).append(sweep)
     names = dict.fromkeys([*reversed(known), *snapshot.sweeps, *_sweep_names(runs)])
-    items = [_sweep(snapshot, runs, name, known.get(name, [])) for name in names]
+    items = [_sweep(snapshot, runs, name, known.get(name, []), stored.totals) for name in names]
     items.sort(key=lambda item: (not item["live"], -_moment(item["created"] or item["finished"])))
     flat = ("name", "uid", "created", "live", "total", "runs", "started", "finished")
     return Body(
@@ -113,7 +112,11 @@ def _moment(text: str | None) -> float:
 
 
 def _sweep(
-    snapshot: Snapshot, runs: Frame, address: tuple[str, str], records: Sequence[SweepRecord]
+    snapshot: Snapshot,
+    runs: Frame,
+    address: tuple[str, str],
+    records: Sequence[SweepRecord],
+    totals: Mapping[str, int | None],
 ) -> dict[str, Any]:
     namespace, name = address
     everything = runs.select(_of_sweep(runs, namespace, name))
@@ -132,7 +135,7 @@ def _sweep(
         "uid": live.get("uid") or (record.uid if record else None),
         "created": created,
         "live": bool(live.get("live")) or bool(_LIVE & phases.keys()),
-        "total": total if total is not None else _total(record),
+        "total": total if total is not None else totals.get(record.uid) if record else None,
         "runs": len(inside),
         "phases": phases | dict(live.get("phases") or {}),
         "statuses": tally(rows.column("status")),
@@ -150,36 +153,25 @@ def _end(frame: Frame, name: str, choose: Any) -> str | None:
     return str(column.plain(float(choose(column.floats())))) if not column.is_empty else None
 
 
-def _total(record: SweepRecord | None) -> int | None:
-    if record is None or not record.spec:
-        return None
-    try:
-        body = {"apiVersion": API_VERSION, "kind": "Sweep", "metadata": {"name": record.name}}
-        sweep = Sweep.model_validate(body | {"spec": record.spec})
-        return len(Plan(sweep, FixedCatalog(), strict=False))
-    except (SlamHiveError, ValueError, KeyError, TypeError):
-        return None
-
-
 def _axes(spec: Mapping[str, Any]) -> list[dict[str, Any]]:
     axes = spec.get("matrix")
     if not isinstance(axes, list):
         return []
-    found = []
+    shown = []
     for axis in axes:
         if isinstance(axis, dict):
             values = axis.get("values") or axis.get("points")
             count = len(values) if isinstance(values, list | dict) else (axis.get("range") or {}).get("count")
-            found.append({"name": axis.get("name") or axis.get("path"), "count": count})
-    return found
+            shown.append({"name": axis.get("name") or axis.get("path"), "count": count})
+    return shown
 
 
-def sweep(snapshot: Snapshot, source: Source, name: str, namespace: str | None) -> Body:
+def sweep(snapshot: Snapshot, stored: StoredSweeps, name: str, namespace: str | None) -> Body:
     """Return one sweep with its spec.
 
     Args:
         snapshot: the data.
-        source: where they come from.
+        stored: the sweeps that the archive knows.
         name: the sweep's name.
         namespace: where it is, needed where several sweeps have the name; empty for a workstation.
 
@@ -188,8 +180,11 @@ def sweep(snapshot: Snapshot, source: Source, name: str, namespace: str | None) 
         BadRequest: several are.
     """
     runs = single(snapshot.frame)
-    stored = source.sweeps()
-    known = {*_sweep_names(runs), *snapshot.sweeps, *((one.namespace or "", one.name) for one in stored)}
+    known = {
+        *_sweep_names(runs),
+        *snapshot.sweeps,
+        *((one.namespace or "", one.name) for one in stored.records),
+    }
     found = [(space, title) for space, title in known if title == name and namespace in {None, space}]
     if not found:
         names = [title for _, title in known]
@@ -200,12 +195,12 @@ def sweep(snapshot: Snapshot, source: Source, name: str, namespace: str | None) 
             f"several sweeps are called {name!r}: say in which namespace ({places})", "namespace"
         )
     address = found[0]
-    records = [one for one in stored if (one.namespace or "", one.name) == address]
+    records = [one for one in stored.records if (one.namespace or "", one.name) == address]
     record = records[-1] if records else None
     live = snapshot.sweeps.get(address)
     spec = (live or {}).get("spec") or (record.spec if record else {})
     return Body(
-        _sweep(snapshot, runs, address, records)
+        _sweep(snapshot, runs, address, records, stored.totals)
         | {
             "revision": snapshot.revision,
             "spec": spec,
@@ -240,9 +235,9 @@ def evaluations(snapshot: Snapshot) -> Body:
     return Body({"revision": snapshot.revision, "items": items}, lambda: as_columns(items))
 
 
-def catalog(snapshot: Snapshot, source: Source, kind: str) -> Body:
+def catalog(snapshot: Snapshot, known: Sequence[CatalogEntry], kind: str) -> Body:
     """Return the Algorithms or Datasets that runs used, with what became of those runs."""
-    entries = {entry.name: entry for entry in source.catalog(kind)}
+    entries = {entry.name: entry for entry in known}
     column = kind.lower()
     names = dict.fromkeys([*_names(single(snapshot.frame).column(column)), *entries])
     items = [_entry(snapshot, column, name, entries.get(name)) for name in names]
@@ -283,13 +278,13 @@ def _attributes(runs: Frame) -> dict[str, Any]:
     return found
 
 
-def catalog_entry(snapshot: Snapshot, source: Source, kind: str, name: str) -> Body:
+def catalog_entry(snapshot: Snapshot, known: Sequence[CatalogEntry], kind: str, name: str) -> Body:
     """Return one Algorithm or Dataset with its manifest."""
-    entries: Sequence[CatalogEntry] = [entry for entry in source.catalog(kind) if entry.name == name]
+    entries = [entry for entry in known if entry.name == name]
     column = kind.lower()
     if not entries and not where_equal(snapshot.frame, column, name).any():
-        known = _names(snapshot.frame.column(column))
-        raise Missing(f"unknown {column} {name[:100]!r}{suggestion(name[:100], known)}", "name")
+        used = _names(snapshot.frame.column(column))
+        raise Missing(f"unknown {column} {name[:100]!r}{suggestion(name[:100], used)}", "name")
     entry = entries[-1] if entries else None
     content = _entry(snapshot, column, name, entry)
     content["manifest"] = _manifest(kind, name, entry.labels, entry.spec) if entry else None

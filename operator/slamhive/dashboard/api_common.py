@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``/api/v1/analysis/common``: runs of a dataset measured again where all of them have poses."""
+"""Answers of ``/api/v1/analysis/common``: runs measured again over the time in which all have poses."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.common import measure_in_common, ranked_medians
 from slamhive.analysis.grouping import Outcomes
-from slamhive.dashboard.artifacts import first_of
 from slamhive.dashboard.clocks import configuration_of
 from slamhive.dashboard.encoding import Body, plain
-from slamhive.dashboard.problems import BadRequest, Problem
-from slamhive.dashboard.trajectories import TRAJECTORIES, extrinsic_of, read_poses
+from slamhive.dashboard.problems import BadRequest, Missing, Problem, TooLarge
+from slamhive.dashboard.trajectories import extrinsic_of, read_poses
 from slamhive.model.results import Outcome
 from slamhive.tables.queries import columns, outcomes, select
 from slamhive.tables.text import as_columns
@@ -26,6 +25,8 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.analysis.common import Common
+    from slamhive.archive.records import CatalogEntry
+    from slamhive.dashboard.artifacts import Place
     from slamhive.dashboard.sources import Snapshot, Source
     from slamhive.dashboard.truths import Truth
     from slamhive.model.results import Result, RunRecord
@@ -68,12 +69,47 @@ class _Run:
         return self.found.ate.rmse if self.found is not None and self.found.ate is not None else None
 
 
-def common(snapshot: Snapshot, source: Source, pairs: Pairs, by: str | None, which: str) -> Body:
-    """Return results over the runs' own and over their common support, by dataset and evaluation.
+@dataclass(frozen=True)
+class Meant:
+    """The results that are to be measured again.
+
+    Attributes:
+        rows: columns of each, by dataset, evaluation and alignment.
+        told: columns that tell competitors apart.
+        tracked: whether other runs have failed and don't say what is in common.
+        notes: sentences on what is left out.
+    """
+
+    rows: list[list[dict[str, Any]]]
+    told: list[str]
+    tracked: bool
+    notes: list[str]
+
+
+@dataclass(frozen=True)
+class Material:
+    """What results are measured again by.
+
+    Attributes:
+        meant: the results.
+        records: of their runs, by UID.
+        places: folders of those that have one.
+        truths: ground truth of each group of ``meant.rows``.
+        algorithms: the catalog's.
+    """
+
+    meant: Meant
+    records: dict[str, RunRecord]
+    places: dict[str, Place]
+    truths: list[Truth | None]
+    algorithms: list[CatalogEntry]
+
+
+def meant(snapshot: Snapshot, pairs: Pairs, by: str | None, which: str) -> Meant:
+    """Return which results a question means.
 
     Args:
         snapshot: the data.
-        source: where trajectories and ground truth are.
         pairs: the query string: filters.
         by: list of columns that tell competitors apart; default: algorithm, sensors.
         which: all, or tracked: other runs then have failed and don't say what is in common.
@@ -87,7 +123,7 @@ def common(snapshot: Snapshot, source: Source, pairs: Pairs, by: str | None, whi
     frame = chosen.frame.select(chosen.frame.column("outcome").present)
     if len(frame) > MOST_RESULTS:
         raise BadRequest(
-            f"{len(frame):,} results are meant, and at most {MOST_RESULTS} are measured again at a time: "
+            f"{len(frame):,} results are selected, and at most {MOST_RESULTS} are measured again at a time: "
             "choose by dataset, evaluation, sweep or a condition",
             "where",
         )
@@ -95,30 +131,53 @@ def common(snapshot: Snapshot, source: Source, pairs: Pairs, by: str | None, whi
     names = list(dict.fromkeys([*_FACETS, "uid", "run", "status", "coverage", *told]))
     for row in frame.records(names):
         groups.setdefault(tuple(row[name] for name in _FACETS), []).append(row)
-    found = [
-        _group(source, rows, told, tracked=tracked)
-        for _, rows in sorted(groups.items(), key=lambda item: [str(part) for part in item[0]])
-    ]
-    content = {"revision": snapshot.revision, "rows": len(frame), "by": told, "groups": found}
-    content["notes"] = list(chosen.notes)
+    ordered = sorted(groups.items(), key=lambda item: [str(part) for part in item[0]])
+    return Meant([rows for _, rows in ordered], told, tracked, list(chosen.notes))
+
+
+def material(source: Source, meant: Meant) -> Material:
+    """Look up what results are measured again by: records, folders, ground truth."""
+    records, places = {}, {}
+    truths = []
+    for rows in meant.rows:
+        label = None
+        for row in rows:
+            uid = str(row["uid"])
+            record = source.record(uid)
+            if record is not None:
+                records[uid] = record
+                label = label or record.labels.get("dataset")
+                place = source.place(record)
+                if place is not None:
+                    places[uid] = place
+        truths.append(source.truth(str(rows[0]["dataset"]), label))
+    return Material(meant, records, places, truths, source.catalog("Algorithm"))
+
+
+def common(snapshot: Snapshot, given: Material) -> Body:
+    """Return results over the runs' own and over their common support, by dataset and evaluation."""
+    meant = given.meant
+    found = [_group(given, rows, truth) for rows, truth in zip(meant.rows, given.truths, strict=True)]
+    content = {
+        "revision": snapshot.revision,
+        "rows": sum(map(len, meant.rows)),
+        "by": meant.told,
+        "groups": found,
+        "notes": meant.notes,
+    }
     return Body(
         content,
         lambda: as_columns([{**group["facets"], **run} for group in found for run in group["runs"]]),
     )
 
 
-def _group(
-    source: Source, rows: list[dict[str, Any]], told: Sequence[str], *, tracked: bool
-) -> dict[str, Any]:
-    records = [source.record(str(row["uid"])) for row in rows]
-    label = next((record.labels.get("dataset") for record in records if record), None)
-    truth = source.truth(str(rows[0]["dataset"]), label)
+def _group(given: Material, rows: list[dict[str, Any]], truth: Truth | None) -> dict[str, Any]:
     runs = []
-    for row, record in zip(rows, records, strict=True):
-        if tracked and row["status"] != Outcome.TRACKED.value:
+    for row in rows:
+        if given.meant.tracked and row["status"] != Outcome.TRACKED.value:
             runs.append(_Run(row, problem=f"{row['status']}: only tracked runs count here"))
         else:
-            runs.append(_run(source, row, record, truth))
+            runs.append(_run(given, row, truth))
     able = [place for place, run in enumerate(runs) if run.poses is not None]
     shared = None
     if truth is not None and able:
@@ -130,14 +189,16 @@ def _group(
     return {
         "facets": {name: rows[0][name] for name in _FACETS},
         "support": _support_json(shared),
-        "entries": _entries(runs, told),
+        "entries": _entries(runs, given.meant.told),
         "runs": [_run_json(run) for run in runs],
         "notes": _notes(truth, runs, shared),
     }
 
 
-def _run(source: Source, row: dict[str, Any], record: RunRecord | None, truth: Truth | None) -> _Run:
+def _run(given: Material, row: dict[str, Any], truth: Truth | None) -> _Run:
     """Return a run as it can be measured again."""
+    uid = str(row["uid"])
+    record = given.records.get(uid)
     result = next(
         (one for one in (record.results if record else ()) if one.evaluation == row["evaluation"]), None
     )
@@ -149,15 +210,26 @@ def _run(source: Source, row: dict[str, Any], record: RunRecord | None, truth: T
     if own is None:
         return _Run(row, own, "it has no absolute error")
     try:
-        place = source.place(record)
-        if place is None:
-            return _Run(row, own, "the run has no files here")
-        name, content = first_of(place, TRAJECTORIES)
-        poses = read_poses(content, name)
-        extrinsic = extrinsic_of(record, configuration_of(place), source.catalog("Algorithm"), truth)
+        place, poses = _poses(given, uid)
+        extrinsic = extrinsic_of(record, configuration_of(place), given.algorithms, truth)
         return _fitting(_Run(row, own, poses=poses), result, truth, extrinsic)
     except (Problem, EvaluationError) as error:
         return _Run(row, own, str(error))
+
+
+def _poses(given: Material, uid: str) -> tuple[Place, Trajectory]:
+    """Return the folder of a run, and all of its poses.
+
+    Raises:
+        Problem: it can't be had.
+    """
+    place = given.places.get(uid)
+    if place is None:
+        raise Missing("the run has no files here")
+    path = read_poses(place)
+    if path.every > 1:
+        raise TooLarge(f"its {path.count:,} poses are too many to be measured again here")
+    return place, path.poses
 
 
 def _number(value: Any) -> bool:

@@ -3,28 +3,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from slamhive.dashboard.artifacts import first_of
 from slamhive.dashboard.clocks import clock_of, configuration_of, sensor_times
 from slamhive.dashboard.encoding import Body
 from slamhive.dashboard.problems import BadRequest, Missing
-from slamhive.dashboard.trajectories import (
-    TRAJECTORIES,
-    USAGES,
-    drawn,
-    extrinsic_of,
-    read_poses,
-    usage_columns,
-)
+from slamhive.dashboard.trajectories import drawn, extrinsic_of, read_poses, usage_columns
 from slamhive.model.base import API_VERSION
 from slamhive.model.errors import suggestion
 
 if TYPE_CHECKING:
+    from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.artifacts import Place
     from slamhive.dashboard.sources import Snapshot, Source
+    from slamhive.dashboard.truths import Truth
     from slamhive.model.results import Result, RunRecord
 
 _PARTS = ("usage", "frames", "trajectory")
@@ -56,9 +51,8 @@ def place_of(source: Source, record: RunRecord) -> Place:
     return place
 
 
-def detail(snapshot: Snapshot, source: Source, uid: str) -> Body:
+def detail(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
     """Return a run with its configuration, provenance, usage, results and log."""
-    record = find(source, uid)
     spec = record.spec
     plain = record.as_json()
     content: dict[str, Any] = {
@@ -112,9 +106,9 @@ def manifest(record: RunRecord) -> str:
     return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
 
 
-def files(snapshot: Snapshot, source: Source, uid: str) -> Body:
+def files(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
     """Return the list of a run's files."""
-    items = place_of(source, find(source, uid)).files()
+    items = place_of(source, record).files()
     names = ("path", "size", "modified")
     return Body(
         {"revision": snapshot.revision, "items": items},
@@ -122,21 +116,47 @@ def files(snapshot: Snapshot, source: Source, uid: str) -> Body:
     )
 
 
-def trajectory(snapshot: Snapshot, source: Source, uid: str, evaluation: str | None, most: int) -> Body:
-    """Return a run's aligned path over its ground truth, thinned, with errors and the dataset's clock."""
+@dataclass(frozen=True)
+class Material:
+    """What a run's path is drawn from.
+
+    Attributes:
+        record: the run.
+        place: its folder.
+        truth: ground truth of its dataset, if it is at hand.
+        algorithms: versions of its Algorithm among others.
+    """
+
+    record: RunRecord
+    place: Place
+    truth: Truth | None
+    algorithms: list[CatalogEntry]
+
+
+def material(source: Source, uid: str) -> Material:
+    """Look up what a run's path is drawn from.
+
+    Raises:
+        Missing: there is no such run, or its folder is not here.
+    """
     record = find(source, uid)
     place = place_of(source, record)
-    result = _chosen(record, evaluation)
-    name, content = first_of(place, TRAJECTORIES)
     dataset = str((record.spec.get("datasetRef") or {}).get("name"))
     truth = source.truth(dataset, record.labels.get("dataset"))
-    configuration = configuration_of(place)
-    extrinsic = extrinsic_of(record, configuration, source.catalog("Algorithm"), truth)
-    given = record.spec.get("input") or {}
-    whole = not given.get("start") and given.get("duration") is None
-    poses = read_poses(content, name)
-    found = drawn(poses, result, truth, extrinsic, most, whole=whole)
-    clock = clock_of(configuration, truth, poses)
+    return Material(record, place, truth, source.catalog("Algorithm"))
+
+
+def trajectory(snapshot: Snapshot, given: Material, evaluation: str | None, most: int) -> Body:
+    """Return a run's aligned path over its ground truth, thinned, with errors and the dataset's clock."""
+    record, truth = given.record, given.truth
+    result = _chosen(record, evaluation)
+    path = read_poses(given.place)
+    configuration = configuration_of(given.place)
+    extrinsic = extrinsic_of(record, configuration, given.algorithms, truth)
+    cut = record.spec.get("input") or {}
+    whole = not cut.get("start") and cut.get("duration") is None
+    found = drawn(path, result, truth, extrinsic, most, whole=whole)
+    clock = clock_of(configuration, truth, path.poses)
     answer = {"revision": snapshot.revision, "clock": clock and clock.as_json(), **found}
     return Body(answer, lambda: found["estimate"])
 
@@ -153,12 +173,10 @@ def _chosen(record: RunRecord, evaluation: str | None) -> Result | None:
     )
 
 
-def usage(snapshot: Snapshot, source: Source, uid: str, most: int) -> Body:
+def usage(snapshot: Snapshot, source: Source, record: RunRecord, most: int) -> Body:
     """Return CPU and memory over time, thinned: since the program's start, and by sensor time where known."""
-    record = find(source, uid)
     place = place_of(source, record)
-    name, content = first_of(place, USAGES)
-    found = usage_columns(content, name, most)
+    found = usage_columns(place, most)
     configuration = configuration_of(place)
     found["stamp"] = sensor_times(found["t"], record, place, configuration)
     clock = clock_of(configuration) if found["stamp"] is not None else None

@@ -8,7 +8,8 @@ from urllib.parse import urlencode
 
 from slamhive.analysis.ordering import order_rows
 from slamhive.dashboard import paging
-from slamhive.dashboard.encoding import Body
+from slamhive.dashboard.encoding import Body, Table
+from slamhive.dashboard.problems import TooLarge
 from slamhive.dashboard.tables import heading, profile
 from slamhive.tables.queries import columns, names, select
 
@@ -27,11 +28,17 @@ DEFAULT_COLUMNS = (
 )
 DEFAULT_LIMIT = 100
 MAX_LIMIT = 1000
+MAX_CELLS = 20_000_000
+"""Rows times columns of a whole table: it is sent as it is made, in some 10 s for each 5 million."""
+
+MAX_PAGE_CELLS = 200_000
+"""The same of a page, which is made whole before it is sent."""
+
 RESERVED = ("sort", "columns", "limit", "after", "format")
 
 
 def chosen(snapshot: Snapshot, pairs: Pairs, reserved: Sequence[str]) -> tuple[Frame, list[str]]:
-    """Return the rows of runs that are meant, each by itself, and sentences on what is left out."""
+    """Return the selected rows, each run by itself, and sentences on what is left out."""
     found = select(snapshot.frame, pairs, reserved, each=True)
     return found.frame, list(found.notes)
 
@@ -67,6 +74,7 @@ def runs_page(
         frame = frame.select(paging.rows_behind(frame, order, place))
     left = len(frame)
     frame = frame.select(order_rows(frame, order)[:limit])
+    cells(len(frame), len(shown), MAX_PAGE_CELLS, "columns")
     link = None
     if left > limit:
         token = paging.token(question, paging.last_values(frame, len(frame) - 1, order))
@@ -75,13 +83,31 @@ def runs_page(
     return _table(snapshot, frame, shown, {"total": total, "next": link, "notes": left_out}, link)
 
 
-def whole_table(snapshot: Snapshot, pairs: Pairs, *, sort: str | None, wanted: str | None) -> Body:
-    """Return all rows that the filters mean, as one file."""
-    frame, left_out = chosen(snapshot, pairs, RESERVED)
+def whole_table(snapshot: Snapshot, pairs: Pairs, *, sort: str | None, wanted: str | None) -> Table:
+    """Return all rows that the filters mean, to be sent as one file.
+
+    Raises:
+        TooLarge: rows times columns are more than MAX_CELLS.
+    """
+    frame, _ = chosen(snapshot, pairs, RESERVED)
     order = columns(snapshot.frame, sort, "sort")
     shown = columns(snapshot.frame, wanted, "columns", DEFAULT_COLUMNS)
-    frame = frame.select(order_rows(frame, order))
-    return _table(snapshot, frame, shown, {"total": len(frame), "next": None, "notes": left_out}, None)
+    cells(len(frame), len(shown), MAX_CELLS, "columns")
+    return Table(frame.select(order_rows(frame, order)), shown)
+
+
+def cells(rows: int, columns: int, most: int, field: str) -> None:
+    """Refuse a table that is too large.
+
+    Raises:
+        TooLarge: rows times columns are more than may be.
+    """
+    if rows * columns > most:
+        raise TooLarge(
+            f"{rows:,} rows of {columns:,} columns are {rows * columns:,} values, and an answer has at most "
+            f"{most:,}: choose fewer columns or rows",
+            field,
+        )
 
 
 def _table(
@@ -95,7 +121,7 @@ def _table(
             "revision": snapshot.revision,
             **more,
             "columns": [heading(frame, name) for name in shown],
-            "items": frame.records(shown) if len(frame) <= MAX_LIMIT else [],
+            "items": frame.records(shown),
         },
         content,
         link,

@@ -10,6 +10,7 @@ from slamhive.analysis.comparing import compare
 from slamhive.analysis.importance import importance
 from slamhive.analysis.pareto import pareto
 from slamhive.analysis.repeating import repeatability, suspects
+from slamhive.dashboard.api_analysis import limit_groups
 from slamhive.dashboard.encoding import Body, plain
 from slamhive.dashboard.tables import (
     figure_json,
@@ -102,6 +103,7 @@ def fronts(snapshot: Snapshot, pairs: Pairs, axes: tuple[str, str], by: str | No
     told = columns(snapshot.frame, by, "by", COMPETITORS)
     chosen = select(snapshot.frame, pairs, RESERVED)
     frame = chosen.frame
+    limit_groups(frame, [*told, "dataset"], 1, "by")
     found, notes = pareto(frame, x, y, told, outcomes(which))
     content = {
         "revision": snapshot.revision,

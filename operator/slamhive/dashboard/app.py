@@ -17,13 +17,13 @@ from slamhive.dashboard.docs import docs_page
 from slamhive.dashboard.encoding import encode_json
 from slamhive.dashboard.events import Events
 from slamhive.dashboard.pages import Pages
-from slamhive.dashboard.problems import Problem
+from slamhive.dashboard.problems import RETRY_SECONDS, Problem, told
 from slamhive.dashboard.service import Service
 from slamhive.dashboard.shield import Shield
 from slamhive.model.errors import InputError, SystemFault
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Collection
+    from collections.abc import AsyncIterator, Collection, Mapping
 
     from slamhive.dashboard.sources import Source
 
@@ -60,9 +60,9 @@ def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastA
         lifespan=life,
     )
     app.state.service = service
-    for part in (routes.router(service), routes_studies.router(service)):
-        app.include_router(part)
-    app.include_router(routes_catalog.router(service, events))
+    parts = (routes.router(service), routes_studies.router(service), routes_catalog.router(service, events))
+    for part in parts:
+        app.router.routes.extend(part.routes)  # include_router would read all their annotations again
     _describe(app, service)
     pages = Pages()
 
@@ -91,19 +91,16 @@ def _describe(app: FastAPI, service: Service) -> None:
 
 
 def _answer_problems(app: FastAPI) -> None:
-    @app.exception_handler(Problem)
-    async def problem(_: Request, error: Problem) -> Response:
-        return _json(error.body(), error.status)
+    async def foreseen(_: Request, error: Exception) -> Response:
+        found = told(error)
+        if found is None:
+            raise error
+        status, body = found
+        retry = getattr(error, "retry_after", None) or (RETRY_SECONDS if status == 503 else None)
+        return _json(body, status, {"Retry-After": str(retry)} if retry else {})
 
-    @app.exception_handler(InputError)
-    async def wrong_input(_: Request, error: InputError) -> Response:
-        body = {"error": str(error), "field": getattr(error, "field", None)}
-        position = getattr(error, "position", None)
-        return _json(body if position is None else body | {"position": position}, 400)
-
-    @app.exception_handler(SystemFault)
-    async def fault(_: Request, error: SystemFault) -> Response:
-        return _json({"error": str(error), "field": None}, 503)
+    for kind in (Problem, InputError, SystemFault):
+        app.add_exception_handler(kind, foreseen)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_: Request, error: RequestValidationError) -> Response:
@@ -114,8 +111,8 @@ def _answer_problems(app: FastAPI) -> None:
 
     @app.exception_handler(Exception)
     async def mistake(_: Request, error: Exception) -> Response:
-        _log.error("a mistake of the dashboard's own", exc_info=error)
-        sentence = f"a mistake of the dashboard's own ({type(error).__name__}); its log says more"
+        _log.error("an error in the dashboard itself", exc_info=error)
+        sentence = f"an error in the dashboard itself ({type(error).__name__}); its log says more"
         return _json({"error": sentence, "field": None}, 500)
 
     @app.exception_handler(HTTPException)
@@ -126,10 +123,10 @@ def _answer_problems(app: FastAPI) -> None:
         return _json({"error": sentence, "field": None}, error.status_code)
 
 
-def _json(content: Any, status: int) -> Response:
+def _json(content: Any, status: int, headers: Mapping[str, str] | None = None) -> Response:
     return Response(
         encode_json(content),
         status_code=status,
         media_type="application/json",
-        headers={"Cache-Control": "no-store"},
+        headers={"Cache-Control": "no-store", **(headers or {})},
     )

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from slamhive.dashboard.problems import BadRequest, Missing, Problem
+from slamhive.dashboard.problems import BadRequest, Missing, TooLarge
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
 MAX_FILES = 1000
 MAX_DEPTH = 6
-MAX_READ = 256 * 2**20
-"""Bytes of a file that is read whole, to draw it."""
-
 _FLAGS = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 
 
@@ -78,21 +75,22 @@ class Place:
                 for item in opened:
                     os.close(item)
 
-    def read(self, path: str) -> bytes:
+    def read(self, path: str, most: int) -> bytes:
         """Return a file's content.
+
+        Args:
+            path: of the file.
+            most: bytes that it may have.
 
         Raises:
             Missing: there is no such file.
-            Problem: it is too large to be drawn.
+            TooLarge: it has more.
         """
-        with self.open(path) as descriptor:
-            size = os.fstat(descriptor).st_size
-            if size > MAX_READ:
-                raise TooLarge(f"{path}: {size / 2**20:.0f} MiB are too much to draw; download it", "path")
-            chunks = []
-            while chunk := os.read(descriptor, 2**20):
-                chunks.append(chunk)
-            return b"".join(chunks)
+        with self.open(path) as descriptor, os.fdopen(os.dup(descriptor), "rb") as stream:
+            content = stream.read(most + 1)
+        if len(content) > most:
+            raise TooLarge(f"{path}: more than {most:,} bytes: download it", "path")
+        return content
 
     @contextmanager
     def _folder(self) -> Iterator[int]:
@@ -129,26 +127,6 @@ class Place:
                         self._list(inner, f"{path}/", found, depth - 1)
                     finally:
                         os.close(inner)
-
-
-class TooLarge(Problem):
-    """A file that is too large to be drawn."""
-
-    status = 413
-
-
-def first_of(place: Place, names: tuple[str, ...]) -> tuple[str, bytes]:
-    """Return the first of some files that is there, with its name.
-
-    Raises:
-        Missing: none is.
-    """
-    for name in names:
-        try:
-            return name, place.read(name)
-        except Missing:
-            continue
-    raise Missing(f"the run has no {names[0].rpartition('/')[2]} here")
 
 
 def split(path: str) -> tuple[str, ...]:

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from slamhive.dashboard.artifacts import TooLarge, first_of
-from slamhive.dashboard.problems import Missing
+from slamhive.dashboard.numberfiles import read_numbers, stacked
+from slamhive.dashboard.problems import Missing, TooLarge
 from slamhive.model.algorithm import Pace
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    import numpy.typing as npt
 
     from slamhive.analysis.columns import Floats
     from slamhive.dashboard.artifacts import Place
@@ -25,7 +27,9 @@ if TYPE_CHECKING:
 
 _CONFIGURATIONS = ("config.yaml", "run/config.yaml")
 _LATENCIES = ("output/latency.csv", "run/output/latency.csv")
-_MAX_CONFIGURATION = 2**20
+_MAX_CONFIGURATION = 2**18
+_MAX_VALUES = 20_000
+_MAX_DEPTH = 50
 
 
 @dataclass(frozen=True)
@@ -46,13 +50,41 @@ class Clock:
 
 
 def configuration_of(place: Place) -> dict[str, Any]:
-    """Return what a run was told, empty where that can't be read."""
-    try:
-        _, content = first_of(place, _CONFIGURATIONS)
-        found = yaml.safe_load(content) if len(content) <= _MAX_CONFIGURATION else None
-    except (Missing, TooLarge, yaml.YAMLError, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
+    """Return what a run was told, empty where that can't be read: the run itself may have written it."""
+    for name in _CONFIGURATIONS:
+        try:
+            content = place.read(name, _MAX_CONFIGURATION)
+            found = yaml.safe_load(content) if _is_small(content) else None
+        except Missing:
+            continue
+        except (TooLarge, yaml.YAMLError, ValueError, RecursionError):
+            break
+        return found if isinstance(found, dict) else {}
+    return {}
+
+
+def _is_small(content: bytes) -> bool:
+    """Tell whether a document is small and flat, with all that its aliases stand for."""
+    sizes: dict[str, int] = {}
+    opened: list[tuple[str | None, int]] = []
+    total = 0
+    for number, event in enumerate(yaml.parse(content)):
+        if isinstance(event, yaml.AliasEvent):
+            total += sizes.get(event.anchor or "", _MAX_VALUES + 1)  # within itself: no end
+        elif isinstance(event, yaml.CollectionStartEvent):
+            opened.append((event.anchor, total))
+            total += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = opened.pop()
+            if anchor is not None:
+                sizes[anchor] = total - before
+        elif isinstance(event, yaml.ScalarEvent):
+            total += 1
+            if event.anchor is not None:
+                sizes[event.anchor] = 1
+        if max(total, number) > _MAX_VALUES or len(opened) > _MAX_DEPTH:
+            return False
+    return True
 
 
 def clock_of(
@@ -95,17 +127,27 @@ def sensor_times(
     if pace != Pace.REALTIME.value or record.started is None or record.usage is None:
         return None
     try:
-        _, content = first_of(place, _LATENCIES)
-        lines = content.decode("ascii").splitlines()[1:]
-        table = np.array([line.split(",")[:2] for line in lines], dtype=np.float64)
+        table = read_numbers(place, _LATENCIES, _arrivals, headed=True).rows
     except (Missing, TooLarge, ValueError):
         return None
-    if table.ndim != 2 or table.shape[1] != 2 or not np.isfinite(table).all():
+    if not len(table) or not np.isfinite(table).all():
         return None
     began = record.started.timestamp()
     stamps, arrivals = table[:, 0], table[:, 1] - began
     # The median frame: single ones may have been late.
     return since_start * rate + float(np.median(stamps - arrivals * rate))
+
+
+def _arrivals(lines: bytes) -> npt.NDArray[np.float64]:
+    """Return stamp and arrival of some frames, (k, 2).
+
+    Raises:
+        ValueError: a line has no such two.
+    """
+    rows = [[float(part) for part in line.split(b",")[:2]] for line in lines.splitlines()]
+    if any(len(row) != 2 for row in rows):
+        raise ValueError("a line without two numbers")
+    return stacked(rows, 2)
 
 
 def _number(configuration: Mapping[str, Any], part: str, name: str) -> float | None:

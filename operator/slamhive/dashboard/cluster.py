@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from slamhive.analysis.derived import SweepVersion, with_derived
-from slamhive.analysis.flattening import stack
+from slamhive.analysis.flattening import bound, stack
 from slamhive.analysis.frame import Frame
 from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.live import (
@@ -30,7 +30,7 @@ from slamhive.dashboard.watching import Follower
 from slamhive.kube.client import Api
 from slamhive.kube.errors import ApiError, NotFound
 from slamhive.kube.kinds import Key, Kind
-from slamhive.kube.reconciling.records import record_of
+from slamhive.kube.records import record_of
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -46,6 +46,9 @@ _OTHERS = (Kind.ALGORITHM, Kind.DATASET, Kind.EVALUATION, Kind.SWEEP)
 _REST = 4.0
 _LEAST_REST_SECONDS = 1.0
 _DETAIL_SECONDS = 10.0
+_AGAIN_SECONDS = 30.0
+MAX_LIVE_COLUMNS = 300
+"""Columns that live runs may add to those of the archive: they choose the names of their metrics."""
 
 
 class ClusterSource:
@@ -80,6 +83,7 @@ class ClusterSource:
         self._results = results
         self._truths = Truths(ground_truth)
         self._name = name
+        self._identity: str | None = name or None
         self._connect = connect
         self._cluster = Cluster()
         self._troubles: dict[tuple[Kind, str], str | None] = {}
@@ -88,6 +92,7 @@ class ClusterSource:
         self._snapshot = Snapshot()
         self._built: tuple[Any, ...] = ()
         self._next_build = 0.0
+        self._dropped: str | None = None
         self._nonce = secrets.token_hex(4)
         self._count = 0
         self._lock = asyncio.Lock()
@@ -104,10 +109,22 @@ class ClusterSource:
         self._executor = executor
         self._loop = asyncio.get_running_loop()
         self._api = await self._connect()
+        self._tasks.append(asyncio.create_task(self._know_cluster(self._api), name="know the cluster"))
         for namespace in self._namespaces:
             for kind in (Kind.MAPPING_RUN, *_OTHERS):
                 follower = self._follower(self._api, kind, namespace)
                 self._tasks.append(asyncio.create_task(follower.run(), name=f"follow {kind} {namespace}"))
+
+    async def _know_cluster(self, api: Api) -> None:
+        """Find out which cluster this is, as the operator does, however long the API is away."""
+        while True:
+            try:
+                self._identity = await api.cluster_uid() or self._identity
+            except ApiError:
+                await asyncio.sleep(_AGAIN_SECONDS)
+            else:
+                self._cluster.changes += 1
+                return
 
     async def stop(self) -> None:
         """End."""
@@ -138,7 +155,8 @@ class ClusterSource:
                 self._count += 1
                 revision = f"{self._nonce}-{self._count}"
                 asked = self._archive.asked if self._archive is not None else frozenset()
-                self._snapshot = Snapshot(frame, revision, state[2], sweeps, asked)
+                problems = (*state[2], *((self._dropped,) if self._dropped else ()))
+                self._snapshot = Snapshot(frame, revision, problems, sweeps, asked)
                 self._built = state
                 took = time.monotonic() - begun
                 if self.ready:  # until then every piece is news
@@ -169,7 +187,8 @@ class ClusterSource:
                 if obj is not None and obj["metadata"].get("uid") == uid:
                     held = self._cluster.others.get((Kind.DATASET, run.namespace), {})
                     dataset = held.get(run.dataset or "", {"spec": {}})
-                    return record_of(obj, attributes=dataset["spec"].get("attributes"))
+                    record = record_of(obj, attributes=dataset["spec"].get("attributes"))
+                    return record.replace(cluster=self._identity)
         return self._archive.archive().get(uid) if self._archive is not None else None
 
     def sweeps(self) -> list[SweepRecord]:
@@ -216,12 +235,13 @@ class ClusterSource:
     ) -> Frame:
         archived = self._archive.frame if self._archive is not None else Frame({}, 0)
         if not runs:
+            self._dropped = None
             return archived
         for run in runs:
             self._numbers.setdefault(run.uid, -1 - len(self._numbers))
         settings = {sweep["uid"]: sweep["settings"] for sweep in sweeps.values() if sweep["settings"]}
-        live = columns_of_live(runs, self._numbers, datasets, settings)
-        parts = [live]
+        parts = [columns_of_live(runs, self._numbers, datasets, settings, self._identity)]
+        self._dropped = _dropped_sentence(bound(parts, archived.stored, MAX_LIVE_COLUMNS))
         if len(archived):
             uids = archived.column("uid")
             names = {run.uid for run in runs}
@@ -231,7 +251,7 @@ class ClusterSource:
         columns, length = stack([part for part in parts if part[1]])
         # A Sweep that the cluster holds is the current one of its name, whenever it was made.
         current = [
-            SweepVersion(sweep["uid"], name, None, namespace, math.inf)
+            SweepVersion(sweep["uid"], name, self._identity, namespace, math.inf)
             for (namespace, name), sweep in sweeps.items()
         ]
         known = {one.uid for one in current}
@@ -275,6 +295,18 @@ class ClusterSource:
         except (ApiError, TimeoutError):
             future.cancel()
             return None
+
+
+def _dropped_sentence(names: list[str]) -> str | None:
+    """Say which columns of live runs are left out; None where none is."""
+    if not names:
+        return None
+    columns = "1 column" if len(names) == 1 else f"{len(names):,} columns"
+    shown = ", ".join(name[:60] for name in names[:3])
+    return (
+        f"live runs have more than {MAX_LIVE_COLUMNS} columns that no archived run has: "
+        f"{columns} that few of them have ({shown}{', …' if len(names) > 3 else ''}) are left out"
+    )
 
 
 def _address(obj: dict[str, Any]) -> tuple[str, str]:

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from slamhive.analysis.flattening import Results, columns_of_runs
 from slamhive.analysis.measuring import intended_evaluations
 from slamhive.archive.records import CatalogEntry, run_row
-from slamhive.kube.reconciling.records import record_of
+from slamhive.kube.records import record_of
 from slamhive.model.dataset import DatasetSpec
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.sensors import SensorMode
@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from slamhive.analysis.flattening import Part
-    from slamhive.kube.kinds import Kind
+    from slamhive.kube.kinds import Kind, Object
     from slamhive.model.results import Result
 
-Object = dict[str, Any]
 
 _PHASES = {"pending": "Pending", "running": "Running", "succeeded": "Succeeded", "failed": "Failed"}
 
@@ -74,7 +73,7 @@ def narrow_run(obj: Object) -> LiveRun | None:
 
 
 def narrow_other(obj: Object) -> Object:
-    """Return another object without what nobody looks at."""
+    """Return an object without the parts that are not used here."""
     metadata = obj.get("metadata") or {}
     status = {name: value for name, value in (obj.get("status") or {}).items() if name != "points"}
     names = ("name", "namespace", "uid", "resourceVersion", "creationTimestamp", "labels")
@@ -121,6 +120,7 @@ def columns_of_live(
     numbers: Mapping[str, int],
     datasets: Mapping[tuple[str, str], Object],
     settings: Mapping[str, EvaluationSettings],
+    cluster: str | None = None,
 ) -> Part:
     """Return live runs as columns, with their number of rows.
 
@@ -129,6 +129,7 @@ def columns_of_live(
         numbers: the ``id`` of each by its UID.
         datasets: specs of Datasets by (namespace, name).
         settings: how Sweeps are measured, by their UIDs.
+        cluster: what tells the cluster from others.
     """
     rows: list[dict[str, Any]] = []
     measured: list[tuple[int, Result]] = []
@@ -137,7 +138,7 @@ def columns_of_live(
         number = numbers[run.uid]
         spec = datasets.get((run.namespace, run.dataset), {})
         more = {"attributes": spec.get("attributes") or {}, "evaluations": intended.of(run)}
-        rows.append({**run.row, "id": number, **more})
+        rows.append({**run.row, "id": number, "cluster": cluster, **more})
         measured += [(number, result) for result in run.results]
     names = rows[0] if rows else {}
     return columns_of_runs({name: [row[name] for row in rows] for name in names}, Results.of(measured))

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.columns import ColumnKind
-from slamhive.analysis.ordering import complete, direction, sort_key
+from slamhive.analysis.columns import ColumnKind, sort_key
+from slamhive.analysis.ordering import complete, direction
 from slamhive.dashboard.problems import BadRequest
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def token_length(sort: Sequence[str]) -> int:
 
 
 def _place(column: Column, value: Any) -> float:
-    """Return the rank that a value has among those of a column, between two for one that is gone."""
+    """Return the rank of a value in a column; midway between its neighbours if the value is gone."""
     if value is None:
         return np.inf
     if column.kind is ColumnKind.TIME:

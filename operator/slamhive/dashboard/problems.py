@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong between a request and its answer.
+"""Errors of the dashboard's API, each with its HTTP status and its JSON body.
 
 ::
 
@@ -7,14 +7,21 @@
     ├── BadRequest        400 what was asked for can't be understood
     ├── Missing           404 nothing is known by the name
     ├── NotAcceptable     406 the format is not to be had here
-    └── Unavailable       503 what the answer comes from does not answer
+    ├── TooLarge          413 more is asked for than is read or computed at a time
+    ├── TooCostly         422 computing the answer took more than it may
+    ├── Unavailable       503 what the answer comes from does not answer
+    │   └── Busy          503 others are being answered
+    └── Refused           as a worker told it
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from slamhive.model.errors import SlamHiveError
+from slamhive.model.errors import InputError, SlamHiveError, SystemFault
+
+RETRY_SECONDS = 5
+"""After which what is away or busy may be asked again."""
 
 
 class Problem(SlamHiveError):  # noqa: N818 - some are no errors
@@ -24,9 +31,11 @@ class Problem(SlamHiveError):  # noqa: N818 - some are no errors
         status: of HTTP.
         field: name of the query parameter or part of the path that is wrong.
         position: where in its text the mistake is, from 0.
+        retry_after: s after which it may be asked again; None where that changes nothing.
     """
 
     status = 500
+    retry_after: int | None = None
 
     def __init__(self, sentence: str, field: str | None = None, position: int | None = None) -> None:
         super().__init__(sentence)
@@ -61,3 +70,56 @@ class Unavailable(Problem):
     """What the answer comes from does not answer at present."""
 
     status = 503
+    retry_after = RETRY_SECONDS
+
+
+class TooLarge(Problem):
+    """More is asked for than is read or computed at a time."""
+
+    status = 413
+
+
+class TooCostly(Problem):
+    """Computing the answer took more than it may."""
+
+    status = 422
+
+
+class Busy(Unavailable):
+    """Others are being answered."""
+
+    def __init__(self, sentence: str, retry_after: int = RETRY_SECONDS) -> None:
+        super().__init__(sentence)
+        self.retry_after = retry_after
+
+
+class Refused(Problem):
+    """What a worker told instead of an answer.
+
+    Args:
+        status: of HTTP.
+        body: of the answer.
+    """
+
+    def __init__(self, status: int, body: dict[str, Any]) -> None:
+        super().__init__(str(body["error"]))
+        self.status = status
+        self._body = body
+        self.retry_after = RETRY_SECONDS if status == Unavailable.status else None
+
+    def body(self) -> dict[str, Any]:
+        """Return the body of the answer."""
+        return self._body
+
+
+def told(error: BaseException) -> tuple[int, dict[str, Any]] | None:
+    """Return status and body of the answer to a mistake; None for one that nobody foresaw."""
+    if isinstance(error, Problem):
+        return error.status, error.body()
+    if isinstance(error, InputError):
+        body = {"error": str(error), "field": getattr(error, "field", None)}
+        position = getattr(error, "position", None)
+        return 400, body if position is None else body | {"position": position}
+    if isinstance(error, SystemFault):
+        return Unavailable.status, {"error": str(error), "field": None}
+    return None

@@ -6,7 +6,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
+from slamhive.analysis.boards import COMPETITORS
 from slamhive.dashboard import api_analysis, api_runs
+from slamhive.dashboard.costs import MOST_COMPETITORS, costs_little
 from slamhive.dashboard.encoding import Format, choose_format
 from slamhive.dashboard.service import Service
 
@@ -58,7 +60,7 @@ def router(service: Service) -> APIRouter:
         form = choose_format(format, request.headers.get("accept", ""))
         asked = pairs(request)
         if form is not Format.JSON and limit is None and after is None:
-            return await service.answer(
+            return await service.stream(
                 request, lambda data: api_runs.whole_table(data, asked, sort=sort, wanted=columns)
             )
         return await service.answer(
@@ -72,6 +74,7 @@ def router(service: Service) -> APIRouter:
                 limit=limit or api_runs.DEFAULT_LIMIT,
                 after=after,
             ),
+            lambda data: costs_little(data, request.url.query),
         )
 
     @routes.get("/columns", summary="Columns that there are, with their ranges and values")
@@ -104,7 +107,11 @@ def router(service: Service) -> APIRouter:
         """Runs without a value stay in: they are drawn as failed."""
         axes = {"x": x, "y": y, "colour": colour, "size": size, "facet": facet}
         asked = pairs(request)
-        return await service.answer(request, lambda data: api_analysis.points(data, asked, axes, digits))
+        return await service.answer(
+            request,
+            lambda data: api_analysis.points(data, asked, axes, digits),
+            lambda data: costs_little(data, request.url.query),
+        )
 
     @routes.get("/analysis/aggregate", summary="Figures over groups of runs")
     async def aggregate(
@@ -120,7 +127,9 @@ def router(service: Service) -> APIRouter:
         """What must not be pooled becomes a key by itself."""
         asked = pairs(request)
         return await service.answer(
-            request, lambda data: api_analysis.aggregated(data, asked, by, metrics, outcomes)
+            request,
+            lambda data: api_analysis.aggregated(data, asked, by, metrics, outcomes),
+            lambda data: by is not None and costs_little(data, request.url.query, by),
         )
 
     @routes.get("/analysis/leaderboard", summary="Ranks over datasets, with their uncertainty")
@@ -137,7 +146,9 @@ def router(service: Service) -> APIRouter:
         """One board for each combination of evaluation, alignment and pace."""
         asked = pairs(request)
         return await service.answer(
-            request, lambda data: api_analysis.ranked(data, asked, metric, by, outcomes)
+            request,
+            lambda data: api_analysis.ranked(data, asked, metric, by, outcomes),
+            lambda data: costs_little(data, request.url.query, by, COMPETITORS, MOST_COMPETITORS),
         )
 
     return routes

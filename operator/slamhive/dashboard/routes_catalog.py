@@ -3,18 +3,22 @@
 
 # FastAPI reads the annotations of these functions, so they are no mere texts here.
 import os
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Annotated
 from urllib.parse import quote
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.responses import StreamingResponse
 
+from slamhive.archive.records import CatalogEntry
 from slamhive.dashboard import api_catalog, api_run
+from slamhive.dashboard.costs import costs_little
 from slamhive.dashboard.events import MAX_LISTENERS, Events
 from slamhive.dashboard.problems import Unavailable
 from slamhive.dashboard.routes import FormatName
 from slamhive.dashboard.service import Service
+from slamhive.dashboard.sources import Snapshot
+from slamhive.model.results import RunRecord
 
 Name = Annotated[str, Path(max_length=10_000)]
 Most = Annotated[int, Query(ge=10, le=20_000, description="Points at most.")]
@@ -40,18 +44,22 @@ def router(service: Service, events: Events) -> APIRouter:
     return routes
 
 
+def _little(data: Snapshot) -> bool:
+    return costs_little(data, "")
+
+
 def _add_lists(routes: APIRouter, service: Service) -> None:
     source = service.source
 
     @routes.get("", summary="What there is, in numbers")
     async def index(request: Request) -> Response:
         """Return counts, the source and what does not answer at present."""
-        return await service.answer(request, lambda data: api_catalog.index(data, source))
+        return await service.answer(request, lambda data: api_catalog.index(data, source), _little)
 
     @routes.get("/sweeps", summary="Sweeps, the live ones first")
     async def sweeps(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
         """Return each sweep with its progress."""
-        return await service.answer(request, lambda data: api_catalog.sweeps(data, source))
+        return await service.answer_with(request, service.asked_for, api_catalog.sweeps, _little)
 
     @routes.get("/sweeps/{name}", summary="One sweep with its spec")
     async def sweep(
@@ -62,39 +70,63 @@ def _add_lists(routes: APIRouter, service: Service) -> None:
         ] = None,
     ) -> Response:
         """Return a sweep; several may have one name in different namespaces."""
-        return await service.answer(request, lambda data: api_catalog.sweep(data, source, name, namespace))
+        return await service.answer_with(
+            request,
+            service.asked_for,
+            lambda data, stored: api_catalog.sweep(data, stored, name, namespace),
+        )
 
     @routes.get("/evaluations", summary="Evaluations that there are results of")
     async def evaluations(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
         """Return each with its outcomes."""
-        return await service.answer(request, api_catalog.evaluations)
+        return await service.answer(request, api_catalog.evaluations, _little)
 
 
 def _add_catalog(routes: APIRouter, service: Service) -> None:
     source = service.source
 
+    async def algorithms_known(_: Snapshot) -> list[CatalogEntry]:
+        return await service.run(lambda: source.catalog("Algorithm"))
+
+    async def datasets_known(_: Snapshot) -> list[CatalogEntry]:
+        return await service.run(lambda: source.catalog("Dataset"))
+
     @routes.get("/algorithms", summary="Algorithms that runs used")
     async def algorithms(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
         """Return each with what became of its runs."""
-        return await service.answer(request, lambda data: api_catalog.catalog(data, source, "Algorithm"))
+        return await service.answer_with(
+            request,
+            algorithms_known,
+            lambda data, known: api_catalog.catalog(data, known, "Algorithm"),
+            _little,
+        )
 
     @routes.get("/algorithms/{name}", summary="One algorithm")
     async def algorithm(request: Request, name: Name) -> Response:
         """Return it with its manifest and parameters."""
-        return await service.answer(
-            request, lambda data: api_catalog.catalog_entry(data, source, "Algorithm", name)
+        return await service.answer_with(
+            request,
+            algorithms_known,
+            lambda data, known: api_catalog.catalog_entry(data, known, "Algorithm", name),
         )
 
     @routes.get("/datasets", summary="Datasets that runs used")
     async def datasets(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
         """Return each with its attributes."""
-        return await service.answer(request, lambda data: api_catalog.catalog(data, source, "Dataset"))
+        return await service.answer_with(
+            request,
+            datasets_known,
+            lambda data, known: api_catalog.catalog(data, known, "Dataset"),
+            _little,
+        )
 
     @routes.get("/datasets/{name}", summary="One dataset")
     async def dataset(request: Request, name: Name) -> Response:
         """Return it with its manifest and sensors."""
-        return await service.answer(
-            request, lambda data: api_catalog.catalog_entry(data, source, "Dataset", name)
+        return await service.answer_with(
+            request,
+            datasets_known,
+            lambda data, known: api_catalog.catalog_entry(data, known, "Dataset", name),
         )
 
 
@@ -104,7 +136,9 @@ def _add_run(routes: APIRouter, service: Service) -> None:
     @routes.get("/runs/{uid}", summary="All that is known of one run")
     async def run(request: Request, uid: Name) -> Response:
         """Return configuration, provenance, usage, results, log and the YAML to run it again."""
-        return await service.answer(request, lambda data: api_run.detail(data, source, uid))
+        return await service.answer_with(
+            request, _found(service, uid), lambda data, record: api_run.detail(data, source, record)
+        )
 
     @routes.get("/runs/{uid}/manifest", summary="The YAML that runs it again")
     async def manifest(uid: Name) -> Response:
@@ -124,8 +158,12 @@ def _add_run(routes: APIRouter, service: Service) -> None:
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """The pose with the largest error is always among those shown."""
-        return await service.answer(
-            request, lambda data: api_run.trajectory(data, source, uid, evaluation, points)
+
+        async def material(_: Snapshot) -> api_run.Material:
+            return await service.run(lambda: api_run.material(source, uid))
+
+        return await service.answer_with(
+            request, material, lambda data, given: api_run.trajectory(data, given, evaluation, points)
         )
 
     @routes.get("/runs/{uid}/usage", summary="CPU and memory over time")
@@ -137,7 +175,18 @@ def _add_run(routes: APIRouter, service: Service) -> None:
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Of each stretch the mean load and the largest memory."""
-        return await service.answer(request, lambda data: api_run.usage(data, source, uid, points))
+        return await service.answer_with(
+            request, _found(service, uid), lambda data, record: api_run.usage(data, source, record, points)
+        )
+
+
+def _found(service: Service, uid: str) -> Callable[[Snapshot], Awaitable[RunRecord]]:
+    """Return what looks a run up."""
+
+    async def find(_: Snapshot) -> RunRecord:
+        return await service.run(lambda: api_run.find(service.source, uid))
+
+    return find
 
 
 def _add_files(routes: APIRouter, service: Service) -> None:
@@ -146,7 +195,9 @@ def _add_files(routes: APIRouter, service: Service) -> None:
     @routes.get("/runs/{uid}/files", summary="Files of a run")
     async def files(request: Request, uid: Name, format: FormatName = None) -> Response:  # noqa: A002, ARG001
         """At most 1,000 of them."""
-        return await service.answer(request, lambda data: api_run.files(data, source, uid))
+        return await service.answer_with(
+            request, _found(service, uid), lambda data, record: api_run.files(data, source, record)
+        )
 
     @routes.get("/runs/{uid}/files/{path:path}", summary="One file of a run")
     async def file(uid: Name, path: Name) -> Response:

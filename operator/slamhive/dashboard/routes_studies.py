@@ -8,7 +8,8 @@ from fastapi import APIRouter, Query, Request, Response
 
 from slamhive.dashboard import api_common, api_studies, api_versions
 from slamhive.dashboard.routes import FormatName, Names, Superseded, Where, Which, pairs
-from slamhive.dashboard.service import Service
+from slamhive.dashboard.service import Service, client_of
+from slamhive.dashboard.sources import Snapshot
 
 Metric = Annotated[str, Query(max_length=10_000, description="A column of numbers, small is good.")]
 ERROR = "ate.rmse"
@@ -64,9 +65,10 @@ def router(service: Service) -> APIRouter:
     ) -> Response:
         """Share of the variance of the logarithm that each setting explains; adaptive searches left out."""
         asked = pairs(request)
-        adaptive = await service.adaptive_sweeps()
-        return await service.answer(
-            request, lambda data: api_studies.influences(data, asked, metric, adaptive)
+        return await service.answer_with(
+            request,
+            service.adaptive_sweeps,
+            lambda data, adaptive: api_studies.influences(data, asked, metric, adaptive),
         )
 
     @routes.get("/repeatability", summary="Repetitions of each configuration")
@@ -107,9 +109,13 @@ def router(service: Service) -> APIRouter:
     ) -> Response:
         """Errors over the runs' own and over their common support, from their trajectories."""
         asked = pairs(request)
-        return await service.answer(
-            request, lambda data: api_common.common(data, service.source, asked, by, outcomes)
-        )
+        client = client_of(request)
+
+        async def material(data: Snapshot) -> api_common.Material:
+            meant = await service.workers.compute(lambda: api_common.meant(data, asked, by, outcomes), client)
+            return await service.run(lambda: api_common.material(service.source, meant))
+
+        return await service.answer_with(request, material, api_common.common)
 
     @routes.get("/suspects", summary="Scales that are off by the same factor in all runs")
     async def suspects(

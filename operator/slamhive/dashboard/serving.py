@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serving the application: the sockets and what uvicorn is told."""
+"""Server of the application: its sockets, and uvicorn's settings."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import uvicorn
 
 from slamhive.dashboard.app import create_app
+from slamhive.dashboard.connections import connections
+from slamhive.dashboard.health import Health
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,11 +19,17 @@ if TYPE_CHECKING:
     from slamhive.dashboard.sources import Source
 
 CONNECTIONS = 512
+CONNECTIONS_PER_ADDRESS = 128
 _LOCAL = frozenset({"localhost", "127.0.0.1", "[::1]", "::1"})
 
 
-def listen(host: str, port: int) -> socket.socket:
+def listen(host: str, port: int, field: str = "--port") -> socket.socket:
     """Return a socket that listens.
+
+    Args:
+        host: address.
+        port: port; 0 for a free one.
+        field: what the port was given by.
 
     Raises:
         InputError: the address is taken or not ours.
@@ -35,13 +43,24 @@ def listen(host: str, port: int) -> socket.socket:
     except (OSError, OverflowError) as error:
         taken.close()
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"--port: cannot listen on {host} port {port}: {reason}") from None
+        raise InputError(f"{field}: cannot listen on {host} port {port}: {reason}") from None
     return taken
 
 
-def allowed_hosts(host: str) -> Collection[str] | None:
-    """Return the names that a dashboard may be called by: on a loop-back address only its own."""
-    return _LOCAL | {host.lower()} if host in _LOCAL or host.startswith("127.") else None
+def lets_others_in(host: str) -> bool:
+    """Tell whether other machines reach what listens on an address."""
+    return host not in _LOCAL and not host.startswith("127.")
+
+
+def allowed_hosts(host: str, others: Collection[str] = ()) -> frozenset[str]:
+    """Return the names that a workstation's dashboard may be called by, beside addresses in digits.
+
+    Args:
+        host: where it listens; where others reach it, the machine's own names lead to it too.
+        others: names that were allowed besides.
+    """
+    own = {socket.gethostname(), socket.getfqdn()} if lets_others_in(host) else set()
+    return _LOCAL | {name.lower() for name in (host, *own, *others)}
 
 
 def serve(
@@ -49,6 +68,8 @@ def serve(
     listening: socket.socket,
     *,
     hosts: Collection[str] | None,
+    health: socket.socket | None = None,
+    connections_per_address: int = CONNECTIONS_PER_ADDRESS,
     announce: Callable[[], None] | None = None,
 ) -> None:
     """Answer requests until a signal comes.
@@ -57,10 +78,14 @@ def serve(
         source: where the data come from.
         listening: the socket.
         hosts: names that it may be called by; None for any.
+        health: a socket that answers /healthz and /readyz alone; None for none.
+        connections_per_address: how many one address may have.
         announce: called when it answers.
     """
+    app = create_app(source, hosts=hosts)
     config = uvicorn.Config(
-        create_app(source, hosts=hosts),
+        app,
+        http=connections(connections_per_address),
         log_level="warning",
         access_log=False,
         limit_concurrency=CONNECTIONS,
@@ -74,4 +99,22 @@ def serve(
     )
     if announce is not None:
         announce()
-    uvicorn.Server(config).run(sockets=[listening])
+    _Server(config, Health(app.state.service.fresh), health).run(sockets=[listening])
+
+
+class _Server(uvicorn.Server):
+    """Answers on two ports in one loop: while that turns, it is alive."""
+
+    def __init__(self, config: uvicorn.Config, health: Health, listening: socket.socket | None) -> None:
+        super().__init__(config)
+        self._health = health
+        self._listening = listening
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self._listening is not None:
+            await self._health.start(self._listening)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._health.stop()
+        await super().shutdown(sockets)

@@ -8,6 +8,7 @@ from pathlib import Path
 import yaml
 from pydantic import Field, ValidationError
 
+from slamhive.dashboard.serving import CONNECTIONS, CONNECTIONS_PER_ADDRESS
 from slamhive.kube.settings import NamespaceName
 from slamhive.model.base import Model, explain
 from slamhive.model.errors import InputError
@@ -24,6 +25,8 @@ class DashboardSettings(Model):
         ground_truth: where ground truth is mounted, DATASET.txt each.
         cache: folder that outlives the process, for a faster start.
         host, port: where to listen.
+        health_port: port of /healthz and /readyz alone; None for none.
+        connections_per_address: how many one address may have: an ingress is one.
     """
 
     namespaces: list[NamespaceName] = Field(min_length=1)
@@ -34,6 +37,8 @@ class DashboardSettings(Model):
     cache: Path | None = None
     host: str = "0.0.0.0"  # noqa: S104 - in a pod, behind a Service
     port: int = Field(default=8000, ge=0, le=65535)
+    health_port: int | None = Field(default=None, ge=0, le=65535)
+    connections_per_address: int = Field(default=CONNECTIONS_PER_ADDRESS, ge=1, le=CONNECTIONS)
 
     def archive_url(self) -> str | None:
         """Return the database URL in the file.

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the dashboard's data come from, and how they are kept fresh."""
+"""Sources of the dashboard's data, kept fresh: an archive's runs, and a workstation with its run folders.
+
+``dashboard.cluster`` has the third, which lays live objects over an archive.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from sqlalchemy import event
-
 from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
-from slamhive.archive.connection import connect, reading
+from slamhive.archive.connection import connect, file_of, reading, require_version
 from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.problems import Unavailable
 from slamhive.dashboard.truths import Truths
@@ -50,19 +51,11 @@ KEEP_SECONDS = (3.0, 600.0)
 """When the table is kept for the next start: once the first answers are out, and how often after that."""
 
 _REST = 4.0
-"""A look that found changes is followed by a rest of so many times its own length."""
+"""After a look that found changes, the next one waits so many times its duration."""
 
 
 _CLOSE_SECONDS = 2.0
 _LATE = "the archive does not answer at present: its last state is shown"
-_GIVING_UP = {
-    "connect_timeout": 10,
-    "tcp_user_timeout": 15_000,
-    "keepalives_idle": 10,
-    "keepalives_interval": 5,
-    "keepalives_count": 3,
-}
-"""Settings of libpq, in s and ms: without them a server that vanishes is waited for by the quarter hour."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +179,7 @@ class ArchiveData:
 
     @property
     def said(self) -> str | None:
-        """What is to be said of the database at present: that it is away, or that it does not answer."""
+        """Return the sentence on the database's present trouble: it is missing, or does not answer."""
         return self.problem or (_LATE if self._late else None)
 
     async def follow(self, executor: Executor | None, *, again: bool = False) -> None:
@@ -276,13 +269,13 @@ class ArchiveData:
                 changed = not self.loaded_once
                 self.loaded_once = True
                 return changed
-            self._engine = connect(self._url)
-            _set_up(self._engine)
+            self._engine = connect(self._url, read_only=True)
             self._held = self._engine.connect()
             self._mark = None
         if self._held is None:
             raise Unavailable("the archive was closed")
-        with reading(self._engine):
+        with reading(self._engine) as connection:
+            require_version(connection)
             mark = change_mark(self._engine, self._held)
         if mark == self._mark and self.loaded_once:
             return self.problem is not None
@@ -382,30 +375,5 @@ class Workstation:
 
 
 def _is_missing(url: str) -> bool:
-    path = url.removeprefix("sqlite:///")
-    return path != url and ":memory:" not in path and not Path(path).exists()
-
-
-def _set_up(engine: Engine) -> None:
-    """Let connections only read, and give up on a server that has vanished."""
-    statement = (
-        "PRAGMA query_only = ON"
-        if engine.dialect.name == "sqlite"
-        else "SET SESSION CHARACTERISTICS AS TRANSACTION READ ONLY"
-    )
-
-    def prepare(connection: Any, _record: Any) -> None:
-        cursor = connection.cursor()
-        cursor.execute(statement)
-        cursor.close()
-        if engine.dialect.name != "sqlite":
-            connection.commit()
-
-    def give_up(_dialect: Any, _record: Any, _words: Any, settings: dict[str, Any]) -> None:
-        for name, value in _GIVING_UP.items():
-            settings.setdefault(name, value)
-
-    event.listen(engine, "connect", prepare)
-    if engine.dialect.name == "postgresql":
-        event.listen(engine, "do_connect", give_up)
-    engine.dispose()
+    file = file_of(url)
+    return file is not None and not file.exists()

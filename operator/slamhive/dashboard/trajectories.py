@@ -3,16 +3,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.dashboard.numberfiles import numbers_of, read_numbers, stacked
 from slamhive.dashboard.problems import Missing
 from slamhive.model.algorithm import AlgorithmSpec
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.results import MemoryKind
 from slamhive.model.sensors import SensorMode
 from slamhive_eval import Trajectory, associate
+from slamhive_eval.decimals import parse_rows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Floats, Indices
     from slamhive.archive.records import CatalogEntry
+    from slamhive.dashboard.artifacts import Place
     from slamhive.dashboard.truths import Truth
     from slamhive.model.results import Result, RunRecord
 
@@ -34,6 +38,7 @@ _MEMORY_KINDS = {
 }
 """By the column of memory: usage.csv, that of earlier versions, profiling.csv."""
 USAGES = ("usage.csv", "run/output/usage.csv", "run/usage.csv", "output/usage.csv", "profiling.csv")
+_NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 _MAX_DIFFERENCE = 0.01
 _CLOSE = 1e-3
 _UNLIKE = (
@@ -42,35 +47,58 @@ _UNLIKE = (
 )
 
 
-def read_poses(content: bytes, name: str) -> Trajectory:
-    """Return the trajectory in a TUM file; lines that can't be read are left out.
+@dataclass(frozen=True, eq=False)
+class Path:
+    """What a run wrote.
+
+    Attributes:
+        poses: as they were read.
+        count: how many the file has.
+        every: how many of those each one stands for; 1 where all were read.
+    """
+
+    poses: Trajectory
+    count: int
+    every: int = 1
+
+
+def read_poses(place: Place) -> Path:
+    """Return the trajectory in a run's TUM file; lines that can't be read are left out.
 
     Raises:
-        Missing: no line can be read.
+        Missing: there is no file, or no line can be read.
+        TooLarge: the file is too large to be drawn.
     """
-    rows = []
-    for line in content.splitlines():
-        parts = line.split(b"#")[0].replace(b",", b" ").split()
-        if len(parts) < 4:
-            continue
-        try:
-            numbers = [float(part) for part in parts[:8]]
-        except ValueError:
-            continue
-        rows.append([*numbers, *(0.0, 0.0, 0.0, 1.0)[len(numbers) - 4 :]])
-    table = np.array([row for row in rows if len(row) == 8], dtype=np.float64).reshape(-1, 8)
-    table = table[np.isfinite(table).all(axis=1)]
+    found = read_numbers(place, TRAJECTORIES, _poses)
+    table = found.rows.reshape(-1, 8)
     if not len(table):
-        raise Missing(f"{name}: no pose in it can be read")
+        raise Missing(f"{found.name}: no pose in it can be read")
     table = table[np.argsort(table[:, 0], kind="stable")]
     norms = np.linalg.norm(table[:, 4:], axis=1)
     table[norms == 0, 4:] = (0.0, 0.0, 0.0, 1.0)
     table[:, 4:] /= np.linalg.norm(table[:, 4:], axis=1)[:, None]
-    return Trajectory(table[:, 0], table[:, 1:4], table[:, 4:])
+    return Path(Trajectory(table[:, 0], table[:, 1:4], table[:, 4:]), found.count, found.every)
+
+
+def _poses(lines: bytes) -> Matrix:
+    """Return the rows of some lines, (k, 8); a rotation that is missing is none."""
+    table = parse_rows(lines)
+    if table is None or table.shape[1] < 4:
+        rows = []
+        for line in lines.splitlines():
+            numbers = numbers_of(b" ".join(line.split(b"#")[0].replace(b",", b" ").split()[:8]))
+            if len(numbers) >= 4:
+                rows.append([*numbers, *_NO_ROTATION[len(numbers) - 4 :]])
+        table = stacked(rows, 8)
+    elif table.shape[1] < 8:
+        missing = np.tile(_NO_ROTATION[table.shape[1] - 4 :], (len(table), 1))
+        table = np.hstack([table, missing])
+    table = table[:, :8]
+    return table[np.isfinite(table).all(axis=1)]
 
 
 def drawn(
-    poses: Trajectory,
+    given: Path,
     result: Result | None,
     truth: Truth | None,
     extrinsic: Matrix | None,
@@ -81,7 +109,7 @@ def drawn(
     """Return a run's path over its ground truth, thinned, with the error of each pose.
 
     Args:
-        poses: what the algorithm wrote.
+        given: what the algorithm wrote.
         result: the evaluation whose alignment is taken; None to leave the path as it is.
         truth: ground truth of the dataset.
         extrinsic: T_truth_estimate, (4, 4); None when unknown.
@@ -90,6 +118,9 @@ def drawn(
             estimate misses; else that of the estimate's time.
     """
     notes: list[str] = []
+    poses = given.poses
+    if given.every > 1:
+        notes.append(f"of {given.count:,} poses one in {given.every} is read: errors are of those")
     transform = _transform(result)
     path = poses.positions
     if transform is not None:
@@ -104,14 +135,14 @@ def drawn(
         reference = truth.poses
     else:
         reference, errors, off = _against(poses, path, (truth, extrinsic), _rmse(result))
-        if not off <= _CLOSE:
+        if not off <= _CLOSE and given.every == 1:
             notes.append(_UNLIKE)
     shown = _thinned(errors, len(poses), most)
     estimate = _columns(poses.stamps[shown], path[shown]) | {"error": errors[shown]}
     return {
         "evaluation": result.evaluation if result else None,
         "alignment": result.values.get("alignment") if result else None,
-        "poses": len(poses),
+        "poses": given.count,
         "shown": len(shown),
         "estimate": estimate,
         "reference": _reference(reference, None if whole else poses, most),
@@ -144,7 +175,7 @@ def _transform(result: Result | None) -> Matrix | None:
     given = result.values.get("transform") if result else None
     try:
         matrix = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
     return matrix if matrix.shape == (4, 4) and np.isfinite(matrix).all() else None
 
@@ -199,32 +230,25 @@ def extrinsic_of(
         pose = np.eye(4)
         if output.frame != "body":
             pose = np.array(configuration["sensors"][output.frame]["T_body_sensor"], dtype=np.float64)
-    except (SlamHiveError, ValueError, KeyError, TypeError):
+    except (SlamHiveError, ValueError, KeyError, TypeError, OverflowError):
         return None
     return np.linalg.inv(truth.T_body_frame) @ pose if pose.shape == (4, 4) else None
 
 
-def usage_columns(content: bytes, name: str, most: int) -> dict[str, Any]:
+def usage_columns(place: Place, most: int) -> dict[str, Any]:
     """Return CPU and memory over time from usage.csv, or the original system's profiling.csv, thinned.
 
     `kind` says what the memory is, as its header tells.
 
     Raises:
-        Missing: no line can be read.
+        Missing: there is no file, or no line can be read.
+        TooLarge: the file is too large to be drawn.
     """
-    rows = []
-    header, *lines = content.splitlines() or [b""]
-    kind = next((kind for named, kind in _MEMORY_KINDS.items() if named in header), None)
-    for line in lines:
-        try:
-            numbers = [float(part) for part in line.split(b",")[:4]]
-        except ValueError:
-            continue
-        if len(numbers) >= 3:
-            rows.append([*numbers, np.nan][:4])
-    if not rows:
-        raise Missing(f"{name}: no sample in it can be read")
-    table = np.array(rows, dtype=np.float64)
+    found = read_numbers(place, USAGES, _samples, _stretch, headed=True)
+    if not found.count:
+        raise Missing(f"{found.name}: no sample in it can be read")
+    kind = next((kind for named, kind in _MEMORY_KINDS.items() if named in found.header), None)
+    table = found.rows
     edges = np.linspace(0, len(table), min(most, len(table)) + 1).round().astype(np.intp)
     begins = edges[:-1]
     # A plot of fewer points must not lose the peak: of each stretch the largest memory, the mean load.
@@ -235,5 +259,19 @@ def usage_columns(content: bytes, name: str, most: int) -> dict[str, Any]:
         "memory": np.maximum.reduceat(table[:, 2], begins),
         "anonymous": None if np.isnan(table[:, 3]).all() else np.fmax.reduceat(table[:, 3], begins),
         "kind": kind,
-        "samples": len(table),
+        "samples": found.count,
     }
+
+
+def _samples(lines: bytes) -> Matrix:
+    """Return the rows of some lines, (k, 4); what is missing of the last column is NaN."""
+    rows = (numbers_of(b",".join(line.split(b",")[:4]), b",") for line in lines.splitlines())
+    return stacked([[*numbers, np.nan][:4] for numbers in rows if len(numbers) >= 3], 4)
+
+
+def _stretch(rows: Matrix) -> Matrix:
+    """Return what stands for the samples of a stretch each, as above, (n, k, 4) to (n, 4)."""
+    time, load, memory, anonymous = (rows[:, :, column] for column in range(4))
+    return np.stack(
+        [time[:, 0], load.mean(axis=1), memory.max(axis=1), np.fmax.reduce(anonymous, axis=1)], axis=1
+    )

@@ -69,13 +69,13 @@ class Truths:
         read, kept = self._kept.get(dataset, (-math.inf, None))
         if now - read < _KEPT_SECONDS:
             return kept
-        found = self._in_folders(dataset, label) or self._in_home(dataset)
+        truth = self._in_folders(dataset, label) or self._in_home(dataset)
         self._kept.pop(dataset, None)
-        if found is not None:  # what is missing may come any moment: with an import, with a preparation
-            self._kept[dataset] = (now, found)
+        if truth is not None:  # what is missing may come any moment: with an import, with a preparation
+            self._kept[dataset] = (now, truth)
             while len(self._kept) > _KEPT:
                 self._kept.popitem(last=False)
-        return found
+        return truth
 
     def _in_folders(self, dataset: str, label: str | None) -> Truth | None:
         for folder in self._folders:

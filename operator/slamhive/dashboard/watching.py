@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
     from slamhive.kube.client import Api
-    from slamhive.kube.kinds import Kind
+    from slamhive.kube.kinds import Kind, Object
 
-Object = dict[str, Any]
 
 WATCH_SECONDS = 240
 """How long one watch lasts; the server would end it after 30 to 60 min."""

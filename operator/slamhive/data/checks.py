@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes a stream of messages unusable, said in one sentence."""
+"""Checks of a stream of messages. Each raises one sentence that says why the stream can't be used."""
 
 from __future__ import annotations
 

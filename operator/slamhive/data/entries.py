@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -106,9 +107,18 @@ def _remembered(path: Path, cache: Path | None) -> str:
     with path.open("rb") as file:
         found = hashlib.file_digest(file, "sha256").hexdigest()
     if note is not None:
+        _remember(note, found)
+    return found
+
+
+def _remember(note: Path, found: str) -> None:
+    """Keep a hash for the next time; where the disk refuses, it is computed again then."""
+    # Process ids are the same in many pods, which may share the folder.
+    aside = note.with_name(f"{note.name}.{os.urandom(6).hex()}")
+    try:
         note.parent.mkdir(parents=True, exist_ok=True)
-        # Process ids are the same in many pods, which may share the folder.
-        aside = note.with_name(f"{key}.{os.urandom(6).hex()}")
         aside.write_text(found, encoding="ascii")
         aside.replace(note)
-    return found
+    except OSError:
+        with suppress(OSError):
+            aside.unlink()

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What importers share: a folder with a recording and its manifest, published whole or not at all."""
+"""Publishing of an imported dataset: its folder with recording and manifest appears whole or not at all.
+
+All importers of recordings use it.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a dataset really holds, and everything that is wrong with it at once."""
+"""Inspection of a dataset: what its recording holds, and all its faults at once.
+
+`slamhive dataset check` prints it.
+"""
 
 from __future__ import annotations
 
@@ -226,19 +229,19 @@ def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content
 
 
 def _suspicions(report: SensorReport, sensor: Sensor) -> list[str]:
-    found = []
+    problems = []
     if sensor.rate and report.rate and abs(report.rate - sensor.rate) > _RATE_TOLERANCE * sensor.rate:
-        found.append(
+        problems.append(
             f"sensors.{report.name}.rate: states {sensor.rate:g} Hz, the recording has {report.rate:g} Hz"
         )
     if report.gap_count:
         longest = report.gaps[0]
-        found.append(
+        problems.append(
             f"sensors.{report.name}: {report.gap_count} gap{'s' if report.gap_count > 1 else ''} in "
             f"{report.topic}, "
             f"the longest {longest.seconds:.3f} s at {longest.start:.3f} s"
         )
-    return found
+    return problems
 
 
 def _truth(

@@ -72,7 +72,7 @@ def in_use(folder: Path) -> Iterator[None]:
 
 
 def evict(parent: Path, limit_bytes: int, now: float | None = None) -> list[str]:
-    """Remove folders that nobody uses, least recently asked for first, until the rest is small enough.
+    """Remove unused folders, least recently used first, until the rest is small enough.
 
     Also removes what dead processes left half made.
 
@@ -125,9 +125,9 @@ def _make(folder: Path, make: Callable[[Path], None]) -> None:
         make(aside)
         for path in sorted(aside.rglob("*"), reverse=True):
             _settle(path)
-        _flush(aside)
+        flush(aside)
         aside.replace(folder)
-        _flush(folder.parent)
+        flush(folder.parent)
     except BaseException:
         _remove(aside)
         raise
@@ -141,10 +141,15 @@ def _settle(path: Path) -> None:
         if path.stat().st_nlink > 1:
             return
         path.chmod(0o444)
-    _flush(path)
+    flush(path)
 
 
-def _flush(path: Path) -> None:
+def flush(path: Path) -> None:
+    """Bring a file, or the names in a folder, to disk.
+
+    Raises:
+        OSError: the disk refuses.
+    """
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -158,7 +163,9 @@ def _locked(folder: Path, operation: int) -> Iterator[None]:
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         fcntl.flock(descriptor, operation)
-        os.utime(descriptor)
+        # The time of last use only orders what is evicted: no reason to fail.
+        with suppress(OSError):
+            os.utime(descriptor)
         yield
     finally:
         os.close(descriptor)

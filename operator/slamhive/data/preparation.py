@@ -317,10 +317,17 @@ def _describe(request: _Request, selection: Selection, aside: Path) -> None:
     (aside / DESCRIPTION).write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
 
 
-def _state(path: Path) -> list[int]:
-    """Return size and time of change of a file: a linked one may be changed from outside."""
+def _state(path: Path) -> list[int] | str:
+    """Return size and time of change of a file, or their hash for a folder: an algorithm may change it."""
+    if path.is_file():
+        return _changed(path)
+    files = sorted(item for item in path.rglob("*") if item.is_file())
+    return digest([[str(item.relative_to(path)), *map(str, _changed(item))] for item in files])
+
+
+def _changed(path: Path) -> list[int]:
     status = path.stat()
-    return [status.st_size, status.st_mtime_ns] if path.is_file() else []
+    return [status.st_size, status.st_mtime_ns]
 
 
 def _is_sound(folder: Path) -> bool:

@@ -215,21 +215,21 @@ class Recording:
         self.close()
 
     def _topics(self) -> dict[str, Topic]:
-        found: dict[str, Topic] = {}
+        topics: dict[str, Topic] = {}
         for connection in self.connections:
             name = connection.topic
-            before = found.get(name)
+            before = topics.get(name)
             if before and before.message_type != connection.msgtype:
                 raise DataError(
                     f"{self.label}: the topic {name} has messages of two types, {before.message_type} and "
                     f"{connection.msgtype}"
                 )
-            found[name] = Topic(
+            topics[name] = Topic(
                 name, connection.msgtype, connection.msgcount + (before.count if before else 0)
             )
-        if not any(topic.count for topic in found.values()):
+        if not any(topic.count for topic in topics.values()):
             raise DataError(f"{self.label}: empty: there is no message in it; record it again")
-        return found
+        return topics
 
     def _unreadable(self, error: Exception) -> DataError:
         hint = "it is damaged or cut off, or no recording of this format"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which messages of a recording go into a variant: by window, by rate, in pairs."""
+"""Selection of the messages that go into a variant: by time window, by rate, and in pairs."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def _with_files(dataset: Dataset, folder: Path) -> Dataset:
         recording=Recording(format=RecordingFormat.ROSBAG1, files=[DataFile(path="recording.bag")]),
         sensors=sensors | dataset.spec.sensors,
         ground_truth=dataset.spec.ground_truth or GroundTruth(file="groundtruth.txt"),
-        gravity_aligned=True,
+        gravity_aligned=dataset.spec.has_level_truth,
         attributes=dict(_attributes(dataset)) | dataset.spec.attributes,
     )
     return dataset.replace(spec=spec)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics of a recording belong to the sensors that are wanted, and whether they fit them."""
+"""Streams: the topics of a recording that belong to the wanted sensors, and a check that their types fit."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which frames of a stream are kept at a lower rate, by their time stamps alone."""
+"""Thinning of a stream to a lower rate: the frames to keep, chosen by their time stamps alone."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trains the bag-of-words vocabulary that ORB-SLAM needs, from images that are never evaluated on.
+"""Training of the bag-of-words vocabulary that ORB-SLAM needs, from images that are never evaluated on.
 
 The vocabulary is a tree of binary descriptors made by clustering them again and again (Gálvez-López and
 Tardós, "Bags of binary words for fast place recognition in image sequences", T-RO 2012). It is written in the
@@ -226,18 +226,18 @@ def distances(bits: Bits, centres: Bits) -> Bits:
 def words_of(nodes: list[Node], descriptors: Descriptors) -> NDArray[np.int64]:
     """Find the word of each descriptor `(n, 32)`, as the index `(n,)` of its node."""
     bits = np.unpackbits(descriptors, axis=1).astype(np.float32)
-    found = np.zeros(len(descriptors), np.int64)
+    words = np.zeros(len(descriptors), np.int64)
     pending = [(0, np.arange(len(descriptors)))]
     while pending:
         index, members = pending.pop()
         children = nodes[index].children
         if not children or not len(members):
-            found[members] = index
+            words[members] = index
             continue
         centres = np.unpackbits(np.stack([nodes[child].descriptor for child in children]), axis=1)
         nearest = distances(bits[members], centres.astype(np.float32)).argmin(axis=1)
         pending.extend((child, members[nearest == label]) for label, child in enumerate(children))
-    return found
+    return words
 
 
 def weigh(nodes: list[Node], per_image: list[Descriptors]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import sqlite3
 from typing import TYPE_CHECKING, Any, Self
 
 from rosbags.convert.converter import LATCH, is_same_wireformat, migrate_bytes
@@ -16,6 +17,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slamhive.data.recordings import TF_TYPES
 from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,14 +71,20 @@ class RecordingWriter:
             connection: The source's connection.
             time: Record time, ns.
             raw: The message in the source's serialisation.
+
+        Raises:
+            OSError: The disk refuses.
+            SystemFault: The same, as SQLite says it.
         """
         translate = self._translators.get(connection.msgtype)
         if translate is None:
             translate = self._translators[connection.msgtype] = self._translator(connection.msgtype)
-        self._writer.write(self._connection(connection), time, translate(raw))
+        with _storing(self._target):
+            self._writer.write(self._connection(connection), time, translate(raw))
 
     def __enter__(self) -> Self:
-        self._writer.open()
+        with _storing(self._target):
+            self._writer.open()
         return self
 
     def __exit__(
@@ -86,7 +94,8 @@ class RecordingWriter:
             with contextlib.suppress(Exception):
                 self._writer.abort()
             return
-        self._writer.close()
+        with _storing(self._target):
+            self._writer.close()
         if self._folder is not None:
             next(self._folder.glob("*.mcap")).rename(self._target)
             shutil.rmtree(self._folder)
@@ -129,6 +138,22 @@ class RecordingWriter:
             )  # fmt: skip
 
         return migrate
+
+
+class _storing:  # noqa: N801 - reads as a statement; entered for every message
+    """Turns what SQLite, in which ROS 2 bags are kept, says of the disk into a fault of the machine."""
+
+    def __init__(self, target: Path) -> None:
+        self._target = target
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, sqlite3.Error):
+            raise SystemFault(f"{self._target}: {error}") from error
 
 
 _TYPE_NAMES = {TF_TYPES[1]: TF_TYPES[0]}

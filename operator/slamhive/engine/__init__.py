@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Deciding what happens next, without touching the world.
+"""Engine: decides what happens next to runs and sweeps, without touching the world.
+
+Workstation and operator share it.
 
 ``decide_run`` and ``decide_sweep`` take what was observed and the time, and return a new state with
 the actions that lead on. The workstation's runner and the operator drive the same functions.
 """
 
+from slamhive.engine.reuse import taken_over
 from slamhive.engine.run import (
     AttemptEnd,
     AttemptState,
@@ -53,4 +56,5 @@ __all__ = [
     "classify",
     "decide_run",
     "decide_sweep",
+    "taken_over",
 ]

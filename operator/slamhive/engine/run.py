@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens next to one mapping run.
+"""State machine of one mapping run.
+
+``decide_run`` takes what is remembered and what is seen, and returns the next actions. Workstation and
+operator carry them out.
 
 ::
 

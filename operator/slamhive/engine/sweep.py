@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens next to a sweep: which points to start, and when to stop.
+"""State machine of a sweep: ``decide_sweep`` returns which points to start and which to stop.
+
+Workstation and operator carry it out.
 
 A sweep holds two bits a point and a window of runs in flight; it never lists what it will do.
 """

@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.measuring import SEGMENTS, measure, read_estimate
+from slamhive.contract.files import compression_problem
+from slamhive.contract.trajectory import LIMIT_BYTES, TRAJECTORY
 from slamhive.jobs.machine import free_memory, usable_cores
 from slamhive.jobs.opening import opened
 from slamhive.jobs.program import parse
 from slamhive.jobs.requests import RunItem
 from slamhive.model.errors import DataError, SlamHiveError
-from slamhive.monitor.files import compression_problem
 from slamhive_eval import EvaluationError, Relations, Trajectory, read_relations, read_segments, read_tum
 
 if TYPE_CHECKING:
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
     from slamhive.model.evaluation import EvaluationSettings
     from slamhive_eval import Piece
 
-TRAJECTORY = "output/trajectory.txt"
-_TRAJECTORY_BYTES = 512 << 20
 _SEGMENTS_BYTES = 1 << 20
 _WORKER_BYTES = 192 << 20
 _SPARE = 0.9
@@ -86,7 +85,7 @@ class Bench:
             EvaluationError: it is no trajectory.
         """
         path = f"{run.folder}/{TRAJECTORY}"
-        with opened(self.results, path, _TRAJECTORY_BYTES) as descriptor:
+        with opened(self.results, path, LIMIT_BYTES) as descriptor:
             _require_plain(descriptor, path)
             with open(descriptor, "rb", closefd=False) as file:
                 found = hashlib.file_digest(file, "sha256").hexdigest()
@@ -108,7 +107,7 @@ class Bench:
         if not os.path.lexists(self.results / path):
             return None
         with opened(self.results, path, _SEGMENTS_BYTES) as descriptor:
-            _require_plain(descriptor, path)
+            _require_plain(descriptor, f"output/{SEGMENTS}")  # the sentence that a workstation has
             link = f"/proc/self/fd/{descriptor}"
             try:
                 return read_segments(link)

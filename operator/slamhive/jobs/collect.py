@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Removes from the volumes what nobody knows any more.
+"""Collector: removes from the volumes what neither the API nor the archive knows any more.
+
+The chart's CronJob runs it.
 
 ``python3 -P -m slamhive.jobs.collect --namespace NAME``: run folders that neither the API nor the archive
 knows, and variants, ground truth, generated recordings and assets that no Dataset or Algorithm names. Nothing
 younger than ``--grace`` goes, nor anything whose name is not of our making. The volumes are looked at first,
 then the API, then the archive: what is made meanwhile is not seen, what is archived meanwhile is found.
-A list that is not complete ends the program before it removes anything.
+
+That nobody knows a thing may also mean that who knew it is lost. So nothing is removed when a list is not
+complete, when namespace or archive are not those that the volume is of (``--adopt``), or when too much would
+go at once (``--force``); and run folders that nobody knows lie in the trash for a week. What is known and not
+to be kept goes at once.
 """
 
 from __future__ import annotations
@@ -18,15 +24,18 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamhive.data.erasing import erase
 from slamhive.data.once import evict, last_use, remove_free
-from slamhive.jobs.known import api_lister, archived, known_by_file, known_to
+from slamhive.jobs.known import archived, known_by_file, known_to_api, tell_cronjob
+from slamhive.jobs.ownership import Owner, claim
 from slamhive.jobs.program import arguments, run_program
+from slamhive.jobs.trash import outdated, throw_away
 from slamhive.model.base import seconds
-from slamhive.model.errors import InputError, SystemFault
+from slamhive.model.errors import InputError, SlamHiveError, SystemFault
 
 if TYPE_CHECKING:
     import argparse
@@ -41,7 +50,7 @@ _TRUTH = re.compile(r"(?P<name>[^.].*?)\.(txt|relations|rotations\.npy)")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _ASIDE = re.compile(r"\..+\.making|\.fetching-.+|\..+\.removing")
 _EVALUATION = re.compile(r"evaluate-[0-9a-f]{20}")
-_OWNER = ".slamhive-namespace"
+_BRAKED = ("runs", "variants", "generated", "groundtruth", "assets")
 
 
 @dataclass(frozen=True)
@@ -66,6 +75,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--namespace", required=True, help="namespace whose volumes these are")
     parser.add_argument("--archive-url-file", type=Path, help="file with the URL of the archive's database")
     parser.add_argument("--grace", default="1h", help="what is younger stays (default: %(default)s)")
+    parser.add_argument(
+        "--trash", default="168h", help="how long unknown run folders lie in the trash (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--most",
+        type=int,
+        nargs=2,
+        metavar=("COUNT", "PERCENT"),
+        default=(20, 20),
+        help="more of a kind than so many and so many percent never go at once (default: 20 20)",
+    )
+    parser.add_argument("--force", action="store_true", help="remove however much is unknown")
+    parser.add_argument(
+        "--adopt", action="store_true", help="let this namespace and archive decide from now on"
+    )
+    parser.add_argument("--cronjob", help="CronJob that an Event is attached to when nothing is removed")
     parser.add_argument("--dry-run", action="store_true", help="print what would be removed")
     parser.add_argument("--kubeconfig", help="how to reach the API (default: the pod's account)")
     parser.add_argument("--known", type=Path, help="JSON file to ask in the place of the API")
@@ -74,30 +99,66 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _work(options: argparse.Namespace) -> str:
+    try:
+        return _collect(options)
+    except SlamHiveError as error:
+        if options.cronjob:
+            try:
+                tell_cronjob(options.namespace, options.cronjob, str(error), options.kubeconfig)
+            except SystemFault as trouble:
+                _tell(str(trouble))
+        raise
+
+
+def _collect(options: argparse.Namespace) -> str:
     root: Path = options.root
-    grace = _grace(options.grace)
-    _claim(root / "results", options.namespace, dry=options.dry_run)
+    grace, rest = (_duration(name, getattr(options, name)) for name in ("grace", "trash"))
     finds = [*_runs(root / "results"), *_data(root / "data")]
-    if options.known:
-        known = known_by_file(options.known)
-    else:
-        known = known_to(api_lister(options.namespace, options.kubeconfig))
+    known = (
+        known_by_file(options.known) if options.known else known_to_api(options.namespace, options.kubeconfig)
+    )
     if known.assets is None:
         _tell("assets stay: the account is not allowed to list algorithms")
-    unknown = [find for find in finds if not _is_known(find, known)]
     now = time.time()
-    old = [find for find in unknown if _is_old(find, now, grace)]
-    uids = [find.name for find in old if find.kind == "runs"]
-    if uids and options.archive_url_file:
-        kept = archived(_url(options.archive_url_file), uids)
-        old = [find for find in old if find.kind != "runs" or find.name not in kept]
+    old = [find for find in finds if not _is_known(find, known) and _is_old(find, now, grace)]
+    released, archive = known.released, None
+    if options.archive_url_file:
+        uids = [find.name for find in old if find.kind == "runs" and find.name not in released]
+        archive = archived(_url(options.archive_url_file), uids)
+        old = [find for find in old if find.kind != "runs" or find.name not in archive.kept]
+        released |= archive.released
+    owner = Owner(options.namespace, known.namespace_uid, archive.identity if archive else None)
+    claim(root / "results", owner, adopt=options.adopt, dry=options.dry_run)
+    doubtful = [find for find in old if find.kind != "runs" or find.name not in released]
+    problem = None if options.force else _too_much(finds, doubtful, *options.most)
+    if problem and not options.dry_run:
+        raise InputError(problem)
     if not options.dry_run:
         _sweep(root / "data")
+        for folder in outdated(root / "results", now, rest):
+            _said(folder, partial(erase, folder))
     removed = 0
     for find in old:
         _tell(f"{'would remove' if options.dry_run else 'removing'} {find.path}")
-        removed += options.dry_run or _remove(find)
+        keep = rest > 0 and find.kind == "runs" and find.name not in released
+        removed += options.dry_run or _remove(find, root / "results" if keep else None, now)
+    if problem:
+        _tell(problem)
     return json.dumps({"v": 1, "found": len(finds), "removed": removed, "dryRun": options.dry_run})
+
+
+def _too_much(finds: list[Find], going: list[Find], most: int, percent: int) -> str | None:
+    """Return why so much is not removed at once: the objects or archive that referred to it may be lost."""
+    for kind in _BRAKED:
+        count, total = (sum(find.kind == kind for find in some) for some in (going, finds))
+        if count > most and 100 * count > percent * total:
+            return (
+                f"no object and no archive refers to {count} of {total} {kind}, more than {most} and "
+                f"{percent} %: nothing is removed, as the objects or the archive may be what is missing. "
+                "--dry-run lists them; to remove them, start the collector once with --force "
+                "(docs/kubernetes.md, Collector)"
+            )
+    return None
 
 
 def _sweep(data: Path) -> None:
@@ -107,9 +168,9 @@ def _sweep(data: Path) -> None:
             evict(folder, sys.maxsize)
 
 
-def _grace(text: str) -> float:
+def _duration(name: str, text: str) -> float:
     if not re.fullmatch(r"([0-9]{1,5}(h|m|s|ms)){1,4}", text):
-        raise InputError(f"--grace: {text!r} is not a duration such as 90s, 1h30m or 250ms")
+        raise InputError(f"--{name}: {text!r} is not a duration such as 90s, 1h30m or 250ms")
     return seconds(text)
 
 
@@ -118,30 +179,6 @@ def _url(path: Path) -> str:
         return path.read_text(encoding="utf-8").strip()
     except OSError as error:
         raise SystemFault(f"{path}: {error.strerror}") from None
-
-
-def _claim(results: Path, namespace: str, *, dry: bool) -> None:
-    """Check that the results volume is this namespace's: another one's runs would all be unknown here.
-
-    A volume that is nobody's yet becomes this namespace's.
-
-    Raises:
-        InputError: it is another one's.
-    """
-    mark = results / _OWNER
-    if dry and not mark.exists():
-        return
-    try:
-        descriptor = os.open(mark, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o440)
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(namespace)
-    except FileExistsError:
-        owner = mark.read_text(encoding="utf-8").strip()
-        if owner != namespace:
-            raise InputError(
-                f"{results} belongs to the namespace {owner!r}, not {namespace!r}: nothing is removed. If "
-                f"that changed, remove {mark}"
-            ) from None
 
 
 def _runs(results: Path) -> Iterator[Find]:
@@ -212,25 +249,34 @@ def _stamps(path: Path) -> Iterator[float]:
                     waiting += [entry.path for entry in entries]
 
 
-def _remove(find: Find) -> bool:
-    """Remove something, and tell whether it is gone; what is in use stays."""
+def _remove(find: Find, trash: Path | None, now: float) -> bool:
+    """Remove something, and tell whether it is gone; what is in use stays.
+
+    Args:
+        find: what.
+        trash: the volume in whose trash it is to lie; None: it is erased.
+        now: the time, s since 1970.
+    """
+    path = find.path
+    if trash is not None:
+        return _said(path, lambda: bool(throw_away(path, trash, now)))
     if find.kind in {"variants", "generated"}:
-        return _said(find, lambda: remove_free(find.path))
+        return _said(path, lambda: remove_free(path))
     if find.kind == "runs":
-        aside = find.path.with_name(f".{find.path.name}.removing")
-        return _said(find, lambda: erase(find.path.rename(aside)))
-    return _said(find, lambda: erase(find.path))
+        aside = path.with_name(f".{path.name}.removing")
+        return _said(path, lambda: erase(path.rename(aside)))
+    return _said(path, lambda: erase(path))
 
 
-def _said(find: Find, remove: Callable[[], bool]) -> bool:
+def _said(path: Path, remove: Callable[[], bool]) -> bool:
     """Remove by a function; what refuses to go stops no other."""
     try:
         gone = remove()
     except OSError as error:
-        _tell(f"{find.path}: {error.strerror or error}")
+        _tell(f"{path}: {error.strerror or error}")
         return False
     if not gone:
-        _tell(f"{find.path}: is in use or can't be removed")
+        _tell(f"{path}: is in use or can't be removed")
     return gone
 
 

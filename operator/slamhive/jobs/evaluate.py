@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures finished runs, many in one Job, or lays out their folders for another evaluator.
+"""Program of the evaluator's Job: measures finished runs, or lays out their folders for another evaluator.
 
 ``python3 -P -m slamhive.jobs.evaluate [--links]``. Results go to ``output/results.jsonl``, which is whole
 when it exists, and to stdout as lines of `slamhive.jobs.lines`, each as soon as it is there.
@@ -12,6 +12,7 @@ import os
 import sys
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.environment import THREAD_VARIABLES
 from slamhive.jobs.lines import encode
 from slamhive.jobs.program import arguments, parse, read_request, run_program, write_aside
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from slamhive.jobs.requests import EvaluateRequest
 
 RESULTS = "results.jsonl"
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--memory", type=int, help="bytes that they may take (default: the container's)")
     options = parser.parse_args(argv)
     # All processors are busy with runs; numpy reads these when it is imported.
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     if options.links:
         return run_program(lambda: _link(options.root))
     return run_program(lambda: _evaluate(options.root, options.processes, options.memory))

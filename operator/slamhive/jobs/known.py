@@ -1,32 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is still known of what lies on the volumes: by the API, by the archive, or as a test says.
+"""Names of everything on the volumes that is still referenced.
 
-Whoever asks removes what is not known, so an answer is whole or an error.
+The API and the archive say so; in tests, a file. The collector deletes the rest.
+
+A partial list would delete what is in use: so an answer is whole or an error.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from itertools import islice
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
-
-from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from slamhive.archive import Archive
+from slamhive.contract.settled import FILES, is_settled
 from slamhive.model.base import GROUP, VERSION
 from slamhive.model.errors import InputError, SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
+    from pathlib import Path
 
 CHUNK = 500
-FILES = "slamhive.io/files"
-"""Annotation of runs whose Sweep keeps no files: ``Delete``."""
 _TRIES = 3
 _TIMEOUT_SECONDS = 60
+_EVENT_LENGTH = 1024
 _FORBIDDEN, _EXPIRED = 403, 410
 
 
@@ -39,12 +39,30 @@ class Known:
         datasets: names of Datasets.
         variants: folders below variants/ that Datasets name.
         assets: checksums that Algorithms name; None when that can't be found out.
+        released: UIDs of runs whose files were not to be kept.
+        namespace_uid: uid of the namespace; None where nobody said.
     """
 
     runs: frozenset[str]
     datasets: frozenset[str]
     variants: frozenset[str]
     assets: frozenset[str] | None
+    released: frozenset[str] = frozenset()
+    namespace_uid: str | None = None
+
+
+class Archived(NamedTuple):
+    """What an archive knows.
+
+    Attributes:
+        identity: what tells it from every other archive.
+        kept: runs that it knows together with their folders.
+        released: runs whose files were not to be kept.
+    """
+
+    identity: str
+    kept: frozenset[str]
+    released: frozenset[str]
 
 
 class Lister(Protocol):
@@ -72,12 +90,13 @@ def known_to(listing: Lister) -> Known:
         assets = None
     try:
         datasets = list(listing("datasets"))
-        runs = frozenset(uid for item in listing("mappingruns") for uid in _run_folders(item))
+        runs = {str(item["metadata"]["uid"]): _run_folders(item) for item in listing("mappingruns")}
     except PermissionError as error:
         raise SystemFault(str(error)) from None
     variants = [entry for item in datasets for entry in (item.get("status") or {}).get("variants") or ()]
     return Known(
-        runs=runs,
+        runs=frozenset(uid for folders in runs.values() for uid in folders),
+        released=frozenset(uid for uid, folders in runs.items() if not folders),
         datasets=frozenset(str(item["metadata"]["name"]) for item in datasets),
         variants=frozenset(name for entry in variants for name in _folders(entry)),
         assets=None if assets is None else frozenset(str(checksum) for checksum in assets if checksum),
@@ -87,21 +106,10 @@ def known_to(listing: Lister) -> Known:
 def _run_folders(run: Mapping[str, Any]) -> set[str]:
     """Return the names of the folders that a MappingRun needs: its own, and the one whose result it took."""
     status = run.get("status") or {}
-    if (run["metadata"].get("annotations") or {}).get(FILES) == "Delete" and _is_settled(run):
+    if (run["metadata"].get("annotations") or {}).get(FILES) == "Delete" and is_settled(run):
         return set()
     _, _, rest = str(status.get("folder") or "").partition("runs/")
     return {str(run["metadata"]["uid"]), rest.partition("/")[0]} - {""}
-
-
-def _is_settled(run: Mapping[str, Any]) -> bool:
-    """Tell whether a run has ended and was measured, if it can be."""
-    status = run.get("status") or {}
-    measured = bool(status.get("results")) or any(
-        item.get("type") == "Evaluated" for item in status.get("conditions") or ()
-    )
-    wanted = (run.get("spec") or {}).get("evaluate", True) and status.get("trajectory")
-    succeeded = status.get("phase") == "Succeeded" and (measured or not wanted)
-    return succeeded or status.get("phase") in {"Failed", "Cancelled"}
 
 
 def _folders(entry: Mapping[str, Any]) -> list[str]:
@@ -111,12 +119,8 @@ def _folders(entry: Mapping[str, Any]) -> list[str]:
     return [str(path).rstrip("/").rpartition("/")[2] for path in paths if path]
 
 
-def api_lister(namespace: str, kubeconfig: str | None = None) -> Lister:
-    """Return what lists the objects of a namespace.
-
-    Args:
-        namespace: the namespace.
-        kubeconfig: a file that says how to reach the API; None inside a pod.
+def _api(kubeconfig: str | None) -> Any:
+    """Return the module of the Kubernetes client, told how to reach the API.
 
     Raises:
         SystemFault: nothing says how to reach it.
@@ -130,6 +134,66 @@ def api_lister(namespace: str, kubeconfig: str | None = None) -> Lister:
             config.load_incluster_config()  # type: ignore[no-untyped-call]
     except config.ConfigException as error:
         raise SystemFault(f"the API can't be reached: {error}") from None
+    return client
+
+
+def known_to_api(namespace: str, kubeconfig: str | None = None) -> Known:
+    """Return what a namespace and its objects know of.
+
+    Args:
+        namespace: the namespace.
+        kubeconfig: a file that says how to reach the API; None inside a pod.
+
+    Raises:
+        SystemFault: the API doesn't answer, or not whole.
+    """
+    client = _api(kubeconfig)
+    try:
+        body = client.CoreV1Api().read_namespace(namespace, _request_timeout=_TIMEOUT_SECONDS)
+    except client.ApiException as error:
+        raise SystemFault(f"namespace {namespace} can't be read: {error.status} {error.reason}") from None
+    except Exception as error:
+        raise SystemFault(f"namespace {namespace} can't be read: {error}") from error
+    return replace(known_to(_lister(client, namespace)), namespace_uid=body.metadata.uid)
+
+
+def tell_cronjob(namespace: str, name: str, message: str, kubeconfig: str | None = None) -> None:
+    """Attach an Event to a CronJob, for who asks why it fails.
+
+    Args:
+        namespace: the namespace.
+        name: the CronJob.
+        message: a sentence.
+        kubeconfig: as for `known_to_api`.
+
+    Raises:
+        SystemFault: it can't be.
+    """
+    client = _api(kubeconfig)
+    place = {"apiVersion": "batch/v1", "kind": "CronJob", "name": name, "namespace": namespace}
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    event = {
+        "metadata": {"generateName": f"{name}.", "namespace": namespace},
+        "type": "Warning",
+        "reason": "NothingRemoved",
+        "message": message[:_EVENT_LENGTH],
+        "source": {"component": "slamhive-collector"},
+        "firstTimestamp": now,
+        "lastTimestamp": now,
+        "count": 1,
+    }
+    try:
+        job: Any = client.CustomObjectsApi().get_namespaced_custom_object(
+            *("batch", "v1", namespace, "cronjobs", name), _request_timeout=_TIMEOUT_SECONDS
+        )
+        event["involvedObject"] = place | {"uid": job["metadata"]["uid"]}
+        client.CoreV1Api().create_namespaced_event(namespace, event, _request_timeout=_TIMEOUT_SECONDS)
+    except Exception as error:
+        raise SystemFault(f"cronjob {name} can't be told: {' '.join(str(error).split())}") from error
+
+
+def _lister(client: Any, namespace: str) -> Lister:
+    """Return what lists the objects of a namespace."""
     api = client.CustomObjectsApi()
 
     def page(plural: str, token: str | None) -> dict[str, Any]:
@@ -195,39 +259,37 @@ def known_by_file(path: Path) -> Known:
         found = json.loads(path.read_text(encoding="utf-8"))
         sets = {name: frozenset(map(str, found[name])) for name in ("runs", "datasets", "variants")}
         assets = found["assets"]
-        return Known(**sets, assets=None if assets is None else frozenset(map(str, assets)))
+        return Known(
+            **sets,
+            assets=None if assets is None else frozenset(map(str, assets)),
+            released=frozenset(map(str, found.get("released", ()))),
+            namespace_uid=found.get("namespaceUid"),
+        )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: can't be used: {error}") from None
 
 
-def archived(url: str, uids: Iterable[str]) -> frozenset[str]:
-    """Return which runs an archive knows together with their folders.
+def archived(url: str, uids: Iterable[str]) -> Archived:
+    """Return what an archive knows of runs.
 
     Args:
         url: of the archive's database.
         uids: the runs asked for.
 
     Raises:
-        InputError: the URL can't be used, or there is no database.
+        InputError: the URL can't be used, or there is no archive.
         SystemFault: the database doesn't answer, or knows no run at all: then it is hardly the right one.
     """
-    _require_file(url)
-    found: set[str] = set()
-    with Archive.open(url) as archive:
-        if archive.count() == 0:
-            raise SystemFault(f"archive {archive.location}: holds no run at all, so no run folder is removed")
-        iterator = iter(uids)
+    kept: set[str] = set()
+    released: set[str] = set()
+    iterator = iter(uids)
+    with Archive.open(url, read_only=True) as archive:
         while batch := list(islice(iterator, CHUNK)):
-            # A record without a folder is one whose files were not to be kept.
-            found.update(record.uid for record in archive.runs({"uid": batch}) if record.folder)
-    return frozenset(found)
-
-
-def _require_file(url: str) -> None:
-    """Check that an SQLite archive is there: opening it would make an empty one."""
-    try:
-        parsed = make_url(url)
-    except ArgumentError:
-        return  # told when it is opened
-    if parsed.get_backend_name() == "sqlite" and not Path(parsed.database or "").is_file():
-        raise InputError(f"archive {parsed.database}: does not exist")
+            if archive.count() == 0:
+                raise SystemFault(
+                    f"archive {archive.location}: holds no run at all, so no run folder is removed"
+                )
+            for record in archive.runs({"uid": batch}):
+                # A record without a folder is one whose files were not to be kept.
+                (kept if record.folder else released).add(record.uid)
+        return Archived(archive.identity, frozenset(kept), frozenset(released))

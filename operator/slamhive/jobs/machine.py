@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What this container may use of the machine: processors and memory, by its affinity and its cgroup."""
+"""Processors and memory that this container may use, by its affinity and its cgroup.
+
+The evaluator's Job sizes its batch by it.
+"""
 
 from __future__ import annotations
 
 import os
-from contextlib import suppress
-from pathlib import Path
 
-from slamhive.monitor.hierarchy import own_hierarchies
+from slamhive.monitor.hierarchy import cpu_quota, own_hierarchies
 from slamhive.monitor.sources import read_number
 
 _UNLIMITED = 1 << 60
@@ -16,12 +17,8 @@ _UNLIMITED = 1 << 60
 
 def usable_cores() -> int:
     """Return how many processors may be kept busy: at least one, whole ones of a quota."""
-    cores = len(os.sched_getaffinity(0))
-    for directory in _directories():
-        quota = _quota(directory)
-        if quota is not None:
-            cores = min(cores, int(quota))
-    return max(1, cores)
+    cores, quota = len(os.sched_getaffinity(0)), cpu_quota()
+    return max(1, cores if quota is None else min(cores, int(quota)))
 
 
 def free_memory() -> int | None:
@@ -43,13 +40,3 @@ def _directories() -> list[str]:
         return [tree.directory for tree in own_hierarchies()]
     except (OSError, ValueError):
         return []
-
-
-def _quota(directory: str) -> float | None:
-    with suppress(OSError, ValueError):
-        quota, period = Path(directory, "cpu.max").read_text(encoding="ascii").split()
-        return None if quota == "max" else float(quota) / float(period)
-    quota_us, period_us = (read_number(f"{directory}/cpu.cfs_{name}_us") for name in ("quota", "period"))
-    if quota_us is None or period_us is None or quota_us <= 0 or period_us <= 0:
-        return None
-    return quota_us / period_us

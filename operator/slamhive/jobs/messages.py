@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Jobs tell the operator when they end: termination messages, which `slamhive.kube.reports` reads.
+"""Termination messages of Jobs: what a Job tells the operator as it ends. `slamhive.kube.reports` reads them.
 
 ::
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import errno
 import os
-import stat
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from slamhive.contract.files import NotRegularError, open_regular
 from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def opened(root: Path, relative: str, limit: int) -> Iterator[int]:
     """
     parts = relative.split("/")
     flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
-    folder = file = -1
+    folder = -1
     try:
         folder = os.open(root, os.O_RDONLY | os.O_CLOEXEC | os.O_DIRECTORY)
         for part in parts[:-1]:
@@ -42,19 +42,16 @@ def opened(root: Path, relative: str, limit: int) -> Iterator[int]:
             os.close(folder)
             folder = below
         _require_name(parts[-1], relative)
-        file = os.open(parts[-1], flags | os.O_NONBLOCK, dir_fd=folder)
-        status = os.fstat(file)
-        if not stat.S_ISREG(status.st_mode):
-            raise DataError(f"{relative} is not a regular file")
-        if status.st_size > limit:
-            raise DataError(f"{relative} has {status.st_size} bytes, at most {limit} are read")
-        yield file
+        with open_regular(parts[-1], folder) as file:
+            size = os.fstat(file).st_size
+            if size > limit:
+                raise DataError(f"{relative} has {size} bytes, at most {limit} are read")
+            yield file
     except OSError as error:
         raise DataError(f"{relative}: {_meaning(error)}") from error
     finally:
-        for descriptor in (folder, file):
-            if descriptor >= 0:
-                os.close(descriptor)
+        if folder >= 0:
+            os.close(folder)
 
 
 def read_bytes(root: Path, relative: str, limit: int) -> bytes:
@@ -72,6 +69,8 @@ def _meaning(error: OSError) -> str:
     match error.errno:
         case errno.ENOENT:
             return "does not exist"
+        case errno.EINVAL if isinstance(error, NotRegularError):
+            return "is not a regular file"
         case errno.ELOOP | errno.ENOTDIR:
             return "is not reached through plain folders alone: symbolic links are not followed"
         case _:

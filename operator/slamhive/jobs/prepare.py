@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prepares a variant of a dataset, its ground truth for the evaluator, and an algorithm's files.
+"""Program of the preparation's Job: a variant of a dataset, its ground truth, and an algorithm's files.
 
 ``python3 -P -m slamhive.jobs.prepare``, with the data volume at ``data`` and ``request/request.json``. Any
 number of these may run at the same time: what they make is made aside and renamed when it is whole, under a
@@ -26,6 +26,7 @@ from slamhive.jobs.program import Refused, arguments, parse, read_request, run_p
 from slamhive.jobs.requests import PrepareRequest
 from slamhive.model.errors import DataError
 from slamhive.model.results import Reason
+from slamhive.model.variant import VariantDescription
 from slamhive_eval import Trajectory
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def _work(root: Path) -> str:
     cache = data / "generated" / "truths"
     truth = ground_truth(entry, cache)
     place_truth(entry, truth, data / "groundtruth", cache)
-    return described(_describe(entry, variant, truth, data / "variants" / ".hashes"))
+    return described(_describe(entry, variant, truth, data / "variants" / ".hashes").as_json())
 
 
 def _require_files(dataset: Dataset, folder: Path) -> None:
@@ -135,34 +136,33 @@ def _write_array(array: np.ndarray[Any, Any], path: Path) -> None:
 
 def _describe(
     entry: DatasetEntry, variant: Variant, truth: GroundTruthPoses | None, hashes: Path
-) -> dict[str, Any]:
-    """Return what the operator is told of a variant."""
+) -> VariantDescription:
+    """Return the description of a variant for the operator."""
     files = [path for path in variant.folder.rglob("*") if path.is_file()]
     spec = entry.dataset.spec
-    kind = None if truth is None else "relations" if truth.is_relations else "poses"
-    return {
-        "folder": variant.folder.name,
-        "format": variant.format,
-        "recording": variant.path.name,
-        "sensors": {role: view.as_json() for role, view in variant.sensors.items()},
-        "startTime": variant.start_time,
-        "durationSeconds": variant.duration_seconds,
-        "frameRate": variant.frame_rate,
-        "resolution": variant.resolution,
-        "frames": variant.frames,
-        "recordedFrameRate": variant.recorded_frame_rate,
-        "recordedSeconds": variant.recorded_seconds,
-        "key": variant.key,
-        "sourceSha256": variant.source_sha256,
-        "datasetSha256": dataset_sha256(entry, hashes),
-        "sizeBytes": sum(path.stat().st_size for path in files),
-        "groundTruth": kind,
-        "T_body_frame": None if truth is None else truth.T_body_frame.tolist(),
-        "extrinsics": {name: sensor.T_body_sensor for name, sensor in spec.sensors.items()},
-        "gravityAligned": spec.gravity_aligned,
-        "attributes": dict(spec.attributes),
-        "preparationVersion": VERSION,
-    }
+    return VariantDescription(
+        folder=variant.folder.name,
+        format=variant.format,
+        recording=variant.path.name,
+        sensors=dict(variant.sensors),
+        start_time=variant.start_time,
+        duration_seconds=variant.duration_seconds,
+        frame_rate=variant.frame_rate,
+        resolution=variant.resolution,
+        frames=variant.frames,
+        recorded_frame_rate=variant.recorded_frame_rate,
+        recorded_seconds=variant.recorded_seconds,
+        key=variant.key,
+        source_sha256=variant.source_sha256,
+        dataset_sha256=dataset_sha256(entry, hashes),
+        size_bytes=sum(path.stat().st_size for path in files),
+        ground_truth=None if truth is None else "relations" if truth.is_relations else "poses",
+        T_body_frame=None if truth is None else truth.T_body_frame.tolist(),
+        extrinsics={name: sensor.T_body_sensor for name, sensor in spec.sensors.items()},
+        gravity_aligned=spec.has_level_truth,
+        attributes=dict(spec.attributes),
+        preparation_version=VERSION,
+    )
 
 
 def _teller(what: str) -> Callable[[float], None]:

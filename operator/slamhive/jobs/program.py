@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the programs of Jobs share: where things are mounted, and last words however they end."""
+"""Frame of every Job's program: paths of the mounts, its request, and a termination message at any end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from slamhive.jobs.messages import failed
 from slamhive.model.base import explain
-from slamhive.model.errors import InputError, SlamHiveError, SystemFault
+from slamhive.model.errors import InputError, SlamHiveError, SystemFault, sentence
 from slamhive.model.results import Reason
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ _UMASK = 0o027
 
 M = TypeVar("M", bound=BaseModel)
 
-_DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+"""What a disk says of itself, not of what it was asked for."""
 
 
 class Refused(SlamHiveError):  # noqa: N818 - says what a Job answers
@@ -77,9 +78,9 @@ def run_program(work: Callable[[], str], refusal: Reason = Reason.SYSTEM_FAULT) 
         message, code = work(), 0
     except (Exception, _Ended) as error:  # noqa: BLE001 - a Job answers for everything
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        reason, sentence = _told(error, refusal)
-        print(f"{reason}: {sentence}", file=sys.stderr, flush=True)  # noqa: T201
-        message, code = failed(reason, sentence), 1
+        reason, told = _told(error, refusal)
+        print(f"{reason}: {told}", file=sys.stderr, flush=True)  # noqa: T201
+        message, code = failed(reason, told), 1
     return code if leave(message) else 1
 
 
@@ -152,6 +153,9 @@ def write_aside(path: Path, fill: Callable[[Path], object], mode: int = 0o440) -
         finally:
             os.close(descriptor)
         aside.replace(path)
+    except OSError as error:
+        error.filename = error.filename or str(path)  # a write names no file
+        raise
     finally:
         aside.unlink(missing_ok=True)
 
@@ -170,20 +174,19 @@ def _told(error: BaseException, refusal: Reason) -> tuple[Reason, str]:
     if isinstance(error, Refused):
         return error.why, str(error)
     if isinstance(error, SlamHiveError):
-        fault = isinstance(error, SystemFault) or _disk_full(error) is not None
+        fault = isinstance(error, SystemFault) or _disk_fault(error) is not None
         return Reason.SYSTEM_FAULT if fault else refusal, str(error)
-    full = error if isinstance(error, OSError) else _disk_full(error)
-    if full is not None:
-        place = f"{full.filename}: " if full.filename else ""
-        return Reason.SYSTEM_FAULT, f"{place}{full.strerror or full}"
+    disk = error if isinstance(error, OSError) else _disk_fault(error)
+    if disk is not None:
+        return Reason.SYSTEM_FAULT, sentence(disk)
     traceback.print_exception(error)
     return Reason.SYSTEM_FAULT, f"unforeseen: {type(error).__name__}: {' '.join(str(error).split())}"
 
 
-def _disk_full(error: BaseException | None) -> OSError | None:
-    """Return what says that the disk is full behind an error, whatever it was wrapped in."""
+def _disk_fault(error: BaseException | None) -> OSError | None:
+    """Return what says that the disk refused behind an error, whatever it was wrapped in."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in _DISK_FULL:
+        if isinstance(error, OSError) and error.errno in _DISK:
             return error
         error = error.__cause__ or error.__context__
     return None

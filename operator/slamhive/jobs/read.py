@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the summary of a run whose monitor left no last words, and tells what those would have been."""
+"""Program of a Job for runs whose monitor left no termination message: makes it from the run's summary."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def _work(root: Path) -> str:
     try:
         return termination_message(summary).decode()
     except (ValueError, RecursionError):
-        raise DataError(f"{path} holds what can't be told on, such as a number that is not finite") from None
+        raise DataError(
+            f"{path} holds what JSON has no form for, such as a number that is not finite"
+        ) from None
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tells the operator what another evaluator found: its ``output/results.jsonl`` becomes lines of the log.
+"""Program of a Job that makes lines of the log from another evaluator's ``output/results.jsonl``.
 
 A line of that file is an object with the ``name`` (or ``uid``) of a run and either
 

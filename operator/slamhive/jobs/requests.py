@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Jobs are asked for, as the JSON of their requests."""
+"""Requests to Jobs, as JSON: what to prepare, to evaluate or to read."""
 
 from __future__ import annotations
 

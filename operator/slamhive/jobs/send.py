@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hands out the files of run folders to whoever may execute programs in this pod: `slamhive fetch --files`.
+"""Program of the file pod: sends files of run folders to `slamhive fetch --files`, by exec.
 
 ::
 
@@ -77,7 +77,7 @@ class Sign:
             self._path.touch()
 
     def wait(self, seconds: float) -> None:
-        """Return when nobody has asked for some seconds."""
+        """Return when no request came for some seconds."""
         begun = time.time()
         while True:
             given = begun

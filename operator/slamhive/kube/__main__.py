@@ -13,10 +13,12 @@ import gc
 import logging
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamhive.archive import Archive
+from slamhive.archive.upgrading import upgrade
 from slamhive.kube import handlers
 from slamhive.kube.client import Api
 from slamhive.kube.errors import StartError
@@ -80,6 +82,9 @@ async def run(
     try:
         await _listen(op, health)
         await op.start()
+        if archive is not None and op.cluster is not None:
+            with suppress(SystemFault):  # those Sweeps that need the archive say so
+                await asyncio.to_thread(archive.settle, op.cluster, settings.namespaces)
         _collect_seldom()
         _log.info("watching %s", ", ".join(settings.namespaces))
         await _watch(op)
@@ -104,7 +109,7 @@ def _collect_seldom() -> None:
 async def _watch(op: Operator) -> None:
     """Watch until a signal comes.
 
-    Left to itself, kopf takes 7 s to end; cancelled, it ends at once. So its signal handlers are replaced.
+    kopf takes 7 s to end by its own signal handlers, but ends at once when cancelled: they are replaced.
     """
     signalled, ready = asyncio.Event(), asyncio.Event()
     watching = asyncio.create_task(handlers.watch(op, ready), name="watches")
@@ -127,7 +132,7 @@ async def _watch(op: Operator) -> None:
 
 
 def open_archive(settings: Settings) -> Archive | None:
-    """Open the archive whose database URL is in the mounted file, if there is one.
+    """Open the archive whose database URL is in the mounted file, brought to this version, if there is one.
 
     Raises:
         InputError: the file or the URL in it cannot be used.
@@ -143,6 +148,7 @@ def open_archive(settings: Settings) -> Archive | None:
         ) from None
     if not url:
         raise InputError(f"archiveUrlFile: {settings.archive_url_file} is empty: expected a database URL")
+    upgrade(url)
     return Archive.open(url)
 
 

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from slamhive.kube.errors import AlreadyExists, ApiError, Conflict, Expired, NotFound
+from slamhive.kube.errors import AlreadyExists, ApiError, Conflict, Expired, Forbidden, NotFound
 from slamhive.kube.events import event_body
+from slamhive.kube.kinds import Object
 from slamhive.kube.transport import Request, Transport
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
 
     from slamhive.kube.kinds import Key, Kind
 
-Object = dict[str, Any]
 Objects = list[Object]
 
 PAGE = 100
@@ -109,7 +109,7 @@ class Api(Transport):
         propagation: str = "Background",
         grace_seconds: int | None = None,
     ) -> Object | None:
-        """Delete an object; returns it if it has still to end, None when it is gone (or was).
+        """Delete an object; returns it while it still has to end, None when it is gone (or was).
 
         Args:
             key: the object.
@@ -171,6 +171,18 @@ class Api(Transport):
         except NotFound:
             return frozenset()
         return frozenset(resource["name"] for resource in answer.get("resources") or ())
+
+    async def cluster_uid(self) -> str | None:
+        """Return what tells this cluster from every other one; None where the account may not see it.
+
+        It is the uid of the namespace that every cluster has.
+        """
+        path = "/api/v1/namespaces/kube-system"
+        try:
+            answer = await self.json(Request("get", "namespaces", "kube-system", "GET", path))
+        except (Forbidden, NotFound):
+            return None
+        return str(answer["metadata"]["uid"])
 
     async def server_version(self) -> str:
         """Return the server's version, such as v1.34.4."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the Kubernetes API refuses or cannot do.
+"""Errors of the Kubernetes API, as exceptions by meaning.
 
 ::
 
@@ -101,9 +101,18 @@ class Forbidden(ApiError):  # noqa: N818
 
     def __init__(self, message: str, *, is_terminating: bool = False, **context: Any) -> None:
         super().__init__(message, **context)
-        self.is_quota = "exceeded quota" in message
+        self.is_quota = means_quota(message)
         self.is_terminating = is_terminating
         self.retryable = self.is_quota
+
+
+def means_quota(sentence: str) -> bool:
+    """Tell whether the API server's sentence on a refused object means that a ResourceQuota is used up.
+
+    Its admission answers 403 Forbidden without causes or details, in Events too: only the words tell it from
+    a policy's refusal, for which waiting does not help.
+    """
+    return "exceeded quota" in sentence
 
 
 REFUSALS = (Invalid, Forbidden)

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import hashlib
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from slamhive.kube.kinds import Kind
+    from slamhive.kube.kinds import Kind, Object
 
-Object = dict[str, Any]
 
 _LONGEST_NOTE = 1024
 _LONGEST_NAME = 230

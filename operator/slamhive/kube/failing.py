@@ -1,25 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The condition of an object that the operator can't bring on: what goes wrong each time it is looked at."""
+"""The condition *ReconcileError*: set on an object that fails each time the operator handles it."""
 
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-from slamhive.kube.errors import ApiError, Conflict
+from slamhive.kube.errors import ApiError
 from slamhive.kube.kinds import Key, Kind
 from slamhive.kube.reports import clean
 from slamhive.kube.routing import OWN_EVALUATIONS
-from slamhive.kube.status import condition, holds, merged
+from slamhive.kube.status import condition, holds, status_patch
 
 if TYPE_CHECKING:
-    from slamhive.kube.operator import Operator
+    from collections.abc import Callable
+
+    from slamhive.kube.client import Api
+    from slamhive.kube.kinds import Object
+    from slamhive.kube.store import Store
 
 RECONCILE_ERROR, EVALUATION_ERROR = "ReconcileError", "EvaluationError"
 """Conditions of an object: bringing it on fails; measuring it, as it asks itself, fails."""
 
 _OWNERS = dict(zip(OWN_EVALUATIONS, (Kind.SWEEP, Kind.MAPPING_RUN), strict=True))
 _log = logging.getLogger("slamhive.operator")
+
+
+class Operator(Protocol):
+    """What is needed of the operator here; its methods say what they do."""
+
+    api: Api
+    store: Store
+    clock: Callable[[], float]
+
+    async def amend(  # noqa: D102 - as the operator's
+        self, key: Key, uid: str, change: Callable[[Object], Object], *, subresource: str | None = None
+    ) -> Object | None: ...
 
 
 async def tell_failure(op: Operator, key: Key, error: Exception) -> None:
@@ -50,33 +66,19 @@ def _place(key: Key) -> tuple[Key, str]:
 
 
 async def _write(op: Operator, key: Key, told: dict[str, Any]) -> bool:
-    """Write a condition, after a Conflict once more; returns whether that was news and could be."""
+    """Write a condition; returns whether that was news and could be."""
     body = op.store.get(key)
-    for _ in range(2):
-        if body is None or body["metadata"].get("deletionTimestamp"):
-            return False
-        metadata, before = body["metadata"], body["status"].get("conditions") or []
-        after = merged(before, [told], metadata.get("generation", 1), op.clock())
-        if after == before:
-            return False
-        patch = {
-            "metadata": {"resourceVersion": metadata["resourceVersion"]},
-            "status": {"conditions": after},
-        }
-        try:
-            await op.patch(key, patch, subresource="status")
-        except Conflict:
-            body = await _anew(op, key)
-        except ApiError as error:
-            _log.debug("%s: its condition %s can't be written: %s", key, told["type"], error)
-            return False
-        else:
-            return True
-    return False
+    if body is None:
+        return False
 
+    def change(seen: dict[str, Any]) -> dict[str, Any]:
+        if seen["metadata"].get("deletionTimestamp"):
+            return {}
+        patch = status_patch(seen, {}, [told], op.clock())
+        return {"status": patch} if patch else {}
 
-async def _anew(op: Operator, key: Key) -> dict[str, Any] | None:
     try:
-        return await op.refresh(key)
-    except ApiError:
-        return None
+        return await op.amend(key, body["metadata"]["uid"], change, subresource="status") is not None
+    except ApiError as error:
+        _log.debug("%s: its condition %s can't be written: %s", key, told["type"], error)
+        return False

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What kopf is told: to watch, and to hand over what it sees. Only the entry point imports this module.
+"""Handlers for kopf: forward every watch event to the operator's store.
+
+Only the entry point imports this module.
 
 kopf keeps the watches alive; everything else that it could do (finalizers, annotations, peering, Events,
 retries) is left off, because the reconcilers work from the store and the queue.
@@ -70,7 +72,9 @@ def settings_for_kopf() -> kopf.OperatorSettings:
     settings.watching.chunk_size = PAGE
     for kind in Kind:
         if not kind.is_ours:
+            # On the server's side: other people's Jobs and pods never reach this process.
             settings.watching.label_selectors[kind.group, kind.version, kind.plural] = MANAGED
+    # kopf would otherwise look through the cluster, attach its own Events and annotate what it sees.
     settings.scanning.disabled = True
     settings.posting.enabled = False
     settings.peering.standalone = True
@@ -100,6 +104,7 @@ async def watch(op: Operator, ready_flag: asyncio.Event | None = None) -> None:
 async def _log_in(api: Api, **_: Any) -> kopf.ConnectionInfo:
     """Let kopf in by the same way as our own client: same address, certificates and token."""
     access = await api.access()
+    # Tokens of service accounts are replaced while the pod lives: kopf has to ask again.
     expiration = datetime.now(UTC) + timedelta(seconds=_LOGIN_SECONDS) if access.token else None
     return kopf.ConnectionInfo(
         server=access.server,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the kubelet asks: ``/healthz`` (at work?) and ``/readyz`` (has it listed all?)."""
+"""HTTP probes for the kubelet: ``/healthz`` (the main loop works), ``/readyz`` (first lists complete)."""
 
 from __future__ import annotations
 

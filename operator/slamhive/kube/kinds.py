@@ -8,6 +8,8 @@ from urllib.parse import quote
 
 from slamhive.model.base import GROUP, VERSION, Choice
 
+Object = dict[str, Any]
+"""An object of the API in plain JSON, or a part of one."""
 MANAGER = "slamhive"
 """Value of the label ``app.kubernetes.io/managed-by`` on everything that the operator makes."""
 
@@ -107,13 +109,13 @@ class Key(NamedTuple):
         return f"{self.kind} {self.namespace}/{self.name}"
 
 
-def key_of(kind: Kind, obj: dict[str, Any]) -> Key:
+def key_of(kind: Kind, obj: Object) -> Key:
     """Return the address of an object."""
     metadata = obj["metadata"]
     return Key(kind, metadata.get("namespace", ""), metadata["name"])
 
 
-def reference(kind: Kind, obj: dict[str, Any], *, controller: bool = False) -> dict[str, Any]:
+def reference(kind: Kind, obj: Object, *, controller: bool = False) -> Object:
     """Return the owner reference that makes an object the owner of others."""
     metadata = obj["metadata"]
     body = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Prometheus gets: live gauges of running pods, histograms of finished runs, the operator's own state.
+"""Prometheus metrics: live gauges of running pods, histograms of finished runs, and the operator's own state.
 
 Live series carry a slot instead of a run's name, so that a sweep of 80,000 runs has as many series as it has
 runs at a time. They are made at each scrape from the pods alive then: what is gone leaves nothing behind.
@@ -176,6 +176,7 @@ class _Live(Collector):
         names = (*_LIVE_LABELS, "run") if self._named else _LIVE_LABELS
         cores: Tally[tuple[str, ...]] = Tally()
         memory: Tally[tuple[str, ...]] = Tally()
+        # Of a copy: this is the thread of the server, and the operator writes meanwhile.
         for labels, pod_cores, pod_memory in [*self._figures.values()]:
             values = tuple(labels)[: len(names)]
             cores[values] += pod_cores  # type: ignore[assignment]

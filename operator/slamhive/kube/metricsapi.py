@@ -7,14 +7,14 @@ that the exact ones of the monitor can be compared with them in the end.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from slamhive.kube.errors import ApiError, Forbidden, NotFound
-from slamhive.kube.kinds import Key, Kind, Label, Role
+from slamhive.kube.kinds import Key, Kind, Label, Object, Role
 from slamhive.kube.metrics import PodLabels
 from slamhive.kube.store import labels_of
+from slamhive.model.base import quantity
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,27 +23,11 @@ if TYPE_CHECKING:
     from slamhive.kube.metrics import Metrics
     from slamhive.kube.store import Store
 
-Object = dict[str, Any]
 
 CONTAINER = "algorithm"
 RUN_PODS = f"{Label.ROLE}={Role.RUN}"
 ENDED = frozenset({"Succeeded", "Failed"})
 """Phases of a pod whose containers run no more."""
-
-_SUFFIXES = {
-    "": 1.0,
-    "n": 1e-9,
-    "u": 1e-6,
-    "m": 1e-3,
-    "k": 1e3,
-    "M": 1e6,
-    "G": 1e9,
-    "T": 1e12,
-    "Ki": 2.0**10,
-    "Mi": 2.0**20,
-    "Gi": 2.0**30,
-    "Ti": 2.0**40,
-}
 
 
 @dataclass
@@ -173,10 +157,10 @@ def amount(text: str) -> float:
     >>> amount("250m"), amount("12345678n"), amount("64Mi")
     (0.25, 0.012345678, 67108864.0)
     """
-    match = re.fullmatch(r"([0-9.]+)([A-Za-z]*)", text)
-    if match is None or match.group(2) not in _SUFFIXES:
+    try:
+        return quantity(text)
+    except ValueError:
         return 0.0
-    return float(match.group(1)) * _SUFFIXES[match.group(2)]
 
 
 def _is_over(pod: Object) -> bool:

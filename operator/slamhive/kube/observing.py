@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From what Jobs and pods say to what the engine wants to know. Pure: neither API nor clock.
+"""Observation: classifies what Jobs and pods say into what the engine wants to know.
+
+Pure: neither API nor clock.
 
 A pod's end is taken as soon as the pod shows it, before its Job does: a Job here fails with its first pod.
 Only what a disruption took (eviction by the node, drain, preemption, a lost node) is replaced by the Job, and
@@ -15,8 +17,10 @@ from slamhive.engine import AttemptEnd, AttemptState, VariantState
 from slamhive.kube.builders.evaluation import EVALUATE, EVALUATOR, LINKS, READ, REPORT
 from slamhive.kube.builders.run import ALGORITHM, MONITOR
 from slamhive.kube.builders.variant import PREPARE
+from slamhive.kube.errors import means_quota
 from slamhive.kube.kinds import Label
 from slamhive.kube.pods import (
+    NO_CONTAINER_CONFIG,
     Ending,
     Waiting,
     condition,
@@ -42,13 +46,14 @@ from slamhive.kube.reports import (
     read_failure,
     read_report,
 )
-from slamhive.model.results import Reason
+from slamhive.model.results import Reason, remark_of
 from slamhive.playback.judging import judge
+from slamhive.playback.pod import NAME as PLAYER
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from slamhive.kube.description import Description
+    from slamhive.model.variant import VariantDescription
 
     Object = Mapping[str, Any]
 
@@ -57,6 +62,7 @@ Problem = tuple[Reason, str]
 _NO_POD = "NoPod"
 _POD_REFUSED = "PodRefused"
 POD_SECONDS = 5.0
+_HIDDEN_SECONDS = 2.0
 
 
 @dataclass(frozen=True)
@@ -106,6 +112,15 @@ class Attempted:
         """Return a sentence about why it waits."""
         return self.waiting.message if self.waiting else None
 
+    @property
+    def may_lack_variant(self) -> bool:
+        """Tell whether its variant's folder may be gone: the kubelet can't put together what it mounts.
+
+        The kubelet has one word for this and for other faults of a container's configuration, and only its
+        sentence says more. A variant that is there after all costs a look by its preparation, no more.
+        """
+        return self.waiting_reason == NO_CONTAINER_CONFIG
+
     def give_up_at(self, grace_seconds: float, refusal_seconds: float | None = None) -> float | None:
         """Return when its waiting counts as its end, s since 1970; None when it never does.
 
@@ -130,7 +145,7 @@ class Attempted:
 
     @property
     def usual_until(self) -> float:
-        """Return until when nobody need be told of its waiting, s since 1970: a new Job has no pod yet."""
+        """Return until when its waiting is normal, s since 1970, and not reported: new Jobs have no pod."""
         if self.waiting is None or not self.lacks_pod:
             return 0.0
         return (self.waiting.since or 0.0) + POD_SECONDS
@@ -162,7 +177,8 @@ def explained(waiting: Waiting, message: str | None) -> Waiting:
     if message is None:
         return waiting
     told = clean(f"its pod is refused: {message}")
-    if "exceeded quota" in message:
+    # A used-up quota is waited for without end, as others' pods make room; a policy's refusal is not.
+    if means_quota(message):
         return Waiting("QuotaExceeded", told)
     return Waiting(_POD_REFUSED, told, waiting.since, AttemptEnd(reason=Reason.SYSTEM_FAULT, message=told))
 
@@ -191,6 +207,7 @@ def _without_pod(job: Object) -> Attempted:
     if has_failed(job) or has_completed(job):
         end = AttemptEnd(reason=Reason.NODE_LOST, message="its pod was deleted")
         return Attempted(AttemptState.ENDED, end, number)
+    # Queues such as Kueue hold a Job back this way, for as long as they choose.
     if (job.get("spec") or {}).get("suspend"):
         waiting = Waiting("Suspended", "its Job waits in a queue")
     else:
@@ -231,12 +248,17 @@ def _taken(seen: Attempted, job: Object | None, pod: Object) -> Attempted:
     if has_failed(job) or has_completed(job):
         end = AttemptEnd(reason=Reason.NODE_LOST, message=message)
         return replace(seen, state=AttemptState.ENDED, end=end, report=None)
+    # Nothing that it reported counts: its Job makes another pod, which begins anew.
     return replace(seen, waiting=Waiting("Disrupted", message), report=None)
 
 
 def _ended(seen: Attempted, pod: Object) -> Attempted:
     ending, report = seen.ending, seen.report
     told = _told_by_pod(pod, ending)
+    # Where the kubelet ended the whole pod, monitor and player died of the same cause.
+    fault = _interrupted(pod, ending) if told is None else None
+    if fault is not None:
+        return replace(seen, state=AttemptState.ENDED, end=fault, report=None)
     if report is not None and report.reason is not None and ending is not None:
         told = None  # what the monitor did comes before what followed from it
     if told is not None:
@@ -246,6 +268,7 @@ def _ended(seen: Attempted, pod: Object) -> Attempted:
     else:
         end = _judged(ending, report)
     if ending is not None and report is None and end.reason is Reason.SYSTEM_FAULT:
+        # A monitor that failed leaves the end of its log as its termination message: it says why.
         words = last_line(message_of(pod, MONITOR))
         end = replace(end, message=f"{end.message}: {words}" if words else end.message)
     ran = ending is not None and not ending.was_unable and not ending.is_unknown
@@ -258,6 +281,8 @@ def _told_by_pod(pod: Object, ending: Ending | None) -> AttemptEnd | None:
     if word == "DeadlineExceeded":
         return AttemptEnd(reason=Reason.DEADLINE_EXCEEDED, message=message)
     if word == "Evicted":
+        # One word of the kubelet has two causes, which only its sentence tells apart: a disk that the
+        # algorithm filled, or a node that ran short of memory, for which it is not to blame.
         disk = any(part in message.lower() for part in ("ephemeral", "emptydir"))
         return AttemptEnd(reason=Reason.OUTPUT_TOO_LARGE if disk else Reason.NODE_LOST, message=message)
     if word in {"NodeLost", "NodeShutdown", "Shutdown", "Terminated"}:
@@ -265,6 +290,30 @@ def _told_by_pod(pod: Object, ending: Ending | None) -> AttemptEnd | None:
     if ending is None and word:
         return AttemptEnd(reason=Reason.SYSTEM_FAULT, message=refused_by_node(pod))
     return None
+
+
+def _interrupted(pod: Object, ending: Ending | None) -> AttemptEnd | None:
+    """Return the fault that a monitor or player died while the algorithm ran.
+
+    It is told by the kubelet alone: while either starts again, the algorithm may change what it says.
+    """
+    begun = None if ending is None else moment(ending.started)
+    for name in (MONITOR, PLAYER):
+        if begun is not None and _began_again(container_of(pod, name), begun):
+            message = f"its {name} was ended while the algorithm ran: nobody knows what it did since"
+            return AttemptEnd(reason=Reason.SYSTEM_FAULT, message=message)
+    return None
+
+
+def _began_again(status: Mapping[str, Any], begun: float) -> bool:
+    """Tell whether a container died since a time; the kubelet tells times in whole seconds."""
+    state, last = status.get("state") or {}, (status.get("lastState") or {}).get("terminated") or {}
+    now = state.get("running") or state.get("terminated") or {}
+    started, died = moment(now.get("startedAt")), moment(last.get("finishedAt"))
+    if started is not None and started > begun:
+        return True
+    times = [time for time in (started, died) if time is not None]
+    return bool(status.get("restartCount")) and (not times or max(times) >= begun)
 
 
 def _before_start(pod: Object) -> str:
@@ -286,12 +335,14 @@ def _watched(ending: Ending, report: Report | None) -> AttemptEnd:
     seen = AttemptEnd(exit_code=ending.exit_code, signal=ending.signal)
     if report is not None and report.reason is not None:
         return replace(seen, reason=report.reason, message=report.message or ending.sentence)
+    # The first that holds decides: what is particular stands before what is general.
     for holds, reason, message in (
         (ending.reason == "OOMKilled", Reason.OUT_OF_MEMORY, "it needed more memory than its limit"),
         (ending.was_unable, *why_unable(ending.message)),
         (ending.is_unknown, Reason.NODE_LOST, "nobody saw how it ended"),
         (ending.exit_code != 0, None, ending.sentence),
         (report is None, Reason.SYSTEM_FAULT, "the monitor left no report"),
+        (_hid(ending, report), Reason.SYSTEM_FAULT, "the monitor never saw the algorithm, though it ran"),
     ):
         if holds:
             return replace(seen, reason=reason, message=message)
@@ -301,8 +352,15 @@ def _watched(ending: Ending, report: Report | None) -> AttemptEnd:
         seen,
         trajectory_problem=report.trajectory_problem,
         trajectory_missing=report.trajectory_missing,
-        remark=report.metrics_problem,
+        remark=remark_of(report.usage, report.metrics_problem),
     )
+
+
+def _hid(ending: Ending, report: Report | None) -> bool:
+    """Tell whether an algorithm ran for seconds and its monitor did not find it."""
+    begun, done = moment(ending.started), moment(ending.finished)
+    seen = report is None or report.started_at is not None or report.usage is not None
+    return not seen and begun is not None and done is not None and done - begun > _HIDDEN_SECONDS
 
 
 @dataclass(frozen=True)
@@ -317,7 +375,7 @@ class VariantObserved:
     """
 
     state: VariantState = VariantState.ABSENT
-    description: Description | None = None
+    description: VariantDescription | None = None
     problem: Problem | None = None
     waiting: Waiting | None = None
 

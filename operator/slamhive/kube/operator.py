@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The operator's engine room: what is seen enters the store, keys wait in the queue, workers reconcile.
+"""Operator main loop: watch events update the store and queue keys; workers reconcile the queued objects.
 
 Nothing is reconciled before the first full LIST; another every ``relistSeconds`` finds what the watches
 missed. A reconciler that fails is tried again; it never ends the operator.
@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.errors import ApiError, Conflict, Forbidden, NotFound, StartError, Unauthorized
 from slamhive.kube.failing import tell_failure, tell_recovery
-from slamhive.kube.kinds import MANAGER, OUR_KINDS, Key, Kind, Label, key_of
+from slamhive.kube.kinds import MANAGER, OUR_KINDS, Key, Kind, Label, Object, key_of
 from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
 from slamhive.kube.pods import has_completed, has_failed
 from slamhive.kube.queue import Queue
 from slamhive.kube.routing import routes
+from slamhive.kube.status import status_patch
 from slamhive.kube.store import Store
 from slamhive.model.base import GROUP, VERSION
 from slamhive.model.errors import InputError, SlamHiveError
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
     from slamhive.archive import Archive
     from slamhive.kube.client import Api
     from slamhive.kube.settings import Settings
+    from slamhive.model.status import Status
 
-Object = dict[str, Any]
 Reconcile = Callable[["Operator", Key], Awaitable[float | None]]
 
 MANAGED = f"{Label.MANAGED_BY}={MANAGER}"
@@ -43,6 +44,7 @@ FAILURES_TOLD = 5
 """Failures in a row from which on an object says so itself; what waiting can't mend is told at once."""
 STUCK_SECONDS = 300.0
 _SECOND_LIST_SECONDS = 10.0
+_AMEND_TRIES = 5
 _LONGEST_START_WAIT = 30.0
 _RECOVERY_SECONDS = 15.0
 
@@ -67,6 +69,7 @@ class Operator:
         api: as given.
         settings: as given.
         archive: as given.
+        cluster: what tells this cluster from every other one in records; None where it can't be seen.
         clock: as given.
         store: the picture of the cluster.
         queue: the keys that wait.
@@ -90,8 +93,10 @@ class Operator:
         self.api = api
         self.settings = settings
         self.archive = archive
+        self.cluster: str | None = None
         self.clock = clock
         self.store = Store()
+        self._creating: list[tuple[Kind, str | None, Object]] = []
         self.queue = queue or Queue()
         self.metrics = Metrics(run_name_label=settings.metrics.run_name_label)
         self.usage = MetricsReader(api, self.store, self.metrics, settings.namespaces)
@@ -130,13 +135,13 @@ class Operator:
         """Take out an object whose deletion the API has confirmed."""
         self._gone(kind, obj)
 
-    def _take(self, kind: Kind, obj: Object) -> None:
+    def _take(self, kind: Kind, obj: Object, *, current_too: bool = False) -> None:
         new = self.store.get(key_of(kind, obj)) is None
         if self.store.put(kind, obj):
             if kind is Kind.POD and (obj.get("status") or {}).get("phase") in ENDED:
                 self.usage.ended(obj["metadata"]["uid"])
             self._note_podless(kind, obj)
-            self._enqueue(routes(kind, obj, self.store, new=new))
+            self._enqueue(routes(kind, obj, self.store, new=new), current_too=current_too)
 
     def _gone(self, kind: Kind, obj: Object) -> None:
         key = key_of(kind, obj)
@@ -169,8 +174,8 @@ class Operator:
                         self._take(Kind.POD, pod)
                 self._podless.pop(uid, None)
 
-    def _enqueue(self, keys: Iterable[Key]) -> None:
-        current = _current.get()
+    def _enqueue(self, keys: Iterable[Key], *, current_too: bool = False) -> None:
+        current = None if current_too else _current.get()
         for key in keys:
             if key.kind in self._reconcilers and key != current:
                 self.queue.add(key)
@@ -179,7 +184,20 @@ class Operator:
 
     async def create(self, kind: Kind, body: Object, namespace: str | None = None) -> Object:
         """Create an object; errors as ``Api.create``."""
-        return self.apply(kind, await self.api.create(kind, body, namespace))
+        entry = (kind, namespace or body["metadata"].get("namespace"), body)
+        self._creating.append(entry)
+        try:
+            return self.apply(kind, await self.api.create(kind, body, namespace))
+        finally:
+            self._creating.remove(entry)
+
+    def being_created(self, kind: Kind, namespace: str, label: str, value: str) -> list[Object]:
+        """Return the objects with a label whose creation is under way: the store doesn't have them yet."""
+        return [
+            body
+            for *place, body in self._creating
+            if place == [kind, namespace] and (body["metadata"].get("labels") or {}).get(label) == value
+        ]
 
     async def patch(self, key: Key, body: Object, *, subresource: str | None = None) -> Object:
         """Patch an object; errors as ``Api.patch``. An object found gone leaves the store."""
@@ -192,15 +210,99 @@ class Operator:
             raise
         return self.apply(key.kind, answer)
 
+    async def patch_seen(
+        self, kind: Kind, seen: Object, body: Object, *, subresource: str | None = None
+    ) -> Object:
+        """Patch the very version of an object that was looked at.
+
+        Of two operators, or two workers, that decided on the same version, one gets a Conflict and looks
+        again. Lists need this too: a merge patch replaces them whole.
+
+        Args:
+            kind: its kind.
+            seen: the object as it was read.
+            body: the merge patch.
+            subresource: as ``Api.patch`` takes it.
+
+        Raises:
+            Conflict: it has changed since.
+            NotFound: it is gone.
+        """
+        metadata = {**body.get("metadata", {}), "resourceVersion": seen["metadata"]["resourceVersion"]}
+        return await self.patch(key_of(kind, seen), {**body, "metadata": metadata}, subresource=subresource)
+
+    async def write_status(
+        self,
+        kind: Kind,
+        seen: Object,
+        status: Status | None = None,
+        conditions: Iterable[Object] = (),
+    ) -> Object | None:
+        """Write what is new of an object's status, in one patch with its conditions.
+
+        Args:
+            kind: its kind.
+            seen: the object as it was read; errors as ``patch_seen``.
+            status: the fields that are given in it are written; those that are None are removed.
+            conditions: as ``condition`` makes them.
+
+        Returns:
+            The object as it is then; None where nothing was new.
+        """
+        fields = status.as_patch() if status is not None else {}
+        patch = status_patch(seen, fields, conditions, self.clock())
+        if not patch:
+            return None
+        return await self.patch_seen(kind, seen, {"status": patch}, subresource="status")
+
+    async def amend(
+        self,
+        key: Key,
+        uid: str,
+        change: Callable[[Object], Object],
+        *,
+        subresource: str | None = None,
+    ) -> Object | None:
+        """Patch an object by what follows from its newest version, whatever else writes there meanwhile.
+
+        Args:
+            key: the object.
+            uid: its uid; a later object of the name is left alone.
+            change: returns the merge patch for an object, empty for none.
+            subresource: as ``Api.patch`` takes it.
+
+        Returns:
+            The object as it is then; None where it is gone or nothing was new.
+
+        Raises:
+            Conflict: it changed each time.
+        """
+        for _ in range(_AMEND_TRIES):
+            seen = self.store.get(key)
+            body = change(seen) if seen is not None and seen["metadata"]["uid"] == uid else None
+            if seen is None or not body:
+                return None
+            try:
+                return await self.patch_seen(key.kind, seen, body, subresource=subresource)
+            except Conflict:
+                await self.refresh(key)
+            except NotFound:
+                return None
+        raise Conflict(f"{key}: it keeps changing", status=409)
+
     async def refresh(self, key: Key) -> Object | None:
         """Read an object anew, as after a Conflict; None when it is gone."""
         try:
-            return self.apply(key.kind, await self.api.get(key))
+            found = await self.api.get(key)
         except NotFound:
             present = self.store.get(key)
             if present is not None:
                 self._gone(key.kind, present)
             return None
+        # News here is somebody else's doing. Who is reconciling may have decided by what was before, and the
+        # watch, for which it is no news any more, queues nobody.
+        self._take(key.kind, found, current_too=True)
+        return found
 
     async def delete(self, key: Key, *, uid: str | None = None, **options: Any) -> Object | None:
         """Delete an object, by default exactly the one in the store; returns it while it has still to end.
@@ -208,6 +310,7 @@ class Operator:
         Errors as ``Api.delete``, but another object of that name counts as gone.
         """
         present = self.store.get(key)
+        # By uid: a later object of the same name is somebody else's.
         uid = uid or (present["metadata"].get("uid") if present else None)
         try:
             answer = await self.api.delete(key, uid=uid, **options)
@@ -253,6 +356,7 @@ class Operator:
         while True:
             try:
                 await self._check_crds()
+                self.cluster = await self.api.cluster_uid() or self.settings.cluster_name or None
                 await self.relist()
             except Forbidden as error:
                 raise StartError(
@@ -402,6 +506,7 @@ class Operator:
             delay = SLOW_RETRY_SECONDS
             self.queue.add(key, delay)
         message = str(error)
+        # What is tried again every few minutes is logged when its message changes, not each time.
         if self._told.get(key) != message:
             self._told[key] = message
             level = logging.ERROR if isinstance(error, InputError) else logging.WARNING

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the status of a pod says: why it waits, how a container ended, who took it. Pure."""
+"""Readings of a pod's status: why it waits, how a container ended, which node refused it. Pure."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ _PULLS = frozenset(
         "SignatureValidationFailed",
     }
 )
-_STARTS = frozenset(
-    {"CreateContainerConfigError", "CreateContainerError", "PostStartHookError", "RunContainerError"}
-)
+NO_CONTAINER_CONFIG = "CreateContainerConfigError"
+"""What the kubelet says where it can't put together what a container mounts and is told."""
+_STARTS = frozenset({NO_CONTAINER_CONFIG, "CreateContainerError", "PostStartHookError", "RunContainerError"})
+# Texts of container runtimes: nothing else in a pod's status tells these causes apart.
 _MOUNTING = re.compile(r'error mounting "[^"]*" to rootfs at "([^"]*)"')
 _NO_MEMORY = ("memory limit", "OOM-killed")
 _UNABLE = ("StartError", "ContainerCannotRun")
@@ -167,6 +168,8 @@ def ending_of(pod: Object, name: str) -> Ending | None:
     code = found.get("exitCode")
     reason = found.get("reason") or ""
     unable = reason in _UNABLE
+    # The kubelet reports a signal as 128 and its number. Codes of a program that could not be started are the
+    # runtime's own.
     signal = code - 128 if isinstance(code, int) and 128 < code <= 128 + 64 and not unable else None
     return Ending(
         exit_code=None if signal is not None else code,
@@ -233,6 +236,8 @@ def _explained(
         return Waiting(word, message, since, AttemptEnd(reason=Reason.IMAGE_PULL_FAILED, message=message))
     if word in _STARTS or word == "CrashLoopBackOff":
         reason, message = Reason.SYSTEM_FAULT, clean(f"container {name!r}: {told or word}")
+        # A program that is not in its image is the algorithm's mistake; what else keeps a container from
+        # starting is the machine's.
         if name == main and any(part in told for part in _PROGRAM):
             reason, message = why_unable(told)
         return Waiting(word, message, since, AttemptEnd(reason=reason, message=message))

@@ -74,6 +74,7 @@ class Queue:
         """Have a key handled, in some seconds at the latest."""
         due = self._clock.time() + max(delay, 0.0)
         if key in self._active:
+            # Never two workers on one object: what comes meanwhile is handled when this one is done.
             self._again[key] = min(due, self._again.get(key, due))
         elif key not in self._queued:
             self._schedule(key, due)

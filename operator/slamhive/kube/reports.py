@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What containers say as they end. An algorithm shares a user with its monitor: nothing here is trusted.
+"""Reports of containers as they end, parsed.
+
+An algorithm has the same user as its monitor, so nothing in them is trusted.
 
 Whatever a message holds, reading it raises nothing, and what comes out can be written into a status: text
 without control characters, numbers that JSON and the API server hold, times that are times.
@@ -20,19 +22,19 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from slamhive.kube.description import Description
+from slamhive.contract.metrics import LARGEST_INTEGER, keep_values
 from slamhive.model.base import Model
 from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
+from slamhive.model.variant import VariantDescription
 from slamhive.playback.outcome import Played
 
 MESSAGE_BYTES = 16 * 1024
 DESCRIPTION_BYTES = 1 << 20
 _DEPTH = 12
-_SCALARS = (int, float, str)
-_MOST_METRICS = 64
-_EXACT = 2**53
 _SENTENCE = 1000
 _COLOURS = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+# Control, format and surrogate characters: they move a terminal's cursor, turn text round, or can't be
+# encoded.
 _HIDDEN = frozenset({"Cc", "Cf", "Cs"})
 _MONITORS = frozenset(
     {
@@ -120,10 +122,19 @@ def last_line(text: str | None) -> str:
 
 def read_object(text: object, limit: int = MESSAGE_BYTES) -> dict[str, Any] | None:
     """Return the JSON object that a text holds, cleaned; None when it holds none that can be passed on."""
+    found = _loaded(text, limit)
+    try:
+        return None if found is None else _plain(found, _DEPTH)
+    except ValueError:
+        return None
+
+
+def _loaded(text: object, limit: int = MESSAGE_BYTES) -> dict[str, Any] | None:
+    """Return the JSON object that a text holds as it stands there."""
     if not isinstance(text, str) or len(text) > limit:
         return None
     try:
-        found = _plain(json.loads(text), _DEPTH)
+        found = json.loads(text)
     except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
@@ -154,7 +165,7 @@ def read_report(text: object) -> Report | None:
         frames=_model(Frames, found.get("frames")),
         cpu_model=_text(found.get("cpuModel"), 200),
         played=_played(found.get("played")),
-        metrics=_metrics(found.get("metrics")),
+        metrics=_metrics((_loaded(text) or {}).get("metrics")),
     )
 
 
@@ -166,17 +177,8 @@ def _played(value: object) -> Played | None:
 
 
 def _metrics(value: object) -> dict[str, Any]:
-    """Return the numbers, texts and flags of an object, and those in objects in it."""
-    if not isinstance(value, dict):
-        return {}
-    kept = {
-        key: {name: inner for name, inner in item.items() if isinstance(inner, _SCALARS)}
-        if isinstance(item, dict)
-        else item
-        for key, item in value.items()
-        if isinstance(item, (*_SCALARS, dict))
-    }
-    return dict([*kept.items()][:_MOST_METRICS])
+    """Return the algorithm's own values: as the monitor kept them, whoever wrote the message."""
+    return keep_values(value).values if isinstance(value, dict) else {}
 
 
 def read_failure(text: object) -> Failure | None:
@@ -188,18 +190,19 @@ def read_failure(text: object) -> Failure | None:
     return Failure(reason, _text(error.get("message"), 4000) or "it gave no reason")
 
 
-def read_description(text: object) -> Description | None:
+def read_description(text: object) -> VariantDescription | None:
     """Return what a preparation's termination message says of its variant; None when it can't be read."""
     packed = (read_object(text) or {}).get("z")
     if not isinstance(packed, str):
         return None
     try:
         unpacking = zlib.decompressobj()
+        # Bounded, as a few KiB of zlib can unfold to gigabytes.
         plain = unpacking.decompress(base64.b64decode(packed, validate=True), DESCRIPTION_BYTES)
         if not unpacking.eof:
             return None
         found = read_object(plain.decode(), DESCRIPTION_BYTES)
-        return Description.model_validate(found)
+        return VariantDescription.model_validate(found)
     except (binascii.Error, zlib.error, ValueError):  # pydantic's error is a ValueError
         return None
 
@@ -226,7 +229,7 @@ def _plain(value: Any, depth: int) -> Any:
         return clean(value, MESSAGE_BYTES)
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError("not a finite number")
-    if isinstance(value, int) and abs(value) > _EXACT:
+    if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
         raise ValueError("too large a number")
     return value
 

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which objects have to be looked at when one has changed: pure."""
+"""Routing: the keys of the objects that must be reconciled because another object changed.
+
+The store's caller puts them into the queue. Pure.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from slamhive.kube.kinds import Key, Kind, Label, Role
+from slamhive.kube.kinds import Key, Kind, Label, Object, Role
 from slamhive.kube.store import labels_of
 from slamhive.model.results import Phase
 
@@ -14,7 +17,6 @@ if TYPE_CHECKING:
 
     from slamhive.kube.store import Store
 
-Object = dict[str, Any]
 
 OWN_EVALUATIONS = {"sweep:": Label.SWEEP, "run:": Label.RUN}
 """What the names begin with under which Sweeps and runs are evaluated as they ask themselves, and the label
@@ -96,6 +98,8 @@ def _waiting(kind: Kind, obj: Object, namespace: str, store: Store, *, new: bool
     for run in store.referring(namespace, kind, obj["metadata"]["name"]):
         if not is_finished(run):
             yield Key(Kind.MAPPING_RUN, namespace, run["metadata"]["name"])
+    # Selectors of a matrix choose by label, so an entry that appears may concern a Sweep that does not name
+    # it.
     if new:
         for sweep in store.of(Kind.SWEEP, namespace):
             yield Key(Kind.SWEEP, namespace, sweep["metadata"]["name"])

@@ -11,6 +11,17 @@ from pydantic import Field, StringConstraints, ValidationError
 
 from slamhive.model.base import Choice, Duration, Model, Quantity, explain
 from slamhive.model.errors import InputError
+from slamhive.monitor.spec import OUTPUT_FILES, OUTPUT_LIMIT
+
+PassedLabel = Annotated[
+    str,
+    StringConstraints(
+        pattern=r"^([a-z0-9]([-a-z0-9.]*[a-z0-9])?/)?([A-Za-z0-9]([-A-Za-z0-9_.]*[A-Za-z0-9])?)?$",
+        min_length=1,
+        max_length=317,
+    ),
+]
+"""Name of a label, or with a slash at its end a prefix of names."""
 
 NamespaceName = Annotated[
     str, StringConstraints(pattern=r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$", min_length=1, max_length=63)
@@ -116,6 +127,10 @@ class Settings(Model):
     relist_seconds: float = Field(default=600.0, gt=0)
     workers: int = Field(default=8, ge=1, le=256)
     max_runs_without_archive: int = Field(default=5000, ge=1)
+    passed_labels: list[PassedLabel] = Field(default_factory=lambda: ["kueue.x-k8s.io/"])
+    custom_evaluators: bool = True
+    output_limit: Quantity = OUTPUT_LIMIT
+    output_files: int = Field(default=OUTPUT_FILES, ge=1)
     log_format: LogFormat = LogFormat.PLAIN
     log_level: str = Field(default="INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$")
 

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import RunState
 from slamhive.model.results import Phase, Reason, Result
+from slamhive.model.status import MESSAGE_LENGTH, MappingRunStatus, RunDisplay
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from slamhive.model.results import Usage
 
-_MESSAGE_LENGTH = 4096
+_PHASES = {str(phase): phase for phase in Phase}
 _RESULT_FIELDS = ("evaluation", "outcome", "coverage")
 
 
@@ -36,7 +37,7 @@ def moment(text: object) -> float | None:
 def condition(kind: str, holds: bool | None, reason: str, message: str = "") -> dict[str, Any]:
     """Return one aspect of a state, still without its times."""
     word = "Unknown" if holds is None else str(holds)
-    return {"type": kind, "status": word, "reason": reason, "message": message[:_MESSAGE_LENGTH]}
+    return {"type": kind, "status": word, "reason": reason, "message": message[:MESSAGE_LENGTH]}
 
 
 def merged(
@@ -53,6 +54,7 @@ def merged(
     known = {str(item["type"]): dict(item) for item in before}
     for item in fresh:
         old = known.get(item["type"], {})
+        # As the API conventions have it: people read from this time how long something has lasted.
         since = old.get("lastTransitionTime") if old.get("status") == item["status"] else None
         known[item["type"]] = item | {
             "lastTransitionTime": since or iso(now),
@@ -83,36 +85,38 @@ def since(status: Mapping[str, Any], kind: str, *, standing: bool) -> float | No
     return None
 
 
-def run_state(status: Mapping[str, Any]) -> RunState:
+def run_state(status: MappingRunStatus) -> RunState:
     """Return what a MappingRun's status remembers for the engine."""
-    reason = status.get("reason")
     return RunState(
-        phase=phase_of(status),
-        reason=Reason(reason) if reason in set(Reason) else None,
-        message=status.get("message"),
-        attempts=status.get("attempts", 0),
-        faults=status.get("faults", 0),
-        judged=status.get("judged", 0),
-        not_before=moment(status.get("notBefore")) or 0.0,
+        phase=status.phase or Phase.PENDING,
+        reason=Reason(status.reason) if status.reason in set(Reason) else None,
+        message=status.message,
+        attempts=status.attempts or 0,
+        faults=status.faults or 0,
+        judged=status.judged or 0,
+        not_before=moment(status.not_before) or 0.0,
     )
 
 
 def phase_of(status: Mapping[str, Any]) -> Phase:
-    """Return a run's phase; one without a status is pending."""
-    return Phase(status.get("phase") or Phase.PENDING)
+    """Return a run's phase; one without a status, or in a phase of another version, is pending.
+
+    It is asked for thousands of runs at a time, so only this field is read.
+    """
+    return _PHASES.get(status.get("phase") or "", Phase.PENDING)
 
 
-def state_fields(state: RunState) -> dict[str, Any]:
-    """Return what is kept of the engine's state in a status; None removes a field."""
-    return {
-        "phase": str(state.phase),
-        "reason": str(state.reason) if state.reason else None,
-        "message": (state.message or "")[:_MESSAGE_LENGTH] or None,
-        "attempts": state.attempts,
-        "faults": state.faults or None,
-        "judged": state.judged or None,
-        "notBefore": iso(state.not_before) if state.not_before else None,
-    }
+def state_fields(state: RunState) -> MappingRunStatus:
+    """Return what is kept of the engine's state in a status."""
+    return MappingRunStatus(
+        phase=state.phase,
+        reason=state.reason,
+        message=(state.message or "")[:MESSAGE_LENGTH] or None,
+        attempts=state.attempts,
+        faults=state.faults or None,
+        judged=state.judged or None,
+        not_before=iso(state.not_before) if state.not_before else None,
+    )
 
 
 def result_field(result: Result) -> dict[str, Any]:
@@ -129,8 +133,8 @@ def result_of(field: Mapping[str, Any]) -> Result:
     return Result.model_validate({key: field.get(key) for key in _RESULT_FIELDS} | {"values": values})
 
 
-def display(usage: Usage | None, results: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the figures that kubectl prints of a run."""
+def display(usage: Usage | None, results: Iterable[Mapping[str, Any]]) -> RunDisplay | None:
+    """Return the figures that kubectl prints of a run; None where there are none."""
     shown: dict[str, str] = {}
     first: Mapping[str, Any] = next(iter(results), {})
     rmse = rmse_of(first)
@@ -140,7 +144,7 @@ def display(usage: Usage | None, results: Iterable[Mapping[str, Any]]) -> dict[s
         shown["cpu"] = f"{usage.cpu.mean_cores:.2f}"
     if usage is not None and usage.memory.peak_bytes is not None:
         shown["memory"] = f"{usage.memory.peak_bytes / 2**20:.0f}Mi"
-    return shown
+    return RunDisplay.model_validate(shown) if shown else None
 
 
 def rmse_of(result: Mapping[str, Any]) -> float | None:
@@ -158,3 +162,23 @@ def metres(value: float) -> str:
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
     """Return the merge patch that turns the named fields of a status into what they shall be."""
     return {key: value for key, value in after.items() if before.get(key) != value}
+
+
+def status_patch(
+    seen: Mapping[str, Any], fields: Mapping[str, Any], conditions: Iterable[dict[str, Any]], now: float
+) -> dict[str, Any]:
+    """Return the merge patch of an object's status; empty where all is so already.
+
+    Args:
+        seen: the object as it was read.
+        fields: what named fields shall be; None removes one. Others stay, those of later versions too.
+        conditions: as ``condition`` makes them; others stay.
+        now: s since 1970.
+    """
+    before = seen.get("status") or {}
+    generation = seen["metadata"].get("generation", 1)
+    told = list(conditions)
+    if told:
+        after = merged(before.get("conditions") or (), told, generation, now)
+        fields = {**fields, "conditions": after}
+    return changes(before, fields)

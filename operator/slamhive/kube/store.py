@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The operator's picture of the cluster: narrowed objects, found by name, label and owner.
+"""Store of the cluster's objects, narrowed to what is needed and found by name, label and owner.
 
 Watches, the operator's own writes and full lists all write here, in any order: an object never goes back to
 an older version, and one that was deleted does not return by a late message. What the store hands out is
@@ -12,12 +12,11 @@ import sys
 from collections import OrderedDict, defaultdict
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.kinds import Key, Kind, Label, key_of
+from slamhive.kube.kinds import Key, Kind, Label, Object, key_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-Object = dict[str, Any]
 
 INDEXED_LABELS = (Label.RUN, Label.SWEEP, Label.VARIANT, Label.EVALUATION)
 _LATEST_DELETIONS = 20_000
@@ -69,7 +68,12 @@ class Store:
         if obj["metadata"].get("uid") in self._deleted:
             return False
         present = self.get(key)
-        if present is not None and version_of(obj) <= version_of(present):
+        is_older = present is not None and version_of(obj) <= version_of(present)
+        if present is not None and obj["metadata"].get("uid") != present["metadata"].get("uid"):
+            # A name is given again only after its former object is gone, whether or not we heard of that.
+            former = obj if is_older else present
+            self._remember_deletion(former["metadata"].get("uid", ""))
+        if is_older:
             return False
         kept = obj if narrowed else narrow(kind, obj)
         if present is not None:
@@ -157,6 +161,7 @@ class Store:
             if self.put(kind, obj, narrowed=True):
                 changed.append((key, obj, True))
         for name, obj in list(self._objects[kind, namespace].items()):
+            # What is newer than the list is missing in it because it was made later, not because it is gone.
             if name not in seen and (not listed or version_of(obj) <= listed):
                 self.remove(kind, namespace, name, obj["metadata"].get("uid"))
                 changed.append((Key(kind, namespace, name), obj, False))

@@ -28,7 +28,8 @@ from slamhive.kube.errors import ApiError, ServerFault, StartError, TooManyReque
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping
 
-Object = dict[str, Any]
+    from slamhive.kube.kinds import Object
+
 
 ATTEMPTS = 5
 FIRST_BACKOFF_SECONDS = 0.2
@@ -195,8 +196,11 @@ class Transport:
                 if not isinstance(error, (TooManyRequests, ServerFault, *again_on)):
                     raise
                 asked = getattr(error, "retry_after", None)
+                # A longer wait is left to the queue: here it would keep a worker from all other objects.
                 if left <= 0 or (asked or 0.0) > LONGEST_WAIT_SECONDS:
                     raise
+                # By chance a little longer or shorter, so that what failed together does not come back
+                # together.
                 await self._sleep(max(asked or 0.0, wait * (0.5 + 0.5 * self._jitter())))
                 wait = min(2 * wait, LAST_BACKOFF_SECONDS)
 
@@ -207,6 +211,7 @@ class Transport:
             status, content, headers = await self._send(request)
             code = str(status)
             self._break("after", request)
+        # Whether the server has done it is not known: see the module's docstring for why that is safe.
         except (aiohttp.ClientError, TimeoutError, OSError) as error:
             said = str(error) or type(error).__name__
             raise ServerFault(

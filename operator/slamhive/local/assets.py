@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.data.fetching import fetch, require_sha256
+from slamhive.data.entries import file_sha256
+from slamhive.data.fetching import fetch
 from slamhive.local.home import lock
 from slamhive.model.errors import DataError
 
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
 
     from slamhive.local.catalog import AlgorithmEntry
     from slamhive.model.algorithm import Asset
+
+
+_HASHES = ".hashes"
 
 
 def place_assets(entry: AlgorithmEntry, target: Path, cache: Path) -> None:
@@ -28,17 +32,19 @@ def place_assets(entry: AlgorithmEntry, target: Path, cache: Path) -> None:
         source = entry.folder / asset.path if asset.path else _fetched(asset, cache)
         if not source.is_file():
             raise DataError(f"assets: {asset.name}: {source} is not there")
-        if asset.sha256 and asset.path:
-            require_sha256(source, asset.sha256, f"assets: {asset.name}")
+        if asset.sha256 and (found := file_sha256(source, cache / _HASHES)) != asset.sha256:
+            raise DataError(f"assets: {asset.name}: {source} has sha256 {found}, expected {asset.sha256}")
         place = target / asset.name
         place.parent.mkdir(parents=True, exist_ok=True)
         place.symlink_to(source.resolve())
 
 
 def _fetched(asset: Asset, cache: Path) -> Path:
+    """Return a file of the cache, which all runs share: one that a program changed is fetched again."""
     checksum = asset.sha256 or ""
     place = cache / checksum
     with lock(cache / f"{checksum}.lock"):
-        if not place.exists():
+        if not place.exists() or file_sha256(place, cache / _HASHES) != checksum:
             fetch(asset.url or "", place, checksum, f"assets: {asset.name}")
+            place.chmod(0o444)
     return place

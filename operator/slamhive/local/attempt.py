@@ -11,44 +11,41 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import signal
 import stat
-import subprocess
-import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from slamhive.analysis.measuring import read_estimate
+from slamhive.contract.environment import program_variables
+from slamhive.contract.files import read_regular
+from slamhive.contract.metrics import frame_counts, keep_values, read_metrics
+from slamhive.contract.trajectory import check_trajectory
 from slamhive.data.erasing import erase
 from slamhive.engine import AttemptEnd
 from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
 from slamhive.local.playing import Player
+from slamhive.local.supervision import Supervised
 from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import SystemFault
-from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage
+from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage, remark_of
 from slamhive.monitor import SupervisorSpec, end_orphans
-from slamhive.monitor.files import compression_problem
+from slamhive.monitor.spec import OUTPUT_LIMIT
 from slamhive.playback.judging import judge
-from slamhive_eval import EvaluationError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
     from pathlib import Path
 
     from slamhive.local.catalog import AlgorithmEntry
     from slamhive.local.environments import Environment
     from slamhive.model.configuration import RunConfiguration
 
-_OUTPUT_LIMIT = 8 * 2**30
-_TRAJECTORY_LIMIT = 512 * 2**20
-_METRICS_LIMIT = 4 * 2**20
+_OBJECT_LIMIT = 4 * 2**20
 _PASSED_ON = ("LD_LIBRARY_PATH", "SSL_CERT_FILE", "TZ")
 
 
@@ -63,6 +60,7 @@ class AttemptOrder:
         entry: the algorithm with its folder.
         environment: its virtual environment.
         dataset: folder of the prepared recording.
+        frames: how many it has.
         spec: the run's resolved spec, for resources and timeout.
         cpus: logical processors it is pinned to.
     """
@@ -73,6 +71,7 @@ class AttemptOrder:
     entry: AlgorithmEntry
     environment: Environment
     dataset: Path
+    frames: int
     spec: Mapping[str, Any]
     cpus: tuple[int, ...]
 
@@ -88,19 +87,20 @@ class Attempt:
         self.folder = folder
         self.run = folder / "run"
         self.output = self.run / "output"
-        self._process: subprocess.Popen[bytes] | None = None
+        self._program = Supervised(folder)
         self._player = Player(folder)
         self._stopping = False
+        self._offered: int | None = None
 
     def finished(self, uid: str, content_hash: str) -> bool:
         """Tell whether this very attempt was made before and ended by itself."""
-        try:
-            ticket = json.loads((self.folder / "attempt.json").read_text())
-            summary = self._summary()
-        except (OSError, ValueError):
-            return False
+        ticket, summary = _read_object(self.folder / "attempt.json"), self._kept_summary()
+        # Both: the folder may hold an attempt of the same run with an adapter or a recording that has changed
+        # since.
         same = ticket == {"uid": uid, "contentHash": content_hash}
-        return same and summary is not None and summary.get("reason") != Reason.CANCELLED
+        if not same or summary is None or summary.get("reason") == Reason.CANCELLED:
+            return False
+        return "trajectory" in summary or "trajectoryProblem" in summary
 
     def start(self, order: AttemptOrder) -> None:
         """Lay out the folder afresh and start the program.
@@ -110,73 +110,66 @@ class Attempt:
         """
         try:
             with suppress(ValueError):  # no record: nobody is named by it
-                end_orphans(self.folder / "process.json")
+                end_orphans(self._program.record)
             with suppress(ValueError):
                 end_orphans(self._player.record)
             self._lay_out(order)
-            variables = self._player.start(order)
-            spec = self._supervisor_spec(order, variables)
-            spec_path = self.folder / "supervisor.json"
-            spec_path.write_text(spec.to_json())
+            self._offered = order.frames
+            variables = self._player.start(order.entry.algorithm.spec, order.configuration, order.cpus)
             ticket = {"uid": order.uid, "contentHash": order.content_hash}
             (self.folder / "attempt.json").write_text(json.dumps(ticket))
-            with (self.folder / "supervisor.log").open("wb") as log:
-                self._process = subprocess.Popen(
-                    # -P: a json.py in the user's working folder is none of ours.
-                    [sys.executable, "-P", "-m", "slamhive.monitor", "--spec", str(spec_path)],
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=log,
-                    start_new_session=True,
-                )
-            self._player.watch(self._end_program)
+            self._program.start(self._supervisor_spec(order, variables))
+            self._player.watch(self._program.end)
         except OSError as error:
             self._player.stop()
             raise SystemFault(f"{self.folder}: {error.strerror or error}") from None
 
     def wait(self) -> None:
         """Wait until the program and all its descendants are gone."""
-        if self._process is not None:
-            self._process.wait()
+        self._program.wait()
         self._player.stop()
         self._player.wait()
 
     def stop(self) -> None:
         """Ask the supervisor to end the program; ``wait`` returns when it has."""
         self._stopping = True
-        self._end_program()
-
-    def _end_program(self) -> None:
-        if self._process is not None and self._process.poll() is None:
-            self._process.send_signal(signal.SIGTERM)
+        self._program.end()
 
     def end(self) -> AttemptEnd:
         """Return how the attempt ended."""
-        summary = self._summary()
+        summary = self._checked()
         if summary is None:
             if self._stopping:
                 return AttemptEnd(reason=Reason.CANCELLED, message="cancelled")
-            lines = _last_lines(self.folder / "supervisor.log")
-            return AttemptEnd(reason=Reason.SYSTEM_FAULT, message=lines or "the supervisor was killed")
+            fault = self._program.fault() or "the supervisor was killed"
+            return AttemptEnd(reason=Reason.SYSTEM_FAULT, message=fault)
         reason = summary.get("reason")
-        problem, missing = self._trajectory_problem()
+        # The algorithm has our user and can send signals: a run that it cancels itself is a fault, not a wish
+        # of the user.
+        if reason == Reason.CANCELLED and self._program.started and not self._program.asked_to_end:
+            message = "another program told the supervisor to end the run"
+            return AttemptEnd(reason=Reason.SYSTEM_FAULT, message=message)
         end = AttemptEnd(
             exit_code=summary.get("exitCode"),
             signal=summary.get("signal"),
             reason=Reason(reason) if reason in set(Reason) else None,
             message=summary.get("message"),
-            trajectory_problem=problem,
-            trajectory_missing=missing,
-            remark=summary.get("metricsProblem"),
+            trajectory_problem=summary.get("trajectoryProblem"),
+            trajectory_missing=bool(summary.get("trajectoryMissing")),
+            remark=_joined(remark_of(self.usage(), summary.get("metricsProblem")), summary.get("notes")),
         )
         return end if self._stopping else judge(end, self._player.played())
 
-    def collect(self) -> None:
-        """Put the usage samples beside the trajectory."""
+    def collect(self) -> str | None:
+        """Put the usage samples beside the trajectory, and return why they can't be."""
         source = self.folder / "usage.csv"
-        with suppress(OSError):  # the algorithm may have put something else there, or locked its folder
+        try:
+            # Moved only now: the output folder is the algorithm's while it runs.
             if source.exists() and self.output.is_dir() and not self.output.is_symlink():
                 source.replace(self.output / "usage.csv")
+        except OSError as error:  # the algorithm may have put something else there, or locked its folder
+            return f"usage.csv could not be put into {self.output}: {error.strerror}"
+        return None
 
     def usage(self) -> Usage | None:
         """Return what the attempt cost."""
@@ -195,70 +188,55 @@ class Attempt:
         return "\n".join(tail) if isinstance(tail, list) else tail
 
     def metrics(self) -> dict[str, Any]:
-        """Return the algorithm's own numbers, those of metrics.json that are plain values."""
-        text = _read_regular(self.output / "metrics.json", _METRICS_LIMIT)
-        try:
-            found = json.loads(text) if text else {}
-        except (ValueError, RecursionError):
-            return {}
-        if not isinstance(found, dict):
-            return {}
-        return {
-            str(key): value
-            for key, value in found.items()
-            if isinstance(value, int | float | str | dict) and _is_shallow(value)
-        }
+        """Return the algorithm's own values, as far as they are kept."""
+        found = self._reported().get("metrics")
+        return found if isinstance(found, dict) else {}
 
-    def frames(self, offered: int | None) -> Frames:
-        """Return how many frames were offered, processed and dropped, as the algorithm counted."""
-        found = self.metrics()
+    def frames(self, offered: int | None = None) -> Frames:
+        """Return how many frames were offered, processed and dropped.
 
-        def number(key: str) -> int | None:
-            value = found.get(key)
-            return value if isinstance(value, int) and not isinstance(value, bool) else None
-
-        return Frames(
-            offered=number("framesOffered") or offered,
-            processed=number("framesProcessed"),
-            dropped=number("framesDropped"),
-        )
+        Args:
+            offered: how many the recording has, for an attempt that an earlier version made, which didn't
+                write that down.
+        """
+        found = Frames.model_validate(self._reported().get("frames") or {})
+        return found if found.offered is not None else found.replace(offered=offered)
 
     def trajectory(self) -> TrajectoryInfo | None:
         """Return what is to say of trajectory.txt, or None when it can't be used."""
-        path = self.output / "trajectory.txt"
-        problem, _ = self._trajectory_problem()
-        if problem:
-            return None
-        estimate = read_estimate(path)
-        poses = 0 if estimate is None else len(estimate)
-        span = 0.0 if estimate is None else float(estimate.stamps[-1] - estimate.stamps[0])
-        checksum = hashlib.sha256(path.read_bytes()).hexdigest()
-        return TrajectoryInfo(poses=poses, duration_seconds=span, sha256=checksum, path=str(path))
+        found = (self._checked() or {}).get("trajectory")
+        path = str(self.output / "trajectory.txt")
+        return TrajectoryInfo.model_validate(found).replace(path=path) if found else None
 
-    def _trajectory_problem(self) -> tuple[str | None, bool]:
-        path = self.output / "trajectory.txt"
-        if not _is_regular(path):
-            return "output/trajectory.txt is missing or not a regular file", True
-        if path.stat().st_size > _TRAJECTORY_LIMIT:
-            return f"output/trajectory.txt is larger than {_TRAJECTORY_LIMIT >> 20} MiB", False
-        try:
-            with path.open("rb") as file:
-                problem = compression_problem(file.fileno(), "output/trajectory.txt")
-            if problem:
-                return problem, False
-            read_estimate(path)
-        except EvaluationError as error:
-            return str(error).replace(str(path), "output/trajectory.txt"), False
-        return None, False
+    def _reported(self) -> dict[str, Any]:
+        """Return what metrics.json said, as summary.json has it."""
+        summary = self._summary() or {}
+        if not self._player.took_part:
+            return summary
+        # As below: the player adds what it counted.
+        found = read_metrics(str(self.output), bounded=False)
+        # One that another slamhive started knows from its summary what was offered.
+        offered = self._offered or (summary.get("frames") or {}).get("offered")
+        return {"frames": frame_counts(found, offered), "metrics": keep_values(found.values).values}
+
+    def _checked(self) -> dict[str, Any] | None:
+        """Return how the attempt ended, with what can be said of its trajectory."""
+        summary = self._summary()
+        if summary is None or not self._player.took_part:
+            return summary
+        # A player that lost its node writes what it heard after the supervisor has looked.
+        kept = {key: value for key, value in summary.items() if not key.startswith("trajectory")}
+        return kept | check_trajectory(str(self.output)).as_json()
 
     def _summary(self) -> dict[str, Any] | None:
-        try:
-            found = json.loads((self.folder / "summary.json").read_text())
-        except (OSError, ValueError):
-            return None
-        return found if isinstance(found, dict) else None
+        """Return how the attempt ended: as its supervisor said, where we started that."""
+        return self._program.summary() if self._program.started else self._kept_summary()
+
+    def _kept_summary(self) -> dict[str, Any] | None:
+        return _read_object(self.folder / "summary.json")
 
     def _lay_out(self, order: AttemptOrder) -> None:
+        # Nothing of an earlier attempt may pass for a result of this one.
         if self.folder.exists() and not erase(self.folder):
             raise SystemFault(f"{self.folder}: what an earlier attempt left can't be removed")
         for folder in (self.output, self.folder / "home", self.folder / "tmp"):
@@ -268,6 +246,7 @@ class Attempt:
         text = yaml.safe_dump(order.configuration.as_json(), sort_keys=False, allow_unicode=True)
         config = self.run / "config.yaml"
         config.write_text(text)
+        # Keeps out a slip of the algorithm, no attack: it has the same user.
         config.chmod(stat.S_IRUSR | stat.S_IRGRP | stat.S_IROTH)
 
     def _supervisor_spec(self, order: AttemptOrder, variables: Mapping[str, str]) -> SupervisorSpec:
@@ -285,27 +264,27 @@ class Attempt:
             cpus=order.cpus,
             timeout_seconds=seconds(order.spec["timeout"]),
             memory_limit_bytes=int(quantity(order.spec["resources"]["memory"])),
-            output_limit_bytes=_OUTPUT_LIMIT,
+            output_limit_bytes=int(quantity(OUTPUT_LIMIT)),
             data_seconds=order.configuration.dataset.duration_seconds,
+            frames=order.frames,
             includes_reader=order.entry.algorithm.spec.includes_reader,
             parent_pid=os.getpid(),
         )
 
     def _variables(self, order: AttemptOrder) -> dict[str, str]:
-        threads = str(max(1, len(order.cpus)))
-        kept = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
-        return kept | {
+        own = program_variables(
+            run=str(self.run),
+            seed=order.configuration.seed,
+            cores=len(order.cpus),
+            home=str(self.folder / "home"),
+            scratch=str(self.folder / "tmp"),
+        )
+        passed_on = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
+        return {
+            **passed_on,
+            **own,
             "PATH": f"{order.environment.path / 'bin'}:/usr/local/bin:/usr/bin:/bin",
-            "HOME": str(self.folder / "home"),
-            "TMPDIR": str(self.folder / "tmp"),
-            "LANG": "C.UTF-8",
             "PYTHONPATH": f"{order.entry.folder.parent}:{bundled('algorithms')}",
-            "OMP_WAIT_POLICY": "PASSIVE",
-            "PYTHONNOUSERSITE": "1",
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "SLAMHIVE_RUN": str(self.run),
-            "SLAMHIVE_SEED": str(order.configuration.seed),
-            **dict.fromkeys(_THREAD_VARIABLES, threads),
         }
 
 
@@ -322,37 +301,16 @@ def end_left_behind(runs: Path) -> None:
                 record.unlink()
 
 
-_THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "TBB_NUM_THREADS",
-)
+def _joined(remark: str | None, notes: Any) -> str | None:
+    """Return a remark with what the supervisor noted."""
+    found = [remark, *(notes if isinstance(notes, list) else ())]
+    return "; ".join(str(sentence) for sentence in found if sentence) or None
 
 
-def _is_shallow(value: Any, levels: int = 8) -> bool:
-    """Tell whether a value of JSON is nested so little that everything that writes it can."""
-    if isinstance(value, dict | list):
-        items = value.values() if isinstance(value, dict) else value
-        return levels > 0 and all(_is_shallow(item, levels - 1) for item in items)
-    return True
-
-
-def _is_regular(path: Path) -> bool:
+def _read_object(path: Path) -> dict[str, Any] | None:
+    """Return the JSON object in a file that the program may have written, None where there is none."""
     try:
-        return stat.S_ISREG(path.lstat().st_mode)
-    except OSError:
-        return False
-
-
-def _read_regular(path: Path, limit: int) -> str | None:
-    if not _is_regular(path) or path.stat().st_size > limit:
+        found = json.loads(read_regular(str(path), _OBJECT_LIMIT))
+    except (OSError, ValueError, RecursionError):
         return None
-    return path.read_text(encoding="utf-8", errors="replace")
-
-
-def _last_lines(path: Path, count: int = 3) -> str:
-    text = _read_regular(path, _METRICS_LIMIT) or ""
-    lines: Sequence[str] = [line for line in text.splitlines() if line.strip()]
-    return " ".join(lines[-count:])
+    return found if isinstance(found, dict) else None

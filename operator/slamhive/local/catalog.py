@@ -111,6 +111,7 @@ def load_workshop(home: Home | None = None) -> Workshop:
         ManifestError: a file of the catalog doesn't follow the language.
     """
     workshop = Workshop()
+    # The home's own come last, so that an entry there replaces the one of that name that comes with slamhive.
     sources = [(bundled("algorithms"), "algorithm.yaml"), (bundled("examples") / "datasets", "*.yaml")]
     if home is not None:
         sources += [(home.path / "algorithms", "algorithm.yaml"), (home.path / "datasets", "dataset.yaml")]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finished runs whose algorithm or dataset is another one today: kept beside the new ones, never mixed."""
+"""Results made stale by a changed algorithm or dataset: kept beside the new ones, never mixed."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ class Changes:
             point: what the plan says of it.
             content_hash: what the result was made from; None when it never got so far.
         """
+        # It failed before anything was made from its inputs: there is no result that could have changed.
         if content_hash is None:
             return False
         name = point.spec["algorithmRef"]["name"]
@@ -72,6 +73,7 @@ def set_aside(archive: Archive, uid: str) -> None:
         return
     aside = f"{uid}@{(record.provenance.content_hash or 'unknown')[:8]}"
     if archive.get(aside) is not None:
+        # The folder and the result are another run's: only this record of them goes.
         if record.provenance.reused_from is not None:
             archive.remove_run(uid)
             return

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether what an Algorithm declares is true, found out on a recording whose ground truth is exact."""
+"""Checks of what an Algorithm declares, by running it on a recording with exact ground truth.
+
+`slamhive algorithm check` prints them.
+"""
 
 from __future__ import annotations
 
@@ -146,7 +149,7 @@ def _meaning(bench: Workbench, mode: Mode, record: RunRecord) -> Iterator[Findin
     algorithm = bench.workshop.algorithm(record.spec["algorithmRef"]["name"]).algorithm
     output = algorithm.spec.output_of(mode)
     variant = bench.prepare(record.spec, algorithm)
-    truth = bench.evaluator.truth(record.spec["datasetRef"]["name"])
+    truth = bench.truth(record.spec["datasetRef"]["name"])
     result = record.results[0] if record.results else None
     if truth is None or result is None:
         yield Finding(Answer.UNKNOWN, f"{mode.name}: {record.message or 'it was not measured'}")
@@ -201,7 +204,7 @@ def _compared(what: str, own: Fit, others: Mapping[str, Fit], *, hidden: bool = 
     """
     told = f"{what}: {own}"
     if not others:
-        return Finding(Answer.HOLDS, f"{told}; no other is apart from it")
+        return Finding(Answer.HOLDS, f"{told}; there is no other to compare with")
     best = min(others, key=others.__getitem__)
     if hidden:
         return Finding(Answer.UNKNOWN, f"{told}; as {best}: {others[best]}; the drift is too large to tell")

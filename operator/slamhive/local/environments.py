@@ -36,6 +36,11 @@ _PASSING = re.compile(
 )
 """Words of pip about what another try may mend; without any, another try ends as the first did."""
 _BROKEN = re.compile(r"after connection broken by '(\w+)")
+_NO_WHEEL = re.compile(r"No matching distribution found for ([\w.-]+).*")
+_PASSED_ON = re.compile(
+    r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TZ|TMPDIR|LD_LIBRARY_PATH|XDG_(CONFIG|CACHE)_(HOME|DIRS)|PIP_\w+"
+    r"|(HTTPS?|ALL|NO)_PROXY|(https?|all|no)_proxy|SSL_CERT_(FILE|DIR)|(REQUESTS|CURL)_CA_BUNDLE"
+)
 _CLAUSE = re.compile(r"^\s*(>=|<=|==|!=|<|>)\s*([0-9]+)\.([0-9]+)\s*$")
 
 
@@ -105,6 +110,7 @@ class Environments:
         path = self._folder / key
         if not (path / _MARKER).exists():
             with lock(self._folder / f"{key}.lock") as held:
+                # Looked at again under the lock: another slamhive may have made it while this one waited.
                 if not (path / _MARKER).exists():
                     self._make(entry.name, path, python, requirements, held)
         environment = Environment(path, self.digest(entry))
@@ -130,12 +136,20 @@ class Environments:
     @staticmethod
     def _fill(name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
         seeing = ["--system-site-packages"] if python.beside else []
-        make = [python.path, "-m", "venv", *seeing, str(path)]
+        needed = _anything_in(requirements)
+        # pip alone takes seconds to be installed, and nobody needs it where there is nothing to install.
+        make = [python.path, "-m", "venv", *seeing, *([] if needed else ["--without-pip"]), str(path)]
         _command(make, f"environment of {name}", requirements.parent, held)
-        pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
-        install = [*pip, "install", "--quiet", "-r", str(requirements)]
-        _command(install, f"packages of {name}", requirements.parent, held)
+        if needed:
+            Environments._install(name, path, requirements, held)
         (path / _MARKER).touch()
+
+    @staticmethod
+    def _install(name: str, path: Path, requirements: Path, held: int | None) -> None:
+        pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
+        # Wheels alone: a source package runs a program of its own to install itself.
+        install = [*pip, "install", "--quiet", "--only-binary", ":all:", "-r", str(requirements)]
+        _command(install, f"packages of {name}", requirements.parent, held)
 
 
 @dataclass(frozen=True)
@@ -154,7 +168,7 @@ class Interpreter:
 
 
 def availability(entry: AlgorithmEntry) -> str | None:
-    """Say why an algorithm can't run on this machine as far as can be told without installing it."""
+    """Say why an algorithm can't run on this machine, as far as that shows without installing it."""
     try:
         interpreter(_program(entry), ros=entry.algorithm.spec.ros1 is not None)
     except Unavailable as error:
@@ -206,6 +220,8 @@ def _probe(name: str) -> Interpreter | None:
     if path is None:
         return None
     code = "import sys, venv, ensurepip; print(*sys.version_info[:2])"
+    # Debian's Python comes without venv and ensurepip: an interpreter that lacks them can't make
+    # environments.
     result = subprocess.run([path, "-I", "-c", code], capture_output=True, text=True, check=False, timeout=30)
     if result.returncode != 0:
         return None
@@ -235,7 +251,7 @@ def _accepts(clauses: str, version: tuple[int, int]) -> bool:
 def _program(entry: AlgorithmEntry) -> LocalProgram:
     program = entry.algorithm.spec.local
     if program is None:
-        raise Unavailable("has an image alone; a workstation runs algorithms that say how under spec.local")
+        raise Unavailable("has a container image only; a workstation runs algorithms with spec.local")
     return program
 
 
@@ -300,17 +316,39 @@ def _explained(what: str, told: str, *, by_itself: bool) -> SlamHiveError:
     errors = [line for line in lines if line.startswith("ERROR: ")]
     passing = [line for line in lines if _PASSING.search(line) and not line.startswith(_NOT_THERE)]
     if by_itself and errors and not passing:
-        return Unavailable(f"{what} can't be installed: {errors[-1].removeprefix('ERROR: ')}")
+        why = errors[-1].removeprefix("ERROR: ")
+        return Unavailable(f"{what} can't be installed: {why}{_of_source(why)}")
     last = (passing or errors or lines or ["no message"])[-1].removeprefix("ERROR: ")
     broken = _BROKEN.search(last)
     why = f"the package index can't be reached ({broken.group(1)})" if broken else last
     return SystemFault(f"{what} could not be made: {why}")
 
 
+def _of_source(why: str) -> str:
+    found = _NO_WHEEL.fullmatch(why)
+    if found is None:
+        return ""
+    return (
+        f" among the wheels; if there is only source, a line --no-binary {found.group(1)} among the "
+        "requirements lets its own setup program run"
+    )
+
+
 def _surroundings() -> dict[str, str]:
-    """Return our variables without those that make Python import what merely lies about."""
-    kept = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    """Return the variables that programs and pip need: paths, package index, proxies, certificates.
+
+    Packages may bring programs of their own for their setup: tokens and keys that are ours are not for them,
+    nor what makes Python import what merely lies about.
+    """
+    kept = {key: value for key, value in os.environ.items() if _PASSED_ON.fullmatch(key)}
     return kept | {"PYTHONSAFEPATH": "1"}
+
+
+def _anything_in(requirements: Path) -> bool:
+    """Tell whether a file of requirements has more than comments."""
+    # As bytes: pip reads encodings that we need not know.
+    lines = (line.strip() for line in requirements.read_bytes().splitlines())
+    return any(line and not line.startswith(b"#") for line in lines)
 
 
 def _sha256(path: Path) -> str:

@@ -8,18 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.measuring import SEGMENTS, SETTINGS_KEY, measure, read_estimate, settings_hash
 from slamhive.analysis.subjects import Surroundings, subject_of
+from slamhive.contract.files import compression_problem
 from slamhive.data.entries import file_sha256
-from slamhive.data.groundtruth import ground_truth
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.sensors import SensorMode
-from slamhive.monitor.files import compression_problem
 from slamhive_eval import EvaluationError, read_segments
 
 if TYPE_CHECKING:
-    from slamhive.data.groundtruth import GroundTruthPoses
     from slamhive.data.preparation import Variant
-    from slamhive.local.attempt import Attempt
-    from slamhive.local.run import RunOrder
     from slamhive.local.workbench import Workbench
     from slamhive.model.evaluation import EvaluationSettings
     from slamhive.model.results import Result, RunRecord
@@ -34,13 +30,6 @@ class Evaluator:
 
     def __init__(self, bench: Workbench) -> None:
         self._bench = bench
-        self._truths: dict[str, GroundTruthPoses | None] = {}
-
-    def measure_attempt(self, attempt: Attempt, order: RunOrder, variant: Variant | None) -> list[Result]:
-        """Return the result of an attempt that ended well; none where there is no ground truth."""
-        path = attempt.output / "trajectory.txt"
-        result = self.measure_file(path, order.point.spec, order.settings, variant)
-        return [result] if result else []
 
     def measure_file(
         self,
@@ -66,7 +55,7 @@ class Evaluator:
         Raises:
             InputError: the settings, the trajectory or the ground truth can't be used.
         """
-        truth = self.truth(spec["datasetRef"]["name"])
+        truth = self._bench.truth(spec["datasetRef"]["name"])
         if truth is None:
             return None
         algorithm = self._bench.workshop.algorithm(spec["algorithmRef"]["name"]).algorithm
@@ -77,7 +66,7 @@ class Evaluator:
             by_role={role: sensor.T_body_sensor for role, sensor in variant.sensors.items()},
             by_name={sensor: found.T_body_sensor for sensor, found in dataset.sensors.items()},
             remap=spec["input"].get("remap"),
-            gravity_aligned=dataset.gravity_aligned,
+            gravity_aligned=dataset.has_level_truth,
             window=(variant.start_time, variant.start_time + variant.duration_seconds),
         )
         subject = subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)
@@ -93,23 +82,30 @@ class Evaluator:
         except EvaluationError as error:
             raise InputError(str(error)) from None
 
-    def can_serve(self, twin: RunRecord, order: RunOrder) -> bool:
-        """Tell whether an equal run's results are under the order's settings, or can be measured so."""
-        if not order.point.spec["evaluate"] or self._fitting(twin, order):
+    def can_serve(self, twin: RunRecord, spec: dict[str, Any], settings: EvaluationSettings) -> bool:
+        """Tell whether an equal run's results are under some settings, or can be measured so."""
+        if not spec["evaluate"] or _fitting(twin, settings):
             return True
         return self.trajectory_of(twin) is not None
 
-    def results_of_twin(self, twin: RunRecord, order: RunOrder) -> list[Result]:
-        """Return an equal run's results under the order's settings, measured again if need be.
+    def results_of_twin(
+        self, twin: RunRecord, spec: dict[str, Any], settings: EvaluationSettings
+    ) -> list[Result]:
+        """Return an equal run's results under some settings, measured again if need be.
+
+        Args:
+            twin: the equal run.
+            spec: the resolved spec of the run that takes them over.
+            settings: how that one is measured.
 
         Raises:
             InputError: it can't be measured with these settings.
         """
-        fitting = self._fitting(twin, order)
+        fitting = _fitting(twin, settings)
         path = self.trajectory_of(twin)
-        if fitting or not order.point.spec["evaluate"] or path is None:
+        if fitting or not spec["evaluate"] or path is None:
             return fitting
-        result = self.measure_file(path, order.point.spec, order.settings)
+        result = self.measure_file(path, spec, settings)
         return [result] if result else []
 
     def trajectory_of(self, record: RunRecord) -> Path | None:
@@ -122,28 +118,17 @@ class Evaluator:
         for place in (folder, moved):
             path = place / "run" / "output" / "trajectory.txt"
             try:
+                # The run folder may hold a later attempt by now, or an edited file: the checksum decides.
                 if record.trajectory and file_sha256(path) == record.trajectory.sha256:
                     return path
             except DataError:
                 continue
         return None
 
-    @staticmethod
-    def _fitting(twin: RunRecord, order: RunOrder) -> list[Result]:
-        wanted = settings_hash(order.settings)
-        return [result for result in twin.results if result.values.get(SETTINGS_KEY) == wanted]
 
-    def truth(self, name: str) -> GroundTruthPoses | None:
-        """Return a dataset's ground truth, read once; None where it has none.
-
-        Raises:
-            InputError: it can't be read.
-        """
-        entry = self._bench.dataset(name)
-        with self._bench.lock(name):
-            if name not in self._truths:
-                self._truths[name] = ground_truth(entry, self._bench.home.folder("truths"))
-            return self._truths[name]
+def _fitting(twin: RunRecord, settings: EvaluationSettings) -> list[Result]:
+    wanted = settings_hash(settings)
+    return [result for result in twin.results if result.values.get(SETTINGS_KEY) == wanted]
 
 
 def _require_plain(path: Path) -> None:

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.analysis.measuring import SETTINGS_KEY, intended_evaluations, settings_hash
-from slamhive.model.errors import SlamHiveError
-from slamhive.model.results import Phase, RunRecord
+from slamhive.local.evaluating import Evaluator
+from slamhive.model.errors import SlamHiveError, SystemFault, sentence
+from slamhive.model.results import NOT_EVALUATED, Phase, RunRecord
 from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
@@ -19,30 +20,47 @@ if TYPE_CHECKING:
     from slamhive.model.evaluation import Evaluation, EvaluationSettings, RunSelector
 
 
-def evaluate_again(bench: Workbench, evaluation: Evaluation) -> tuple[int, list[str]]:
+class Unmeasured(NamedTuple):
+    """A run that could not be measured.
+
+    Attributes:
+        sentence: which, and why.
+        is_fault: whether the machine or a file is to blame: it would be measured but for that.
+    """
+
+    sentence: str
+    is_fault: bool = False
+
+    def of(self, run: str) -> Unmeasured:
+        """Return the same with the name of the run."""
+        return self._replace(sentence=f"{run}: {self.sentence}")
+
+
+def evaluate_again(bench: Workbench, evaluation: Evaluation) -> tuple[int, list[Unmeasured]]:
     """Measure the runs that an Evaluation selects, and keep the results under its name.
 
     Returns:
-        How many were measured, and a sentence for each that could not be.
+        How many were measured, and what could not be.
     """
     done, problems = 0, []
     for record in list(select(bench.archive, evaluation.spec.runs)):
+        # Noted first: a run that can't be measured then counts as failed in this Evaluation.
         _intend(bench, record, evaluation.spec, evaluation.name)
         problem = measure_record(bench, record, evaluation.spec, evaluation.name)
         if problem is None:
             done += 1
         else:
-            problems.append(f"{record.name}: {problem}")
+            problems.append(problem.of(record.name))
     if not done and not problems:
-        problems.append("no finished run is selected")
+        problems.append(Unmeasured("no finished run is selected"))
     return done, problems
 
 
-def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSettings) -> list[str]:
+def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSettings) -> list[Unmeasured]:
     """Measure a sweep's finished runs whose results were made with other settings than these.
 
     Returns:
-        A sentence for each run that could not be measured.
+        The runs that could not be measured.
     """
     wanted = settings_hash(settings)
     problems = []
@@ -56,40 +74,46 @@ def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSetti
             continue
         problem = measure_record(bench, record, settings)
         if problem is not None:
-            problems.append(f"{record.name}: {problem}")
+            problems.append(problem.of(record.name))
     return problems
 
 
 def measure_record(
     bench: Workbench, record: RunRecord, settings: EvaluationSettings, name: str | None = None
-) -> str | None:
+) -> Unmeasured | None:
     """Measure a finished run and keep the result.
 
     Returns:
         Why it could not be, or None.
     """
     if record.phase is not Phase.SUCCEEDED:
-        return f"{record.phase}, it has no trajectory"
-    path = bench.evaluator.trajectory_of(record)
+        return Unmeasured(f"{record.phase}, it has no trajectory")
+    path = Evaluator(bench).trajectory_of(record)
     if path is None:
-        return "its trajectory is not on this machine any more"
+        return Unmeasured("its trajectory is not on this machine any more")
     dataset, known = record.spec["datasetRef"]["name"], record.provenance.dataset_sha256
     try:
+        # Measured against a ground truth of later, an old trajectory would get errors that it doesn't have.
         if known is not None and known != bench.checksum(dataset):
-            return f"dataset {dataset!r} is not what it was when this run was made"
-        result = bench.evaluator.measure_file(path, record.spec, settings, name=name)
-    except SlamHiveError as error:
-        return str(error)
+            return Unmeasured(f"dataset {dataset!r} has changed since this run was made")
+        result = Evaluator(bench).measure_file(path, record.spec, settings, name=name)
+    except (SlamHiveError, OSError) as error:
+        return Unmeasured(sentence(error), is_fault=isinstance(error, SystemFault | OSError))
     if result is None:
-        return "its dataset has no ground truth"
-    bench.archive.put_result(record.uid, result)
+        return Unmeasured("its dataset has no ground truth")
+    said, why, _ = (record.message or "").partition(NOT_EVALUATED)
+    if why:  # it is now
+        message = said.removesuffix("; ") or None
+        bench.archive.put_run(record.replace(message=message, results=[result]))
+    else:
+        bench.archive.put_result(record.uid, result)
     return None
 
 
 def _intend(
     bench: Workbench, record: RunRecord, settings: EvaluationSettings, name: str | None = None
 ) -> None:
-    """Note with a run that it is meant to be measured like this: a failed one counts as failed in it."""
+    """Note an intended evaluation at a run: if the run failed, it counts as failed there."""
     dataset = None
     with suppress(SlamHiveError):
         dataset = bench.workshop.dataset(record.spec["datasetRef"]["name"]).dataset.spec
@@ -109,8 +133,5 @@ def select(archive: Archive, selector: RunSelector) -> Iterator[RunRecord]:
         sweep = archive.sweep(name)
         where = {"sweep_uid": sweep.uid} if sweep else {"sweep": name}
     for record in archive.runs(where):
-        if selector.names and record.name not in selector.names:
-            continue
-        if any(record.labels.get(key) != value for key, value in selector.match_labels.items()):
-            continue
-        yield record
+        if selector.selects(record.name, record.sweep, record.labels):
+            yield record

@@ -14,9 +14,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import subprocess
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -24,7 +21,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import slamhive
+from slamhive.local.supervision import Supervised
 from slamhive.model.errors import SystemFault
+from slamhive.model.results import Reason
 from slamhive.monitor import SupervisorSpec
 from slamhive.playback.building import play_request
 from slamhive.playback.outcome import Played, read_report
@@ -34,7 +33,8 @@ from slamhive.playback.ros import find_ros, what_it_takes
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.attempt import AttemptOrder
+    from slamhive.model.algorithm import AlgorithmSpec
+    from slamhive.model.configuration import RunConfiguration
     from slamhive.playback.protocol import PlayRequest
     from slamhive.playback.ros import Ros
 
@@ -53,16 +53,28 @@ class Player:
     def __init__(self, folder: Path) -> None:
         self._folder = folder / "player"
         self._run = folder / "run"
-        self._process: subprocess.Popen[bytes] | None = None
+        self._program = Supervised(self._folder)
         self._stopping = False
+
+    @property
+    def took_part(self) -> bool:
+        """Whether there was something to play to this attempt, by whichever slamhive started it."""
+        return self._folder.is_dir()
 
     @property
     def record(self) -> Path:
         """Where its supervisor says who runs."""
-        return self._folder / "process.json"
+        return self._program.record
 
-    def start(self, order: AttemptOrder) -> dict[str, str]:
+    def start(
+        self, algorithm: AlgorithmSpec, configuration: RunConfiguration, cpus: tuple[int, ...]
+    ) -> dict[str, str]:
         """Start the player, if the attempt needs one, and wait until a node may be started.
+
+        Args:
+            algorithm: what is run.
+            configuration: what the run's config.yaml says.
+            cpus: logical processors on which the algorithm is measured.
 
         Returns:
             Variables by which the algorithm finds it.
@@ -71,8 +83,8 @@ class Player:
             SystemFault: It can't be started.
         """
         request = play_request(
-            order.entry.algorithm.spec,
-            order.configuration,
+            algorithm,
+            configuration,
             run=str(self._run),
             folder=str(self._folder),
             mark=f"SLAMHIVE_RUN={self._run}",
@@ -83,34 +95,19 @@ class Player:
         if ros is None:
             raise SystemFault(f"the player {what_it_takes()}")
         self._lay_out(request)
-        path = self._folder / "supervisor.json"
-        path.write_text(self._supervisor_spec(ros).to_json())
-        with (self._folder / "supervisor.log").open("wb") as log, _elsewhere(order.cpus):
-            self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    "slamhive.monitor",
-                    "--spec",
-                    str(self._folder / "supervisor.json"),
-                ],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=log,
-                start_new_session=True,
-            )
+        # The player must take no CPU time from the cores on which the algorithm is measured.
+        with _elsewhere(cpus):
+            self._program.start(self._supervisor_spec(ros))
         self._wait_until_ready()
         return _variables(ros, self._master(), self._folder)
 
     def watch(self, end: Callable[[], None]) -> None:
         """Call a function if the player ends before it was asked to: nobody else would end the algorithm."""
-        process = self._process
-        if process is None:
+        if not self._program.started:
             return
 
         def look() -> None:
-            process.wait()
+            self._program.wait()
             played = self.played()
             if not self._stopping and not (played and played.completed):
                 end()
@@ -120,22 +117,28 @@ class Player:
     def stop(self) -> None:
         """Ask it to end, as the algorithm has."""
         self._stopping = True
-        if self._process is not None and self._process.poll() is None:
-            self._process.send_signal(signal.SIGTERM)
+        self._program.end()
 
     def wait(self) -> None:
         """Wait until it is gone."""
-        if self._process is not None:
-            self._process.wait()
+        self._program.wait()
 
     def played(self) -> Played | None:
         """Return how playing ended, None where nothing was to be played."""
         if not self._folder.is_dir():
             return None
+        # Asked before the report is read: the report lies where the algorithm can write.
+        if self._program.started and not self._program.running and self._was_killed():
+            return Played(False, "SystemFault", "the player was killed")
         report = read_report(self._run / "output")
         if report is not None:
             return report
         return Played(False, "SystemFault", self._last_line())
+
+    def _was_killed(self) -> bool:
+        """Tell whether another than us ended it: the algorithm can write what it says, not how it ended."""
+        summary = self._program.summary() or {"signal": True}
+        return summary.get("signal") is not None and summary.get("reason") != Reason.CANCELLED
 
     def _lay_out(self, request: PlayRequest) -> None:
         for name in ("home", "tmp", "code"):
@@ -171,8 +174,7 @@ class Player:
     def _wait_until_ready(self) -> None:
         deadline = time.monotonic() + _READY_SECONDS
         while not (self._folder / READY_FILE).exists():
-            process = self._process
-            if process is None or process.poll() is not None or time.monotonic() > deadline:
+            if not self._program.running or time.monotonic() > deadline:
                 self.stop()
                 self.wait()
                 raise SystemFault(f"the player doesn't start: {self._last_line()}")
@@ -182,13 +184,12 @@ class Player:
         return str(json.loads((self._folder / MASTER_FILE).read_text())["uri"])
 
     def _last_line(self) -> str:
-        for name in ("log.txt", "supervisor.log"):
-            with suppress(OSError):
-                text = (self._folder / name).read_text(encoding="utf-8", errors="replace")
-                lines = [line.strip() for line in text.splitlines() if line.strip()]
-                if lines:
-                    return lines[-1]
-        return "the player was killed"
+        with suppress(OSError):
+            text = (self._folder / "log.txt").read_text(encoding="utf-8", errors="replace")
+            lines = [line.strip() for line in text.splitlines() if line.strip()]
+            if lines:
+                return lines[-1]
+        return self._program.last_words() or "the player was killed"
 
 
 def _variables(ros: Ros, master: str, folder: Path) -> dict[str, str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Driving one run on this machine: observe, decide, act, until it is finished."""
+"""Executor of one run on this machine: observes, decides and acts until the run is finished."""
 
 from __future__ import annotations
 
@@ -25,13 +25,24 @@ from slamhive.engine import (
     Stop,
     VariantState,
     decide_run,
+    taken_over,
 )
 from slamhive.local.attempt import Attempt, AttemptOrder
 from slamhive.local.environments import Unavailable
+from slamhive.local.evaluating import Evaluator
 from slamhive.model.configuration import PreparedRecording
-from slamhive.model.errors import InputError, SlamHiveError
-from slamhive.model.results import IntendedEvaluation, Phase, Provenance, Reason, Result, RunRecord
+from slamhive.model.errors import InputError, SlamHiveError, sentence
+from slamhive.model.results import (
+    NOT_EVALUATED,
+    IntendedEvaluation,
+    Phase,
+    Provenance,
+    Reason,
+    Result,
+    RunRecord,
+)
 from slamhive.model.sensors import SensorMode
+from slamhive.monitor.machine import cpu_model
 from slamhive.plan import recording_fields, run_configuration
 
 if TYPE_CHECKING:
@@ -40,7 +51,6 @@ if TYPE_CHECKING:
     from slamhive.data.preparation import Variant
     from slamhive.local.catalog import AlgorithmEntry
     from slamhive.local.environments import Environment
-    from slamhive.local.evaluating import Evaluator
     from slamhive.local.workbench import Workbench
     from slamhive.model.configuration import RunConfiguration
     from slamhive.model.evaluation import EvaluationSettings
@@ -139,7 +149,7 @@ class RunDriver:
         self._attempt.stop()
 
     def drive(self) -> RunRecord:
-        """Lead the run to its end and return what is to be recorded of it.
+        """Execute the run until it finishes, and return its record.
 
         An error that nobody foresaw is this run's own end, never that of the others.
         """
@@ -153,7 +163,10 @@ class RunDriver:
 
     def _lead(self, created: datetime) -> RunRecord:
         os.sched_setaffinity(0, self._cpus)  # of this thread: what prepares and measures shares its cores
-        self._look_up()
+        with suppress(SlamHiveError, OSError):  # preparing meets it again and gives it its reason
+            self._look_up()
+        # The folder is the truth: a slamhive that was killed may have left a finished attempt there, not yet
+        # archived.
         taken_up = self._progress.attempt_state is AttemptState.ENDED
         state = RunState(attempts=1 if taken_up else 0)
         while not state.phase.is_finished:
@@ -199,28 +212,34 @@ class RunDriver:
                 self._progress.variant_state = VariantState.ABSENT
 
     def _look_up(self) -> None:
-        """Find out what makes the result what it is, and whether it is there already."""
+        """Find out what makes the result what it is, and whether it is there already.
+
+        Raises:
+            SlamHiveError: it can't be found out.
+            OSError: the disk refuses.
+        """
         progress, order, bench = self._progress, self._order, self._bench
         progress.provenance = known = bench.circumstances(order.point.spec_hash)
-        try:
-            program = bench.program(self._spec["algorithmRef"]["name"])
-            progress.provenance = known.replace(
-                algorithm_hash=program.algorithm_hash, environment=program.environment
-            )
-            progress.provenance = bench.provenance(self._spec, order.point.spec_hash, program)
-        except (SlamHiveError, OSError):
-            return  # preparing meets it again and gives it its reason
+        program = bench.program(self._spec["algorithmRef"]["name"])
+        progress.provenance = known.replace(
+            algorithm_hash=program.algorithm_hash, environment=program.environment
+        )
+        progress.provenance = bench.provenance(self._spec, order.point.spec_hash, program)
         hashed = progress.provenance.content_hash or ""
         if order.take_up and self._attempt.finished(order.uid, hashed):
             progress.attempt_state = AttemptState.ENDED
         else:
             twin = self._equal(hashed)
-            progress.twin = twin if twin and self._evaluator.can_serve(twin, order) else None
+            progress.twin = (
+                twin if twin and self._evaluator.can_serve(twin, self._spec, order.settings) else None
+            )
 
     def _equal(self, content_hash: str) -> RunRecord | None:
         """Return a finished run of the same content whose result may be taken."""
         order, archive = self._order, self._bench.archive
         twin = archive.get(order.twin) if order.twin else None
+        # Points of one sweep that come out equal run once even where reuse is off: `order.twin` is the
+        # earlier one.
         if twin and twin.phase is Phase.SUCCEEDED and twin.provenance.content_hash == content_hash:
             return twin
         return archive.find_reusable(content_hash) if order.reuse else None
@@ -257,14 +276,23 @@ class RunDriver:
         try:
             if progress.variant is None:
                 progress.variant = bench.prepare(self._spec, self._algorithm.algorithm)
-            progress.results = self._evaluator.measure_attempt(self._attempt, self._order, progress.variant)
+            path, settings = self._attempt.output / "trajectory.txt", self._order.settings
+            result = self._evaluator.measure_file(path, self._spec, settings, progress.variant)
+            progress.results = [result] if result else []
         except (SlamHiveError, OSError) as error:
-            progress.remark = f"not evaluated: {error}"
+            progress.remark = f"{NOT_EVALUATED}{sentence(error)}"
 
     def _prepare(self) -> None:
         progress, bench = self._progress, self._bench
         try:
             progress.environment = bench.environments.get(self._algorithm)
+            if progress.provenance.content_hash is None:
+                # The disk may have refused before: no run is made without saying of what, nor one that is
+                # there already. What is wrong with the data stays so; who prepares or measures says it.
+                with suppress(InputError):
+                    self._look_up()
+                if progress.twin is not None or progress.attempt_state is AttemptState.ENDED:
+                    return
             progress.variant = bench.prepare(self._spec, self._algorithm.algorithm)
             progress.variant_state = VariantState.READY
         except (SlamHiveError, OSError) as error:
@@ -282,6 +310,7 @@ class RunDriver:
             entry=self._algorithm,
             environment=progress.environment,
             dataset=progress.variant.folder,
+            frames=progress.variant.frames,
             spec=self._spec,
             cpus=self._cpus,
         )
@@ -291,6 +320,7 @@ class RunDriver:
                     # What is done again isn't finished: its files go now, so does what was measured on them.
                     self._bench.archive.remove_run(self._order.uid)
                 self._attempt.start(order)
+                # Cancelled while the attempt was starting: `cancel` found nothing to stop then.
                 if self._cancelled.is_set():
                     self._attempt.stop()
                 self._attempt.wait()
@@ -315,6 +345,8 @@ class RunDriver:
 
     def _record(self, state: RunState, created: datetime) -> RunRecord:
         progress, order, attempt = self._progress, self._order, self._attempt
+        ended = progress.attempt_state is AttemptState.ENDED
+        kept = attempt.collect() if ended else None
         base = RunRecord(
             uid=order.uid,
             name=order.point.name,
@@ -327,27 +359,27 @@ class RunDriver:
             attributes=self._bench.attributes(self._spec["datasetRef"]["name"]),
             phase=state.phase,
             reason=state.reason,
-            message="; ".join(filter(None, (state.message, progress.remark))) or None,
-            attempts=state.attempts,
+            message=_joined(state.message, kept, progress.remark),
+            attempts=max(state.attempts, int(ended)),
             created=created,
             finished=datetime.now(UTC),
             provenance=self._provenance(),
         )
         if progress.twin is not None and state.phase is Phase.SUCCEEDED:
             try:
-                results = self._evaluator.results_of_twin(progress.twin, order)
+                results = self._evaluator.results_of_twin(progress.twin, self._spec, order.settings)
             except (SlamHiveError, OSError) as error:
-                base, results = base.replace(message=f"not evaluated: {error}"), []
-            return _from_twin(base, progress.twin, results)
-        if progress.attempt_state is not AttemptState.ENDED:
+                base, results = base.replace(message=f"{NOT_EVALUATED}{sentence(error)}"), []
+            taken = taken_over(progress.twin, self._recording(), [cpu_model()])
+            return base.replace(**taken, results=results)
+        if not ended:
             return base
-        attempt.collect()
         started, finished = attempt.times()
         return base.replace(
             started=datetime.fromisoformat(started) if started else None,
             finished=datetime.fromisoformat(finished) if finished else base.finished,
             usage=attempt.usage(),
-            frames=attempt.frames(progress.variant.frames if progress.variant else None),
+            frames=attempt.frames(self._progress.variant.frames if self._progress.variant else None),
             metrics=attempt.metrics(),
             trajectory=attempt.trajectory(),
             results=progress.results,
@@ -356,50 +388,41 @@ class RunDriver:
         )
 
     def _intended(self) -> list[IntendedEvaluation]:
-        """Return what the run is meant to be measured by, whether it comes to that or not."""
+        """Return the run's intended evaluations, whether it comes to them or not."""
         if not self._spec["evaluate"]:
             return []
         dataset = None
+        # A dataset that can't be read is told of by whoever prepares it; the record only lacks its evaluation
+        # then.
         with suppress(SlamHiveError):
             dataset = self._bench.workshop.dataset(self._spec["datasetRef"]["name"]).dataset.spec
         return intended_evaluations(self._order.settings, SensorMode(self._spec["sensors"]), dataset)
 
     def _provenance(self) -> Provenance:
         """Return what made the result, with what the recording gave of what was asked of it."""
+        return self._progress.provenance.replace(**self._recording())
+
+    def _recording(self) -> dict[str, Any]:
+        """Return the fields of the provenance that say what the run was given of its recording."""
         progress, spec = self._progress, self._spec
         prepared = progress.variant.told if progress.variant else None
         if progress.twin is not None:
             prepared = progress.twin.provenance.prepared
         mode = self._algorithm.algorithm.spec.mode(SensorMode(spec["sensors"]))
         dataset = self._bench.workshop.dataset(spec["datasetRef"]["name"]).dataset
-        return progress.provenance.replace(
-            **recording_fields(spec["input"], self._order.point.asked, dataset, mode, prepared)
-        )
+        return recording_fields(spec["input"], self._order.point.asked, dataset, mode, prepared)
 
     @property
     def _evaluator(self) -> Evaluator:
-        return self._bench.evaluator
+        return Evaluator(self._bench)
 
     @property
     def _algorithm(self) -> AlgorithmEntry:
         return self._bench.workshop.algorithm(self._spec["algorithmRef"]["name"])
 
 
-def _from_twin(record: RunRecord, twin: RunRecord, results: list[Result]) -> RunRecord:
-    """Return a run's record with an equal run's result; its usage only when the processor is the same."""
-    same_cpu = twin.provenance.cpu_model == record.provenance.cpu_model
-    return record.replace(
-        started=twin.started,
-        finished=twin.finished,
-        usage=twin.usage if same_cpu else None,
-        frames=twin.frames,
-        metrics=twin.metrics,
-        trajectory=twin.trajectory,
-        results=results,
-        folder=twin.folder,
-        log_tail=twin.log_tail,
-        provenance=record.provenance.replace(reused_from=twin.name),
-    )
+def _joined(*sentences: str | None) -> str | None:
+    return "; ".join(filter(None, sentences)) or None
 
 
 def _problem(error: Exception) -> tuple[Reason, str]:
@@ -407,4 +430,4 @@ def _problem(error: Exception) -> tuple[Reason, str]:
         return Reason.ALGORITHM_UNAVAILABLE, str(error)
     if isinstance(error, InputError):
         return Reason.PREPARATION_FAILED, str(error)
-    return Reason.SYSTEM_FAULT, str(error)
+    return Reason.SYSTEM_FAULT, sentence(error)

@@ -158,6 +158,7 @@ class Runner:
         Returns:
             Whether it was interrupted.
         """
+        # First of all: what a killed slamhive left running would disturb what is measured now.
         end_left_behind(self._bench.home.path / "runs")
         sweep_stale_cgroups()
         self._bench.tidy()
@@ -191,6 +192,8 @@ class Runner:
             index = point.index
             if index is None or index >= len(job.points) or uid != job.run_uid(index):
                 continue
+            # A finished run of a changed adapter, environment or dataset is another experiment: it is kept
+            # aside, and done again.
             if changed.since(uid, job.points.point(index), point.content_hash):
                 continue
             if point.phase is Phase.SUCCEEDED:
@@ -292,6 +295,7 @@ class Runner:
         cpus = tuple(cpu for core in cores for cpu in core)
         driver = RunDriver(order, self._bench, cpus, lambda phase: self._watcher.phase(job, index, phase))
         with self._lock:
+            # A run that waited for cores while its job was stopped must not begin any more.
             if job.uid in self._stopped:
                 return None
             self._drivers[job.uid, index] = driver
@@ -323,6 +327,7 @@ class Runner:
 
     def _keep(self, ended: _Ended) -> None:
         job, record = ended.job, ended.record
+        # What was cancelled is no result: the next `slamhive run` does it again.
         if record is None or record.phase is Phase.CANCELLED:
             job.states[ended.index] = PointState.PENDING
             return

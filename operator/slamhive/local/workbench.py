@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the runs of a workstation share: catalog, datasets, environments, archive."""
+"""Context that the runs of a workstation share: catalog, datasets, environments and archive."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ import threading
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive import __version__
+from slamhive.data.groundtruth import ground_truth
 from slamhive.data.preparation import evict_variants, prepare
 from slamhive.data.store import DatasetEntry, dataset_sha256, materialise
 from slamhive.data.version import VERSION
-from slamhive.local.cores import cpu_model
 from slamhive.local.environments import Environments
-from slamhive.local.evaluating import Evaluator
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError
 from slamhive.model.results import Provenance
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
+from slamhive.monitor.machine import cpu_model
 from slamhive.plan import algorithm_hash, content_hash
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from slamhive.archive import Archive
+    from slamhive.data.groundtruth import GroundTruthPoses
     from slamhive.data.preparation import Variant
     from slamhive.local.catalog import Workshop
     from slamhive.local.home import Home
@@ -62,10 +63,10 @@ class Workbench:
         self.workshop = workshop
         self.archive = archive
         self.environments = Environments(home.folder("environments"), notify)
-        self.evaluator = Evaluator(self)
         self._notify = notify
         self._datasets: dict[str, DatasetEntry] = {}
         self._checksums: dict[str, str] = {}
+        self._truths: dict[str, GroundTruthPoses | None] = {}
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
 
@@ -77,6 +78,8 @@ class Workbench:
             SystemFault: it can't be generated right now.
         """
         place = self.workshop.dataset(name)
+        # One lock a dataset: parallel runs generate or hash it once, and runs of other datasets need not
+        # wait.
         with self.lock(name):
             if name not in self._datasets:
                 self._datasets[name] = materialise(
@@ -96,13 +99,25 @@ class Workbench:
                 self._checksums[name] = dataset_sha256(entry, self.home.folder("variants") / ".hashes")
             return self._checksums[name]
 
+    def truth(self, name: str) -> GroundTruthPoses | None:
+        """Return a dataset's ground truth, read once; None where it has none.
+
+        Raises:
+            InputError: it can't be read.
+        """
+        entry = self.dataset(name)
+        with self.lock(name):
+            if name not in self._truths:
+                self._truths[name] = ground_truth(entry, self.home.folder("truths"))
+            return self._truths[name]
+
     def lock(self, name: str) -> threading.Lock:
         """Return the lock on what is known of a dataset: finding it out may take minutes, for it alone."""
         with self._lock:
             return self._locks.setdefault(name, threading.Lock())
 
     def tell(self, sentence: str) -> None:
-        """Say something to whoever watches."""
+        """Pass a sentence to the caller's `notify`."""
         self._notify(sentence)
 
     def program(self, name: str) -> Program:

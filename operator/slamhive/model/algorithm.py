@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from slamhive.model.base import Choice, Image, Model, Name, Resource, Scalar, Sha256
+from slamhive.model.base import Choice, Image, Model, Name, Resource, Scalar, Sha256, optional
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.ros1 import Ros1
 from slamhive.model.sensors import ROLES, Role, SensorMode
@@ -59,12 +59,12 @@ class Parameter(Model):
     """A parameter of an algorithm: type, default and bounds."""
 
     type: ParameterType = Field(description="Type of the value.")
-    default: Scalar = Field(default=None, description="Value where a run gives none.")
+    default: Scalar = optional("Value where a run gives none.")
     nullable: bool = Field(default=False, description="Whether null is allowed: the algorithm derives it.")
-    minimum: float | None = Field(default=None, description="Least value allowed.")
-    maximum: float | None = Field(default=None, description="Greatest value allowed.")
-    values: list[Scalar] | None = Field(default=None, min_length=1, description="The only values allowed.")
-    unit: str | None = Field(default=None, description="Unit of the value.")
+    minimum: float | None = optional("Least value allowed.")
+    maximum: float | None = optional("Greatest value allowed.")
+    values: list[Scalar] | None = optional("The only values allowed.", min_length=1)
+    unit: str | None = optional("Unit of the value.")
     description: str = Field(default="", description="What the parameter does.")
 
     @model_validator(mode="after")
@@ -155,11 +155,13 @@ class Output(Model):
 class OutputChange(Model):
     """What a mode changes of the algorithm's output."""
 
-    frame: Literal["body", "camera", "left", "right", "color", "depth", "lidar", "imu"] | None = None
-    stamp: PoseStamp | None = None
-    poses: Poses | None = None
-    gravity_aligned: bool | None = None
-    scale: bool | None = None
+    frame: Literal["body", "camera", "left", "right", "color", "depth", "lidar", "imu"] | None = optional(
+        "Whose pose is written in this mode."
+    )
+    stamp: PoseStamp | None = optional("The instant that a pose and its stamp mean in this mode.")
+    poses: Poses | None = optional("Every frame or keyframes alone, in this mode.")
+    gravity_aligned: bool | None = optional("Whether the world's z axis points up in this mode.")
+    scale: bool | None = optional("Whether the trajectory is metric in this mode.")
 
 
 class Mode(Model):
@@ -167,7 +169,7 @@ class Mode(Model):
 
     name: SensorMode = Field(description="Name of the mode.")
     roles: list[Role] = Field(default_factory=list, description="Roles it needs; default: the mode's own.")
-    output: OutputChange | None = Field(default=None, description="What differs in this mode.")
+    output: OutputChange | None = optional("What differs in this mode.")
 
     @property
     def needs(self) -> tuple[Role, ...]:
@@ -179,9 +181,9 @@ class Asset(Model):
     """A file that an algorithm needs beside the recording, such as a vocabulary or weights."""
 
     name: AssetName = Field(description="File name under assets/ in the run folder, without a colon.")
-    path: RelativePath | None = Field(default=None, description="File beside the Algorithm's own.")
-    url: str | None = Field(default=None, pattern=r"^https://", description="Where to get it.")
-    sha256: Sha256 | None = Field(default=None, description="Checksum of the file.")
+    path: RelativePath | None = optional("File beside the Algorithm's own.")
+    url: str | None = optional("Where to get it.", pattern=r"^https://")
+    sha256: Sha256 | None = optional("Checksum of the file.")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -216,14 +218,14 @@ class AlgorithmSpec(Model):
     """A SLAM or odometry algorithm."""
 
     description: str = Field(default="", description="One sentence.")
-    homepage: str | None = Field(default=None, description="Where the algorithm lives.")
-    license: str | None = Field(default=None, description="Licence as an SPDX expression.")
-    version: str | None = Field(default=None, description="Version of the algorithm.")
-    image: Image | None = Field(default=None, description="Container image.")
+    homepage: str | None = optional("Where the algorithm lives.")
+    license: str | None = optional("Licence as an SPDX expression.")
+    version: str | None = optional("Version of the algorithm.")
+    image: Image | None = optional("Container image.")
     command: list[str] = Field(
         default_factory=list, description="Program in the container; default: its own."
     )
-    local: LocalProgram | None = Field(default=None, description="How to run it without a container.")
+    local: LocalProgram | None = optional("How to run it without a container.")
     modes: list[Mode] = Field(min_length=1, description="Sensor modes.")
     recording: list[RecordingFormat] = Field(
         default_factory=lambda: [RecordingFormat.ROSBAG1], min_length=1, description="Formats it reads."
@@ -232,10 +234,8 @@ class AlgorithmSpec(Model):
     assets: list[Asset] = Field(default_factory=list, description="Files it needs.")
     output: Output = Field(description="What its poses mean.")
     paces: list[Pace] = Field(default_factory=lambda: [Pace.LOCKSTEP], min_length=1, description="Paces.")
-    realtime: RealtimePolicy | None = Field(default=None, description="Queue and drop policy in real time.")
-    ros1: Ros1 | None = Field(
-        default=None, description="In real time it is a ROS 1 node: how it is played to, where its poses are."
-    )
+    realtime: RealtimePolicy | None = optional("Queue and drop policy in real time.")
+    ros1: Ros1 | None = optional("In real time it is a ROS 1 node: how it is played to, where its poses are.")
     deterministic: Literal["Yes", "No", "Unknown"] = Field(
         default="Unknown", description="Whether equal input and seed give equal output."
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all kinds of the language share: strictness, metadata, durations and quantities."""
+"""Base of all models: strictness, metadata, durations and quantities."""
 
 from __future__ import annotations
 
@@ -30,6 +30,8 @@ _MEANINGS = {
 _UNIT_SECONDS = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 0.001}
 _UNIT_SIZE = {
     "": 1.0,
+    "n": 1e-9,
+    "u": 1e-6,
     "m": 0.001,
     "k": 1e3,
     "M": 1e6,
@@ -78,6 +80,7 @@ class Model(BaseModel):
         alias_generator=to_camel,
         populate_by_name=True,
         allow_inf_nan=False,
+        defer_build=True,  # a command that never meets a kind need not pay for its validator
     )
 
     def as_json(self) -> dict[str, Any]:
@@ -87,6 +90,11 @@ class Model(BaseModel):
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some fields changed (the changes are trusted, not validated)."""
         return self.model_copy(update=changes)
+
+
+def optional(description: str, **settings: Any) -> Any:
+    """Return a field that may be absent, with its description for `kubectl explain`; settings as Field's."""
+    return Field(default=None, description=description, **settings)
 
 
 class Choice(StrEnum):
@@ -141,12 +149,15 @@ def seconds(duration: str) -> float:
 
 
 def quantity(text: str) -> float:
-    """Return a quantity as a number.
+    """Return a quantity of Kubernetes as a number; the metrics API counts in n and u, manifests do not.
 
-    >>> quantity("4Gi"), quantity("500m")
-    (4294967296.0, 0.5)
+    >>> quantity("4Gi"), quantity("500m"), quantity("12345678n")
+    (4294967296.0, 0.5, 0.012345678)
+
+    Raises:
+        ValueError: it is none.
     """
-    match = re.match(r"^([0-9.]+)([a-zA-Z]*)$", text)
-    if match is None:
+    match = re.fullmatch(r"([0-9.]+)([a-zA-Z]*)", text)
+    if match is None or match.group(2) not in _UNIT_SIZE:
         raise ValueError(f"{text!r} is not a quantity such as 2, 500m or 4Gi")
     return float(match.group(1)) * _UNIT_SIZE[match.group(2)]

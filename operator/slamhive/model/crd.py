@@ -17,6 +17,7 @@ from pydantic import BaseModel
 
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.base import GROUP, NAME_LIMIT, QUANTITY_PATTERN, VERSION
+from slamhive.model.crd_columns import COLUMNS, Schema
 from slamhive.model.crd_rules import (
     EXTRA,
     FROZEN,
@@ -28,16 +29,12 @@ from slamhive.model.crd_rules import (
     TEXT_LENGTH,
     meaning,
 )
-from slamhive.model.crd_status import COLUMNS, statuses
-from slamhive.model.crd_texts import KUBERNETES, TEXTS
 from slamhive.model.dataset import Dataset
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.run import MappingRun, MappingRunSpec
+from slamhive.model.status import KEEP, STATUSES
 from slamhive.model.sweep import Sweep
 
-Schema = dict[str, Any]
-
-KEEP = "x-kubernetes-preserve-unknown-fields"
 _KINDS: dict[str, tuple[type[BaseModel], str, tuple[str, ...]]] = {
     "Algorithm": (Algorithm, "algorithms", ("algo",)),
     "Dataset": (Dataset, "datasets", ("dset",)),
@@ -49,7 +46,9 @@ _COPIED = (
     *("description", "enum", "pattern", "format"),
     *("minLength", "maxLength", "minItems", "maxItems", "minProperties", "maxProperties"),
 )
+_MARK = "x-kubernetes-"
 _NAME_LIMIT = NAME_LIMIT
+_TEXTS = {"apiVersion": "Version of the language.", "kind": "What the object is."}
 
 
 class _Converter:
@@ -75,7 +74,7 @@ class _Converter:
         if len(options) == 1:
             outer = {key: value for key, value in schema.items() if key not in {"anyOf", "title"}}
             return self._node(options[0] | outer, where)
-        result = {key: schema[key] for key in _COPIED if key in schema}
+        result = {key: schema[key] for key in schema if key in _COPIED or key.startswith(_MARK)}
         if schema.get("default") is not None:
             result["default"] = schema["default"]
         if len(options) > 1 or not (schema.keys() & {"type", "const", "enum"}):
@@ -90,7 +89,7 @@ class _Converter:
         match kind:
             case "object" if "properties" in schema:
                 self._record(schema, result)
-            case "object":
+            case "object" if KEEP not in result:
                 self._map(schema, result, where)
             case "array":
                 result["items"] = self._node(schema.get("items", {}), f"{where}[]")
@@ -127,8 +126,6 @@ class _Converter:
             node = _special(name, key) or self._node(item, f"{name}.{key}")
             if fields[key].default_factory is not None:
                 node["default"] = _default(fields[key].get_default(call_default_factory=True))
-            if "description" not in node and f"{name}.{key}" in TEXTS:
-                node["description"] = TEXTS[f"{name}.{key}"]
             properties[key] = node
         result["properties"] = properties
         if schema.get("required"):
@@ -257,11 +254,11 @@ def definition(kind: str) -> Schema:
         "description": (model.__doc__ or "").strip(),
         "required": ["spec"],
         "properties": {
-            "apiVersion": {"type": "string", "description": KUBERNETES["apiVersion"]},
-            "kind": {"type": "string", "description": KUBERNETES["kind"]},
+            "apiVersion": {"type": "string", "description": _TEXTS["apiVersion"]},
+            "kind": {"type": "string", "description": _TEXTS["kind"]},
             "metadata": {"type": "object"},
             "spec": spec,
-            "status": statuses(convert)[kind],
+            "status": without_defaults(convert(STATUSES[kind])),
         },
         "x-kubernetes-validations": [
             {

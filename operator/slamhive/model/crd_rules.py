@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a CRD says beyond the types of the models: rules in CEL, bounds, and what may not change.
+"""Rules of the CRDs beyond the models' types: CEL expressions, bounds, and fields that may not change.
 
 The rules are those of the models' own validators, in the words of the API server. CEL knows no typeless
 values, such as those of an axis: what can be said of them without CEL is in EXTRA, the rest is checked by

@@ -117,6 +117,11 @@ class DatasetSpec(Model):
             )
         return self
 
+    @property
+    def has_level_truth(self) -> bool:
+        """Tell whether the ground truth's z axis points up: it is declared, or the recording is synthetic."""
+        return self.gravity_aligned or self.recording.synthetic is not None
+
     def sensor_for(self, role: Role, remap: dict[str, str] | None = None) -> str:
         """Return the name of the sensor that fills a role.
 

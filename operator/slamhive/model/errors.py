@@ -72,6 +72,13 @@ class SystemFault(SlamHiveError):  # noqa: N818 - a fault of the machine, not an
     retryable = True
 
 
+def sentence(error: Exception) -> str:
+    """Return what an error says, an operating system's without its number."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """End a sentence about an unknown name with the nearest known one, or with all of a short list."""
     names = sorted(known)

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from pydantic import Field, model_validator
 
 from slamhive.model.base import Choice, Duration, Image, Model, Name, Reference, Resource
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 class Alignment(Choice):
@@ -75,6 +78,20 @@ class RunSelector(Model):
         if not (self.names or self.sweep_ref or self.match_labels):
             raise ValueError("name runs by names, sweepRef or matchLabels")
         return self
+
+    def selects(self, name: str, sweep: str | None, labels: Mapping[str, str]) -> bool:
+        """Tell whether a run is selected; several conditions must all hold.
+
+        Args:
+            name: the run's.
+            sweep: name of its Sweep, None if it is a run by itself.
+            labels: the run's.
+        """
+        if self.sweep_ref is not None and sweep != self.sweep_ref.name:
+            return False
+        if self.names and name not in self.names:
+            return False
+        return all(labels.get(key) == value for key, value in self.match_labels.items())
 
 
 class Evaluator(Model):

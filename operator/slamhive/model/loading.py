@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import yaml
 from pydantic import ValidationError
+from yaml.composer import Composer
 
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.base import API_VERSION, explain
@@ -41,6 +43,7 @@ KINDS: dict[str, type[Kind]] = {
 
 _MAX_BYTES = 4 * 1024 * 1024
 _MAX_NODES = 500_000
+_MAX_CHARACTERS = 4 * _MAX_BYTES
 _MAX_DIGITS = 400
 _INT = re.compile(
     r"^[-+]?(0b_*[01][01_]*|0o_*[0-7][0-7_]*|0x_*[0-9a-fA-F][0-9a-fA-F_]*|0[0-7_]*|[1-9][0-9_]*)$"
@@ -59,53 +62,88 @@ _STRING = "tag:yaml.org,2002:str"
 _TAGS = {_PLAIN, *(f"tag:yaml.org,2002:{name}" for name in ("int", "float", "bool", "null"))}
 
 
-class _Loader(yaml.SafeLoader):
+class _Nodes(Composer):
     """Tells plain scalars from tagged ones; what plain ones mean is decided by the reader."""
+
+    nodes = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self.nodes += 1
+        if self.nodes > _MAX_NODES:
+            raise yaml.YAMLError(f"more than {_MAX_NODES} values")
+        return super().compose_node(parent, index)
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
         if kind is yaml.ScalarNode and implicit[0]:
             return _PLAIN
-        return super().resolve(kind, value, implicit)  # type: ignore[no-untyped-call]
+        return super().resolve(kind, value, implicit)  # type: ignore[misc]
+
+
+class _Loader(_Nodes, yaml.SafeLoader):
+    """PyYAML's own parser: slow, and its sentences say what is wrong."""
+
+
+_PARSER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+
+
+class _FastLoader(_Nodes, _PARSER):  # type: ignore[misc]
+    """libyaml's parser, where PyYAML has it.
+
+    Nodes are put together in Python all the same: libyaml's own way ends the process when they are nested
+    too deeply.
+    """
+
+    def __init__(self, text: str) -> None:
+        _PARSER.__init__(self, text)
+        Composer.__init__(self)
 
 
 class _Reader:
-    """Turns YAML nodes into plain values and remembers on which line each one stood."""
+    """Turns YAML nodes into plain values; what aliases repeat is held once and counts each time."""
 
     def __init__(self, source: str) -> None:
         self.source = source
-        self.lines: dict[Path_, int] = {}
-        self._count = 0
+        self._count = self._characters = 0
+        self._scalars: dict[int, Any] = {}
 
-    def value(self, node: yaml.Node, path: Path_ = ()) -> Any:
+    def value(self, node: yaml.Node) -> Any:
         self._count += 1
         if self._count > _MAX_NODES:
             raise ManifestError(f"{self.source}: more than {_MAX_NODES} values")
-        self.lines.setdefault(path, node.start_mark.line + 1)
         if isinstance(node, yaml.MappingNode):
-            return self._mapping(node, path)
+            return self._mapping(node)
         if isinstance(node, yaml.SequenceNode):
-            return [self.value(item, (*path, number)) for number, item in enumerate(node.value)]
-        return self._scalar(node)
+            return [self.value(item) for item in node.value]
+        self._add(len(node.value))
+        if id(node) not in self._scalars:
+            self._scalars[id(node)] = self._scalar(node)
+        return self._scalars[id(node)]
 
-    def _mapping(self, node: yaml.MappingNode, path: Path_) -> dict[str, Any]:
+    def _add(self, characters: int) -> None:
+        self._characters += characters
+        if self._characters > _MAX_CHARACTERS:
+            most = f"{_MAX_CHARACTERS} characters"
+            raise ManifestError(f"{self.source}: its values have more than {most}, those of aliases repeated")
+
+    def _mapping(self, node: yaml.MappingNode) -> dict[str, Any]:
         result: dict[str, Any] = {}
         merged: dict[str, Any] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
                 raise ManifestError(f"{self.source}:{line}: a key must be text")
+            self._add(len(key_node.value))
             key = self._text(key_node)
-            if key == "<<" and key_node.style is None:
-                for source in value_node.value if isinstance(value_node, yaml.SequenceNode) else [value_node]:
-                    extra = self.value(source, path)
+            if _merges(key_node):
+                for source in _sources(value_node):
+                    extra = self.value(source)
                     if not isinstance(extra, dict):
                         raise ManifestError(f"{self.source}:{line}: << takes a mapping")
                     merged = extra | merged
                 continue
             if key in result:
                 raise ManifestError(f"{self.source}:{line}: the key {key!r} stands twice")
-            self.lines[(*path, key)] = line
-            result[key] = self.value(value_node, (*path, key))
+            result[key] = self.value(value_node)
         return merged | result
 
     def _text(self, node: yaml.Node) -> str:
@@ -123,7 +161,7 @@ class _Reader:
         if node.tag == _STRING:
             return text
         if node.tag not in _TAGS:
-            raise ManifestError(f"{self.source}:{line}: the tag {node.tag} means nothing here")
+            raise ManifestError(f"{self.source}:{line}: the tag {node.tag} is not supported")
         if text in _WORDS:
             return _WORDS[text]
         if _INT.match(text):
@@ -145,20 +183,47 @@ def _integer(text: str) -> int:
     return int(digits, 0)
 
 
-class Document:
-    """One YAML document with the lines of its fields."""
+def _merges(key: yaml.ScalarNode) -> bool:
+    return key.value == "<<" and not key.style
 
-    def __init__(self, source: str, value: Any, lines: dict[Path_, int]) -> None:
+
+def _sources(node: yaml.Node) -> list[yaml.Node]:
+    """Return the mappings that a << names, the ones that win first."""
+    return list(node.value) if isinstance(node, yaml.SequenceNode) else [node]
+
+
+def _below(node: yaml.Node, part: str | int) -> tuple[yaml.Node, int] | None:
+    """Return a value in a mapping or list and the line on which it is named, None where it isn't there."""
+    if isinstance(node, yaml.SequenceNode):
+        if isinstance(part, int) and 0 <= part < len(node.value):
+            item = node.value[part]
+            return item, item.start_mark.line + 1
+        return None
+    pairs = node.value if isinstance(node, yaml.MappingNode) else []
+    for key, value in pairs:
+        if key.value == part and not _merges(key):
+            return value, key.start_mark.line + 1
+    found = (_below(source, part) for key, value in pairs if _merges(key) for source in _sources(value))
+    return next((place for place in found if place is not None), None)
+
+
+class Document:
+    """One YAML document; its nodes say where a field stands, when somebody asks."""
+
+    def __init__(self, source: str, value: Any, root: yaml.Node) -> None:
         self.source = source
         self.value = value
-        self._lines = lines
+        self._root = root
 
     def where(self, path: Path_) -> str:
         """Return ``file:line`` of a field, or of the nearest one around it."""
-        while path and path not in self._lines:
-            path = path[:-1]
-        line = self._lines.get(path)
-        return f"{self.source}:{line}" if line else self.source
+        node, line = self._root, self._root.start_mark.line + 1
+        for part in path:
+            below = _below(node, part)
+            if below is None:
+                break
+            node, line = below
+        return f"{self.source}:{line}"
 
 
 def parse(text: str, source: str) -> list[Document]:
@@ -169,21 +234,24 @@ def parse(text: str, source: str) -> list[Document]:
     """
     if len(text) > _MAX_BYTES:
         raise ManifestError(f"{source}: larger than {_MAX_BYTES} bytes")
-    documents = []
-    loader = None
+    # libyaml wants UTF-8: for what has no such form PyYAML's own parser has a sentence.
+    with suppress(yaml.YAMLError, RecursionError, UnicodeEncodeError):
+        return _documents(_FastLoader(text), source)
     try:
-        loader = _Loader(text)
-        while loader.check_node():
-            node = loader.get_node()
-            reader = _Reader(source)
-            value = reader.value(node) if node is not None else None
-            if value is not None:
-                documents.append(Document(source, value, reader.lines))
+        return _documents(_Loader(text), source)
     except (yaml.YAMLError, RecursionError) as error:
         raise ManifestError(f"{source}{_problem(error)}") from None
+
+
+def _documents(loader: _Loader | _FastLoader, source: str) -> list[Document]:
+    documents = []
+    try:
+        while loader.check_node():
+            node = loader.get_node()
+            if node is not None and (value := _Reader(source).value(node)) is not None:
+                documents.append(Document(source, value, node))
     finally:
-        if loader is not None:
-            loader.dispose()
+        loader.dispose()
     return documents
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ConfigDict, Field, ValidationError
 
-from slamhive.model.base import Model, explain
+from slamhive.model.base import Model, explain, optional
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,13 +28,13 @@ class ErrorFigures(Model):
 
     model_config = ConfigDict(extra="ignore", strict=True)
 
-    rmse: float | None = None
-    mean: float | None = None
-    median: float | None = None
-    std: float | None = None
-    min: float | None = None
-    max: float | None = None
-    sse: float | None = None
+    rmse: float | None = optional("rmse of the error.")
+    mean: float | None = optional("mean of the error.")
+    median: float | None = optional("median of the error.")
+    std: float | None = optional("std of the error.")
+    min: float | None = optional("min of the error.")
+    max: float | None = optional("max of the error.")
+    sse: float | None = optional("sse of the error.")
 
 
 class ReportedValues(Model):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is recorded of a run: phase, reason, usage, trajectory, results and provenance.
+"""Records of a run: phase, reason, usage, trajectory, results and provenance.
 
 The same records are a MappingRun's status on a cluster and a row of the archive.
 """
@@ -11,7 +11,10 @@ from typing import Any
 
 from pydantic import ConfigDict, Field, model_validator
 
-from slamhive.model.base import Choice, Model, Scalar
+from slamhive.model.base import Choice, Model, Scalar, optional
+
+NOT_EVALUATED = "not evaluated: "
+"""How the sentence begins in a run's message that says why it could not be measured; no other follows it."""
 
 
 class Phase(Choice):
@@ -74,10 +77,13 @@ class CpuUsage(Model):
     """CPU time of the algorithm alone."""
 
     model_config = ConfigDict(extra="ignore")
-    mean_cores: float | None = None
-    max_cores: float | None = None
-    seconds: float | None = None
-    seconds_per_data_second: float | None = None
+    mean_cores: float | None = optional("CPU seconds by second of wall time.")
+    max_cores: float | None = optional("The most cores used in any window of 1 s.")
+    seconds: float | None = optional("CPU time in s, reading of the recording taken out.")
+    seconds_per_data_second: float | None = optional(
+        "CPU seconds by second of recording; lockstep runs are compared by it."
+    )
+    total_seconds: float | None = optional("CPU time in s, reading of the recording included.")
 
 
 class MemoryKind(Choice):
@@ -92,12 +98,18 @@ class MemoryUsage(Model):
     """Memory of the algorithm alone."""
 
     model_config = ConfigDict(extra="ignore")
-    peak_bytes: int | None = None
-    mean_bytes: float | None = None
+    peak_bytes: int | None = optional("Peak of the resident memory of all processes in bytes; see kind.")
+    mean_bytes: float | None = optional("Mean of the same over time in bytes.")
     kind: MemoryKind | None = None
-    anonymous_peak_bytes: int | None = None
-    working_set_peak_bytes: int | None = None
-    kernel_peak_bytes: int | None = None
+    anonymous_peak_bytes: int | None = optional(
+        "Peak of memory without a file behind it in bytes, of the samples."
+    )
+    working_set_peak_bytes: int | None = optional(
+        "Peak of the working set in bytes: page cache in use counts."
+    )
+    kernel_peak_bytes: int | None = optional(
+        "The kernel's own peak in bytes; a cgroup's counts page cache too."
+    )
 
 
 class Usage(Model):
@@ -106,14 +118,28 @@ class Usage(Model):
     model_config = ConfigDict(extra="ignore")
     cpu: CpuUsage = Field(default_factory=CpuUsage)
     memory: MemoryUsage = Field(default_factory=MemoryUsage)
-    wall_seconds: float | None = None
-    throttled_seconds: float | None = None
-    contended_seconds: float | None = None
-    samples: int | None = None
-    source: str | None = None
-    includes_reader: bool | None = None
-    max_includes_reader: bool | None = None
-    reader_cpu_seconds: float | None = None
+    wall_seconds: float | None = optional(
+        "Time from the start of the algorithm's first process to its end, in s."
+    )
+    throttled_seconds: float | None = optional(
+        "Time for which its limit held it back, in s; absent where nothing counts it."
+    )
+    contended_seconds: float | None = optional(
+        "CPU time that it waited for while others used its processors, in s."
+    )
+    samples: int | None = optional("Number of samples that the figures rest on.")
+    source: str | None = optional("Whose account it is: the container's cgroup, or its processes in /proc.")
+    includes_reader: bool | None = optional(
+        "Whether reading the recording is part of the figures and can't be told apart."
+    )
+    max_includes_reader: bool | None = optional(
+        "Whether maxCores includes the reading that was taken out elsewhere."
+    )
+    reader_cpu_seconds: float | None = optional("CPU time of reading the recording that was taken out, in s.")
+    reader_share: float | None = optional("The part of all CPU seconds that this is.")
+    suspect: str | None = optional(
+        "Why these figures are to be doubted; absent where nothing speaks against them."
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -134,52 +160,75 @@ class Usage(Model):
         return {**value, "memory": {**told, **memory}}
 
 
+def remark_of(usage: Usage | None, problem: str | None) -> str | None:
+    """Return what is to be said of a run that ended well.
+
+    Args:
+        usage: what it cost.
+        problem: what was wrong with its metrics.json.
+    """
+    doubt = f"UsageSuspect: {usage.suspect}" if usage and usage.suspect else None
+    if problem and doubt and problem in doubt:
+        return doubt
+    return "; ".join(filter(None, (doubt, problem))) or None
+
+
 class Frames(Model):
     """Frames as the algorithm counted them."""
 
-    offered: int | None = None
-    processed: int | None = None
-    dropped: int | None = None
+    offered: int | None = optional("Frames that the algorithm was given.")
+    processed: int | None = optional("Frames that it took in.")
+    dropped: int | None = optional("Frames that it left out.")
 
 
 class TrajectoryInfo(Model):
     """The estimated trajectory."""
 
-    poses: int
-    duration_seconds: float
-    sha256: str
-    path: str
+    poses: int = Field(description="Number of poses.")
+    duration_seconds: float = Field(description="Time from the first pose to the last, in s.")
+    sha256: str = Field(description="Checksum of the file.")
+    path: str = Field(description="The file, below the run's folder.")
 
 
 class Prepared(Model):
     """What a run was given of its recording, counted in what was prepared of it."""
 
     model_config = ConfigDict(extra="ignore")
-    frame_rate: float | None = None
-    resolution: float | None = None
-    duration_seconds: float | None = None
-    frames: int | None = None
-    recorded_frame_rate: float | None = None
-    recorded_seconds: float | None = None
+    frame_rate: float | None = optional("Rate of the sensor whose frames are counted, in Hz.")
+    resolution: float | None = optional("Scale of images in each direction.")
+    duration_seconds: float | None = optional("Time from the first frame to the last, in s.")
+    frames: int | None = optional("Number of frames.")
+    recorded_frame_rate: float | None = optional(
+        "Rate of the fastest sensor before any frame was left out, in Hz."
+    )
+    recorded_seconds: float | None = optional(
+        "Time from the first frame of the whole recording to its last, in s."
+    )
 
 
 class Provenance(Model):
     """What exactly produced a result, and what was asked of the recording without effect."""
 
-    content_hash: str | None = None
-    spec_hash: str | None = None
-    algorithm_hash: str | None = None
-    environment: str | None = None
-    image_id: str | None = Field(default=None, alias="imageID")
-    dataset_sha256: str | None = None
-    preparation: str | None = None
-    variant: str | None = None
-    node: str | None = None
-    cpu_model: str | None = None
-    slamhive_version: str | None = None
-    reused_from: str | None = None
-    asked: dict[str, Scalar] | None = None
-    effective: dict[str, Scalar] | None = None
+    content_hash: str | None = optional(
+        "Hash of everything that decides the result: equal hashes, equal runs."
+    )
+    spec_hash: str | None = optional("Hash of the spec as far as it decides the result.")
+    algorithm_hash: str | None = optional("Hash of what the Algorithm says of its program.")
+    environment: str | None = optional("Hash of the program and what it links to.")
+    image_id: str | None = optional("Digest of the image that ran.", alias="imageID")
+    dataset_sha256: str | None = optional("Checksum of the recording that the variant was made of.")
+    preparation: str | None = optional("Version of the preparation of recordings.")
+    variant: str | None = optional("Name of the prepared form of the dataset.")
+    node: str | None = optional("Machine that it ran on.")
+    cpu_model: str | None = optional("Model of that machine's processor.")
+    slamhive_version: str | None = optional("Version of SLAM Hive that measured it.")
+    reused_from: str | None = optional("Run whose result was taken, as all that decides it is equal.")
+    asked: dict[str, Scalar] | None = optional(
+        "Input options that were asked for and have no effect on the recording."
+    )
+    effective: dict[str, Scalar] | None = optional(
+        "What took effect in their places; absent where nothing did."
+    )
     prepared: Prepared | None = None
 
 
@@ -193,7 +242,7 @@ class Result(Model):
 
 
 class IntendedEvaluation(Model):
-    """An evaluation that a run was meant to be measured by, whether it came to that or not.
+    """An evaluation that a run was meant to have, whether it got a result or not.
 
     Attributes:
         evaluation: its name.

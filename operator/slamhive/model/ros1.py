@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How an algorithm that is a ROS 1 node is played to, and where its poses come from."""
+"""Options of an Algorithm that is a ROS 1 node: playing recordings to it, and taking its poses."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`python -m slamhive.monitor --spec FILE`: run one algorithm and tell what it used.
 
+The summary is printed too: whoever started us needs no file that the algorithm can write.
+
 Exit codes: 0, summary.json says how the run ended; 1, no summary could be written; 2, wrong specification.
 """
 
@@ -8,6 +10,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 
 from slamhive.monitor.processes import forbid_inspection, read_file
 from slamhive.monitor.spec import SpecError, SupervisorSpec
@@ -31,7 +34,10 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write(f"{arguments[1]}: {error.strerror if isinstance(error, OSError) else error}\n")
         return 2
     try:
-        Supervisor(spec).run()
+        summary = Supervisor(spec).run()
+        with suppress(BrokenPipeError):
+            sys.stdout.write(summary.to_json())
+            sys.stdout.flush()
     except OSError as error:
         sys.stderr.write(f"the run can't be supervised: {error.strerror}: {error.filename}\n")
         return 1

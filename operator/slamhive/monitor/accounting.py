@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From samples to a run's usage: means, peaks, windows, contention. Shared by supervisor and sidecar.
+"""Accounting: from samples to a run's usage (means, peaks, windows, contention).
+
+Supervisor and sidecar use it.
 
 Memory of this process stays the same however long a run takes: all figures are kept up as samples come.
 """
@@ -10,17 +12,18 @@ import os
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING
 
 from slamhive.monitor.processes import read_file
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     from slamhive.monitor.sources import Sample, Source
 
 WINDOW_SECONDS = 1.0
 RESIDENT = "Resident"
+_SUSPECT_LETTERS = 400
 # Below this share of a window's capacity, work of others is noise of the tick that counts it.
 _CONTENTION_NOISE = 0.05
 _TICK = os.sysconf("SC_CLK_TCK")
@@ -56,12 +59,14 @@ class CpuUsage:
         max_cores: The most in any window of 1 s, the reader's included.
         seconds: CPU seconds, the reader's left out.
         seconds_per_data_second: The same by second of recording.
+        total_seconds: CPU seconds, the reader's included.
     """
 
     mean_cores: float
     max_cores: float
     seconds: float
     seconds_per_data_second: float | None
+    total_seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +103,12 @@ class Usage:
         throttled_seconds: Time in which a quota held it back, None if nothing counts that.
         contended_seconds: Processor time it waited for while others used its processors.
         reader_cpu_seconds: What was subtracted for reading the recording, None if nothing was.
+        reader_share: The part of all CPU seconds that this is.
         samples: Number of samples, the rows of usage.csv.
         source: Whose account this is.
         includes_reader: Reading the recording is part of the figures and can't be told apart.
         max_includes_reader: The reader is part of `max_cores` although subtracted elsewhere.
+        suspect: Why these figures are to be doubted, None if nothing speaks against them.
     """
 
     cpu: CpuUsage
@@ -110,10 +117,12 @@ class Usage:
     throttled_seconds: float | None
     contended_seconds: float
     reader_cpu_seconds: float | None
+    reader_share: float | None
     samples: int
     source: str
     includes_reader: bool
     max_includes_reader: bool
+    suspect: str | None = None
 
 
 class Accounting:
@@ -130,24 +139,6 @@ class Accounting:
         self._peak = self._anonymous_peak = self._working_set_peak = 0
         self._max_cores: float | None = None
         self._recent = deque([(start, 0.0)])
-
-    def state(self) -> dict[str, Any]:
-        """Return all that was kept, as JSON can hold it."""
-        values: dict[str, Any] = {name.lstrip("_"): value for name, value in vars(self).items()}
-        return {**values, "recent": list(self._recent)}
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Self:
-        """Go on where another one was.
-
-        Raises:
-            KeyError: Something is missing.
-        """
-        account = cls(0.0)
-        for name in vars(account):
-            setattr(account, name, state[name.lstrip("_")])
-        account._recent = deque((float(time), float(cpu)) for time, cpu in state["recent"])
-        return account
 
     def add(self, sample: Sample, *, final: bool = False) -> float:
         """Take a sample.
@@ -197,6 +188,7 @@ class Accounting:
         contended_seconds: float = 0.0,
         kernel_peak: int | None = None,
         largest_process: int | None = None,
+        suspicions: Iterable[str] = (),
     ) -> Usage:
         """Return the figures of all samples so far; a run below 1 s is one window by itself.
 
@@ -209,6 +201,7 @@ class Accounting:
             contended_seconds: Passed through.
             kernel_peak: Passed through.
             largest_process: Resident peak of the largest single process; lifts a peak behind the last sample.
+            suspicions: Sentences about what speaks against the figures.
         """
         wall = self._last - self._start
         total = self.cpu_seconds
@@ -222,6 +215,7 @@ class Accounting:
                 max_cores=whole if self._max_cores is None else self._max_cores,
                 seconds=seconds,
                 seconds_per_data_second=seconds / data_seconds if data_seconds else None,
+                total_seconds=total,
             ),
             memory=MemoryUsage(
                 peak_bytes=peak,
@@ -234,10 +228,12 @@ class Accounting:
             throttled_seconds=throttled_seconds,
             contended_seconds=contended_seconds,
             reader_cpu_seconds=reader_cpu_seconds,
+            reader_share=None if reader_cpu_seconds is None or total <= 0 else reader / total,
             samples=self.samples,
             source=source,
             includes_reader=includes_reader,
             max_includes_reader=includes_reader or reader > 0,
+            suspect="; ".join(suspicions)[:_SUSPECT_LETTERS] or None,
         )
 
 
@@ -250,16 +246,15 @@ class Contention:
     Where the kernel keeps no pressure of the group, waiting is that of processes alive as a window ends.
     """
 
-    def __init__(self, cpus: Iterable[int], source: Source, now: float, seconds: float = 0.0) -> None:
+    def __init__(self, cpus: Iterable[int], source: Source, now: float) -> None:
         """Watch a run.
 
         Args:
             cpus: The run's processors, empty for all.
             source: Its account.
             now: Monotonic clock, s.
-            seconds: What was found before.
         """
-        self.seconds = seconds
+        self.seconds = 0.0
         names = [f"cpu{number}".encode() for number in sorted(set(cpus))]
         self._names = frozenset(names or (f"cpu{number}".encode() for number in os.sched_getaffinity(0)))
         self._source = source

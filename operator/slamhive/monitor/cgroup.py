@@ -91,6 +91,7 @@ class CgroupV1:
             return False
         memory = self._by_controller["memory"]
         limited = write_file(f"{memory}/memory.limit_in_bytes", str(memory_bytes))
+        # Without a bound on swap too, a program would go on slowly instead of ending at its limit.
         write_file(f"{memory}/memory.memsw.limit_in_bytes", str(memory_bytes))
         return limited
 
@@ -178,6 +179,7 @@ def make_run_cgroup(
         The group, None where none with accounts of CPU and memory can be made.
     """
     trees = own_hierarchies() if hierarchies is None else hierarchies
+    # By the name anyone can tell whether the supervisor lives, without a file that could be lost.
     name = f"{PREFIX}-{owner.pid}-{owner.start}-{pid_namespace()}"
     return _make_v1(name, trees) or _make_v2(name, trees)
 
@@ -235,6 +237,7 @@ def sweep_stale_cgroups(hierarchies: Sequence[Hierarchy] | None = None) -> list[
     kill_frozen(stale)
     for directory in stale:
         end_directory(directory)
+        # A directory that stays (a process in an uninterruptible sleep) is found again by the next run.
         if _remove([directory]):
             removed.append(directory)
     return removed

@@ -49,8 +49,15 @@ _RUNTIMES = (b"runc", b"crun", b"youki")
 class Finder:
     """Looks for the first process of a container, cheaply enough to do so a hundred times a second."""
 
-    def __init__(self, container: str) -> None:
-        """Look for the container of that name."""
+    def __init__(self, container: str, companions: int = 0) -> None:
+        """Look for a container.
+
+        Args:
+            container: Its name.
+            companions: How many others start before it and may hide what they are, as the player does.
+        """
+        self._companions = companions
+        self._known: dict[int, float] = {}
         self._mark = f"{MARK}={container}".encode()
         self._begin: float | None = None
         self._elsewhere: set[int] = {_PAUSE, os.getpid()}
@@ -73,11 +80,20 @@ class Finder:
         if newest != self._newest:
             self._newest = newest
             self._note_new(now)
+        others = self._lasting(now)
         for pid, since in list(self._waiting.items()):
-            found = self._judge(pid, hidden=now - since > _HIDDEN_SECONDS)
+            # They wait in the order of their starts, and companions start first.
+            hidden = now - since > _HIDDEN_SECONDS
+            found = self._judge(pid, hidden=hidden, companion=others < self._companions)
             if found is not None:
                 return found
+            others += hidden and pid in self._waiting
         return None
+
+    def _lasting(self, now: float) -> int:
+        """Return how many other containers are known; what a probe runs in one ends at once."""
+        lasting = [pid for pid, since in self._known.items() if now - since > _HIDDEN_SECONDS]
+        return sum(identify(pid) is not None for pid in lasting)
 
     def close(self) -> None:
         """Let go of open files."""
@@ -93,7 +109,7 @@ class Finder:
                 else:
                     self._elsewhere.add(pid)
 
-    def _judge(self, pid: int, *, hidden: bool) -> ProcessIdentity | None:
+    def _judge(self, pid: int, *, hidden: bool, companion: bool) -> ProcessIdentity | None:
         """Tell whether a process is the one; a runtime's program that has yet to become it stays waiting."""
         process = identify(pid)
         if process is None:
@@ -102,12 +118,12 @@ class Finder:
         try:
             environment = read_file(f"/proc/{pid}/environ").split(b"\0")
         except OSError:
-            self.by_exclusion = hidden and _hides(pid)
+            self.by_exclusion = hidden and not companion and _hides(pid)
             return process if self.by_exclusion else None
         if self._mark in environment:
             return process
         if any(item.startswith(f"{MARK}=".encode()) for item in environment):
-            del self._waiting[pid]
+            self._known[pid] = self._waiting.pop(pid)
             self._elsewhere.add(pid)
         return None
 
@@ -133,10 +149,12 @@ class Container:
         """
         self.first = first
         self.pidfd = os.pidfd_open(first.pid)
+        # Checked after the pidfd was opened: between the two the pid may have become another process.
         if identify(first.pid) != first:
             os.close(self.pidfd)
             raise ProcessLookupError(f"process {first.pid} is gone")
         self._mounts = _mount_namespace(first.pid)
+        # Through the container's own root: there its cgroup is mounted, whichever path it has on the machine.
         its_files = f"/proc/{first.pid}/root"
         self._group = attach_cgroup(f"{its_files}/sys/fs/cgroup", first.pid)
         self._known = [first]
@@ -204,6 +222,8 @@ class Container:
         """Find its processes in /proc: those that see its files and those that descend from known ones."""
         spared = _spared()
         pids = [known.pid for known in self._known if identify(known.pid) == known]
+        # A process that left its session and its parent still sees the container's files: by that it is
+        # found.
         if self._mounts is not None and self._mounts != _mount_namespace(os.getpid()):
             names = (int(name) for name in os.listdir("/proc") if name.isdigit())  # noqa: PTH208
             pids += [pid for pid in names if pid not in spared and _mount_namespace(pid) == self._mounts]

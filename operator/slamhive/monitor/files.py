@@ -17,55 +17,70 @@ if TYPE_CHECKING:
 
 _PIPE_BYTES = 256 << 10
 _LINE_BYTES = 64 << 10
-_MAX_ENTRIES = 200_000
-_COMPRESSED = (b"\x1f\x8b", b"BZh")
+_WAITING_BYTES = 2 << 20
 
 
 class UsageTable:
     """usage.csv: one row a sample, on disk about every second."""
 
-    def __init__(self, path: str, keep_bytes: int = 0) -> None:
-        """Begin a table, or go on with one.
-
-        Args:
-            path: The file.
-            keep_bytes: How much of what is there belongs to this table.
+    def __init__(self, path: str) -> None:
+        """Begin a table.
 
         Raises:
             OSError: The file can't be written.
         """
         self.error: OSError | None = None
-        mode = "r+" if keep_bytes else "w"
-        self._file = open(path, mode, encoding="ascii", buffering=1 << 16)  # noqa: PTH123, SIM115 - close()
-        if keep_bytes:
-            self._file.truncate(keep_bytes)
-            self._file.seek(0, os.SEEK_END)
-        else:
-            self._file.write("time_seconds,cpu_cores,resident_bytes,anonymous_bytes,working_set_bytes\n")
-
-    @property
-    def size(self) -> int:
-        """The file's size at the last flush, bytes."""
-        return os.fstat(self._file.fileno()).st_size
+        """Why rows are missing in the file, None when it has all."""
+        self.touched = False
+        self._path = path
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        self._waiting = bytearray(
+            b"time_seconds,cpu_cores,resident_bytes,anonymous_bytes,working_set_bytes\n"
+        )
+        self._lost: OSError | None = None
+        self._seen: tuple[int, int, int] | None = None
 
     def add(self, seconds: float, cores: float, sample: Sample) -> None:
         """Add a row: time since the start, cores since the row before."""
         memory = f"{sample.resident},{sample.anonymous},{sample.working_set}"
-        self._file.write(f"{seconds:.4f},{cores:.4f},{memory}\n")
+        row = f"{seconds:.4f},{cores:.4f},{memory}\n".encode("ascii")
+        if len(self._waiting) + len(row) <= _WAITING_BYTES:
+            self._waiting += row
+        else:  # the disk has refused for an hour
+            self._lost = self._lost or self.error
 
     def flush(self) -> None:
-        """Hand all rows to the kernel; a full disk must not end the supervision."""
+        """Hand all rows to the kernel; while the disk is full they wait, and the supervision goes on."""
+        self._look()
         try:
-            self._file.flush()
+            while self._waiting:
+                count = os.write(self._file, self._waiting)
+                del self._waiting[:count]
         except OSError as error:
             self.error = error
+        else:
+            self.error = self._lost
+        self._seen = self._state()
 
     def close(self) -> None:
         """Hand all rows to the kernel and close."""
+        self.flush()
         try:
-            self._file.close()
+            os.close(self._file)
         except OSError as error:
             self.error = error
+
+    def _look(self) -> None:
+        """Note whether another one wrote into the file or put another in its place since the last flush."""
+        if self._seen is not None and self._state() != self._seen:
+            self.touched = True
+
+    def _state(self) -> tuple[int, int, int] | None:
+        """Return inode, size and time of change of what is there; the last can't be set back."""
+        with suppress(OSError):
+            found = os.lstat(self._path)
+            return found.st_ino, found.st_size, found.st_ctime_ns
+        return None
 
 
 class OutputPipe:
@@ -91,6 +106,7 @@ class OutputPipe:
     def drain(self) -> None:
         """Take what was printed since."""
         taken = 0
+        # Bounded, so that a program that prints without end does not keep us from sampling.
         while taken < 16 * _PIPE_BYTES and (count := self._take()):
             taken += count
         watch = taken > _PIPE_BYTES // 8
@@ -118,37 +134,8 @@ class OutputPipe:
             return 0
         self._recent = (self._recent + data)[-4 * TAIL_BYTES :]
         lines, end, self._rest = (self._rest + data).rpartition(b"\n")
+        # A line without an end is passed on in pieces: it must not fill our memory.
         if len(self._rest) > _LINE_BYTES:
             end, self._rest = end + self._rest, b""
         self._log.write(lines + end)
         return len(data)
-
-
-def directory_bytes(path: str, enough: int) -> int:
-    """Return the size of all files below a directory; stops counting above `enough` or at 200,000 files."""
-    total = entries = 0
-    waiting = [path]
-    while waiting and total <= enough and entries < _MAX_ENTRIES:
-        with suppress(OSError), os.scandir(waiting.pop()) as found:
-            for entry in found:
-                entries += 1
-                if entry.is_dir(follow_symlinks=False):
-                    waiting.append(entry.path)
-                else:
-                    with suppress(OSError):
-                        total += entry.stat(follow_symlinks=False).st_size
-    return total
-
-
-def compression_problem(descriptor: int, name: str) -> str | None:
-    """Return what is wrong with an algorithm's text file that is compressed, None where it is not.
-
-    A megabyte can unpack to gigabytes, so none is unpacked: not in a pod, not on a workstation.
-
-    Args:
-        descriptor: The file, open for reading.
-        name: What the sentence calls it.
-    """
-    if os.pread(descriptor, 3, 0).startswith(_COMPRESSED):
-        return f"{name} is compressed; it must be plain text"
-    return None

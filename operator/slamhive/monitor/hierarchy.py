@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which cgroup trees we are in and where, as /proc/self tells, and their files."""
+"""Cgroup hierarchies of this process, found through /proc/self, and the reading of their files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from slamhive.monitor.processes import read_file
-from slamhive.monitor.sources import field
+from slamhive.monitor.sources import field, read_number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -49,11 +49,41 @@ def own_hierarchies() -> list[Hierarchy]:
         path_here = paths.get(next(iter(controllers_here), ""))
         if path_here is None or (kind == "cgroup" and not controllers_here):
             continue
+        # In a container the mount shows a part of the tree: the path in /proc/self/cgroup is that of the
+        # machine.
         relative = _relative(path_here, root)
         if relative is not None:
             directory = f"{mount}{relative}".rstrip("/")
             found.append(Hierarchy(1 if kind == "cgroup" else 2, controllers_here, mount, directory))
     return found
+
+
+def cpu_quota() -> float | None:
+    """Return how many processors' time cgroups allow us, as containers limit it; None for no limit."""
+    limits = []
+    try:
+        trees = own_hierarchies()
+    except (OSError, ValueError):
+        return None
+    for tree in trees:
+        directory = tree.directory
+        while directory.startswith(tree.mount):
+            limits.append(_quota_v2(directory) if tree.version == 2 else _quota_v1(directory))
+            directory = directory.rpartition("/")[0]
+    return min((limit for limit in limits if limit is not None), default=None)
+
+
+def _quota_v2(directory: str) -> float | None:
+    try:
+        most, period = read_file(f"{directory}/cpu.max").split()
+        return None if most == b"max" else int(most) / int(period)
+    except (OSError, ValueError):
+        return None
+
+
+def _quota_v1(directory: str) -> float | None:
+    most, period = (read_number(f"{directory}/cpu.cfs_{word}_us") for word in ("quota", "period"))
+    return most / period if most and period and most > 0 else None
 
 
 def _relative(path: str, root: str) -> str | None:

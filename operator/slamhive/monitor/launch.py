@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start an algorithm: pinned, in a session and a cgroup of its own, to die with its supervisor."""
+"""Launch of an algorithm: pinned to cores, in its own session and cgroup, to die with its supervisor."""
 
 from __future__ import annotations
 
@@ -85,10 +85,12 @@ def _become(
     try:
         os.setsid()
         set_parent_death_signal(signal.SIGKILL)
+        # The supervisor died before the death signal was set: nobody would end this child any more.
         if os.getppid() != supervisor:
             os._exit(1)
         _reset_signals()
         _redirect(*outputs)
+        # A core dump can have as many gigabytes as the program had of memory.
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
         allow_inspection()  # only then is the next ours to write
         with suppress(OSError):

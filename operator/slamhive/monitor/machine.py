@@ -6,12 +6,14 @@ from __future__ import annotations
 import os
 import time
 from contextlib import suppress
+from functools import cache
 
 from slamhive.monitor.processes import read_file, stat_fields
 
 _TICK = os.sysconf("SC_CLK_TCK")
 
 
+@cache
 def cpu_model() -> str:
     """Return the processor's name as the kernel gives it; on ARM the numbers of its maker and part."""
     facts: dict[str, str] = {}

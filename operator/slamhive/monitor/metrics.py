@@ -1,43 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an algorithm says of itself in output/metrics.json; anything odd there is noted, never an error."""
+"""The reader's part of a run, as output/metrics.json tells it, for the sidecar and the supervisor.
+
+Anything odd there becomes a note, never an error.
+"""
 
 from __future__ import annotations
 
-import errno
-import json
-import math
-import os
-import resource
-import stat
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+from slamhive.contract.metrics import is_number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from slamhive.contract.metrics import Metrics
 
-_METRICS_BYTES = 4 << 20
-_VALUE_BYTES = 4096
-_KEPT_BYTES = 64 << 10
-_LARGEST_COUNT = 1 << 53
-_FRAMES = {"offered": "framesOffered", "processed": "framesProcessed", "dropped": "framesDropped"}
-_PAGE = os.sysconf("SC_PAGE_SIZE")
-
-
-class NotRegularError(OSError):
-    """What was to be read is no file: a link, a directory, a pipe, or it isn't there."""
-
-
-class Metrics(NamedTuple):
-    """What metrics.json holds.
-
-    Attributes:
-        values: Its object, empty if there is none.
-        note: What was wrong with the file, None if nothing was.
-    """
-
-    values: Mapping[str, Any]
-    note: str | None = None
+# A reader takes a part of a run's CPU seconds, hardly more than the algorithm itself.
+_PLAUSIBLE_SHARE = 0.5
+# By how much a reader's own clock and ours may differ, which is read once a second.
+_CLOCK_TOLERANCE, _CLOCK_SECONDS = 0.1, 1.2
 
 
 class ReaderShare(NamedTuple):
@@ -47,11 +27,13 @@ class ReaderShare(NamedTuple):
         cpu_seconds: What to subtract, None if nothing is known.
         included: It can't be told apart.
         note: What was wrong with what the algorithm said.
+        suspicion: Why what it said is to be doubted.
     """
 
     cpu_seconds: float | None
     included: bool
     note: str | None
+    suspicion: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,46 +50,32 @@ class ReaderReport:
     includes_reader: bool | None = None
     note: str | None = None
 
-    def share(self, total: float, *, included: bool) -> ReaderShare:
+    def share(self, total: float, *, included: bool, measured: float | None = None) -> ReaderShare:
         """Judge the report.
 
         Args:
             total: CPU seconds of the entire run.
             included: What the Algorithm says where the report says nothing.
+            measured: CPU seconds of threads that call themselves the reader, None where none does.
         """
         included = included if self.includes_reader is None else self.includes_reader
         if self.cpu_seconds is not None and self.cpu_seconds > total:
             said = f"output/metrics.json: readerCpuSeconds {self.cpu_seconds:g}"
-            return ReaderShare(None, True, f"{said} is more than all CPU seconds and was ignored")
+            wrong = f"{said} is more than all CPU seconds and was ignored"
+            return ReaderShare(None, True, wrong, wrong)
         # What was to be subtracted is not known then.
-        return ReaderShare(self.cpu_seconds, included or self.note is not None, self.note)
+        unknown = included or self.note is not None
+        return ReaderShare(self.cpu_seconds, unknown, self.note, self._suspicion(total, measured))
 
-
-def read_metrics(
-    output_directory: str | None, limit: int = _METRICS_BYTES, memory: int | None = None
-) -> Metrics:
-    """Read metrics.json.
-
-    Args:
-        output_directory: Where it is.
-        limit: Bytes it may have.
-        memory: Bytes that reading it may take from us; None for any.
-    """
-    if output_directory is None:
-        return Metrics({})
-    try:
-        with open_regular(f"{output_directory}/metrics.json") as descriptor, memory_bounded(memory):
-            with open(descriptor, "rb", closefd=False) as file:
-                data = file.read(limit + 1)
-            values = json.loads(data) if len(data) <= limit else None
-    except FileNotFoundError:
-        return Metrics({})
-    except (OSError, ValueError, RecursionError, MemoryError):
-        values = None
-    if not isinstance(values, dict):
-        most = f"at most {limit >> 20} MiB"
-        return Metrics({}, f"output/metrics.json is no JSON object of {most} and was ignored")
-    return Metrics(values)
+    def _suspicion(self, total: float, measured: float | None) -> str | None:
+        said = self.cpu_seconds
+        if said is None:
+            return None
+        if measured is not None and said > (1 + _CLOCK_TOLERANCE) * measured + _CLOCK_SECONDS:
+            return f"its reader claims {said:.2f} CPU seconds, the clock of its thread has {measured:.2f}"
+        if said > _PLAUSIBLE_SHARE * total:
+            return f"its reader claims {said / total:.0%} of its CPU seconds"
+        return None
 
 
 def reader_report(metrics: Metrics) -> ReaderReport:
@@ -116,83 +84,7 @@ def reader_report(metrics: Metrics) -> ReaderReport:
     included = includes if isinstance(includes, bool) else None
     if seconds is None:
         return ReaderReport(includes_reader=included, note=metrics.note)
-    if not _is_number(seconds) or seconds < 0:
+    if not is_number(seconds) or seconds < 0:
         note = f"output/metrics.json: readerCpuSeconds must be a number, 0 or more, not {str(seconds)[:40]!r}"
         return ReaderReport(includes_reader=included, note=note)
     return ReaderReport(float(seconds), included)
-
-
-def frame_counts(metrics: Metrics) -> dict[str, int | None]:
-    """Return how many frames were offered, processed and dropped, as the algorithm counted."""
-    counts = {name: metrics.values.get(key) for name, key in _FRAMES.items()}
-    return {name: count if _is_count(count) else None for name, count in counts.items()}
-
-
-def plain_values(metrics: Metrics) -> dict[str, Any]:
-    """Return the numbers and short texts, also those in objects of such, 64 KiB at most."""
-    kept: dict[str, Any] = {}
-    room = _KEPT_BYTES
-    for key, value in metrics.values.items():
-        if isinstance(value, dict):
-            plain = all(_is_plain(item) for item in value.values())
-        else:
-            plain = _is_plain(value)
-        size = len(json.dumps({key: value})) if plain else 0
-        if plain and size <= min(room, _VALUE_BYTES):
-            kept[key] = value
-            room -= size
-    return kept
-
-
-def _is_plain(value: Any) -> bool:
-    return isinstance(value, str | bool) or _is_number(value)
-
-
-def _is_number(value: Any) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return False
-    return abs(value) <= _LARGEST_COUNT if isinstance(value, int) else math.isfinite(value)
-
-
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and _is_number(value) and value >= 0
-
-
-@contextmanager
-def open_regular(path: str) -> Iterator[int]:
-    """Open a file an algorithm wrote: no link to elsewhere, no pipe to wait on.
-
-    Raises:
-        FileNotFoundError: There is nothing.
-        NotRegularError: It is something else than a file.
-        OSError: It can't be opened.
-    """
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError as error:
-        if error.errno in (errno.ELOOP, errno.ENXIO, errno.ENODEV, errno.ENOTDIR):
-            raise NotRegularError(error.errno, error.strerror, path) from None
-        raise
-    try:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise NotRegularError(errno.EINVAL, "not a regular file", path)
-        yield descriptor
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
-def memory_bounded(extra: int | None) -> Iterator[None]:
-    """Let us take so many bytes more and no others, so that a file of nothing but brackets can't end us."""
-    if extra is None:
-        yield
-        return
-    with open("/proc/self/statm", "rb") as file:  # noqa: PTH123
-        now = int(file.read().split()[0]) * _PAGE
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    bound = now + extra if hard == resource.RLIM_INFINITY else min(now + extra, hard)
-    resource.setrlimit(resource.RLIMIT_AS, (bound, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who runs in a run folder, and what a dead supervisor left behind.
+"""Processes that a dead supervisor left behind in a run folder: found and ended.
+
+The runner and the supervisor call it.
 
 `process.json` names supervisor and algorithm by pid and start time, the boot they belong to, and the cgroup.
 Every process of a run carries `SLAMHIVE_SUPERVISOR=<pid>:<start>` in its environment: by that, by the
@@ -11,6 +13,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 
 from slamhive.monitor.cgroup import kill_frozen, remove_directories
@@ -74,6 +77,8 @@ class ProcessRecord:
             data = read_file(path)
         except FileNotFoundError:
             return None
+        except IsADirectoryError:  # the algorithm may have put one there
+            raise ValueError(f"{path} is a folder, no record of a run's processes; remove it") from None
         try:
             values = json.loads(data)
             algorithm = values["algorithm"]
@@ -119,6 +124,7 @@ def end_orphans(process_json: str | os.PathLike[str], seconds: float = 10.0) -> 
     record = ProcessRecord.read(os.fspath(process_json))
     if record is None or not _here(record):
         return []
+    # A supervisor that lives knows its run better than its record does, and writes a summary.
     if send(record.supervisor, _SIGTERM):
         deadline = time.monotonic() + seconds
         while is_alive(record.supervisor) and time.monotonic() < deadline:
@@ -130,17 +136,28 @@ def end_orphans(process_json: str | os.PathLike[str], seconds: float = 10.0) -> 
 
 
 def write_atomically(path: str, text: str, *, durable: bool = True) -> None:
-    """Write a file so that others see all of it or nothing; durable: a power cut included."""
+    """Write a file so that others see all of it or nothing; durable: a power cut included.
+
+    Raises:
+        OSError: The disk refuses; what was there stays, and the error names the file.
+    """
     temporary = f"{path}.{os.getpid()}.tmp"
-    with open(temporary, "w", encoding="utf-8") as file:  # noqa: PTH123
-        file.write(text)
-        if durable:
-            file.flush()
-            os.fsync(file.fileno())
-    os.replace(temporary, path)  # noqa: PTH105
+    try:
+        with open(temporary, "w", encoding="utf-8") as file:  # noqa: PTH123
+            file.write(text)
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+        os.replace(temporary, path)  # noqa: PTH105
+    except OSError as error:
+        with suppress(OSError):
+            os.unlink(temporary)  # noqa: PTH108
+        error.filename = path  # a write has none
+        raise
 
 
 def _here(record: ProcessRecord) -> bool:
+    # Elsewhere the pids of the record belong to strangers, who must not be ended.
     return record.boot == boot_id() and record.namespace == pid_namespace()
 
 

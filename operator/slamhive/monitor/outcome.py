@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From how a process ended to a reason and a sentence: pure, no process in sight."""
+"""Outcome of a process: from how it ended to a reason and a sentence. Pure; no process is touched."""
 
 from __future__ import annotations
 
@@ -59,12 +59,6 @@ def out_of_memory(limit: int | None) -> Stop:
     """Return the decision to end a run that took too much memory."""
     most = "there is" if limit is None else f"its limit of {limit / 2**20:.0f} MiB"
     return Stop(Reason.OUT_OF_MEMORY, f"it needed more memory than {most}", at_once=True)
-
-
-def output_too_large(limit: int) -> Stop:
-    """Return the decision to end a run that wrote too much."""
-    message = f"its output grew beyond the limit of {limit / 2**20:.0f} MiB"
-    return Stop(Reason.OUTPUT_TOO_LARGE, message, at_once=True)
 
 
 def judge(ending: Ending) -> Outcome:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import stat
 from contextlib import suppress
 from itertools import pairwise
 from typing import TYPE_CHECKING
+
+from slamhive.contract.files import read_regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,14 +58,9 @@ def _rows(path: str) -> Iterator[tuple[float, float]]:
 def _window(output_directory: str | None) -> tuple[float, float] | None:
     if output_directory is None:
         return None
-    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
-        descriptor = os.open(f"{output_directory}/playback.json", flags)
-        with open(descriptor, "rb") as file:  # noqa: PTH123
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                return None
-            found = json.loads(file.read(_REPORT_BYTES))
+        found = json.loads(read_regular(f"{output_directory}/playback.json", _REPORT_BYTES))
         begin, end = float(found["playStart"]), float(found["playEnd"])
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+    except (OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError):
         return None
     return (begin, end) if math.isfinite(begin) and math.isfinite(end) and begin < end else None

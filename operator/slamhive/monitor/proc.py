@@ -76,6 +76,7 @@ class ProcSource:
                 continue
             resident += pages
             anonymous += pages - shared
+        # A process that ends while the tree is read can be missing in the sum, which must not go down.
         self._cpu = max(self._cpu, cpu - self._left_out)
         return Sample(
             time.monotonic(),

@@ -143,6 +143,8 @@ def send(process: ProcessIdentity, number: int) -> bool:
     except OSError:
         return False
     try:
+        # Checked after the pidfd was opened: alive now means alive then, so the descriptor is of this very
+        # process.
         if not is_alive(process):
             return False
         signal.pidfd_send_signal(descriptor, number)

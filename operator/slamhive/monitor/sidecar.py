@@ -3,7 +3,8 @@
 
 The kubelet starts it before the algorithm and ends it afterwards by SIGTERM. What it finds out is in
 usage.csv while the algorithm runs, in summary.json when it has ended, and in short in the container's
-termination message. Killed and started again it goes on where it was.
+termination message. What it knows is in its memory alone: one that was killed can't be believed any more,
+so that the next ends the algorithm and says so.
 
 Exit codes: 0, summary.json says how the run ended; 1, no summary could be written; 2, wrong specification.
 """
@@ -15,15 +16,15 @@ import os
 import sys
 import time
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from slamhive.monitor.accounting import Accounting
+from slamhive.contract.output import read_output
 from slamhive.monitor.containers import Container, Finder
 from slamhive.monitor.machine import cpu_model, process_start
-from slamhive.monitor.metrics import frame_counts, plain_values, read_metrics, reader_report
+from slamhive.monitor.metrics import reader_report
 from slamhive.monitor.orphans import write_atomically
-from slamhive.monitor.outcome import out_of_memory
+from slamhive.monitor.outcome import Stop, out_of_memory
 from slamhive.monitor.playing import played_mean_cores
 from slamhive.monitor.processes import forbid_inspection, read_file
 from slamhive.monitor.sidecarstate import SidecarState
@@ -31,20 +32,20 @@ from slamhive.monitor.signals import Signals
 from slamhive.monitor.spec import TERMINATION_MESSAGE, SidecarSpec, SpecError
 from slamhive.monitor.summary import Reason, Summary
 from slamhive.monitor.termination import VERSION, termination_message, write_message
-from slamhive.monitor.trajectory import check_trajectory
-from slamhive.monitor.watching import STATE, UNENDED, USAGE, Watch
+from slamhive.monitor.watching import UNENDED, USAGE, Watch
 from slamhive.playback.outcome import read_report
 
 if TYPE_CHECKING:
-    from slamhive.monitor.accounting import Usage
-    from slamhive.monitor.metrics import Metrics
+    from slamhive.contract.output import Output
+    from slamhive.monitor.accounting import Accounting, Usage
     from slamhive.monitor.processes import ProcessIdentity
 
 VARIABLE = "SLAMHIVE_SIDECAR"
 _SUMMARY = "summary.json"
 _CONFIGURATION = "config.yaml"
-_METRICS_MEMORY = 32 << 20
 _LEFT_SECONDS = 5.0
+_RESTARTED = "the monitor was ended while the algorithm ran: nobody knows what it did since"
+_EARLY = "the algorithm ran before the monitor watched it"
 _UNSEEN = "the algorithm was never seen: it did not start, or ended within milliseconds"
 
 
@@ -58,50 +59,32 @@ class Sidecar:
 
     def run(self) -> int:
         """Wait for the algorithm, watch it, write the summary, wait to be ended; return the exit code."""
-        summary = self._earlier_summary()
-        written = summary is not None
-        if summary is None:
-            state = self._follow()
-            summary = self._summary(state)
-            written = self._write(summary)
-            # Where the algorithm runs on after us, the next sidecar takes over.
-            if written and (state.ended or state.first is None):
-                with suppress(OSError):
-                    os.unlink(self._path(STATE))  # noqa: PTH108
+        summary = self._summary(self._follow())
+        written = self._write(summary)
         try:
             write_message(self._spec.termination_message, termination_message(summary))
         except OSError as error:
             _say(f"{self._spec.termination_message}: {error.strerror}")
+        # A native sidecar that ends is started again by the kubelet: it stays until it is told to end.
         while not self._signals.told:
             self._signals.wait()
         return 0 if written else 1
 
-    def _earlier_summary(self) -> dict[str, Any] | None:
-        """Return the summary that one before us wrote, None if there is still something to do."""
-        if os.path.lexists(self._path(STATE)):
-            return None
-        try:
-            found = json.loads(read_file(self._path(_SUMMARY)))
-        except (OSError, ValueError):
-            return None
-        return found if isinstance(found, dict) else None
-
     def _follow(self) -> SidecarState:
         """Watch the algorithm to its end; what is known of it then."""
-        earlier = SidecarState.load(self._path(STATE))
-        state = SidecarState() if earlier is None else earlier
-        if os.path.lexists(self._path(STATE)):
-            state.note("the monitor was restarted")
-        if earlier is None:
-            with suppress(OSError):
-                state.save(self._path(STATE))
-            self._copy_configuration(state)
-        if state.stop is not None and state.stop.reason is Reason.CANCELLED:
-            state.stop = None  # that was our own end, and here we are again
+        state = SidecarState()
+        # Files of an earlier life of ours: what the algorithm did in between was seen by nobody, so the run
+        # is a fault.
+        restarted = any(os.path.lexists(self._path(name)) for name in (USAGE, _SUMMARY))
+        if restarted:
+            state.note(_RESTARTED)
+            state.stop = Stop(Reason.SYSTEM_FAULT, _RESTARTED, at_once=True)
         container = self._attach(state)
         if container is not None:
             try:
-                if Watch(self._spec, container, state).run(self._signals):
+                if restarted:
+                    container.end(_LEFT_SECONDS)
+                elif Watch(self._spec, container, state).run(self._signals):
                     _end_left(container, state)
             finally:
                 container.close()
@@ -109,14 +92,6 @@ class Sidecar:
 
     def _attach(self, state: SidecarState) -> Container | None:
         """Return the algorithm's container once it runs, None if it never comes or is gone already."""
-        if state.first is not None:
-            if state.here:
-                with suppress(OSError):
-                    return Container(state.first)
-            if not state.ended:
-                state.ended = True
-                state.note("the algorithm ended while the monitor was away: the figures are those before")
-            return None
         first, late = self._wait(state)
         if first is None:
             return None
@@ -125,7 +100,9 @@ class Sidecar:
         except OSError:
             return None
         state.first, state.start = first, time.monotonic()
+        # It ran before the monitor was closed to it: its figures are kept, marked as doubtful.
         if late:
+            state.suspicions.append(_EARLY)
             with suppress(OSError):
                 state.start = process_start(first.pid)
         state.started_at = time.time() - (time.monotonic() - state.start)
@@ -135,9 +112,10 @@ class Sidecar:
 
     def _wait(self, state: SidecarState) -> tuple[ProcessIdentity | None, bool]:
         """Wait for the algorithm's first process; tell too whether it was there before we looked."""
-        finder = Finder(self._spec.container)
+        finder = Finder(self._spec.container, self._spec.companions)
         try:
             first, late = finder.look(time.monotonic()), True
+            self._copy_configuration(state)  # by which the kubelet knows that we watch: see builders/run.py
             while first is None and not self._signals.told:
                 self._signals.wait(finder.interval(time.monotonic()))
                 first, late = finder.look(time.monotonic()), False
@@ -149,17 +127,19 @@ class Sidecar:
 
     def _summary(self, state: SidecarState) -> dict[str, Any]:
         spec = self._spec
-        output = f"{spec.run_directory}/output"
-        metrics = read_metrics(output, memory=_METRICS_MEMORY)
-        usage, problem = self._usage(state, metrics) if state.accounting else (None, metrics.note)
+        folder = f"{spec.run_directory}/output"
+        output = read_output(folder, spec.frames)
+        account = state.accounting
+        usage, problem = (None, None) if account is None else self._usage(state, account, output)
         if usage is None:
-            state.note(_UNSEEN)
+            state.note(_UNSEEN if state.stop is None else state.stop.message)
         else:
-            mean = played_mean_cores(output, self._path(USAGE), state.started_at)
+            mean = played_mean_cores(folder, self._path(USAGE), state.started_at)
             if mean is not None:
                 usage = replace(usage, cpu=replace(usage.cpu, mean_cores=mean))
         stop = state.stop or (out_of_memory(spec.memory_limit_bytes) if state.oom_kills else None)
         summary = Summary(
+            # The kubelet alone knows how the container ended: the algorithm is not our child.
             exit_code=None,
             signal=None,
             reason=stop.reason if stop else None,
@@ -169,23 +149,23 @@ class Sidecar:
             usage=usage,
             log_tail="",
             left_processes=state.left,
-            metrics_problem=problem,
+            metrics_problem=output.metrics_problem(problem),
+            output=output,
             notes=tuple(state.notes),
         )
         return {
             **summary.as_json(),
-            **_trajectory(output),
-            **_played(output),
-            "frames": frame_counts(metrics),
-            "metrics": plain_values(metrics),
+            **_played(folder),
             "node": os.environ.get("NODE_NAME") or None,
             "cpuModel": cpu_model(),
         }
 
-    def _usage(self, state: SidecarState, metrics: Metrics) -> tuple[Usage, str | None]:
-        """Return the figures, and what was wrong with metrics.json."""
-        account = Accounting.from_state(state.accounting)
-        reader = reader_report(metrics).share(account.cpu_seconds, included=self._spec.includes_reader)
+    def _usage(self, state: SidecarState, account: Accounting, output: Output) -> tuple[Usage, str | None]:
+        """Return the figures, and what was wrong with what metrics.json says of the reader."""
+        reader = reader_report(output.metrics).share(
+            account.cpu_seconds, included=self._spec.includes_reader, measured=state.reader
+        )
+        doubts = [*state.suspicions, *([reader.suspicion] if reader.suspicion else [])]
         usage = account.usage(
             state.source,
             data_seconds=self._spec.data_seconds,
@@ -194,6 +174,7 @@ class Sidecar:
             throttled_seconds=state.throttled,
             contended_seconds=state.contended,
             kernel_peak=state.kernel_peak,
+            suspicions=doubts,
         )
         return usage, reader.note
 
@@ -223,15 +204,6 @@ def _end_left(container: Container, state: SidecarState) -> None:
     state.left = len(left)
     if left and container.end(_LEFT_SECONDS):
         state.note(UNENDED)
-
-
-def _trajectory(output: str) -> dict[str, Any]:
-    found = check_trajectory(output)
-    if found.info is None:
-        return {"trajectoryProblem": found.problem, "trajectoryMissing": found.missing}
-    info = asdict(found.info)
-    info["durationSeconds"] = info.pop("duration_seconds")
-    return {"trajectory": info}
 
 
 def _played(output: str) -> dict[str, Any]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Being told to end, without being interrupted anywhere."""
+"""Signals that ask the monitor to end, noted without interrupting what it is doing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Signals:
         """Return how many came since the last time."""
         count = 0
         with suppress(BlockingIOError):
-            count = len(os.read(self.descriptor, 4096))
+            count = sum(number in _NUMBERS for number in os.read(self.descriptor, 4096))
         self.told = self.told or count > 0
         return count
 

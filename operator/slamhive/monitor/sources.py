@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where figures come from: the kernel's account of a cgroup, version 1 or 2.
+"""Sources of CPU and memory figures: the kernel's accounts of a cgroup, version 1 or 2.
 
 Both supervisor and sidecar read a `Source` ten times a second. Files stay open between readings: half the
 cost of a reading is the open, and the file of a cgroup that is gone then fails instead of being another's.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What supervisor and sidecar are asked to do: JSON that the executor or the operator writes."""
+"""Specifications for supervisor and sidecar: JSON that the executor or the operator writes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 MEBIBYTE = 1 << 20
+OUTPUT_LIMIT = "8Gi"
+OUTPUT_FILES = 100_000
+TASK_LIMIT = 4096
+"""Processes and threads that an algorithm may have at the same time."""
+"""To what a run's output may grow where nobody says otherwise, here and on a cluster."""
 TERMINATION_MESSAGE = "/dev/termination-log"
 
 
@@ -72,10 +77,12 @@ class SupervisorSpec(Specification):
         timeout_seconds: Wall time the algorithm may take.
         memory_limit_bytes: Memory its whole process tree may take.
         output_limit_bytes: Size to which `output_directory` may grow.
+        output_file_limit: How many files and folders it may hold.
         log_limit_bytes: How much of the log is kept: its beginning and its end in equal parts.
         task_limit: How many processes (with a cgroup: and threads) may live at the same time.
         interval_seconds: Time between two samples.
         data_seconds: Length of the recording, for CPU seconds per second of data.
+        frames: Frames of the recording, for an algorithm that doesn't count what it was offered.
         includes_reader: The algorithm reads the recording by itself and can't tell what that costs.
         cgroup: `auto` makes one where it can be made, `none` measures by /proc.
         kill_grace_seconds: Time between SIGTERM and SIGKILL.
@@ -94,10 +101,12 @@ class SupervisorSpec(Specification):
     timeout_seconds: float | None = None
     memory_limit_bytes: int | None = None
     output_limit_bytes: int | None = None
+    output_file_limit: int | None = OUTPUT_FILES
     log_limit_bytes: int = 10 * MEBIBYTE
-    task_limit: int | None = 4096
+    task_limit: int | None = TASK_LIMIT
     interval_seconds: float = 0.1
     data_seconds: float | None = None
+    frames: int | None = None
     includes_reader: bool = False
     cgroup: str = "auto"
     kill_grace_seconds: float = 5.0
@@ -116,8 +125,11 @@ class SidecarSpec(Specification):
         timeout_seconds: Wall time the algorithm may take from its first process on.
         memory_limit_bytes: The container's memory limit, for the message; the kernel enforces it.
         output_limit_bytes: Size to which the algorithm's output may grow.
+        output_file_limit: How many files and folders it may hold.
         task_limit: How many processes and threads may live at the same time.
+        companions: Containers that start before the algorithm's and hide what they are, as the player does.
         data_seconds: Length of the recording, for CPU seconds per second of data.
+        frames: Frames of the recording, for an algorithm that doesn't count what it was offered.
         includes_reader: The algorithm reads the recording by itself and can't tell what that costs.
         interval_seconds: Time between two samples.
         kill_grace_seconds: Time between SIGTERM and SIGKILL.
@@ -130,8 +142,11 @@ class SidecarSpec(Specification):
     timeout_seconds: float | None = None
     memory_limit_bytes: int | None = None
     output_limit_bytes: int | None = None
-    task_limit: int | None = 4096
+    output_file_limit: int | None = OUTPUT_FILES
+    task_limit: int | None = TASK_LIMIT
+    companions: int = 0
     data_seconds: float | None = None
+    frames: int | None = None
     includes_reader: bool = False
     interval_seconds: float = 0.1
     kill_grace_seconds: float = 5.0
@@ -207,13 +222,16 @@ _RULES: dict[str, tuple[str, Callable[[object], bool]]] = {
     "timeout_seconds": _TIME_RULE,
     "memory_limit_bytes": _SIZE_RULE,
     "output_limit_bytes": _SIZE_RULE,
+    "output_file_limit": _SIZE_RULE,
     "log_limit_bytes": ("a whole number of at least 4096", lambda value: _integer(value, 4096)),
     "task_limit": _SIZE_RULE,
     "interval_seconds": (
         "a number of seconds from 0.01 to 10",
         lambda value: _number(value) and 0.01 <= value <= 10,  # type: ignore[operator]
     ),
+    "companions": ("a whole number, 0 or more", lambda value: _integer(value, 0)),
     "data_seconds": _TIME_RULE,
+    "frames": ("a whole number, 0 or more, or null", _optional(lambda value: _integer(value, 0))),
     "includes_reader": ("true or false", lambda value: isinstance(value, bool)),
     "cgroup": ("auto or none", lambda value: value in ("auto", "none")),
     "kill_grace_seconds": (

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
+from slamhive.contract.output import Output  # noqa: TC001 - the type of a public field
 from slamhive.monitor.accounting import Usage  # noqa: TC001 - the type of a public field
 
 
@@ -20,6 +21,7 @@ class Reason(StrEnum):
     ALGORITHM_FAILED = "AlgorithmFailed"
     CANCELLED = "Cancelled"
     OUTPUT_TOO_LARGE = "OutputTooLarge"
+    SYSTEM_FAULT = "SystemFault"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +40,7 @@ class Summary:
         left_processes: Processes that outlived the algorithm's first one and were ended.
         metrics_problem: What was wrong with metrics.json, None if nothing was.
         notes: What else was wrong but didn't end the run.
+        output: What the algorithm left; None where it has no output folder.
     """
 
     exit_code: int | None
@@ -51,14 +54,17 @@ class Summary:
     left_processes: int = 0
     metrics_problem: str | None = None
     notes: tuple[str, ...] = ()
+    output: Output | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the summary as plain values with camelCase keys and ISO 8601 times."""
-        values = asdict(self)
+        values = asdict(replace(self, output=None))
+        del values["output"]
         values["reason"] = None if self.reason is None else self.reason.value
         for name in ("started_at", "finished_at"):
             values[name] = None if values[name] is None else iso_time(values[name])
-        return {_camel(name): _camel_keys(value) for name, value in values.items()}
+        told = {_camel(name): _camel_keys(value) for name, value in values.items()}
+        return told if self.output is None else {**told, **self.output.as_json()}
 
     def to_json(self) -> str:
         """Return the same as text."""

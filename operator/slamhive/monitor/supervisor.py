@@ -16,15 +16,19 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from slamhive.contract.metrics import Metrics
+from slamhive.contract.output import read_output
 from slamhive.monitor.accounting import Accounting, Contention, SampleTimes
 from slamhive.monitor.cgroup import make_run_cgroup
-from slamhive.monitor.files import OutputPipe, UsageTable, directory_bytes
+from slamhive.monitor.files import OutputPipe, UsageTable
 from slamhive.monitor.hierarchy import host_throttled
+from slamhive.monitor.interference import Interference
 from slamhive.monitor.launch import LaunchError, launch
 from slamhive.monitor.log import BoundedLog
-from slamhive.monitor.metrics import read_metrics, reader_report
+from slamhive.monitor.metrics import reader_report
 from slamhive.monitor.orphans import TOKEN, ProcessRecord, write_atomically
-from slamhive.monitor.outcome import Ending, Stop, judge, out_of_memory, output_too_large
+from slamhive.monitor.outcome import Ending, Stop, judge, out_of_memory
+from slamhive.monitor.output import OutputMeter
 from slamhive.monitor.playing import played_mean_cores
 from slamhive.monitor.proc import ProcSource
 from slamhive.monitor.processes import (
@@ -39,6 +43,7 @@ from slamhive.monitor.processes import (
     read_file,
     set_parent_death_signal,
 )
+from slamhive.monitor.reader import ReaderClock
 from slamhive.monitor.resident import largest_ended
 from slamhive.monitor.sources import Source, field
 from slamhive.monitor.summary import Reason, Summary
@@ -63,12 +68,12 @@ class Supervisor:
         self._parent = spec.parent_pid or os.getppid()
         self._signals: list[int] = []
         self._notes: list[str] = []
-        self._metrics_problem: str | None = None
         self._stop: Stop | None = None
         self._kill_at: float | None = None
         self._status: int | None = None
         self._algorithm: int | None = None
         self._poll = select.poll()
+        self._reader = ReaderClock()
 
     def run(self) -> Summary:
         """Run the algorithm to its end, or end it, and write the summary.
@@ -87,11 +92,14 @@ class Supervisor:
             self._source: Source = ProcSource() if self._cgroup is None else self._cgroup.source
             self._log = BoundedLog(spec.log_path, spec.log_limit_bytes)
             self._table = UsageTable(spec.usage_path)
+            self._output = OutputMeter(spec.output_directory, spec.output_limit_bytes, spec.output_file_limit)
             summary = self._supervise()
         finally:
             self._end_tree()
             if self._cgroup is not None and not self._cgroup.remove():
                 self._notes.append("a cgroup of the run could not be removed")
+        # Written when nothing of the run lives any more: who finds a summary may trust that the output is
+        # final.
         summary = replace(summary, notes=tuple(self._notes))
         write_atomically(spec.summary_path, summary.to_json())
         return summary
@@ -99,6 +107,7 @@ class Supervisor:
     def _prepare(self) -> None:
         become_subreaper()
         for name in os.listdir("/proc/self/fd"):  # noqa: PTH208
+            # What slamhive has open (its archive, its sockets) is none of the algorithm's.
             if int(name) > 2:
                 with suppress(OSError):
                     os.set_inheritable(int(name), False)
@@ -112,6 +121,7 @@ class Supervisor:
             signal.signal(number, lambda number, _frame: self._signals.append(number))
         signal.signal(signal.SIGCHLD, lambda _number, _frame: None)
         set_parent_death_signal(_PARENT_SIGNAL)
+        self._interference = Interference()
         me = identify(os.getpid())
         if me is None:
             raise ProcessLookupError(0, "no process table is mounted", "/proc")
@@ -119,7 +129,7 @@ class Supervisor:
 
     def _supervise(self) -> Summary:
         spec = self._spec
-        throttled, oom_kills = host_throttled(), _machine_oom_kills()
+        throttled_before, kills_before = host_throttled(), _machine_oom_kills()
         self._out, self._err = (OutputPipe(self._log, self._poll) for _ in range(2))
         self._start = time.monotonic()
         self._follow_signals(self._start)
@@ -134,7 +144,11 @@ class Supervisor:
         if self._stop is None:
             self._watch()
         finished, left = self._finish()
-        usage = self._usage(finished, throttled)
+        # Before the output is read, which may take a while: what the machine does meanwhile isn't the run's.
+        throttled, oom_kills = self._throttled(throttled_before), _machine_oom_kills() - kills_before
+        folder = spec.output_directory
+        output = None if folder is None else read_output(folder, spec.frames)
+        usage, problem = self._usage(finished, throttled, Metrics({}) if output is None else output.metrics)
         self._close_files()
         played = played_mean_cores(spec.output_directory, spec.usage_path, started_at)
         if played is not None:
@@ -144,7 +158,7 @@ class Supervisor:
             stop=self._stop,
             last_line=self._err.last_line() or self._out.last_line(),
             group_oom_kills=self._cgroup.oom_kills() if self._cgroup else 0,
-            machine_oom_kills=_machine_oom_kills() - oom_kills,
+            machine_oom_kills=oom_kills,
             memory_limit=spec.memory_limit_bytes,
         )
         return Summary(
@@ -154,16 +168,20 @@ class Supervisor:
             usage=usage,
             log_tail=self._log.tail(),
             left_processes=left,
-            metrics_problem=self._metrics_problem,
+            metrics_problem=None if output is None else output.metrics_problem(problem),
+            output=output,
         )
 
     def _launch(self) -> None:
         groups = tuple(self._cgroup.directories) if self._cgroup else ()
         record = ProcessRecord(boot_id(), pid_namespace(), self._me, None, groups)
+        # Before the algorithm starts: were we killed in between, the next slamhive finds by it what we left.
         record.write(self._spec.process_path)
         environment = {**self._spec.env, TOKEN: record.token}
         started = launch(self._spec, environment, (self._out.writer, self._err.writer), groups)
         self._algorithm, self._start = started.pid, started.start
+        # A cgroup counts from the algorithm on; /proc counts our child's time before it became the algorithm
+        # too.
         if isinstance(self._source, ProcSource):
             self._source.leave_out(started.cpu)
         replace(record, algorithm=identify(self._algorithm)).write(self._spec.process_path)
@@ -230,11 +248,13 @@ class Supervisor:
         elif self._kill_at is None:
             self._kill_at = now + self._spec.kill_grace_seconds
             for pid in descendants([self._me.pid]):
+                # A stopped process takes a signal only when it is continued.
                 for number in (signal.SIGTERM, signal.SIGCONT):
                     with suppress(OSError):
                         os.kill(pid, number)
 
     def _sample(self, now: float) -> None:
+        self._interference.look(now)
         sample = self._source.read()
         self._table.add(sample.time - self._start, self._accounting.add(sample), sample)
         self._drain()
@@ -243,18 +263,18 @@ class Supervisor:
         if too_much or (self._cgroup is not None and self._cgroup.oom_kills() > 0):
             self._end(out_of_memory(limit), now)
         tasks = self._spec.task_limit
+        # A cgroup bounds this by itself; a fork bomb has to be killed at once, as it only grows while it is
+        # asked to end.
         if self._cgroup is None and tasks is not None and len(self._source.processes()) > tasks:
             message = f"it had more than {tasks} processes at the same time"
             self._end(Stop(Reason.ALGORITHM_FAILED, message, at_once=True), now)
         if self._contention.due(now):
             self._contention.add(now, sample.cpu)
             self._table.flush()
-            self._check_output(now)
-
-    def _check_output(self, now: float) -> None:
-        output, limit = self._spec.output_directory, self._spec.output_limit_bytes
-        if output is not None and limit is not None and directory_bytes(output, limit) > limit:
-            self._end(output_too_large(limit), now)
+            self._reader.look(self._source.processes())
+            problem = self._output.problem(now, self._source.processes())
+            if problem is not None:
+                self._end(problem, now)
 
     def _finish(self) -> tuple[float, int]:
         """End what is left; return when the first process ended and how many outlived it."""
@@ -269,6 +289,8 @@ class Supervisor:
     def _end_tree(self) -> None:
         """End all of the run; done when the kernel says that we have no children."""
         deadline = time.monotonic() + _END_SECONDS
+        # Exact, as we are the subreaper: every orphan of the run is our child. No name and no session has to
+        # be guessed.
         while children(self._me.pid):
             if time.monotonic() > deadline:
                 self._notes.append("processes of the run could not be ended")
@@ -282,22 +304,41 @@ class Supervisor:
         self._reap()
         return [found for found in map(identify, descendants([self._me.pid])) if found is not None]
 
-    def _usage(self, finished: float, throttled_before: float | None) -> Usage:
-        """Take the last sample, exact as everything has ended, and sum up."""
+    def _throttled(self, before: float | None) -> float | None:
+        """Return for how long the run was held back, s: by its own limit or by one around the supervisor.
+
+        Args:
+            before: what ``host_throttled`` said when the run began.
+        """
+        own = self._cgroup.throttled() if self._cgroup else None
+        now = host_throttled()
+        if before is None or now is None:
+            return own
+        return max(own or 0.0, now - before)
+
+    def _usage(self, finished: float, throttled: float | None, metrics: Metrics) -> tuple[Usage, str | None]:
+        """Take the last sample, exact as everything has ended, and sum up.
+
+        Returns:
+            The figures, and what was wrong with what metrics.json says of the reader.
+        """
         spec = self._spec
+        # Read when all has ended, so that no CPU time is missing, but stamped with the end of the first
+        # process: waiting for stragglers is no wall time of the run.
         sample = self._source.read()._replace(time=finished)
         cores = self._accounting.add(sample, final=True)
         self._table.add(finished - self._start, cores, sample)
         self._contention.add(finished, sample.cpu)
-        reader = reader_report(read_metrics(spec.output_directory)).share(
-            sample.cpu, included=spec.includes_reader
+        self._interference.look(finished)
+        self._table.flush()
+        if self._table.touched:
+            self._interference.note("usage.csv was changed by another program")
+        reader = reader_report(metrics).share(
+            sample.cpu, included=spec.includes_reader, measured=self._reader.seconds
         )
-        self._metrics_problem = reader.note
-        throttled_after = host_throttled()
-        throttled = self._cgroup.throttled() if self._cgroup else None
-        if throttled_before is not None and throttled_after is not None:
-            throttled = max(throttled or 0.0, throttled_after - throttled_before)
-        return self._accounting.usage(
+        if reader.suspicion is not None:
+            self._interference.note(reader.suspicion)
+        usage = self._accounting.usage(
             self._source.name,
             data_seconds=spec.data_seconds,
             reader_cpu_seconds=reader.cpu_seconds,
@@ -306,7 +347,9 @@ class Supervisor:
             contended_seconds=self._contention.seconds,
             kernel_peak=self._source.kernel_peak(),
             largest_process=largest_ended(),
+            suspicions=self._interference.notes,
         )
+        return usage, reader.note
 
     def _close_files(self) -> None:
         self._out.close()

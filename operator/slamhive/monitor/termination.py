@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sidecar's last word to the kubelet: the essence of summary.json in at most 2 KiB.
+"""Termination message of the sidecar: the essence of summary.json in at most 4 KiB. The operator reads it.
 
-The kubelet shares 12 KiB among all containers of a pod and cuts what is longer, and cut JSON says nothing.
+The kubelet takes 4 KiB of a container, shares 12 KiB among all containers of a pod, and cuts what is longer.
+Cut JSON says nothing: where a pod was given more than three containers, the operator has the file read.
 """
 
 from __future__ import annotations
@@ -10,10 +11,13 @@ import json
 import os
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.metrics import MOST_BYTES, keep_values
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-LIMIT_BYTES = 2048
+LIMIT_BYTES = 4096
+_OTHER_BYTES = LIMIT_BYTES - MOST_BYTES - len(',"metrics":')
 VERSION = 1
 _TAKEN_OVER = (
     "reason",
@@ -31,7 +35,6 @@ _TAKEN_OVER = (
 )
 # Of these, in this order, as much goes as must; what can't be shortened goes altogether.
 _GIVEN_UP = (
-    "metrics",
     "message",
     "trajectoryProblem",
     "metricsProblem",
@@ -44,22 +47,23 @@ _GIVEN_UP = (
 _SHORTEST_TEXT = 40
 
 
-def termination_message(summary: Mapping[str, Any], limit: int = LIMIT_BYTES) -> bytes:
-    """Return what of a summary.json goes to the kubelet: compact JSON of at most `limit` bytes."""
+def termination_message(summary: Mapping[str, Any]) -> bytes:
+    """Return what of a summary.json goes to the kubelet: compact JSON of at most `LIMIT_BYTES`."""
     told = {"v": VERSION, **{name: _rounded(summary[name]) for name in _TAKEN_OVER if name in summary}}
-    if "metrics" in summary:
-        told["metrics"] = summary["metrics"]  # their digits are the algorithm's business
     for name in _GIVEN_UP:
-        surplus = len(_encode(told)) - limit
+        surplus = len(_encode(told)) - _OTHER_BYTES
         if surplus <= 0:
             break
         text = told.get(name)
         if isinstance(text, str):
             told[name] = _shortened(text, surplus)
-        elif name == "metrics" and isinstance(text, dict):
-            told[name] = _lightened(text, surplus)
         elif name in told:
             told[name] = None
+    metrics = summary.get("metrics")
+    if isinstance(metrics, dict):
+        # All that is kept, or a run would have other columns here than on a workstation. A file that is read
+        # later may be another's than the monitor's, so what is too much is left out here too.
+        told["metrics"] = keep_values(metrics).values
     return _encode(told)
 
 
@@ -71,7 +75,8 @@ def write_message(path: str, message: bytes) -> None:
     """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
     try:
-        os.write(descriptor, message)
+        while message:
+            message = message[os.write(descriptor, message) :]
     finally:
         os.close(descriptor)
 
@@ -84,16 +89,6 @@ def _shortened(text: str, surplus: int) -> str:
         middle = (low + high + 1) // 2
         low, high = (middle, high) if len(_encode(text[:middle])) <= room else (low, middle - 1)
     return text if low == len(text) else text[:low] + "…"
-
-
-def _lightened(values: dict[str, Any], surplus: int) -> dict[str, Any]:
-    """Leave out the largest values, until so many bytes are saved or none is left."""
-    kept = dict(values)
-    for key in sorted(values, key=lambda name: -len(_encode({name: values[name]}))):
-        if surplus <= 0:
-            break
-        surplus -= len(_encode({key: kept.pop(key)})) - 2
-    return kept
 
 
 def _encode(value: Any) -> bytes:

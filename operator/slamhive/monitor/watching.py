@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the moment the algorithm's container is found to its end: samples, limits, figures."""
+"""Watch of the algorithm's container, from when it is found to its end: samples, limits, figures."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from slamhive.monitor.accounting import Accounting, Contention, SampleTimes
-from slamhive.monitor.files import UsageTable, directory_bytes
-from slamhive.monitor.outcome import Stop, out_of_memory, output_too_large
+from slamhive.monitor.files import UsageTable
+from slamhive.monitor.interference import Interference
+from slamhive.monitor.outcome import Stop, out_of_memory
+from slamhive.monitor.output import OutputMeter
+from slamhive.monitor.reader import ReaderClock
 from slamhive.monitor.summary import Reason
 
 if TYPE_CHECKING:
@@ -21,36 +24,37 @@ if TYPE_CHECKING:
     from slamhive.monitor.spec import SidecarSpec
 
 USAGE = "usage.csv"
-STATE = "monitor.json"
 UNENDED = "processes of the algorithm could not be ended"
 _END_SECONDS = 10.0
 # The kubelet ends the sidecar after the algorithm; where it doesn't, the algorithm may still end by itself.
 _LEAVE_SECONDS = 2.0
-# Measuring the output may take this share of a processor.
-_MEASURING_SHARE = 0.005
 
 
 class Watch:
     """Watches one container."""
 
     def __init__(self, spec: SidecarSpec, container: Container, state: SidecarState) -> None:
-        """Begin, or go on where `state` says that another one was."""
+        """Begin; what is found out goes into `state`."""
         self._spec = spec
         self._container = container
         self._state = state
         self._kill_at: float | None = None
         self._leave_at: float | None = None
-        self._measure_at = 0.0
         now = time.monotonic()
-        known = state.accounting
-        self.accounting = Accounting.from_state(known) if known else Accounting(state.start)
+        self.accounting = Accounting(state.start)
+        self._interference = Interference()
+        self._interference.notes.extend(state.suspicions)
+        self._reader = ReaderClock()
+        self._output = OutputMeter(
+            f"{spec.run_directory}/output", spec.output_limit_bytes, spec.output_file_limit
+        )
         try:
-            self._table = UsageTable(f"{spec.run_directory}/{USAGE}", state.table_bytes)
+            self._table = UsageTable(f"{spec.run_directory}/{USAGE}")
         except OSError as error:
             state.note(f"{USAGE} could not be written: {error.strerror}")
             self._table = UsageTable(os.devnull)
         state.source = container.source.name
-        self._contention = Contention(container.processors(), container.source, now, state.contended)
+        self._contention = Contention(container.processors(), container.source, now)
 
     def run(self, signals: Signals) -> bool:
         """Watch until the container's first process has ended, or can't be ended.
@@ -88,15 +92,18 @@ class Watch:
 
     def _sample(self, now: float) -> None:
         """Take a sample; none where the account is gone, which its end is about to tell."""
+        self._interference.look(now)
         with suppress(OSError, ValueError):
             sample = self._container.source.read()
             self._table.add(sample.time - self._state.start, self.accounting.add(sample), sample)
             self._hold_to_limits(now, sample.working_set)
             if self._contention.due(now):
                 self._contention.add(now, sample.cpu)
+                self._reader.look(self._container.source.processes())
                 self._save()
-        if now >= self._measure_at:
-            self._measure_output(now)
+        problem = self._output.problem(now, self._container.source.processes())
+        if problem is not None:
+            self._end(problem, now)
 
     def _hold_to_limits(self, now: float, memory: int) -> None:
         spec, container = self._spec, self._container
@@ -109,13 +116,6 @@ class Watch:
             what = "processes and threads" if container.exact else "processes"
             message = f"it had more than {tasks} {what} at the same time"
             self._end(Stop(Reason.ALGORITHM_FAILED, message, at_once=True), now)
-
-    def _measure_output(self, now: float) -> None:
-        limit = self._spec.output_limit_bytes
-        if limit is not None and directory_bytes(f"{self._spec.run_directory}/output", limit) > limit:
-            self._end(output_too_large(limit), now)
-        taken = time.monotonic() - now
-        self._measure_at = now + max(1.0, taken / _MEASURING_SHARE)
 
     def _end(self, stop: Stop, now: float) -> None:
         """End the algorithm: now, or ask it to end and kill it later. The first reason stays."""
@@ -145,6 +145,7 @@ class Watch:
     def _finish(self, now: float, *, final: bool) -> None:
         state = self._state
         state.ended = final
+        self._interference.look(now)
         try:
             sample = self._container.source.read()._replace(time=now)
         except (OSError, ValueError):
@@ -159,7 +160,7 @@ class Watch:
             state.note(f"{USAGE} is incomplete: {self._table.error.strerror}")
 
     def _save(self) -> None:
-        """Keep what is known now, and write it down."""
+        """Keep what is known now."""
         state, container = self._state, self._container
         state.last = time.monotonic()
         state.contended = self._contention.seconds
@@ -167,8 +168,9 @@ class Watch:
         state.oom_kills = max(state.oom_kills, container.oom_kills())
         throttled = container.throttled()
         state.throttled = state.throttled if throttled is None else throttled
-        state.accounting = self.accounting.state()
+        state.accounting = self.accounting
+        state.reader = self._reader.seconds
         self._table.flush()
-        state.table_bytes = self._table.size
-        with suppress(OSError):  # a full disk must not end the watch
-            state.save(os.path.join(self._spec.run_directory, STATE))  # noqa: PTH118
+        if self._table.touched:
+            self._interference.note(f"{USAGE} was changed by another program")
+        state.suspicions = list(self._interference.notes)

@@ -2,6 +2,7 @@
 """Plan: from a Sweep to its runs, lazily, with names and hashes that are the same everywhere. Pure."""
 
 from slamhive.plan.catalog import Catalog, FixedCatalog
+from slamhive.plan.checks import plan_problems
 from slamhive.plan.configuration import run_configuration, whole_cores
 from slamhive.plan.effects import Effect, option_problems, recording_fields
 from slamhive.plan.expansion import Plan, Point
@@ -18,6 +19,7 @@ __all__ = [
     "content_hash",
     "local_uid",
     "option_problems",
+    "plan_problems",
     "recording_fields",
     "resolve",
     "run_configuration",

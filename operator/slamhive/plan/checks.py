@@ -54,7 +54,19 @@ class _Use:
         self.values.add(effect.effective)
 
 
-class Checker:
+def plan_problems(plan: Plan, limit: int = 20) -> list[str]:
+    """Return what in a plan the catalog doesn't allow: one sentence each, naming the field.
+
+    Every distinct name, mode, pace, parameter value and sensor is looked at once.
+
+    Args:
+        plan: the runs.
+        limit: the most sentences; one more tells how many were left out.
+    """
+    return _Check(plan).problems(limit)
+
+
+class _Check:
     """One check of a plan; keeps what it has looked at."""
 
     def __init__(self, plan: Plan) -> None:
@@ -143,7 +155,7 @@ class Checker:
             use.add(idle.get(option), (reading.seen.dataset, reading.seen.mode))
 
     def _without_effect(self) -> None:
-        """Refuse what is asked in vain, wherever it is asked.
+        """Refuse options that have no effect, in the template and in each axis.
 
         Where it leads to another value on each recording, it means all of each, and is no mistake.
         """

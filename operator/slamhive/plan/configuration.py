@@ -44,8 +44,7 @@ def run_configuration(
             recording=RecordingPlace(format=recording.format, path=f"dataset/{recording.recording}"),
             start_time=recording.start_time,
             duration_seconds=recording.duration_seconds,
-            # The generator's worlds are level, whether their Dataset says so or not.
-            gravity_aligned=declared.gravity_aligned or declared.recording.synthetic is not None,
+            gravity_aligned=declared.has_level_truth,
         ),
         sensors={role.value: view for role, view in recording.sensors.items()},
         parameters=spec["parameters"],

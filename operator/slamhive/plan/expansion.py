@@ -15,7 +15,6 @@ from slamhive.model.errors import InputError
 from slamhive.model.sweep import MAX_POINTS
 from slamhive.plan.assembly import Assembler
 from slamhive.plan.axes import compile_axes
-from slamhive.plan.checks import Checker
 from slamhive.plan.effects import Reading, recorded
 from slamhive.plan.grid import Coordinates, Grid
 from slamhive.plan.hashes import local_uid, run_name
@@ -257,11 +256,13 @@ class Plan:
             limit: the most sentences about options; one more tells how many were left out.
         """
         idle = (effect for found in self._idle.values() for effect in found)
-        told = bounded(list(dict.fromkeys(f"{effect.sentence}; {_taken(effect)}" for effect in idle)), limit)
+        sentences = bounded(
+            list(dict.fromkeys(f"{effect.sentence}; {_taken(effect)}" for effect in idle)), limit
+        )
         count, total = len(self.twins), len(self)
         if count:
-            told.append(f"{count} of {total} runs ask for what others have: run once")
-        return told
+            sentences.append(f"{count} of {total} runs are equal to others and are not run again")
+        return sentences
 
     def coordinates(self, row: int) -> Coordinates:
         """Return the value on each axis of a combination by label, then what include added."""
@@ -308,16 +309,6 @@ class Plan:
             for row in rows
         ]
         return sorted(order, key=self.twins.__contains__)  # stable: those that wait for others come last
-
-    def check(self, limit: int = 20) -> list[str]:
-        """Return what in the plan the catalog doesn't allow: one sentence each, naming the field.
-
-        Every distinct name, mode, pace, parameter value and sensor is looked at once.
-
-        Args:
-            limit: the most sentences; one more tells how many were left out.
-        """
-        return Checker(self).problems(limit)
 
 
 def _taken(effect: Effect) -> str:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -81,6 +82,9 @@ class Grid:
         include: entries as they stand in the Sweep.
         exclude: entries as they stand in the Sweep.
 
+    Attributes:
+        matrix_rows: number of combinations of the matrix that exclude left.
+
     Raises:
         InputError: one sentence a line for each mistake.
     """
@@ -104,6 +108,7 @@ class Grid:
         if problems:
             raise InputError("\n".join(bounded(problems)))
         self._kept = self._keep(excluded, only_include=not self.dimensions and bool(included))
+        self.matrix_rows = math.prod(self.shape) if self._kept is None else len(self._kept)
         self._additions: list[Addition] = [Addition()]
         self._addition_of: npt.NDArray[np.int32] | None = None
         self._extra: list[Addition] = []
@@ -111,11 +116,6 @@ class Grid:
 
     def __len__(self) -> int:
         return self.matrix_rows + len(self._extra)
-
-    @property
-    def matrix_rows(self) -> int:
-        """Return the number of combinations of the matrix that exclude left."""
-        return int(np.prod(self.shape, dtype=object)) if self._kept is None else len(self._kept)
 
     def steps(self, row: int) -> tuple[int, ...] | None:
         """Return the step on each axis, or None for a combination that include made."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Resolving a run against its Algorithm and Dataset: filling in defaults, and finding what doesn't fit."""
+"""Resolution of a run against its Algorithm and Dataset: fills in defaults and finds what doesn't fit."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a run's configuration and its Algorithm to what the player is asked to do."""
+"""Request to the player, built from a run's configuration and its Algorithm."""
 
 from __future__ import annotations
 

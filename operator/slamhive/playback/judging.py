@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How an attempt ended, in the light of how playing did: the same on a workstation and on a cluster."""
+"""Judgement of an attempt with a player: joins how the program ended with how playing ended.
+
+Workstation and operator use the same.
+"""
 
 from __future__ import annotations
 

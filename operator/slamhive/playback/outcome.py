@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the player's report says about how a run ended."""
+"""Outcome of playing: the player's report, read for the supervisor and the operator."""
 
 from __future__ import annotations
 
 import json
-import os
-import stat
 from typing import TYPE_CHECKING, NamedTuple
 
+from slamhive.contract.files import read_regular
 from slamhive.playback.protocol import REPORT_FILE
 
 if TYPE_CHECKING:
@@ -35,13 +34,7 @@ class Played(NamedTuple):
 def read_report(output: Path | str) -> Played | None:
     """Read the player's report from an output folder, None if there is none that makes sense."""
     try:
-        descriptor = os.open(
-            f"{output}/{REPORT_FILE}", os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-        )
-        with open(descriptor, "rb") as file:  # noqa: PTH123
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                return None
-            found = json.loads(file.read(_REPORT_BYTES))
+        found = json.loads(read_regular(f"{output}/{REPORT_FILE}", _REPORT_BYTES))
     except (OSError, ValueError, RecursionError):
         return None
     if not isinstance(found, dict):

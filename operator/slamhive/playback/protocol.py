@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the player is asked to do, and the files by which it tells how it went. Standard library alone."""
+"""Protocol with the player: its request, and the files in which it reports. Standard library alone."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether this machine has ROS 1, and for which Python."""
+"""Detection of ROS 1 on this machine, and of the Python that it belongs to."""
 
 from __future__ import annotations
 

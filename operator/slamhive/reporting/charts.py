@@ -191,12 +191,12 @@ def _x_scale(made: Study, panel: Panel, metric: Metric) -> Scale:
 def _heights(made: Study, panel: Panel, metric: Metric) -> Iterable[float]:
     if made.question.points:
         return [dot.y * metric.factor for dot in panel.dots]
-    found = []
+    heights = []
     for cell in panel.cells:
         figure = cell.figures[made.question.y]
         median, ends = _median(figure), _ends(figure)
-        found += [value * metric.factor for value in (median, *ends, *figure.points) if value is not None]
-    return found
+        heights += [value * metric.factor for value in (median, *ends, *figure.points) if value is not None]
+    return heights
 
 
 def _fails(made: Study, panel: Panel) -> bool:

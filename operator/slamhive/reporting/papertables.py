@@ -314,7 +314,7 @@ def _with_best(
 
 
 def _costs(place: Place | None, metrics: Sequence[Metric]) -> list[float]:
-    """Return what is to be small of each figure, as it is shown; infinite for what can't be the best."""
+    """Return each figure as a cost, small is good, as it is shown; infinite for what can't be the best."""
     if place is None:
         return []
     return [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is drawn against what: ``X:Y``, or the address of the dashboard's explore page."""
+"""Questions that a report answers with a chart: ``X:Y``, or an address of the dashboard's explore page."""
 
 from __future__ import annotations
 

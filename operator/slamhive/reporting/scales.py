@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From numbers to places on paper, and where the ticks stand."""
+"""Scales of charts: from numbers to places on paper, and the ticks."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ import numpy as np
 from sqlalchemy import DateTime, String, Text, cast, select, text, type_coerce
 
 from slamhive.analysis.derived import SweepVersion, with_derived
-from slamhive.analysis.flattening import OF_RUN, TIMES, Results, columns_of_runs, stack
+from slamhive.analysis.flattening import MAX_COLUMNS, OF_RUN, TIMES, Results, bound, columns_of_runs, stack
 from slamhive.analysis.frame import Frame
 from slamhive.archive import schema
 from slamhive.archive.connection import reading
@@ -47,7 +47,7 @@ _NOTHING = int(np.array([None], dtype=np.float64).view(np.uint64)[0])
 _FACTOR = 0x9E3779B97F4A7C15
 _CHANGES = (
     *("phase", "reason", "attempts", "sweep", "sweep_uid", "finished", "cpu_seconds", "wall_seconds"),
-    "evaluations",
+    *("cluster", "evaluations"),
 )
 _RESULT_CHANGES = (
     *("run_id", "evaluation", "outcome", "coverage", "alignment", "ate_rmse", "rpe_rmse", "scale"),
@@ -255,6 +255,7 @@ def _merge(
         stays = np.fromiter(marks.keys() - changed, dtype=np.float64)
         kept = before.select(np.isin(ids, stays))
         parts.insert(0, ({name: kept.column(name) for name in kept.stored}, len(kept)))
+    bound(parts, before.stored, MAX_COLUMNS)
     columns, length = stack([part for part in parts if part[1]])
     if not length:
         return Frame({}, 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which rows a request means: readable query strings.
+"""Query strings that select rows of the table of runs. The dashboard's addresses are made of them.
 
 ::
 
@@ -160,12 +160,12 @@ def columns(frame: Frame, text: str | None, field: str, default: Sequence[str] =
     Raises:
         QueryError: one of them is unknown.
     """
-    found = list(dict.fromkeys(names(text))) or list(default)
-    for name in found:
+    chosen = list(dict.fromkeys(names(text))) or list(default)
+    for name in chosen:
         if not frame.has(name.removeprefix("-") if field == "sort" else name):
             shown = name.removeprefix("-")[:200]
             raise QueryError(f"unknown column {shown!r}{suggestion(shown, frame.names)}", field)
-    return found
+    return chosen
 
 
 def column(frame: Frame, name: str, field: str) -> str:
@@ -186,11 +186,11 @@ def number_column(frame: Frame, name: str, field: str) -> str:
     Raises:
         QueryError: it is unknown, or holds no numbers.
     """
-    found = column(frame, name, field)
-    held = frame.column(found)
+    chosen = column(frame, name, field)
+    held = frame.column(chosen)
     if not held.is_empty and not (held.floats() == held.floats()).any():
-        raise QueryError(f"{found}: a column of numbers is needed, this one holds none", field)
-    return found
+        raise QueryError(f"{chosen}: a column of numbers is needed, this one holds none", field)
+    return chosen
 
 
 def outcomes(text: str) -> Outcomes:

@@ -62,11 +62,8 @@ def read_archive(url: str, cache: Path | None = None) -> Frame:
         InputError: there is no archive at the URL.
         SystemFault: the database doesn't answer.
     """
-    file = url.removeprefix("sqlite:///")
-    if file != url and not Path(file).is_file():
-        raise InputError(f"no archive at {file}; slamhive demo, run and import make one")
     stamp = snapshots.stamp_of(url)
-    engine = connect(url)
+    engine = connect(url, read_only=True)
     with closing(Archive(engine)):
         kept = snapshots.file_for(cache, url) if cache is not None else None
         before = snapshots.restore(kept) if kept is not None else None

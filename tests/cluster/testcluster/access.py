@@ -80,6 +80,17 @@ class Cluster:
         files = [argument for path in paths for argument in ("-f", str(path))]
         self.kubectl("apply", "--server-side", "--force-conflicts", *more, *files)
 
+    def patch(
+        self, kind: str, name: str, change: dict[str, Any], namespace: str, subresource: str = ""
+    ) -> None:
+        """Change an object by a JSON merge patch."""
+        where = ["-n", namespace, *([f"--subresource={subresource}"] if subresource else [])]
+        self.kubectl("patch", kind, name, *where, "--type=merge", "-p", json.dumps(change))
+
+    def delete(self, kind: str, name: str, namespace: str) -> None:
+        """Delete an object, without waiting for what it owns."""
+        self.kubectl("delete", kind, name, "-n", namespace, "--wait=false")
+
     def load(self, image: str) -> None:
         """Put an image that was built on this machine into the cluster."""
         self.loader(image)

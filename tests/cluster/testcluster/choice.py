@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which cluster tests use: the one that SLAMHIVE_TEST_CLUSTER names, or what the machine offers."""
+"""Choice of the tests' cluster: the one that SLAMHIVE_TEST_CLUSTER names, or what the machine offers."""
 
 from __future__ import annotations
 

@@ -100,6 +100,18 @@ def load(instance: Instance, source: bytes | Path) -> None:
         raise ClusterError(f"cannot load an image: {result.stderr.decode().strip()[-500:]}")
 
 
+def full_name(name: str) -> str:
+    """Return the name under which a kubelet looks for an image, as the registry's client reads short ones.
+
+    >>> full_name("slamhive/x:1"), full_name("x:1"), full_name("localhost/x:1")
+    ('docker.io/slamhive/x:1', 'docker.io/library/x:1', 'localhost/x:1')
+    """
+    first, slash, _ = name.partition("/")
+    if not slash:
+        return f"docker.io/library/{name}"
+    return name if first == "localhost" or {".", ":"} & set(first) else f"docker.io/{name}"
+
+
 def load_built(instance: Instance, name: str) -> None:
     """Put an image that buildah built here into a node's containerd.
 
@@ -110,7 +122,7 @@ def load_built(instance: Instance, name: str) -> None:
         raise ClusterError("loading images takes buildah: apt-get install buildah")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "image.tar"
-        command = ["buildah", "push", "-q", name, f"oci-archive:{path}:{name}"]
+        command = ["buildah", "push", "-q", name, f"oci-archive:{path}:{full_name(name)}"]
         result = subprocess.run(command, capture_output=True, text=True, check=False)
         if result.returncode:
             raise ClusterError(f"cannot export the image {name}: {result.stderr.strip()[-500:]}")

@@ -7,7 +7,7 @@ import json
 import subprocess
 import tempfile
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from testcluster.access import Cluster
 
 POOL = "slamhive.io/kwok"
-_NOW = "{{ $now }}"
+NOW = "{{ $now }}"
+"""The time at which a pod is played, as kwok writes it into its templates."""
 _GROUP = "kwok.x-k8s.io/v1alpha1"
 _DIGEST = "0123456789abcdef" * 4
-_IMAGE_ID = f"localhost/played@sha256:{_DIGEST}"
+IMAGE_ID = f"localhost/played@sha256:{_DIGEST}"
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,9 @@ class Pool:
 def run_message(**changes: Any) -> str:
     """Return what the monitor says of a run that succeeded, with some fields changed."""
     usage = Usage(
-        cpu=CpuUsage(mean_cores=0.8, max_cores=1.0, seconds=8.0, seconds_per_data_second=0.4),
+        cpu=CpuUsage(
+            mean_cores=0.8, max_cores=1.0, seconds=8.0, seconds_per_data_second=0.4, total_seconds=8.0
+        ),
         memory=MemoryUsage(
             peak_bytes=200 << 20,
             mean_bytes=150.0 * 2**20,
@@ -70,6 +73,7 @@ def run_message(**changes: Any) -> str:
         throttled_seconds=0.0,
         contended_seconds=0.0,
         reader_cpu_seconds=None,
+        reader_share=None,
         samples=100,
         source="cgroup",
         includes_reader=False,
@@ -86,7 +90,7 @@ def run_message(**changes: Any) -> str:
         log_tail="",
     )
     trajectory = {"poses": 200, "durationSeconds": 20.0, "sha256": _DIGEST, "path": "output/trajectory.txt"}
-    told = summary.as_json() | {"startedAt": _NOW, "finishedAt": _NOW, "trajectory": trajectory}
+    told = summary.as_json() | {"startedAt": NOW, "finishedAt": NOW, "trajectory": trajectory}
     told |= {"frames": {"offered": 200, "processed": 200, "dropped": 0}, "cpuModel": "played"}
     return termination_message(told | changes).decode()
 
@@ -128,6 +132,7 @@ class Play:
         hold: runs go on for ever.
         variant: description that a preparation tells.
         delay_milliseconds: how long a pod runs at least.
+        ends: by role, how pods end that end otherwise, as ``ended`` makes it.
     """
 
     run: str | None = None
@@ -135,35 +140,67 @@ class Play:
     hold: bool = False
     variant: Mapping[str, Any] | None = None
     delay_milliseconds: int = 0
+    ends: Mapping[str, Moment] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What the status of a played pod says from some moment on.
+
+    Attributes:
+        phase: the pod's phase.
+        main: state of its containers.
+        first: state of those that begin before them, its monitor among them.
+        delay_milliseconds: how long after the pod's beginning.
+    """
+
+    phase: str
+    main: dict[str, Any]
+    first: dict[str, Any]
+    delay_milliseconds: int = 0
+
+
+def moment_of(play: Play, role: str) -> Moment:
+    """Return how a pod of a role ends, or that it goes on; times in it are ``NOW``."""
+    if role in play.ends:
+        return play.ends[role]
+    if role == "prepare":
+        told = _terminated(0, described(play.variant or description()))
+        return Moment("Succeeded", told, told)
+    if role != "run":
+        ended = _terminated(play.exit_code)
+        return Moment("Succeeded", ended, ended)
+    if play.hold:
+        running = {"running": {"startedAt": NOW}}
+        return Moment("Running", running, running)
+    watched = _terminated(0, play.run or run_message())
+    phase = "Failed" if play.exit_code else "Succeeded"
+    return Moment(phase, _terminated(play.exit_code), watched, play.delay_milliseconds)
+
+
+def ended(exit_code: int, message: str | None = None) -> Moment:
+    """Return how a pod ended, all of its containers alike."""
+    told = _terminated(exit_code, message)
+    return Moment("Failed" if exit_code else "Succeeded", told, told)
+
+
+def _terminated(exit_code: int, message: str | None = None) -> dict[str, Any]:
+    state = {"exitCode": exit_code, "reason": "Error" if exit_code else "Completed"}
+    said = {} if message is None else {"message": message}
+    return {"terminated": state | {"startedAt": NOW, "finishedAt": NOW} | said}
 
 
 def stages(play: Play) -> str:
     """Return kwok's stages: nodes that are ready, pods that run, end and go when they are deleted."""
-    ran = _state("terminated", play.exit_code)
-    watched = _state("terminated", 0, play.run or run_message())
-    prepared = _state("terminated", 0, described(play.variant or description()))
-    held = _when("DoesNotExist") + _where_role("In", "run")
     items = [
         _stage("node-initialize", "Node", _NODE_UNREADY, _NODE_STATUS),
-        _stage("pod-prepared", "Pod", _LIVE + _where_role("In", "prepare"), _pod("Succeeded", prepared)),
-        _stage("pod-other", "Pod", _LIVE + _where_role("NotIn", "prepare", "run"), _pod("Succeeded", ran)),
         _stage("pod-delete", "Pod", _when("Exists"), None),
     ]
-    if play.hold:
-        running = _state("running")
-        waiting = [{"key": ".status.phase", "operator": "NotIn", "values": ["Running"]}]
-        items.append(_stage("pod-run", "Pod", held + waiting, _pod("Running", running, running)))
-    else:
-        phase = "Failed" if play.exit_code else "Succeeded"
-        items.append(
-            _stage(
-                "pod-ran",
-                "Pod",
-                _LIVE + _where_role("In", "run"),
-                _pod(phase, ran, watched),
-                play.delay_milliseconds,
-            )
-        )
+    roles = sorted({"prepare", "run", *play.ends})
+    for role in (*roles, "other"):
+        where = _where_role("NotIn", *roles) if role == "other" else _where_role("In", role)
+        told = moment_of(play, role)
+        items.append(_stage(f"pod-{role}", "Pod", _UNPLAYED + where, _pod(told), told.delay_milliseconds))
     return "---\n".join(json.dumps(item) + "\n" for item in items)
 
 
@@ -175,9 +212,9 @@ def _where_role(operator: str, *roles: str) -> list[dict[str, Any]]:
     return [{"key": '.metadata.labels["slamhive.io/role"]', "operator": operator, "values": [*roles]}]
 
 
-_LIVE = [
+_UNPLAYED = [
     *_when("DoesNotExist"),
-    {"key": ".status.phase", "operator": "NotIn", "values": ["Succeeded", "Failed"]},
+    {"key": ".status.phase", "operator": "NotIn", "values": ["Running", "Succeeded", "Failed"]},
 ]
 _NODE_UNREADY = [
     {
@@ -190,24 +227,14 @@ _ROOM = '{cpu: "100000", memory: 1000Ti, pods: "1000000"}'
 _NODE_STATUS = f"""\
 {{{{ $now := Now }}}}
 conditions:
-- {{type: Ready, status: "True", reason: KubeletReady, message: played, lastHeartbeatTime: "{_NOW}", \
-lastTransitionTime: "{_NOW}"}}
+- {{type: Ready, status: "True", reason: KubeletReady, message: played, lastHeartbeatTime: "{NOW}", \
+lastTransitionTime: "{NOW}"}}
 capacity: {_ROOM}
 allocatable: {_ROOM}
 """
 
 
-def _state(kind: str, exit_code: int = 0, message: str | None = None) -> str:
-    """Return the YAML of a container's state; times are filled in by kwok."""
-    if kind == "running":
-        return f'{{running: {{startedAt: "{_NOW}"}}}}'
-    said = "" if message is None else f", message: {json.dumps(message)}"
-    reason = "Error" if exit_code else "Completed"
-    times = f'startedAt: "{_NOW}", finishedAt: "{_NOW}"'
-    return f"{{terminated: {{exitCode: {exit_code}, reason: {reason}, {times}{said}}}}}"
-
-
-def _statuses(field: str, source: str, state: str, *, running: bool) -> str:
+def _statuses(field: str, source: str, state: dict[str, Any], *, running: bool) -> str:
     ready = str(running).lower()
     return f"""\
 {{{{ if .spec.{source} }}}}
@@ -215,31 +242,31 @@ def _statuses(field: str, source: str, state: str, *, running: bool) -> str:
 {{{{ range .spec.{source} }}}}
 - name: {{{{ .name | Quote }}}}
   image: {{{{ .image | Quote }}}}
-  imageID: "{_IMAGE_ID}"
+  imageID: "{IMAGE_ID}"
   containerID: "kwok://{{{{ .name }}}}"
   ready: {ready}
   started: {ready}
   restartCount: 0
-  state: {state}
+  state: {json.dumps(state)}
 {{{{ end }}}}
 {{{{ end }}}}
 """
 
 
-def _pod(phase: str, main: str, first: str | None = None) -> str:
-    """Return the template of a pod's status: of its containers, and of those that begin before them."""
-    running = phase == "Running"
+def _pod(told: Moment) -> str:
+    """Return the template of a pod's status; kwok fills in times and containers."""
+    running = told.phase == "Running"
     return (
         f"""\
 {{{{ $now := Now }}}}
-phase: {phase}
-startTime: "{_NOW}"
+phase: {told.phase}
+startTime: "{NOW}"
 conditions:
-- {{type: Initialized, status: "True", lastTransitionTime: "{_NOW}"}}
-- {{type: Ready, status: "{running}", lastTransitionTime: "{_NOW}"}}
+- {{type: Initialized, status: "True", lastTransitionTime: "{NOW}"}}
+- {{type: Ready, status: "{running}", lastTransitionTime: "{NOW}"}}
 """
-        + _statuses("containerStatuses", "containers", main, running=running)
-        + _statuses("initContainerStatuses", "initContainers", first or main, running=running)
+        + _statuses("containerStatuses", "containers", told.main, running=running)
+        + _statuses("initContainerStatuses", "initContainers", told.first, running=running)
     )
 
 
@@ -259,7 +286,8 @@ def _stage(
     return {"apiVersion": _GROUP, "kind": "Stage", "metadata": {"name": name}, "spec": spec}
 
 
-def _node(name: str, pool: str) -> dict[str, Any]:
+def node(name: str, pool: str) -> dict[str, Any]:
+    """Return a node of a pool, which keeps other pods away."""
     return {
         "apiVersion": "v1",
         "kind": "Node",
@@ -294,7 +322,7 @@ class Kwok:
             _running(self.cluster, Path(folder), how or Play(), pool),
         ):
             try:
-                self.cluster.apply(*(_node(name, pool) for name in names))
+                self.cluster.apply(*(node(name, pool) for name in names))
                 until(lambda: self._ready(pool) == nodes, f"{nodes} played nodes", 60)
                 yield Pool(pool, names)
             finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import time
 import warnings
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ from slamhive.kube.settings import Settings
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
+    from fakeapi.cluster import FakeCluster
     from testcluster.access import Cluster
     from testcluster.kwok import Pool
 
@@ -122,13 +124,13 @@ class Lab:
     """A namespace with a catalog, and the means to run operators in it.
 
     Attributes:
-        cluster: the cluster.
+        cluster: the cluster, real or fake.
         namespace: the test's namespace.
         pool: the played nodes.
         calls: (verb, resource) of each successful write of all operators so far.
     """
 
-    cluster: Cluster
+    cluster: Cluster | FakeCluster
     namespace: str
     pool: Pool
     calls: list[tuple[str, str]] = field(default_factory=list)
@@ -154,18 +156,23 @@ class Lab:
 
     def delete(self, kind: str, name: str) -> None:
         """Delete an object."""
-        self.cluster.kubectl("delete", kind, name, "-n", self.namespace, "--wait=false")
+        self.cluster.delete(kind, name, self.namespace)
+
+    def patch(self, kind: str, name: str, change: dict[str, Any], *, subresource: str = "") -> None:
+        """Change an object by a JSON merge patch."""
+        self.cluster.patch(kind, name, change, self.namespace, subresource)
 
     @asynccontextmanager
     async def operator(
         self,
         archive: Archive | None = None,
         fault: Callable[[str, str, str], None] | None = None,
+        clock: Callable[[], float] = time.time,
         **settings: Any,
     ) -> AsyncIterator[Operator]:
         """Run an operator as long as the context lasts."""
         api = await Api.connect(self.cluster.kubeconfig, fault=fault)
-        op = Operator(api, self.settings(**settings), reconcilers(), archive)
+        op = Operator(api, self.settings(**settings), reconcilers(), archive, clock=clock)
         count = api.count
 
         def counted(verb: str, resource: str, code: str) -> None:

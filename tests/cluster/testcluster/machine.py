@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cluster could leave on a machine, before and after it: ``python machine.py MODE NAME``.
+"""Snapshots of a machine before and after a cluster, to find what it left: ``python machine.py MODE NAME``.
 
 Runs in a network and a mount namespace of its own, which stand for a machine on which nothing else happens.
 MODE says how the cluster ends: `down`, `killed` (its first process, then `down`), `half` (killed while it

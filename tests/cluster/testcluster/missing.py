@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a machine lacks for a cluster of its own, and how to get it: one line for each thing."""
+"""Programs and rights that a machine lacks for a cluster of its own, and how to get each: a line for each."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def missing() -> list[str]:
         return ["the local test cluster needs Linux"]
     found = []
     if os.geteuid() != 0:
-        found.append("it needs root: sudo make test")
+        found.append("it needs root: sudo make test-cluster")
     if absent() and (problem := _problem_of_go()):
         found.append(problem)
     if wanted := packages():

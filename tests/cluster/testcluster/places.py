@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the test cluster keeps its programs and its state, and which addresses an instance has."""
+"""Paths and addresses of the test cluster: its programs, its state, and the networks of an instance."""
 
 from __future__ import annotations
 
@@ -92,6 +92,11 @@ class Instance:
     def containerd(self) -> Path:
         """Socket of the node's containerd."""
         return self.folder / "containerd.sock"
+
+    @property
+    def changed_runtime(self) -> Path:
+        """Where a test may put a program that changes containers of the runtime ``changed``."""
+        return self.folder / "changed-runc"
 
     def addresses(self) -> Addresses:
         """Return the addresses that the instance took when it began."""

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
     from faultlab.arena import Arena, Instance
 
-SECONDS = 30.0
+SECONDS = 120.0
+"""A new cluster's garbage collector notices our kinds only after half a minute."""
 QUIET_SECONDS = 1.5
 KINDS = ("mappingruns", "jobs", "pods")
 SWEPT = {

@@ -20,6 +20,7 @@ from faultlab.scenarios import SCENARIOS, Scenario
 from testcluster.kwok import Play
 from testcluster.lab import run, sweep
 
+from slamhive.archive import Archive
 from slamhive.kube.kinds import Key, Kind
 
 if TYPE_CHECKING:
@@ -62,6 +63,28 @@ async def test_two_work_side_by_side(arena: Arena, name: str) -> None:
         return instance.outcome()
 
     assert await arena.play(SCENARIOS[name], course) == expected
+
+
+@pytest.mark.parametrize("after", [None, 5, 15, 25])
+async def test_namespaces_share_an_archive(arena: Arena, tmp_path: Path, after: int | None) -> None:
+    """Sweeps of the same name, points and settings; both operators die after some calls, or none does."""
+    expected = await arena.play(SCENARIOS["study"], undisturbed)
+
+    async def course(instance: Instance) -> Outcome:
+        if after is not None:
+            first = Faults()
+            async with instance.operator(first):
+                await instance.until(
+                    lambda: len(first.points) >= 2 * after or instance.is_over(), "some calls"
+                )
+                first.dead = True
+        return await instance.finish()
+
+    with Archive.open(f"sqlite:///{tmp_path / 'shared.sqlite'}") as archive:
+        both = [arena.play(SCENARIOS["study"], course, archive=archive) for _ in range(2)]
+        assert await asyncio.gather(*both) == [expected, expected]
+        uids = {record.sweep_uid for record in archive.runs()}
+    assert len(uids) == 2
 
 
 async def test_an_operator_that_slept_while_things_were_deleted(arena: Arena, tmp_path: Path) -> None:

@@ -117,8 +117,7 @@ async def test_cancelling_ends_the_job(make_lab: Callable[..., Lab]) -> None:
     async with lab.operator() as op:
         lab.apply(run())
         await status_of(op, Kind.MAPPING_RUN, "one", lambda status: status.get("phase") == "Running")
-        patch = '{"spec": {"cancel": true}}'
-        lab.cluster.kubectl("patch", "mappingrun", "one", "-n", lab.namespace, "--type=merge", "-p", patch)
+        lab.patch("mappingrun", "one", {"spec": {"cancel": True}})
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
         assert status["phase"] == "Cancelled"
         await until(lambda: op.store.get(Key(Kind.JOB, lab.namespace, "one-1")) is None, "the Job to go")

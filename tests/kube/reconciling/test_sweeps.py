@@ -10,7 +10,7 @@ from testcluster.lab import algorithm, condition_of, dataset, status_of, sweep, 
 from slamhive.archive import Archive
 from slamhive.engine import PointState
 from slamhive.kube.kinds import Kind, Label
-from slamhive.kube.reconciling.points import decode
+from slamhive.kube.reconciling.sweep_runs import decode_points
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +36,7 @@ async def test_a_sweep_runs_every_point_once(lab: Lab) -> None:
         status = await status_of(op, Kind.SWEEP, "study", is_complete)
         runs = runs_of(op)
     assert (status["succeeded"], status["failed"], status["progress"]) == (10, 0, "10/10")
-    assert decode(status["points"], 10) == bytes([PointState.SUCCEEDED] * 10)
+    assert decode_points(status["points"], 10) == bytes([PointState.SUCCEEDED] * 10)
     assert status["cpuSeconds"] == 80.0
     assert sorted(int(run["metadata"]["labels"][Label.POINT]) for run in runs) == list(range(10))
     assert {run["metadata"]["labels"][Label.SLOT] for run in runs} == {"0", "1"}
@@ -50,8 +50,7 @@ async def test_never_more_runs_than_allowed_are_in_flight(make_lab: Callable[...
     async with lab.operator() as op:
         lab.apply(sweep(sizes=6, parallelism=2))
         await status_of(op, Kind.SWEEP, "study", lambda status: status.get("running") == 2)
-        patch = '{"spec": {"parallelism": 4}}'
-        lab.cluster.kubectl("patch", "sweep", "study", "-n", lab.namespace, "--type=merge", "-p", patch)
+        lab.patch("sweep", "study", {"spec": {"parallelism": 4}})
         await status_of(op, Kind.SWEEP, "study", lambda status: status.get("running") == 4)
         assert len(runs_of(op)) == 4
         assert {run["metadata"]["labels"][Label.SLOT] for run in runs_of(op)} == {"0", "1", "2", "3"}
@@ -63,8 +62,7 @@ async def test_a_suspended_sweep_starts_nothing_until_it_is_resumed(lab: Lab) ->
         status = await status_of(op, Kind.SWEEP, "study", lambda found: found.get("phase") == "Suspended")
         assert condition_of(status, "Suspended")["status"] == "True"
         assert not runs_of(op)
-        patch = '{"spec": {"suspend": false}}'
-        lab.cluster.kubectl("patch", "sweep", "study", "-n", lab.namespace, "--type=merge", "-p", patch)
+        lab.patch("sweep", "study", {"spec": {"suspend": False}})
         await status_of(op, Kind.SWEEP, "study", is_complete)
 
 
@@ -115,7 +113,7 @@ async def test_runs_that_come_out_equal_are_run_once_whatever_is_reused(lab: Lab
         status = await status_of(op, Kind.SWEEP, "study", is_complete)
         runs = {int(run["metadata"]["labels"][Label.POINT]): run for run in runs_of(op)}
     assert (status["succeeded"], status["reused"]) == (4, 1)
-    assert "1 of 4 runs ask for what others have" in condition_of(status, "Accepted")["message"]
+    assert "1 of 4 runs are equal to others" in condition_of(status, "Accepted")["message"]
     assert [runs[index]["spec"]["input"]["frameRate"] for index in range(4)] == [5, 5, 5, 8]
     known = runs[1]["status"]["provenance"]
     assert known["reusedFrom"] == runs[0]["metadata"]["name"]
@@ -189,11 +187,7 @@ async def test_runs_beyond_the_retention_live_on_in_the_archive(lab: Lab, tmp_pa
         assert len(records) == 4
         assert {record.usage.cpu.seconds for record in records if record.usage} == {8.0}
         # A status that was lost is made again from what lives and from the archive.
-        lost = '{"status": null}'
-        lab.cluster.kubectl(
-            *("patch", "sweep", "study", "-n", lab.namespace, "--subresource=status"),
-            *("--type=merge", "-p", lost),
-        )
+        lab.patch("sweep", "study", {"status": None}, subresource="status")
         lab.calls.clear()
         async with lab.operator(archive) as op:
             status = await status_of(op, Kind.SWEEP, "study", is_complete)

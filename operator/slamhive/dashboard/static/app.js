@@ -5,7 +5,9 @@ import { follow, Live } from './core/api.js';
 import { Link, Notes } from './core/parts.js';
 import { html, render, useEffect, useState } from './core/ui.js';
 
-/** Pages are loaded when they are first shown. */
+/**
+ * Pages are loaded when they are first shown. @type {Record<string, () => Promise<{default: () => Shown}>>}
+ */
 const PAGES = {
   '': () => import('./pages/overview.js'),
   sweeps: () => import('./pages/sweeps.js'),
@@ -18,7 +20,18 @@ const PAGES = {
   algorithms: () => import('./pages/catalog.js'),
   datasets: () => import('./pages/catalog.js'),
 };
-const MENU = [['/', 'Overview'], ['/sweeps', 'Sweeps'], ['/runs', 'Runs'], ['/explore', 'Explore'], ['/leaderboard', 'Leaderboard'], ['/studies', 'Studies'], ['/table', 'Table'], ['/compare', 'Compare'], ['/algorithms', 'Algorithms'], ['/datasets', 'Datasets']];
+const MENU = [
+  ['/', 'Overview'],
+  ['/sweeps', 'Sweeps'],
+  ['/runs', 'Runs'],
+  ['/explore', 'Explore'],
+  ['/leaderboard', 'Leaderboard'],
+  ['/studies', 'Studies'],
+  ['/table', 'Table'],
+  ['/compare', 'Compare'],
+  ['/algorithms', 'Algorithms'],
+  ['/datasets', 'Datasets'],
+];
 
 const remembered = () => {
   try {
@@ -28,29 +41,50 @@ const remembered = () => {
   }
 };
 
+/** @param {'light'|'dark'} theme */
 function setTheme(theme) {
   document.documentElement.dataset.theme = theme;
   try {
     localStorage.setItem('theme', theme);
-  } catch { /* a browser that keeps nothing: the theme lasts until the page is left */ }
+  } catch {
+    /* a browser that keeps nothing: the theme lasts until the page is left */
+  }
   dispatchEvent(new Event('themechange'));
 }
 
 function Theme() {
-  const [dark, setDark] = useState(() => (document.documentElement.dataset.theme ?? (matchMedia('(prefers-color-scheme: dark)').matches ? 'dark' : 'light')) === 'dark');
-  return html`<button type="button" class="plain" aria-pressed=${String(dark)} onClick=${() => {
-    setTheme(dark ? 'light' : 'dark');
-    setDark(!dark);
-  }}>${dark ? 'Light' : 'Dark'}</button>`;
+  const [dark, setDark] = useState(
+    () =>
+      (document.documentElement.dataset.theme ??
+        (matchMedia('(prefers-color-scheme: dark)').matches ? 'dark' : 'light')) === 'dark',
+  );
+  return html`
+    <button
+      type="button"
+      class="plain"
+      aria-pressed=${String(dark)}
+      onClick=${() => {
+        setTheme(dark ? 'light' : 'dark');
+        setDark(!dark);
+      }}
+    >
+      ${dark ? 'Light' : 'Dark'}
+    </button>
+  `;
 }
 
+/** @param {{name: string}} props */
 function Page({ name }) {
   const [page, setPage] = useState(null);
   useEffect(() => {
     let ended = false;
     const load = Object.hasOwn(PAGES, name) ? PAGES[name] : null;
     if (!load) setPage({ Shown: Nowhere });
-    else load().then((module) => ended || setPage({ Shown: module.default }), () => ended || setPage({ Shown: Broken }));
+    else
+      load().then(
+        (module) => ended || setPage({ Shown: module.default }),
+        () => ended || setPage({ Shown: Broken }),
+      );
     return () => {
       ended = true;
     };
@@ -58,12 +92,22 @@ function Page({ name }) {
   return page && html`<${page.Shown} />`;
 }
 
-const Nowhere = () => html`<h1>There is no such page</h1><p><${Link} href="/">To the overview</${Link}></p>`;
-const Broken = () => html`<h1>This page could not be loaded</h1><p>The dashboard may have been ended. Load the page again once it is there.</p>`;
+const Nowhere = () => html`
+  <h1>There is no such page</h1>
+  <p>
+    <${Link} href="/">To the overview</${Link}>
+  </p>
+`;
+const Broken = () => html`
+  <h1>This page could not be loaded</h1>
+  <p>The dashboard may have stopped. Load the page again when it runs.</p>
+`;
 
 function App() {
   const [here, setHere] = useState(readAddress());
-  const [live, setLive] = useState({ revision: null, connected: true, problems: [] });
+  const [live, setLive] = useState(
+    /** @type {LiveState} */ ({ revision: null, connected: true, problems: [] }),
+  );
   useEffect(() => {
     const read = () => setHere(readAddress());
     addEventListener('popstate', read);
@@ -76,19 +120,63 @@ function App() {
     };
   }, []);
   // On a phone the menu is wider than the window.
-  useEffect(() => document.querySelector('header nav a[aria-current]')?.scrollIntoView({ block: 'nearest', inline: 'center' }), [here.path[0]]);
+  useEffect(
+    () =>
+      document
+        .querySelector('header nav a[aria-current]')
+        ?.scrollIntoView({ block: 'nearest', inline: 'center' }),
+    [here.path[0]],
+  );
   const embedded = here.query.get('embed') === '1';
   const name = here.path[0] ?? '';
-  return html`<${Address.Provider} value=${here}><${Live.Provider} value=${live}>
-    ${!embedded && html`<a class="skip" href="#main">To the content</a>
-    <header><${Link} class="brand" href="/"><img src="/icon.svg" alt="" width="26" height="26" />SLAM Hive</${Link}>
-      <nav aria-label="Pages">${MENU.map(([href, text]) => html`<${Link} href=${href} aria-current=${href.slice(1) === name ? 'page' : null}>${text}</${Link}>`)}</nav>
-      <${Theme} /></header>`}
-    ${!live.connected && html`<p class="banner" role="alert">The dashboard does not answer; what is shown is its last state. It is asked again by itself.</p>`}
-    <main id="main" tabindex="-1"><${Notes} notes=${live.problems} /><${Page} key=${name} name=${name} /></main>
-  </${Live.Provider}></${Address.Provider}>`;
+  return html`
+    <${Address.Provider} value=${here}>
+      <${Live.Provider} value=${live}>
+        ${
+          !embedded &&
+          html`
+            <a class="skip" href="#main">
+              To the content
+            </a>
+            <header>
+              <${Link} class="brand" href="/">
+                <img src="/icon.svg" alt="" width="26" height="26" />
+                SLAM Hive
+              </${Link}>
+              <nav aria-label="Pages">
+                ${MENU.map(
+                  ([href, text]) => html`
+                    <${Link} href=${href} aria-current=${href.slice(1) === name ? 'page' : null}>
+                      ${text}
+                    </${Link}>
+                  `,
+                )}
+              </nav>
+              <${Theme} />
+            </header>
+          `
+        }
+        ${
+          !live.connected &&
+          html`
+            <p class="banner" role="alert">
+              The dashboard does not answer; what is shown is its last state. It is asked again by
+              itself.
+            </p>
+          `
+        }
+        <main id="main" tabindex="-1">
+          <${Notes} notes=${live.problems} />
+          <${Page} key=${name} name=${name} />
+        </main>
+      </${Live.Provider}>
+    </${Address.Provider}>
+  `;
 }
 
-if (['light', 'dark'].includes(remembered())) document.documentElement.dataset.theme = remembered();
-matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => dispatchEvent(new Event('themechange')));
-render(html`<${App} />`, document.getElementById('app'));
+const theme = remembered();
+if (theme === 'light' || theme === 'dark') document.documentElement.dataset.theme = theme;
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () =>
+  dispatchEvent(new Event('themechange')),
+);
+render(html`<${App} />`, /** @type {HTMLElement} */ (document.getElementById('app')));

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a specification to a bag, its ground truth and its calibration."""
+"""Generator of synthetic recordings: from a specification to a bag, its ground truth and its calibration."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the IMU measures at its own place and in its own axes."""
+"""Measurements of a synthetic IMU, at its own place on the platform and in its own axes."""
 
 from __future__ import annotations
 

@@ -16,6 +16,8 @@ from slamhive.data.synthetic.texture import TEXEL
 from slamhive.data.synthetic.world import away_from_zero
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import numpy.typing as npt
 
     from slamhive.data.synthetic.optics import Lens
@@ -72,6 +74,11 @@ class Renderer:
         self._low = np.stack([self._bounds[box, a[axis], 0] for a in (_U, _V)]).astype(np.float32)
         self._high = np.stack([self._bounds[box, a[axis], 1] for a in (_U, _V)]).astype(np.float32)
         self._axis = axis
+        self._corners = np.empty((len(faces), 4, 3))
+        for i, (u, v) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1))):
+            self._corners[faces, i, axis] = self._plane
+            self._corners[faces, i, _U[axis]] = (self._low, self._high)[u][0]
+            self._corners[faces, i, _V[axis]] = (self._low, self._high)[v][1]
 
     def view(self, pose: Array) -> View:
         """Find what each pixel's centre sees.
@@ -84,10 +91,7 @@ class Renderer:
         directions = away_from_zero(rotation @ self._rays).reshape(3, *shape)
         inverse = np.float32(1.0) / directions
         depth, face = self._room(origin, inverse)
-        for number in self._facing(pose[:3, 3]):
-            window = self._window(number, pose)
-            if window is None:
-                continue
+        for number, window in self._windows(self._facing(pose[:3, 3]), pose):
             axis = self._axis[number]
             reach = (self._plane[number] - origin[axis]) * inverse[axis][window]
             seen = (reach > 0.0) & (reach < depth[window])
@@ -127,33 +131,26 @@ class Renderer:
         below, above = origin < self._bounds[1:, :, 0], origin > self._bounds[1:, :, 1]
         return np.flatnonzero(np.stack([below, above], axis=2).reshape(-1)).astype(np.int32) + 6
 
-    def _window(self, face: int, pose: Array) -> tuple[slice, slice] | None:
-        """Bound the rows and columns in which a face can be seen; None when there are none."""
-        axis = self._axis[face]
-        corners = np.empty((4, 3))
-        corners[:, axis] = self._plane[face]
-        corners[:, _U[axis]] = (
-            self._low[0, face],
-            self._high[0, face],
-            self._high[0, face],
-            self._low[0, face],
-        )
-        corners[:, _V[axis]] = (
-            self._low[1, face],
-            self._low[1, face],
-            self._high[1, face],
-            self._high[1, face],
-        )
-        front = _in_front((corners - pose[:3, 3]) @ pose[:3, :3])
-        if len(front) == 0:
-            return None
-        flat = front[:, :2] / front[:, 2:]
-        (left, top), (right, bottom) = flat.min(axis=0), flat.max(axis=0)
-        columns = np.flatnonzero((self._columns[1] >= left) & (self._columns[0] <= right))
-        rows = np.flatnonzero((self._rows[1] >= top) & (self._rows[0] <= bottom))
-        if len(columns) == 0 or len(rows) == 0:
-            return None
-        return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    def _windows(self, faces: Ints, pose: Array) -> Iterator[tuple[int, tuple[slice, slice]]]:
+        """Bound the rows and columns in which faces can be seen; those that nowhere can are left out."""
+        corners = (self._corners[faces] - pose[:3, 3]) @ pose[:3, :3]
+        ahead = corners[:, :, 2] >= NEAR
+        whole, some = ahead.all(axis=1), ahead.any(axis=1)
+        lower, upper = np.full((len(faces), 2), np.inf), np.full((len(faces), 2), -np.inf)
+        flat = corners[whole, :, :2] / corners[whole, :, 2:]
+        lower[whole], upper[whole] = flat.min(axis=1), flat.max(axis=1)
+        for index in np.flatnonzero(some & ~whole):
+            front = _in_front(corners[index])
+            cut = front[:, :2] / front[:, 2:]
+            lower[index], upper[index] = cut.min(axis=0), cut.max(axis=0)
+        columns = (self._columns[1] >= lower[:, :1]) & (self._columns[0] <= upper[:, :1])
+        rows = (self._rows[1] >= lower[:, 1:]) & (self._rows[0] <= upper[:, 1:])
+        spans = [
+            np.stack([mask.argmax(axis=1), mask.shape[1] - mask[:, ::-1].argmax(axis=1)], axis=1).tolist()
+            for mask in (rows, columns)
+        ]
+        for index in np.flatnonzero(columns.any(axis=1) & rows.any(axis=1)):
+            yield int(faces[index]), (slice(*spans[0][index]), slice(*spans[1][index]))
 
     def _shade(self, face: Ints, depth: Floats, directions: Floats, origin: Floats) -> Floats:
         """Colour rays `(3, n)` that meet known faces at known depths."""

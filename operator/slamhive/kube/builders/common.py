@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the pods of all our Jobs share: names, labels, volumes, and what Pod Security asks for.
+"""Parts of every Job's pod: names, labels, volumes, and the settings that Pod Security demands.
+
+All builders use them.
 
 Text that users wrote enters manifests only as whole list items, as values of labels after `label_value`, and
 as values of variables after `literal`: no shell and no ``$(VARIABLE)`` ever reads it.
@@ -30,26 +32,11 @@ _ALL_ANNOTATIONS = 256 * 1024
 MANAGED_BY = "app.kubernetes.io/managed-by"
 MANAGER = "slamhive"
 
+# The length of a label: the names of Jobs and runs are labels of their pods.
 _NAME_LENGTH = 63
 _HASH_LENGTH = 10
 _UID = re.compile(r"^[0-9A-Za-z][0-9A-Za-z-]{0,63}$")
 _LABEL_VALUE = re.compile(r"^([A-Za-z0-9]([-A-Za-z0-9_.]{0,61}[A-Za-z0-9])?)?$")
-_NOT_PASSED_ON = (
-    f"{GROUP}/",
-    "app.kubernetes.io/",
-    "argocd.argoproj.io/",
-    "batch.kubernetes.io/",
-    "container.apparmor.security.beta.kubernetes.io/",
-    "container.seccomp.security.alpha.kubernetes.io/",
-    "controller-uid",
-    "helm.sh/",
-    "job-name",
-    "kopf.",
-    "kubectl.kubernetes.io/",
-    "meta.helm.sh/",
-    "seccomp.security.alpha.kubernetes.io/",
-)
-"""Labels and annotations that say who made an object, or what its pods may do: a child's are its own."""
 
 
 def label(word: str) -> str:
@@ -74,6 +61,7 @@ def joined_name(stem: str, end: str) -> str:
     name = f"{stem.replace('.', '-')}-{end}"
     if len(name) <= _NAME_LENGTH and "." not in stem:
         return name
+    # Two long names that begin alike must not become one when they are cut.
     hashed = hashlib.sha256(f"{stem}/{end}".encode()).hexdigest()[:_HASH_LENGTH]
     head = stem.replace(".", "-")[: _NAME_LENGTH - _HASH_LENGTH - len(end) - 2].strip("-")
     return f"{head}-{hashed}-{end}"
@@ -113,9 +101,14 @@ def owner_reference(owner: Mapping[str, Any], *, controller: bool = False) -> Ma
     return reference | ({"controller": True} if controller else {})
 
 
-def passed_on(values: Mapping[str, str] | None) -> dict[str, str]:
-    """Return the labels or annotations that an object hands to its Job and pods, such as a queue's."""
-    return {key: value for key, value in (values or {}).items() if not key.startswith(_NOT_PASSED_ON)}
+def passed_on(values: Mapping[str, str] | None, settings: Settings) -> dict[str, str]:
+    """Return the labels or annotations that an object hands to its Job and pods, such as a queue's.
+
+    No others: some have a pod join a network, a Service or an identity that its user may not give it.
+    """
+    allowed = settings.passed_labels
+    prefixes = tuple(name for name in allowed if name.endswith("/"))
+    return {key: value for key, value in (values or {}).items() if key in allowed or key.startswith(prefixes)}
 
 
 def annotation(text: str, what: str) -> str:
@@ -223,10 +216,11 @@ def container(
 
 
 def pod_spec(settings: Settings) -> Manifest:
-    """Return what all our pods have in common."""
+    """Return what all our pods have in common; all run images or read data that others brought."""
     pods = settings.pods
     body: Manifest = {
         "restartPolicy": "Never",
+        # These pods run programs of others: they get no token, and no list of the namespace's services.
         "automountServiceAccountToken": False,
         "enableServiceLinks": False,
         "securityContext": {
@@ -243,6 +237,7 @@ def pod_spec(settings: Settings) -> Manifest:
         "nodeSelector": dict(pods.node_selector),
         "tolerations": list(pods.tolerations),
         "affinity": dict(pods.affinity),
+        "runtimeClassName": pods.runtime_class_name,
         "imagePullSecrets": secrets,
         "priorityClassName": pods.priority_class_name,
         "serviceAccountName": pods.service_account_name,
@@ -290,6 +285,8 @@ def job(
     if size > _ALL_ANNOTATIONS:
         raise InputError(f"the annotations have {size} bytes in all, an object holds {_ALL_ANNOTATIONS}")
     spec: Manifest = {
+        # Retries are the engine's, which tells a fault of the machine from a result. The Job replaces a pod
+        # on its own only after a disruption, and only when that pod has ended: two must not write at once.
         "backoffLimit": 0,
         "podReplacementPolicy": "Failed",
         "podFailurePolicy": {

@@ -54,6 +54,7 @@ def batches(runs: Iterable[Mapping[str, Any]], size: int) -> Iterator[list[Mappi
         size: most runs of a batch.
     """
     batch: list[Mapping[str, Any]] = []
+    # A request is an annotation of the pod, and the API server bounds those.
     room = ANNOTATION_LIMIT - _HEAD
     used = 0
     for run in runs:
@@ -74,6 +75,7 @@ def evaluator_job_name(namespace: str, request: Mapping[str, Any], settings_hash
         "evaluation": request.get("evaluation"),
         "runs": sorted(run["uid"] for run in request["runs"]),
         "settings": settings_hash,
+        # With the attempt: a batch that failed is tried again under a name that is free.
         "attempt": attempt,
     }
     return f"{EVALUATE}-{digest(parts)[:_HASH_LENGTH]}"
@@ -184,6 +186,7 @@ def _custom(evaluator: Evaluator, settings: Settings) -> Manifest:
                 settings,
             ),
         ],
+        # The foreign evaluator is an init container, so that our own reads what it left after it has ended.
         "containers": [_container(REPORT, image, report, _mounts(writable=False), settings)],
     }
 

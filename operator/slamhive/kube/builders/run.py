@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from slamhive.contract.environment import program_variables
 from slamhive.kube.builders.common import (
     Manifest,
     annotation,
@@ -29,9 +30,10 @@ from slamhive.kube.builders.common import (
     segment,
     variables,
 )
-from slamhive.kube.description import Description
 from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import InputError
+from slamhive.model.variant import VariantDescription
+from slamhive.monitor.spec import TASK_LIMIT
 from slamhive.plan import run_configuration, whole_cores
 
 if TYPE_CHECKING:
@@ -47,20 +49,19 @@ _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times as fast whe
 ALGORITHM = "algorithm"
 MONITOR = "monitor"
 
-OUTPUT_LIMIT_BYTES = 8 * 2**30
-TASK_LIMIT = 4096
 GRACE_SECONDS = 30
 _SPARE_SECONDS = 3600
 _MONITOR_RESOURCES = equal_resources("200m", "64Mi", logs="64Mi")
 _LOGS = "4Gi"
 _SCRATCH = "2Gi"
-_THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "TBB_NUM_THREADS",
-)
+_UNTIL_IT_WATCHES = """
+left=600
+while [ $left -gt 0 ] && [ ! -e /slamhive-run/config.yaml ]; do
+    sleep 0.05
+    left=$((left - 1))
+done
+"""
+"""It ends without an error too: an algorithm that ran before it was watched is said to have."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def configuration(
         dataset: the Dataset that it names.
         description: what the preparation said of its variant, as it stands in the Dataset's status.
     """
-    recording = Description.model_validate(dict(description))
+    recording = VariantDescription.model_validate(dict(description))
     return run_configuration(run, spec, dataset, recording, whole_cores(spec["resources"]["cpu"]))
 
 
@@ -113,13 +114,15 @@ class _Plan:
     spec: Mapping[str, Any]
     algorithm: AlgorithmSpec
     configuration: RunConfiguration
-    variant_folder: str
+    variant: VariantDescription
     attempt: int
     companion: Companion
 
     @property
     def folder(self) -> str:
         """Return the attempt's folder on the results volume, for a subPathExpr."""
+        # With the pod's uid: a node that comes back after its pod was replaced can't write into the new pod's
+        # folder.
         return f"runs/{segment(self.run['metadata']['uid'], 'the uid')}/$(POD_UID)"
 
 
@@ -149,9 +152,11 @@ def run_job(
     Raises:
         InputError: a sentence about what makes it impossible, such as an Algorithm without an image.
     """
-    plan = _Plan(run, spec, algorithm.spec, configuration, description["folder"], attempt, companion)
+    variant = VariantDescription.model_validate(dict(description))
+    plan = _Plan(run, spec, algorithm.spec, configuration, variant, attempt, companion)
     metadata = run["metadata"]
     pod = pod_spec(settings) | {
+        # By this the monitor sees the algorithm's processes.
         "shareProcessNamespace": True,
         "terminationGracePeriodSeconds": GRACE_SECONDS,
         # The monitor ends what takes too long; this ends what killed the monitor, and leaves its figures.
@@ -160,8 +165,6 @@ def run_job(
         "containers": [_algorithm(plan, settings), *companion.containers],
         "volumes": [*_volumes(spec, settings), *companion.volumes],
     }
-    if settings.pods.runtime_class_name:
-        pod["runtimeClassName"] = settings.pods.runtime_class_name
     text = yaml.dump(configuration.as_json(), Dumper=_Dumper, sort_keys=False, allow_unicode=True)
     return job(
         metadata["namespace"],
@@ -170,8 +173,8 @@ def run_job(
         labels=_labels(plan),
         owners=[owner_reference(run, controller=True)],
         annotations={label("configuration"): annotation(text, "the configuration")},
-        passed_labels=passed_on(metadata.get("labels")),
-        passed_annotations=passed_on(metadata.get("annotations")),
+        passed_labels=passed_on(metadata.get("labels"), settings),
+        passed_annotations=passed_on(metadata.get("annotations"), settings),
     )
 
 
@@ -192,21 +195,16 @@ def _algorithm(plan: _Plan, settings: Settings) -> Manifest:
     spec, algorithm, companion = plan.spec, plan.algorithm, plan.companion
     if algorithm.image is None:
         raise InputError(f"algorithm {spec['algorithmRef']['name']!r} has no image, so it runs on no cluster")
-    variant = segment(plan.variant_folder, "the variant's folder")
-    threads = str(whole_cores(spec["resources"]["cpu"]))
-    values = {
-        "SLAMHIVE_RUN": "/slamhive",
-        "SLAMHIVE_CONTAINER": ALGORITHM,
-        "SLAMHIVE_SEED": str(spec["seed"]),
-        **dict.fromkeys(_THREAD_VARIABLES, threads),
-        "OMP_WAIT_POLICY": "PASSIVE",
-        "HOME": "/tmp",  # noqa: S108 - a volume of the pod's own
-        "TMPDIR": "/tmp",  # noqa: S108
-        "LANG": "C.UTF-8",
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "PYTHONNOUSERSITE": "1",
-        **companion.variables,
-    }
+    variant = segment(plan.variant.folder, "the variant's folder")
+    # /tmp is a volume of the pod's own.
+    values = program_variables(
+        run="/slamhive",
+        seed=spec["seed"],
+        cores=whole_cores(spec["resources"]["cpu"]),
+        home="/tmp",  # noqa: S108
+        scratch="/tmp",  # noqa: S108
+    )
+    values |= {"SLAMHIVE_CONTAINER": ALGORITHM, **companion.variables}
     wanted = spec["resources"]
     gpus = {settings.pods.gpu_resource: str(wanted["gpu"])} if wanted.get("gpu") else {}
     body = container(
@@ -245,9 +243,12 @@ def _monitor(plan: _Plan, settings: Settings) -> Manifest:
         "configuration": "/slamhive-config/config.yaml",
         "timeoutSeconds": seconds(plan.spec["timeout"]),
         "memoryLimitBytes": int(quantity(plan.spec["resources"]["memory"])),
-        "outputLimitBytes": OUTPUT_LIMIT_BYTES,
+        "outputLimitBytes": int(quantity(settings.output_limit)),
+        "outputFileLimit": settings.output_files,
         "taskLimit": TASK_LIMIT,
+        "companions": len(plan.companion.init_containers),
         "dataSeconds": plan.configuration.dataset.duration_seconds,
+        "frames": plan.variant.frames,
         "includesReader": plan.algorithm.includes_reader,
         "intervalSeconds": 0.1,
         "terminationMessage": "/dev/termination-log",
@@ -274,7 +275,9 @@ def _monitor(plan: _Plan, settings: Settings) -> Manifest:
         ],
         resources=_MONITOR_RESOURCES,
     )
-    return body | {"restartPolicy": "Always"}
+    # The algorithm starts when the monitor watches, and is closed to it: not while Python itself starts.
+    watches = {"exec": {"command": ["sh", "-c", _UNTIL_IT_WATCHES]}}
+    return body | {"restartPolicy": "Always", "lifecycle": {"postStart": watches}}
 
 
 def _volumes(spec: Mapping[str, Any], settings: Settings) -> list[Manifest]:

@@ -74,6 +74,8 @@ def sender_job(namespace: str, name: str, like: Mapping[str, Any]) -> Manifest:
             "capabilities": {"drop": ["ALL"]},
         },
     }
+    # A user's command can't read the operator's settings: how pods have to be here is taken from one of its
+    # pods.
     pod = {key: like[key] for key in _TAKEN if like.get(key)} | {
         "restartPolicy": "Never",
         "automountServiceAccountToken": False,

@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from slamhive.data.version import VERSION
+from slamhive.jobs.requests import FetchedAsset, PrepareRequest
 from slamhive.kube.builders.common import (
     Manifest,
     claim,
@@ -21,7 +22,7 @@ from slamhive.kube.builders.common import (
     scratch,
     variables,
 )
-from slamhive.model.base import seconds
+from slamhive.model.base import ObjectMeta, seconds
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
@@ -73,7 +74,7 @@ def variant_name(
     return "v-" + digest(normalize(parts))[:_HASH_LENGTH]
 
 
-def variant_request(dataset: Dataset, algorithm: Algorithm, spec: Mapping[str, Any]) -> Manifest:
+def variant_request(dataset: Dataset, algorithm: Algorithm, spec: Mapping[str, Any]) -> PrepareRequest:
     """Return what the preparation for a run is asked for.
 
     Args:
@@ -81,19 +82,13 @@ def variant_request(dataset: Dataset, algorithm: Algorithm, spec: Mapping[str, A
         algorithm: its Algorithm.
         spec: its resolved spec.
     """
-    manifest = {
-        "apiVersion": dataset.api_version,
-        "kind": dataset.kind,
-        "metadata": {"name": dataset.name},
-        "spec": dataset.spec.as_json(),
-    }
-    return {
-        "dataset": manifest,
-        "roles": [str(role) for role in algorithm.spec.mode(SensorMode(spec["sensors"])).needs],
-        "input": _input(InputOptions.model_validate(spec["input"])),
-        "formats": [str(item) for item in algorithm.spec.recording],
-        "assets": _fetched(algorithm.spec.assets),
-    }
+    return PrepareRequest(
+        dataset=dataset.replace(metadata=ObjectMeta(name=dataset.name)),
+        roles=list(algorithm.spec.mode(SensorMode(spec["sensors"])).needs),
+        input=InputOptions.model_validate(_input(InputOptions.model_validate(spec["input"]))),
+        formats=list(algorithm.spec.recording),
+        assets=[FetchedAsset.model_validate(asset) for asset in _fetched(algorithm.spec.assets)],
+    )
 
 
 def _input(options: InputOptions) -> Manifest:
@@ -170,6 +165,6 @@ def variant_job(
             label("dataset"): dataset.name,
         },
         owners=owners,
-        annotations={label("request"): request_text(request)},
+        annotations={label("request"): request_text(request.as_json())},
         ttl_seconds=None if owners else _KEPT_SECONDS,
     )

@@ -1,31 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finished runs beyond a Sweep's retention: into the archive first, and only then out of the cluster."""
+"""Archiving of a Sweep's finished runs beyond its retention: into the archive first, then deleted."""
 
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from slamhive.archive import CatalogEntry
+from slamhive.contract.settled import FILES, is_settled
 from slamhive.kube.errors import Conflict
-from slamhive.kube.kinds import Key, Kind, key_of
+from slamhive.kube.kinds import Key, Kind, Object, key_of
 from slamhive.kube.reconciling import variants
-from slamhive.kube.reconciling.points import decode
-from slamhive.kube.reconciling.records import record_of, with_evaluations
-from slamhive.kube.reconciling.sweep_runs import FILES, is_settled, point_of, state_of
+from slamhive.kube.reconciling.sweep_runs import decode_points, point_of, state_of
+from slamhive.kube.records import record_of, with_evaluations
 from slamhive.kube.status import result_field
-from slamhive.model.errors import UnknownNameError
+from slamhive.model.errors import SlamHiveError, SystemFault, UnknownNameError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from slamhive.kube.operator import Operator
     from slamhive.kube.reconciling.catalogue import Catalogue
-    from slamhive.kube.reconciling.sweep_memory import SweepMemory
     from slamhive.model.results import RunRecord
     from slamhive.model.sweep import Sweep
 
 _AT_ONCE = 50
 
-Object = dict[str, Any]
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class ArchiveAway(SystemFault):
+    """The archive does not do what it is asked: it doesn't answer, is damaged, or is of another version."""
+
+
+async def asked(method: Callable[P, T], *words: P.args, **options: P.kwargs) -> T:
+    """Return what a method of the archive returns; it may block.
+
+    Raises:
+        ArchiveAway: it can't; the sentence says why.
+    """
+    try:
+        return await asyncio.to_thread(method, *words, **options)
+    except SlamHiveError as error:
+        raise ArchiveAway(str(error)) from error
 
 
 async def at_its_end(op: Operator, run: Object) -> Object:
@@ -35,7 +53,7 @@ async def at_its_end(op: Operator, run: Object) -> Object:
     """
     if op.archive is None or is_settled(run):
         return run
-    record = await asyncio.to_thread(op.archive.get, run["metadata"]["uid"])
+    record = await asked(op.archive.get, run["metadata"]["uid"])
     if record is None:
         return run
     return run | {"status": run["status"] | {"results": [result_field(item) for item in record.results]}}
@@ -52,9 +70,20 @@ class Retirement:
         self._catalogue = catalogue
 
     async def retire(
-        self, op: Operator, key: Key, sweep: Sweep, memory: SweepMemory, runs: dict[int, Object]
+        self, op: Operator, key: Key, sweep: Sweep, points: int, runs: dict[int, Object]
     ) -> list[float]:
-        """Archive and delete the oldest settled runs beyond the retention; returns when to come back."""
+        """Archive and delete the oldest settled runs beyond the retention.
+
+        Args:
+            op: the operator.
+            key: address of the Sweep.
+            sweep: the Sweep.
+            points: how many points it has.
+            runs: its runs that have objects, by point.
+
+        Returns:
+            After how many seconds to come back.
+        """
         settled = [run for run in runs.values() if is_settled(run)]
         surplus = len(settled) - sweep.spec.retention.runs
         if surplus <= 0:
@@ -63,11 +92,13 @@ class Retirement:
         if body is None or op.archive is None:
             return []
         settled.sort(key=lambda run: run["status"].get("completionTime") or "")
-        written = decode(body["status"].get("points"), len(memory.states))
+        written = decode_points(body["status"].get("points"), points)
         # Only what the status says to be done may go: the bit is what remains of a run here.
         going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
         for run in going:
-            await asyncio.to_thread(op.archive.put_run, *self._records(op, sweep, run))
+            await asked(op.archive.put_run, *self._records(op, sweep, run))
+        # All are in the archive before the first is deleted: a crash in between leaves them in both, and the
+        # next look deletes.
         left = surplus - len(going)
         for run in going:
             meta = run["metadata"]
@@ -92,12 +123,13 @@ class Retirement:
             found = self._catalogue.dataset(op.store, namespace, spec["datasetRef"]["name"])
             dataset = CatalogEntry.of(found)
             variant = run["status"].get("variant") or ""
-            entry = variants.entries(op, Key(Kind.DATASET, namespace, found.name)).get(variant, {})
+            known = variants.described(op, Key(Kind.DATASET, namespace, found.name), variant) or {}
             # A generator adds what it knows of the world that it made.
-            attributes = (entry.get("description") or {}).get("attributes") or dict(found.spec.attributes)
+            attributes = known.get("attributes") or dict(found.spec.attributes)
         except UnknownNameError:  # deleted from the catalog meanwhile
             pass
-        record = with_evaluations(record_of(run, attributes=attributes), sweep.spec.evaluation, found)
+        record = record_of(run, attributes=attributes).replace(cluster=op.cluster)
+        record = with_evaluations(record, sweep.spec.evaluation, found)
         if (run["metadata"].get("annotations") or {}).get(FILES):
             record = record.replace(folder=None)  # the collector removes it
         return record, algorithm, dataset

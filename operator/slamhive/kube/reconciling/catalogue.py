@@ -94,6 +94,7 @@ class Catalogue:
 
     def _parse(self, kind: type[R], body: dict[str, Any]) -> R:
         uid = body["metadata"]["uid"]
+        # By uid: an object that was deleted and made anew with other contents has another one.
         found = _remember(self._parsed, uid, lambda: _attempt(kind, body))
         if isinstance(found, InputError):
             raise found

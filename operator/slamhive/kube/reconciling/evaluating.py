@@ -1,35 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measuring finished runs in batches: evaluator Jobs, and what they print into each run's status.
+"""Reconciler of Evaluations: measures finished runs in batches by evaluator Jobs, and writes their results.
 
 A run without a result is measured again: a Job that is gone, a line that is missing and an operator that was
-killed in between all come to the same. What cannot be measured is noted at the run (``giving_up.py``).
+killed in between all come to the same. What cannot be measured is noted at the run: evaluation_status.py.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from slamhive.analysis.subjects import SubjectItem, Surroundings, subject_of
+from slamhive.analysis.subjects import Surroundings, subject_of
+from slamhive.contract.trajectory import TRAJECTORY
 from slamhive.engine import AttemptState
 from slamhive.jobs.lines import Decoder
+from slamhive.jobs.requests import EvaluateRequest, RunItem
 from slamhive.kube.builders import batches, evaluator_job
-from slamhive.kube.description import Description
-from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, Conflict, NotFound
-from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
+from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, NotFound
+from slamhive.kube.kinds import Key, Kind, Label, Object, Role, key_of
 from slamhive.kube.observing import EvaluatorObserved, observe_evaluator
 from slamhive.kube.reconciling import variants
-from slamhive.kube.reconciling.giving_up import is_full, problem_of, with_problem
-from slamhive.kube.reconciling.groups import Group, group_of, key_for
+from slamhive.kube.reconciling.evaluation_groups import Group, group_of, key_for
+from slamhive.kube.reconciling.evaluation_status import evaluation_status, is_full, problem_of, with_problem
 from slamhive.kube.reconciling.refusals import patience
-from slamhive.kube.reconciling.summing import evaluation_status
-from slamhive.kube.status import changes, condition, display, holds, merged, moment, result_field
-from slamhive.model.crd_status import MOST_RESULTS
+from slamhive.kube.status import condition, display, holds, moment, result_field, status_patch
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.reported import problem_of_values
-from slamhive.model.results import Result, Usage
+from slamhive.model.results import Result
 from slamhive.model.sensors import SensorMode
+from slamhive.model.status import MOST_RESULTS, EvaluationStatus, MappingRunStatus
+from slamhive.model.variant import VariantDescription
 from slamhive.plan import resolve
 
 if TYPE_CHECKING:
@@ -37,12 +38,10 @@ if TYPE_CHECKING:
     from slamhive.kube.pods import Waiting
     from slamhive.kube.reconciling.catalogue import Catalogue
 
-Object = dict[str, Any]
 
 RUNS_ANNOTATION = "slamhive.io/runs"
 _MOST_FAILURES = 3
 _AT_ONCE = 8
-_WRITE_TRIES = 5
 _WRITE_SECONDS = 2.0
 _REFUSED_SECONDS = 15.0
 
@@ -93,6 +92,7 @@ class Evaluations:
                 active += 1
                 busy |= _names(job)
                 delays += [] if waits is None else [waits]
+        # Read again: what was collected above is a result now, and must not be measured twice.
         group = group_of(op, key) or group
         delays += await self._start_missing(op, group, busy, active)
         delays += await self._write(op, group)
@@ -122,6 +122,8 @@ class Evaluations:
         if active >= wanted.parallel_jobs:
             return []  # the end of one of them leads back here
         ended = [moment(run["status"].get("completionTime")) or 0.0 for run in missing]
+        # A batch that is not full waits for more runs to end, as one Job can measure many; after failures it
+        # waits longer.
         wait = min(ended) + wanted.delay_seconds * 2 ** self._failures.get(group.key, 0) - op.clock()
         if len(missing) < wanted.batch_size and wait > 0:
             return [wait]
@@ -181,39 +183,39 @@ class Evaluations:
         Raises:
             InputError: a sentence about why it cannot be measured.
         """
-        namespace, status = run["metadata"]["namespace"], run["status"]
+        namespace, status = run["metadata"]["namespace"], MappingRunStatus.of(run)
+        if status.trajectory is None:
+            raise InputError("its status does not say which file its trajectory is")
         algorithm = self._catalogue.algorithm(op.store, namespace, run["spec"]["algorithmRef"]["name"])
         dataset = self._catalogue.dataset(op.store, namespace, run["spec"]["datasetRef"]["name"])
         spec = resolve(run["spec"], algorithm, dataset)
         key = Key(Kind.DATASET, namespace, dataset.name)
-        told = variants.described(op, key, status.get("variant") or "")
+        told = variants.described(op, key, status.variant or "")
         if told is None:
-            raise InputError(
-                f"variant {status.get('variant')} of Dataset {dataset.name!r} is not known any more"
-            )
-        known = Description.model_validate(told)
+            raise InputError(f"variant {status.variant} of Dataset {dataset.name!r} is not known any more")
+        known = VariantDescription.model_validate(told)
         if known.ground_truth is None:
             raise InputError(f"Dataset {dataset.name!r} has no ground truth")
+        level = known.gravity_aligned
         given = Surroundings(
             truth_frame=known.T_body_frame or _IDENTITY,
             by_role={role: view.T_body_sensor for role, view in known.sensors.items()},
             by_name=known.extrinsics,
             remap=spec["input"].get("remap"),
-            gravity_aligned=dataset.spec.gravity_aligned or dataset.spec.recording.synthetic is not None,
+            gravity_aligned=dataset.spec.has_level_truth if level is None else level,
             window=(known.start_time, known.start_time + known.duration_seconds),
         )
-        subject = SubjectItem.of(subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)).as_json()
-        folder = status["trajectory"]["path"].removesuffix("/output/trajectory.txt")
-        return subject | {
-            "uid": run["metadata"]["uid"],
-            "name": run["metadata"]["name"],
-            "folder": folder,
-            "sha256": status["trajectory"]["sha256"],
-            "dataset": dataset.name,
-        }
+        return RunItem.of(
+            subject_of(algorithm.spec, SensorMode(spec["sensors"]), given),
+            uid=run["metadata"]["uid"],
+            name=run["metadata"]["name"],
+            folder=status.trajectory.path.removesuffix(f"/{TRAJECTORY}"),
+            sha256=status.trajectory.sha256,
+            dataset=dataset.name,
+        ).as_json()
 
     async def _start(self, op: Operator, group: Group, batch: list[Object]) -> None:
-        request = {"evaluation": group.name, "settings": group.settings.as_json(), "runs": batch}
+        request = EvaluateRequest(evaluation=group.name, settings=group.settings, runs=batch).as_json()
         body = evaluator_job(
             group.key.namespace,
             request,
@@ -250,14 +252,18 @@ class Evaluations:
             async with limit:
                 return await self._try_to_take(op, group, record)
 
+        # One record that can't be taken must not cost the others theirs.
         told = await asyncio.gather(*(take(record) for record in decoder.records.values()))
         passing = next((error for error in told if error is not None), None)
         if passing is not None:
             raise passing  # the others are taken in; these are tried again
+        # A log may lose or cut lines. Runs whose lines are missing have no result, so the next look measures
+        # them again.
         if decoder.is_complete:
             self._failures.pop(group.key, None)
         else:
             await self._failed(op, group, job, problem or "the evaluator's results are incomplete")
+        # Last of all: an operator that dies before this finds the ended Job and takes its results in again.
         await op.delete(key_of(Kind.JOB, job))
 
     async def _failed(self, op: Operator, group: Group, job: Object, problem: str) -> None:
@@ -296,6 +302,7 @@ class Evaluations:
     async def _take(self, op: Operator, group: Group, record: Object) -> None:
         key = Key(Kind.MAPPING_RUN, group.key.namespace, str(record.get("name")))
         run = op.store.get(key)
+        # A run of this name may have been deleted and made anew while its predecessor was measured.
         if run is None or run["metadata"]["uid"] != record.get("uid"):
             return
         if "error" in record:
@@ -308,6 +315,7 @@ class Evaluations:
             return
         if group.name is not None:
             result = result.replace(evaluation=group.name)
+        # Checked here, as the API server would refuse the whole status for one value of the wrong type.
         problem = problem_of_values(result.values)
         if problem is None and is_full(run, result.evaluation):
             problem = f"the run has results of {MOST_RESULTS} evaluations, the most that are kept"
@@ -337,20 +345,17 @@ class Evaluations:
         found = {run["metadata"]["name"]: problem_of(group, run) for run in group.runs}
         problems = {name: problem for name, problem in found.items() if problem is not None}
         now = op.clock()
-        status = evaluation_status(group, problems)
-        generation = body["metadata"].get("generation", 1)
-        status["observedGeneration"] = generation
-        before = body["status"].get("conditions") or ()
-        fresh = [*status.pop("fresh"), *self._admitted(group, body)]
-        status["conditions"] = merged(before, fresh, generation, now)
-        patch = changes(body["status"], status)
+        status, conditions = evaluation_status(group, problems)
+        status |= EvaluationStatus(observed_generation=body["metadata"].get("generation", 1))
+        conditions += self._admitted(group, body)
         wait = self._written.get(group.key, 0.0) + _WRITE_SECONDS - now
-        if not patch:
+        if not status_patch(body, status.as_patch(), conditions, now):
             return []
         if wait > 0:
             return [wait]
+        # Each run that ends changes the Evaluation: its status is written every two seconds at most.
         self._written[group.key] = now
-        await op.patch(group.key, {"status": patch}, subresource="status")
+        await op.write_status(Kind.EVALUATION, body, status, conditions)
         return []
 
     def _admitted(self, group: Group, body: Object) -> list[Object]:
@@ -364,69 +369,47 @@ class Evaluations:
         body = op.store.get(key)
         if body is None:
             return
-        before = body["status"].get("conditions") or ()
-        fresh = [condition("Accepted", False, "InvalidSpec", message)]
-        status = {"conditions": merged(before, fresh, body["metadata"].get("generation", 1), op.clock())}
-        if changes(body["status"], status):
-            await op.patch(key, {"status": status}, subresource="status")
+        told = condition("Accepted", False, "InvalidSpec", message)
+        if await op.write_status(Kind.EVALUATION, body, conditions=[told]) is not None:
             await op.api.event(Kind.EVALUATION, body, "Warning", "NotAccepted", message)
 
 
 async def _note(op: Operator, group: Group, run: Object, problem: str) -> None:
     """Note at a run why a group can't measure it, whatever else is noted there at the same time."""
-    key, uid = key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"]
-    for _ in range(_WRITE_TRIES):
-        found = op.store.get(key)
-        if found is None or found["metadata"]["uid"] != uid or problem_of(group, found) is not None:
-            return
-        version = found["metadata"]["resourceVersion"]
-        noted = with_problem(group, found, problem)
-        try:
-            await op.patch(key, {"metadata": {"resourceVersion": version, "annotations": noted}})
-        except Conflict:
-            await op.refresh(key)
-        except NotFound:
-            return
-        else:
-            return
-    raise Conflict(f"{key}: it keeps changing", status=409)
+
+    def change(seen: Object) -> Object:
+        if problem_of(group, seen) is not None:
+            return {}
+        return {"metadata": {"annotations": with_problem(group, seen, problem)}}
+
+    await op.amend(key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"], change)
 
 
 async def _update(
     op: Operator, key: Key, uid: str, fresh: list[Object], result: Object | None = None
 ) -> None:
     """Write a result or a condition into a run's status, whatever else writes there at the same time."""
-    for _ in range(_WRITE_TRIES):
-        run = op.store.get(key)
-        if run is None or run["metadata"]["uid"] != uid:
-            return
-        status = run["status"]
-        generation = run["metadata"].get("generation", 1)
-        after: Object = {"conditions": merged(status.get("conditions") or (), fresh, generation, op.clock())}
+
+    def change(seen: Object) -> Object:
+        status = seen["status"]
+        after: Object = {}
         if result is not None:
+            # A merge patch replaces lists whole, so the new list carries the results of all other
+            # evaluations.
             kept = [
                 item for item in status.get("results") or () if item["evaluation"] != result["evaluation"]
             ]
             after["results"] = [*kept, result]
-            usage = Usage.model_validate(status["usage"]) if status.get("usage") else None
-            after["display"] = display(usage, after["results"])
-        patch = changes(status, after)
-        if not patch:
-            return
-        body = {"metadata": {"resourceVersion": run["metadata"]["resourceVersion"]}, "status": patch}
-        try:
-            await op.patch(key, body, subresource="status")
-        except Conflict:
-            await op.refresh(key)
-        except NotFound:
-            return
-        else:
-            return
-    raise Conflict(f"{key}: its status keeps changing", status=409)
+            shown = display(MappingRunStatus.of(seen).usage, after["results"])
+            after["display"] = shown.as_json() if shown else {}
+        patch = status_patch(seen, after, fresh, op.clock())
+        return {"status": patch} if patch else {}
+
+    await op.amend(key, uid, change, subresource="status")
 
 
 def _unforeseen(op: Operator, name: str, error: Exception) -> str:
-    """Return a sentence on what nobody foresaw, which is also logged and counted."""
+    """Return a sentence on an unexpected error, which is also logged and counted."""
     op.metrics.count_error(str(Kind.EVALUATION), "unforeseen")
     _log.error("MappingRun %s: measuring it failed in an unforeseen way", name, exc_info=error)
     return f"{type(error).__name__}: {error}"[:1000]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refusals of the cluster that only Events tell of: why a Job's pod is not made."""
+"""Refusals of the cluster that only Events show, such as a Job whose pod is not allowed."""
 
 from __future__ import annotations
 
@@ -54,6 +54,7 @@ async def patience(
         return waiting, None
     now = op.clock()
     since = waiting.since or now
+    # A new Job has no pod for a moment: to ask for Events then would cost a call for each Job.
     if now - since < POD_SECONDS:
         return waiting, POD_SECONDS
     waiting = explained(waiting, await why_no_pod(op, job))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finding an equal run that was done before, in the cluster or in the archive.
+"""Reuse: finds an equal run that was done before, in the cluster or in the archive.
 
 Equal means equal content: the spec, the Algorithm, the recording, the version of the preparation and the
 image. What image a tag stands for is known from the last run that used it.
@@ -11,16 +11,17 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.kinds import Key, Kind, Label
-from slamhive.kube.reconciling.records import image_digest, pinned_digest, record_of
 from slamhive.kube.reconciling.sweep_runs import SAME_AS
+from slamhive.kube.records import image_digest, pinned_digest, record_of
 from slamhive.model.results import Phase
+from slamhive.model.status import AlgorithmStatus, MappingRunStatus
 from slamhive.model.sweep import CachePolicy
 from slamhive.plan import content_hash
 
 if TYPE_CHECKING:
     from slamhive.kube.operator import Operator
     from slamhive.kube.reconciling.catalogue import Catalogue
-    from slamhive.kube.reconciling.run import RunFacts
+    from slamhive.kube.reconciling.run_status import RunFacts
     from slamhive.model.results import RunRecord
 
 
@@ -34,33 +35,66 @@ class Twins:
     def __init__(self, catalogue: Catalogue) -> None:
         self._catalogue = catalogue
         self._known: dict[tuple[str, str], str] = {}
+        self._has_looked_around = False
+        self.processors: set[str] = set()
+        """Models of the cluster's processors, as far as its runs told of them."""
 
     def learn(self, run: dict[str, Any]) -> None:
         """Take note of a finished run."""
-        status = run["status"]
-        provenance = status.get("provenance") or {}
-        hashed = provenance.get("contentHash")
-        if status.get("phase") == Phase.SUCCEEDED and hashed and not provenance.get("reusedFrom"):
+        # Only what is needed: it is done for all finished runs of a cluster at once.
+        told = {name: run["status"][name] for name in ("phase", "provenance") if name in run["status"]}
+        status = MappingRunStatus.of({"status": told})
+        provenance = status.provenance
+        hashed = provenance.content_hash
+        # Only runs that computed: who took over another's result would lead there anyway.
+        if status.phase is Phase.SUCCEEDED and hashed and not provenance.reused_from:
             self._known[run["metadata"]["namespace"], hashed] = run["metadata"]["name"]
+            if provenance.cpu_model:
+                self.processors.add(provenance.cpu_model)
+
+    def _look_around(self, op: Operator) -> None:
+        """Learn all finished runs, once.
+
+        After its start an operator looks at runs in any order: without this, which result a run takes over,
+        and whether usage comes with it, would depend on that order.
+        """
+        if not self._has_looked_around:
+            self._has_looked_around = True
+            for namespace in op.settings.namespaces:
+                for run in op.store.of(Kind.MAPPING_RUN, namespace):
+                    self.learn(run)
 
     async def find(self, op: Operator, facts: RunFacts) -> RunRecord | None:
         """Return an equal finished run, when this one may take its result."""
-        meta = facts.body["metadata"]
-        sweep = (meta.get("labels") or {}).get(Label.SWEEP)
-        owner = op.store.get(Key(Kind.SWEEP, facts.key.namespace, sweep)) if sweep else None
-        done_in_sweep = SAME_AS in (meta.get("annotations") or {})
-        if owner is None or (owner["spec"].get("cachePolicy") == CachePolicy.RERUN and not done_in_sweep):
+        if not self._may_reuse(op, facts):
             return None
         hashed = self.content_hash(facts, self._image(op, facts))
         if hashed is None:
             return None
+        self._look_around(op)
         name = self._known.get((facts.key.namespace, hashed))
         twin = op.store.get(Key(Kind.MAPPING_RUN, facts.key.namespace, name)) if name else None
-        if twin is not None and (twin["status"].get("provenance") or {}).get("contentHash") == hashed:
+        # The name may belong to another run by now: what it holds decides.
+        if twin is not None and MappingRunStatus.of(twin).provenance.content_hash == hashed:
             return record_of(twin)
         if op.archive is None:
             return None
-        return await asyncio.to_thread(op.archive.find_reusable, hashed)
+        kept = await asyncio.to_thread(op.archive.find_reusable, hashed)
+        if kept is not None and _ran_on(op, kept) and kept.provenance.cpu_model:
+            self.processors.add(kept.provenance.cpu_model)  # its object is gone: nobody may have seen it
+        return kept
+
+    @staticmethod
+    def _may_reuse(op: Operator, facts: RunFacts) -> bool:
+        """Tell whether a run may take another one's result."""
+        meta = facts.body["metadata"]
+        sweep = (meta.get("labels") or {}).get(Label.SWEEP)
+        owner = op.store.get(Key(Kind.SWEEP, facts.key.namespace, sweep)) if sweep else None
+        if owner is None:
+            return False  # a run by itself has no cachePolicy that could turn it off
+        # `Rerun` asks for new results, but points of one Sweep that come out equal still run once.
+        done_in_sweep = SAME_AS in (meta.get("annotations") or {})
+        return done_in_sweep or owner["spec"].get("cachePolicy") != CachePolicy.RERUN
 
     def content_hash(self, facts: RunFacts, image: str | None) -> str | None:
         """Return the hash of all that a run's result depends on; None while a part is not known.
@@ -86,5 +120,14 @@ class Twins:
         if pinned is not None:
             return pinned
         algorithm = op.store.get(Key(Kind.ALGORITHM, facts.key.namespace, facts.algorithm.name)) or {}
-        known = (algorithm.get("status") or {}).get("imageID")
+        known = AlgorithmStatus.of(algorithm).image_id
         return image_digest(known) if known else None
+
+
+def _ran_on(op: Operator, run: RunRecord) -> bool:
+    """Tell whether an archived run was computed on this cluster.
+
+    A workstation's record has no namespace. Where clusters have no identity, our namespaces are ours.
+    """
+    ours = run.cluster == op.cluster and run.namespace in op.settings.namespaces
+    return ours and run.provenance.reused_from is None

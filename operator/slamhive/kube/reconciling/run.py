@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A MappingRun: from its spec through its variant and its Job to a status.
+"""Reconciler of a MappingRun: from its spec through its variant and its Job to a status.
 
 What is seen goes to ``decide_run``; what it decides is done here. At most four writes: the Job, the status
 when it starts, the status when it ends, and later its results.
@@ -7,8 +7,8 @@ when it starts, the status when it ends, and later its results.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.engine import (
     AttemptEnd,
@@ -27,16 +27,20 @@ from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, Forbidden
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of, reference
 from slamhive.kube.observing import Attempted, observe_attempt, observe_read
 from slamhive.kube.reconciling import variants
-from slamhive.kube.reconciling.finishing import attempt_fields, provenance, twin_fields, usage_suspect
-from slamhive.kube.reconciling.records import image_digest
 from slamhive.kube.reconciling.refusals import why_no_pod
-from slamhive.kube.reconciling.variants import VariantSeen, Wanted
+from slamhive.kube.reconciling.run_status import (
+    RunFacts,
+    attempt_fields,
+    provenance,
+    reused_fields,
+    usage_suspect,
+)
+from slamhive.kube.reconciling.variants import Wanted
+from slamhive.kube.records import image_digest
 from slamhive.kube.status import (
-    changes,
     condition,
     holds,
     iso,
-    merged,
     moment,
     phase_of,
     run_state,
@@ -46,6 +50,7 @@ from slamhive.kube.status import (
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase, Reason
 from slamhive.model.sensors import SensorMode
+from slamhive.model.status import AlgorithmStatus, MappingRunStatus
 from slamhive.plan import option_problems, resolve, spec_hash
 
 if TYPE_CHECKING:
@@ -64,38 +69,13 @@ _QUOTA_SECONDS = 15.0
 _PODLESS_SECONDS = 15.0
 
 
-@dataclass(frozen=True)
-class RunFacts:
-    """A run with all that bears on what happens next.
+class _Resolved(NamedTuple):
+    """A run's spec with all defaults, and what follows from it."""
 
-    Attributes:
-        key: its address.
-        body: the object.
-        spec: its spec with all defaults.
-        spec_hash: the hash of it.
-        algorithm: its Algorithm.
-        dataset: its Dataset.
-        wanted: the variant that it reads.
-        variant: what is known of that.
-        attempted: what is seen of its newest attempt.
-        job: the newest attempt's Job.
-    """
-
-    key: Key
-    body: dict[str, Any]
+    uid: str
     spec: dict[str, Any]
-    spec_hash: str
-    algorithm: Algorithm
-    dataset: Dataset
+    hash: str
     wanted: Wanted
-    variant: VariantSeen
-    attempted: Attempted
-    job: dict[str, Any] | None
-
-    @property
-    def dataset_key(self) -> Key:
-        """Return the address of its Dataset."""
-        return Key(Kind.DATASET, self.key.namespace, self.dataset.name)
 
 
 class RunReconciler:
@@ -112,7 +92,7 @@ class RunReconciler:
         self._evaluations = evaluations
         self._twins = twins
         self._waiting: set[Key] = set()
-        self._resolved: dict[str, tuple[dict[str, Any], str, Wanted]] = {}
+        self._resolved: dict[Key, _Resolved] = {}
 
     def waiting(self, namespace: str) -> list[Key]:
         """Return the runs that wait for the catalog."""
@@ -123,19 +103,20 @@ class RunReconciler:
         self._waiting.discard(key)
         run = op.store.get(key)
         if run is None or run["metadata"].get("deletionTimestamp"):
+            self._resolved.pop(key, None)
             return None
         if phase_of(run["status"]).is_finished:
-            self._resolved.pop(run["metadata"]["uid"], None)
+            self._resolved.pop(key, None)
             self._twins.learn(run)
             self._evaluations.consider(op, run)
             return None
-        state = run_state(run["status"])
+        state = run_state(MappingRunStatus.of(run))
         try:
             facts = self._look(op, key, run, state)
         except UnknownNameError as error:
             self._waiting.add(key)
             fresh = [condition("Accepted", False, "CatalogIncomplete", str(error))]
-            await self._write(op, run, state_fields(state), fresh)
+            await op.write_status(Kind.MAPPING_RUN, run, state_fields(state), fresh)
             return None
         except InputError as error:
             await self._refuse(op, run, state, Reason.INVALID_PARAMETERS, str(error))
@@ -151,23 +132,26 @@ class RunReconciler:
         algorithm = self._catalogue.algorithm(op.store, key.namespace, spec["algorithmRef"]["name"])
         dataset = self._catalogue.dataset(op.store, key.namespace, spec["datasetRef"]["name"])
         uid = run["metadata"]["uid"]
-        if uid not in self._resolved:
+        # A run's spec never changes but for `cancel`, so it is resolved once; the uid tells a later run of
+        # the same name.
+        known = self._resolved.get(key)
+        if known is None or known.uid != uid:
             resolved = resolve({name: spec[name] for name in spec if name != "cancel"}, algorithm, dataset)
             if not state.attempts:
                 _insist_on_effects(resolved, algorithm, dataset)
-            self._resolved[uid] = (resolved, spec_hash(resolved), Wanted.by(resolved, algorithm, dataset))
-        resolved, hashed, wanted = self._resolved[uid]
+            wanted = Wanted.by(resolved, algorithm, dataset)
+            known = self._resolved[key] = _Resolved(uid, resolved, spec_hash(resolved), wanted)
         created = moment(run["metadata"].get("creationTimestamp")) or 0.0
         job, attempted = self._newest(op, uid)
         return RunFacts(
             key=key,
             body=run,
-            spec=resolved,
-            spec_hash=hashed,
+            spec=known.spec,
+            spec_hash=known.hash,
             algorithm=algorithm,
             dataset=dataset,
-            wanted=wanted,
-            variant=variants.look(op, key.namespace, wanted, max(created, state.not_before)),
+            wanted=known.wanted,
+            variant=variants.look(op, key.namespace, known.wanted, max(created, state.not_before)),
             attempted=attempted,
             job=job,
         )
@@ -185,6 +169,8 @@ class RunReconciler:
 
     async def _lead(self, op: Operator, facts: RunFacts, state: RunState) -> float | None:
         attempted = facts.attempted
+        # The termination message is a copy that can be missing. The truth is summary.json on the results
+        # volume, which the operator does not mount: a Job reads it.
         if attempted.needs_read:
             report, waits = await self._read(op, facts)
             if waits:
@@ -193,6 +179,8 @@ class RunReconciler:
             facts = replace(facts, attempted=attempted)
         now = op.clock()
         waits_for = []
+        # Only Events say why a Job has no pod. They cost a call, so a new Job first gets the time that it
+        # usually takes.
         if attempted.lacks_pod and attempted.usual_until <= now and facts.job is not None:
             attempted = attempted.with_refusal(await why_no_pod(op, facts.job))
             facts = replace(facts, attempted=attempted)
@@ -204,11 +192,13 @@ class RunReconciler:
         if patience is not None and patience <= now:
             attempted = attempted.given_up()
             facts = replace(facts, attempted=attempted)
+        # The status may be older than the Jobs: an operator can die between creating one and counting it.
         state = replace(state, attempts=max(state.attempts, attempted.number or 0))
         if _is_lost(attempted.state, state) and await self._is_there(op, facts, state.attempts):
             return _TAKEN_SECONDS
         fresh = attempted.state is AttemptState.NONE and state.not_before <= now
         cancel = bool(facts.body["spec"].get("cancel"))
+        # Looked for only where an attempt could begin: it can cost a query to the archive.
         twin = await self._twins.find(op, facts) if fresh and not cancel else None
         decision = decide_run(state, self._observed(facts, state, twin), now)
         delay, denied = await self._try(op, facts, state, decision)
@@ -216,9 +206,11 @@ class RunReconciler:
             return delay
         if patience is not None and patience <= now and facts.job is not None:
             await op.delete(key_of(Kind.JOB, facts.job))  # it would go on trying
-            if "subPath" in (attempted.waiting_message or ""):
-                await variants.forget(op, facts.dataset_key, facts.wanted.name)  # its folder is gone
+            if attempted.may_lack_variant:
+                await variants.lose(op, facts.dataset_key, facts.wanted.name)
         starts = any(isinstance(action, Start) for action in decision.actions)
+        # A start writes no status: the Job itself says that it was made, and its pod's events lead back here.
+        # This keeps a run at five writes.
         told = None if starts else await self._record(op, facts, decision.state, twin)
         if decision.look_again_at is not None:
             waits_for.append(decision.look_again_at - now)
@@ -247,7 +239,7 @@ class RunReconciler:
 
     @staticmethod
     async def _is_there(op: Operator, facts: RunFacts, attempt: int) -> bool:
-        """Tell whether a Job that is not seen is there: another operator's, of which no watch told yet."""
+        """Check the API for the attempt's Job: another operator may have made it, unseen by our watch."""
         job = await op.refresh(Key(Kind.JOB, facts.key.namespace, job_name(facts.key.name, attempt)))
         owners = (job["metadata"].get("ownerReferences") or ()) if job else ()
         return facts.body["metadata"]["uid"] in {owner["uid"] for owner in owners}
@@ -290,6 +282,8 @@ class RunReconciler:
             settings=op.settings,
             companion=companion,
         )
+        # The Job's name follows from run and attempt: after a crash, or beside a second operator, the first
+        # Job is found and no second one is made.
         try:
             await op.create(Kind.JOB, body)
         except AlreadyExists:
@@ -302,7 +296,7 @@ class RunReconciler:
             if not error.is_quota:
                 raise
             fresh = [condition("Scheduled", False, "QuotaExceeded", str(error))]
-            await self._write(op, facts.body, {}, fresh)
+            await op.write_status(Kind.MAPPING_RUN, facts.body, conditions=fresh)
             return _QUOTA_SECONDS
         await variants.touch(
             op, Key(Kind.DATASET, facts.key.namespace, facts.dataset.name), facts.wanted.name
@@ -326,14 +320,16 @@ class RunReconciler:
     async def _denied(self, op: Operator, facts: RunFacts, state: RunState, error: ApiError) -> float | None:
         """Tell that the cluster refuses a Job; the run fails when it does so for long."""
         now, message = op.clock(), str(error)
+        # The condition's own time is used, so that a restart of the operator does not begin the patience
+        # anew.
         begun = since(facts.body["status"], "Admitted", standing=False)
         left = (now if begun is None else begun) + op.settings.refusal_grace_seconds - now
         fresh = [condition("Admitted", False, "JobRefused", message)]
         if left <= 0:
             await self._refuse(op, facts.body, state, Reason.SYSTEM_FAULT, message, why=fresh)
             return None
-        fields = state_fields(state)
-        await self._write(op, facts.body, fields, [condition("Accepted", True, "Accepted"), *fresh])
+        fresh.append(condition("Accepted", True, "Accepted"))
+        await op.write_status(Kind.MAPPING_RUN, facts.body, state_fields(state), fresh)
         if begun is None:
             await op.api.event(Kind.MAPPING_RUN, facts.body, "Warning", "JobRefused", message)
         return min(left, _QUOTA_SECONDS)
@@ -369,65 +365,73 @@ class RunReconciler:
         after = decide_run(state, RunObserved(problem=(reason, message)), op.clock()).state
         fresh = why or [condition("Accepted", False, str(reason), message)]
         fresh.append(condition("Complete", True, str(reason), message))
-        await self._write(op, run, state_fields(after) | {"completionTime": iso(op.clock())}, fresh)
+        ended = state_fields(after) | MappingRunStatus(completion_time=iso(op.clock()))
+        await op.write_status(Kind.MAPPING_RUN, run, ended, fresh)
         await _announce(op, key_of(Kind.MAPPING_RUN, run))
 
     async def _record(
         self, op: Operator, facts: RunFacts, state: RunState, twin: RunRecord | None
     ) -> float | None:
-        """Write what there is to tell; returns the seconds after which there may be more."""
+        """Write what is new; returns the seconds after which there may be more."""
         attempted = facts.attempted
         usual = attempted.usual_until - op.clock()
         waits = attempted.waiting_reason is not None and usual <= 0
         if state.phase is Phase.RUNNING and attempted.started is None and not waits:
             return usual if usual > 0 else None  # the Job says that it was created
-        fields = state_fields(state) | {"variant": facts.wanted.name}
+        status = state_fields(state) | MappingRunStatus(variant=facts.wanted.name)
         fresh = [condition("Accepted", True, "Accepted"), *_scheduling(attempted, state)]
         if holds(facts.body["status"], "Admitted") is False:
             fresh.append(condition("Admitted", True, "Admitted"))
         if state.phase is Phase.RUNNING and attempted.started is None:
-            fields |= {"phase": str(Phase.PENDING)}
+            # For the engine the attempt runs from its Job on; people read Pending, with the reason, until its
+            # program does.
+            status |= MappingRunStatus(phase=Phase.PENDING)
         elif state.phase is Phase.RUNNING:
-            fields["startTime"] = attempted.started
+            status |= MappingRunStatus(start_time=attempted.started)
         if state.phase.is_finished:
             left, told = self._finished(op, facts, state, twin)
-            fields |= left
+            status |= left
             fresh += told
         if state.phase.is_finished:
             await self._note_image(op, facts)  # before those that wait for the run's end look for its twins
-        await self._write(op, facts.body, fields, fresh)
+        await op.write_status(Kind.MAPPING_RUN, facts.body, status, fresh)
         if state.phase.is_finished:
             await self._after(op, facts)
         return None
 
     def _finished(
         self, op: Operator, facts: RunFacts, state: RunState, twin: RunRecord | None
-    ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    ) -> tuple[MappingRunStatus, list[dict[str, Any]]]:
         """Return what is recorded of a run that has ended."""
         attempted, now = facts.attempted, op.clock()
         fresh = [condition("Complete", True, str(state.reason or state.phase), state.message or "")]
         if twin is not None and state.phase is Phase.SUCCEEDED:
-            return twin_fields(twin, facts), [
+            return reused_fields(twin, facts, self._twins.processors), [
                 *fresh,
                 condition("Reused", True, "EqualRun", f"took {twin.name}'s result"),
             ]
         if attempted.state is not AttemptState.ENDED:
-            return {"completionTime": iso(now)}, fresh
+            return MappingRunStatus(completion_time=iso(now)), fresh
         image = image_digest(attempted.image_id) if attempted.image_id else None
         hashed = self._twins.content_hash(facts, image)
-        fields = attempt_fields(facts.body["metadata"]["uid"], attempted, now)
-        fields["provenance"] = provenance(
+        status = attempt_fields(facts.body["metadata"]["uid"], attempted, now)
+        produced = provenance(
             attempted,
             facts,
             algorithm_hash=self._catalogue.algorithm_hash(facts.algorithm),
             content_hash=hashed,
         )
+        status |= MappingRunStatus(provenance=produced)
+        # An independent witness: the metrics API measures the same container from outside the pod.
         shown = op.usage.observed(attempted.pod_uid or "")
         usage = attempted.report.usage if attempted.report else None
         suspect = shown and usage_suspect(usage, shown.max_cores, shown.max_memory_bytes)
-        if suspect:
+        if usage is not None and usage.suspect:
+            fresh.append(condition("UsageSuspect", True, "FiguresDoubted", usage.suspect))
+        elif usage is not None and suspect:
             fresh.append(condition("UsageSuspect", True, "SourcesDisagree", suspect))
-        return fields, fresh
+            status |= MappingRunStatus(usage=usage.replace(suspect=suspect))
+        return status, fresh
 
     async def _after(self, op: Operator, facts: RunFacts) -> None:
         run = op.store.get(facts.key)
@@ -437,27 +441,16 @@ class RunReconciler:
             self._evaluations.consider(op, run)
 
     @staticmethod
-    async def _write(
-        op: Operator, run: dict[str, Any], fields: dict[str, Any], fresh: list[dict[str, Any]]
-    ) -> None:
-        before = run["status"]
-        generation = run["metadata"].get("generation", 1)
-        conditions = merged(before.get("conditions") or (), fresh, generation, op.clock())
-        patch = changes(before, fields | {"conditions": conditions})
-        if not patch:
-            return
-        body = {"metadata": {"resourceVersion": run["metadata"]["resourceVersion"]}, "status": patch}
-        await op.patch(key_of(Kind.MAPPING_RUN, run), body, subresource="status")
-
-    @staticmethod
     async def _note_image(op: Operator, facts: RunFacts) -> None:
         """Keep what an Algorithm's tag means today, so that equal runs are known before they start."""
         image = facts.attempted.image_id
         key = Key(Kind.ALGORITHM, facts.key.namespace, facts.algorithm.name)
         algorithm = op.store.get(key)
-        if not image or algorithm is None or algorithm["status"].get("imageID") == image:
+        if not image or algorithm is None or AlgorithmStatus.of(algorithm).image_id == image:
             return
-        await op.patch(key, {"status": {"imageID": image}}, subresource="status")
+        # Not for one version alone: of runs that end at the same time any may be the last to say so.
+        patch = AlgorithmStatus(image_id=image).as_patch()
+        await op.patch(key, {"status": patch}, subresource="status")
 
 
 async def _announce(op: Operator, key: Key) -> None:
@@ -503,6 +496,7 @@ def _needing(run: dict[str, Any]) -> dict[str, Any]:
     """Return the reference to what needs a run's variant: its Sweep, or itself."""
     for owner in run["metadata"].get("ownerReferences") or ():
         if owner.get("kind") == Kind.SWEEP:
+            # Several Sweeps can own one preparation, but an object can have one controller at most.
             return {key: value for key, value in owner.items() if key != "controller"}
     return reference(Kind.MAPPING_RUN, run)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Sweep: keeps a window of MappingRuns in flight, counts, and says where it stands.
+"""Reconciler of a Sweep: keeps a window of MappingRuns in flight, counts them, and writes its status.
 
 A run's name follows from the Sweep's uid and its index, so creating it twice finds the first. States and
 counters reach the status in one checked write, at most every ``sweepWriteSeconds``; what a crash loses of
@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from slamhive.contract.settled import is_settled
 from slamhive.engine import (
     PointState,
     StartPoints,
@@ -22,33 +23,35 @@ from slamhive.engine import (
     decide_sweep,
 )
 from slamhive.kube.errors import REFUSALS, AlreadyExists, Conflict
-from slamhive.kube.kinds import Key, Kind, Label, key_of
-from slamhive.kube.reconciling.archiving import Retirement, at_its_end
+from slamhive.kube.kinds import Key, Kind, Label, Object, key_of
+from slamhive.kube.reconciling.archiving import ArchiveAway, Retirement, asked, at_its_end
 from slamhive.kube.reconciling.catalogue import parse
-from slamhive.kube.reconciling.points import decode, encode
-from slamhive.kube.reconciling.sweep_memory import SweepMemory, remember
+from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
 from slamhive.kube.reconciling.sweep_runs import (
     Tally,
+    decode_points,
+    encode_points,
     free_slot,
-    is_settled,
     point_of,
     run_body,
     slots_used,
     state_of,
 )
-from slamhive.kube.status import changes, condition, holds, iso, merged, metres, moment
+from slamhive.kube.reconciling.sweep_state import SweepMemory, remember
+from slamhive.kube.status import condition, holds, iso, metres, moment, status_patch
 from slamhive.model.base import seconds
 from slamhive.model.errors import InputError
+from slamhive.model.status import SweepDisplay, SweepStatus
 from slamhive.model.sweep import Sweep
 
 if TYPE_CHECKING:
     from slamhive.kube.operator import Operator
     from slamhive.kube.reconciling.catalogue import Catalogue
 
-Object = dict[str, Any]
 
 _LOOK_SECONDS = 0.1
 _BLOCKED_SECONDS = 5.0
+_AWAY_SECONDS = 10.0
 _SHOWN_PROBLEMS = 20
 _AT_ONCE = 16
 
@@ -87,6 +90,7 @@ class SweepReconciler:
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
         self._waiting: set[Key] = set()
+        self._archive_away: dict[str, str] = {}
 
     def waiting(self, namespace: str) -> list[Key]:
         """Return the Sweeps that wait for the catalog."""
@@ -100,13 +104,29 @@ class SweepReconciler:
             self._tidy(op)
             return None
         try:
+            again = await self._look(op, key, body)
+        except ArchiveAway as error:
+            self._archive_away[body["metadata"]["uid"]] = str(error)
+            await _tell_archive(op, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
+            return _AWAY_SECONDS
+        seen = op.store.get(key) or body
+        if body["metadata"]["uid"] not in self._archive_away and holds(seen["status"], "ArchiveUnavailable"):
+            await _tell_archive(op, key, condition("ArchiveUnavailable", False, "Answers"))
+        return again
+
+    async def _look(self, op: Operator, key: Key, body: Object) -> float | None:
+        try:
             sweep = self._sweep(body)
             memory = await self._remembered(op, key, body, sweep)
         except InputError as error:
             self._waiting.add(key)
-            await self._refuse(op, key, body, str(error))
+            await self._refuse(op, body, str(error))
             return None
+        if body["metadata"].get("generation", 1) != (body.get("status") or {}).get("observedGeneration"):
+            # Its runs may have to be measured by other settings now: no change of a run tells.
+            op.queue.add(Key(Kind.EVALUATION, key.namespace, f"{SWEEP_PREFIX}{key.name}"))
         now = op.clock()
+        # Every change of every run leads here; one look answers for all changes of a tenth of a second.
         if now - memory.looked_at < _LOOK_SECONDS:
             return _LOOK_SECONDS
         memory.looked_at = now
@@ -122,7 +142,8 @@ class SweepReconciler:
             for namespace in op.settings.namespaces
             for body in op.store.of(Kind.SWEEP, namespace)
         }
-        for uid in [uid for uid in (*self._memory, *self._parsed) if uid not in alive]:
+        for uid in [uid for uid in (*self._memory, *self._parsed, *self._archive_away) if uid not in alive]:
+            self._archive_away.pop(uid, None)
             self._memory.pop(uid, None)
             self._parsed.pop(uid, None)
 
@@ -140,7 +161,13 @@ class SweepReconciler:
             live = {run["metadata"]["uid"]: state_of(run) for run in _own(op, key, uid)}
             accepted = bool(holds(body["status"], "Accepted"))
             catalog = self._catalogue.all(op.store, key.namespace)
-            memory = await remember(sweep, body["status"], catalog, live, op.archive, accepted=accepted)
+            memory = await remember(
+                *(sweep, SweepStatus.of(body), catalog, live, op.archive),
+                accepted=accepted,
+                cluster=op.cluster,
+            )
+            # An operator that was killed may not have written the start: its oldest live run tells it, or the
+            # budget of wall time would begin anew.
             made = (moment(run["metadata"].get("creationTimestamp")) for run in _own(op, key, uid))
             memory.started_at = memory.started_at or min(filter(None, made), default=None)
             most = op.settings.max_runs_without_archive
@@ -158,9 +185,11 @@ class SweepReconciler:
             index = point_of(run)
             if index is not None and index < len(memory.states):
                 runs[index] = run
+        # Their objects are gone, but their CPU time and results still count: for budgets, and for `best`.
         gone = [index for index in memory.finished if index not in runs]
         for index in gone:
-            memory.archived.add(await at_its_end(op, memory.finished.pop(index)))
+            memory.archived.add(await at_its_end(op, memory.finished[index]))
+            del memory.finished[index]
         tally = Tally(
             memory.archived.reused,
             memory.archived.evaluated,
@@ -207,6 +236,8 @@ class SweepReconciler:
         blocked: str | None = None
         for action in decision.actions:
             match action:
+                case StartPoints() if self._is_held_back(seen, observed.parallelism):
+                    pass
                 case StartPoints(indices):
                     blocked = await self._start(op, seen, indices, now)
                 case StopPoints(indices):
@@ -216,8 +247,20 @@ class SweepReconciler:
             delays.append(_budget_left(sweep, memory, now))
         delays += await self._write(op, seen, decision, blocked, now)
         if op.archive is not None:
-            delays += await self._retirement.retire(op, seen.key, sweep, memory, seen.runs)
+            delays += await self._retirement.retire(op, seen.key, sweep, len(memory.states), seen.runs)
+            if seen.body["metadata"]["uid"] in self._archive_away:
+                await asked(op.archive.get, seen.body["metadata"]["uid"])
+                # It answers again: what was held back may start.
+                del self._archive_away[seen.body["metadata"]["uid"]]
+                delays.append(_LOOK_SECONDS)
         return min(delays, default=None)
+
+    def _is_held_back(self, seen: _Picture, window: int) -> bool:
+        """Tell whether finished runs wait for an archive that is away: more would fill the cluster."""
+        if seen.body["metadata"]["uid"] not in self._archive_away:
+            return False
+        settled = sum(is_settled(run) for run in seen.runs.values())
+        return settled >= seen.sweep.spec.retention.runs + window
 
     async def _start(self, op: Operator, seen: _Picture, indices: tuple[int, ...], now: float) -> str | None:
         """Create the runs of points; returns why some could not be."""
@@ -247,6 +290,7 @@ class SweepReconciler:
             found = await op.refresh(key)
             if found is None or found["metadata"].get("deletionTimestamp"):
                 return f"{key.name} is still being deleted"
+            # A name that belongs to someone else is reported, never taken over.
             owners = {item["uid"] for item in found["metadata"].get("ownerReferences") or ()}
             if seen.body["metadata"]["uid"] not in owners:
                 return f"the name {key.name} is taken by a MappingRun that is not of this Sweep"
@@ -268,30 +312,27 @@ class SweepReconciler:
     ) -> list[float]:
         """Write the status if it changed and the last write is long enough ago; returns when to come back."""
         body, memory = seen.body, seen.memory
+        # A Sweep is complete when its runs are measured, not when they have ended.
         settled = all(is_settled(run) for run in seen.runs.values())
-        status = _figures(memory, seen.tally) | _standing(op, seen, decision, settled, blocked)
+        phase, conditions = _standing(op, seen, decision, settled, blocked)
+        status = _figures(memory, seen.tally) | SweepStatus(
+            phase=phase, observed_generation=body["metadata"].get("generation", 1)
+        )
         if memory.started_at is not None:
-            status["startTime"] = iso(memory.started_at)
+            status |= SweepStatus(start_time=iso(memory.started_at))
         over = decision.verdict.is_final and settled
         if over and not body["status"].get("completionTime"):
-            status["completionTime"] = iso(now)
-        generation = body["metadata"].get("generation", 1)
-        status["observedGeneration"] = generation
-        status["conditions"] = merged(
-            body["status"].get("conditions") or (), status.pop("fresh"), generation, now
-        )
-        patch = changes(body["status"], status)
-        if not patch:
+            status |= SweepStatus(completion_time=iso(now))
+        if not status_patch(body, status.as_patch(), conditions, now):
             return []
+        # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
         wait = memory.written_at + op.settings.sweep_write_seconds - now
         if wait > 0 and not over:
             return [wait]
-        memory.points = status["points"]
-        answer = await op.patch(
-            seen.key,
-            {"metadata": {"resourceVersion": body["metadata"]["resourceVersion"]}, "status": patch},
-            subresource="status",
-        )
+        # Noted before the answer: where that is lost, the write may have been done and must not look like
+        # another operator's.
+        memory.points = status.points
+        answer = await op.write_status(Kind.SWEEP, body, status, conditions) or body
         memory.written_at = now
         if blocked and not holds(body["status"], "Blocked"):
             await op.api.event(Kind.SWEEP, answer, "Warning", "CannotCreate", blocked)
@@ -308,17 +349,22 @@ class SweepReconciler:
         await op.api.event(Kind.SWEEP, after, "Warning" if bad else "Normal", str(phase), text)
 
     @staticmethod
-    async def _refuse(op: Operator, key: Key, body: Object, message: str) -> None:
+    async def _refuse(op: Operator, body: Object, message: str) -> None:
         lines = message.splitlines()
         text = "\n".join(lines[:_SHOWN_PROBLEMS])
-        generation = body["metadata"].get("generation", 1)
-        before = body["status"].get("conditions") or ()
-        fresh = [condition("Accepted", False, "InvalidSpec", text)]
-        status = {"phase": "Pending", "conditions": merged(before, fresh, generation, op.clock())}
-        patch = changes(body["status"], status)
-        if patch:
-            await op.patch(key, {"status": patch}, subresource="status")
+        told = condition("Accepted", False, "InvalidSpec", text)
+        if await op.write_status(Kind.SWEEP, body, SweepStatus(phase="Pending"), [told]) is not None:
             await op.api.event(Kind.SWEEP, body, "Warning", "NotAccepted", lines[0])
+
+
+async def _tell_archive(op: Operator, key: Key, told: Object) -> None:
+    """Write whether the archive answers into a Sweep's conditions; an Event says that it does not."""
+    body = op.store.get(key)
+    if body is None:
+        return
+    answer = await op.write_status(Kind.SWEEP, body, conditions=[told])
+    if answer is not None and told["status"] == "True":
+        await op.api.event(Kind.SWEEP, answer, "Warning", told["type"], told["message"])
 
 
 def _own(op: Operator, key: Key, uid: str) -> list[Object]:
@@ -338,7 +384,7 @@ def _is_outdated(seen: _Picture) -> bool:
     if text is None or text == memory.points:
         return False
     memory.points = text
-    pairs = enumerate(zip(decode(text, len(memory.states)), memory.states, strict=True))
+    pairs = enumerate(zip(decode_points(text, len(memory.states)), memory.states, strict=True))
     return any(
         theirs >= PointState.SUCCEEDED and theirs != ours and index not in seen.runs
         for index, (theirs, ours) in pairs
@@ -364,31 +410,32 @@ def _budget_left(sweep: Sweep, memory: SweepMemory, now: float) -> float:
     return min(max(end - now, _LOOK_SECONDS), 60.0)
 
 
-def _figures(memory: SweepMemory, tally: Tally) -> Object:
+def _figures(memory: SweepMemory, tally: Tally) -> SweepStatus:
     counts = {state: memory.states.count(state) for state in PointState}
     total = len(memory.states)
     done = counts[PointState.SUCCEEDED] + counts[PointState.FAILED]
-    figures: Object = {
-        "total": total,
-        "pending": counts[PointState.PENDING],
-        "running": counts[PointState.ACTIVE],
-        "succeeded": counts[PointState.SUCCEEDED],
-        "failed": counts[PointState.FAILED],
-        "reused": tally.reused,
-        "evaluated": tally.evaluated,
-        "cpuSeconds": round(tally.cpu_seconds, 3),
-        "progress": f"{done}/{total}",
-        "best": tally.best,
-        "points": encode(memory.states),
-    }
+    status = SweepStatus(
+        total=total,
+        pending=counts[PointState.PENDING],
+        running=counts[PointState.ACTIVE],
+        succeeded=counts[PointState.SUCCEEDED],
+        failed=counts[PointState.FAILED],
+        reused=tally.reused,
+        evaluated=tally.evaluated,
+        cpu_seconds=round(tally.cpu_seconds, 3),
+        progress=f"{done}/{total}",
+        best=tally.best,
+        points=encode_points(memory.states),
+    )
     if tally.best:
-        figures["display"] = {"ate": metres(tally.best[0]["ate"])}
-    return figures | ({"selected": memory.selected} if memory.selected else {})
+        status |= SweepStatus(display=SweepDisplay(ate=metres(tally.best[0].ate)))
+    return status | SweepStatus(selected=memory.selected) if memory.selected else status
 
 
 def _standing(
     op: Operator, seen: _Picture, decision: SweepDecision, settled: bool, blocked: str | None
-) -> Object:
+) -> tuple[str, list[Object]]:
+    """Return where a Sweep stands: its phase, for printing, and its conditions."""
     verdict = decision.verdict
     final = verdict.is_final
     phase = str(verdict) if settled or not final else "Evaluating"
@@ -407,4 +454,4 @@ def _standing(
     if available is not None and (not available or holds(seen.body["status"], "LiveUsage") is False):
         reason = "MetricsAvailable" if available else "MetricsUnavailable"
         fresh.append(condition("LiveUsage", available, reason, op.usage.sentence))
-    return {"phase": phase, "fresh": fresh}
+    return phase, fresh

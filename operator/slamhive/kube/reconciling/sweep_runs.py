@@ -1,25 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a Sweep makes and counts: its MappingRuns, their slots, figures over those that are done. Pure."""
+"""MappingRuns of a Sweep: their manifests, their slots, and the figures over those that are done. Pure."""
 
 from __future__ import annotations
 
+import base64
+import binascii
 import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.settled import FILES
 from slamhive.engine import PointState
 from slamhive.kube.kinds import MANAGER, Key, Kind, Label, key_of, reference
 from slamhive.kube.status import phase_of, rmse_of
-from slamhive.model.crd_status import BEST_LENGTH
 from slamhive.model.results import Outcome, Phase
+from slamhive.model.status import BEST_LENGTH, BestRun
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from slamhive.plan import Point
 
-FILES = "slamhive.io/files"
-"""Annotation of runs whose files are not to be kept; the collector removes them."""
 ASKED = "slamhive.io/asked"
 """Annotation of runs whose spec holds what took effect: the input options that were asked for, as JSON."""
 SAME_AS = "slamhive.io/same-as"
@@ -101,6 +102,8 @@ def slots_used(runs: Iterable[Mapping[str, Any]]) -> set[int]:
 
 def free_slot(used: set[int]) -> int:
     """Return the smallest slot that is free, and take it."""
+    # The smallest one, so that Prometheus has as many live series as there are runs at a time, not as many as
+    # runs.
     slot = next(number for number in range(len(used) + 1) if number not in used)
     used.add(slot)
     return slot
@@ -120,7 +123,7 @@ class Tally:
     reused: int = 0
     evaluated: int = 0
     cpu_seconds: float = 0.0
-    best: list[dict[str, Any]] = field(default_factory=list)
+    best: list[BestRun] = field(default_factory=list)
 
     def add(self, run: Mapping[str, Any]) -> None:
         """Count a finished run."""
@@ -137,21 +140,10 @@ class Tally:
                 self.best = best_of([*self.best, entry])
 
 
-def best_of(entries: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+def best_of(entries: Iterable[BestRun]) -> list[BestRun]:
     """Return the entries with the smallest errors, each run once."""
-    by_name = {entry["name"]: entry for entry in entries}
-    return sorted(by_name.values(), key=lambda entry: (entry["ate"], entry["name"]))[:BEST_LENGTH]
-
-
-def is_settled(run: Mapping[str, Any]) -> bool:
-    """Tell whether nothing more will be written of a run: it has ended, and was measured if it can be."""
-    status = run.get("status") or {}
-    phase = phase_of(status)
-    if phase is not Phase.SUCCEEDED:
-        return phase.is_finished
-    wanted = run["spec"].get("evaluate", True) and status.get("trajectory")
-    told = any(item["type"] == "Evaluated" for item in status.get("conditions") or ())
-    return not wanted or bool(status.get("results")) or told
+    by_name = {entry.name: entry for entry in entries}
+    return sorted(by_name.values(), key=lambda entry: (entry.ate, entry.name))[:BEST_LENGTH]
 
 
 def keys(runs: Iterable[Mapping[str, Any]]) -> list[Key]:
@@ -159,21 +151,40 @@ def keys(runs: Iterable[Mapping[str, Any]]) -> list[Key]:
     return [key_of(Kind.MAPPING_RUN, dict(run)) for run in runs]
 
 
-def _best_entry(run: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any] | None:
+def _best_entry(run: Mapping[str, Any], result: Mapping[str, Any]) -> BestRun | None:
     error = rmse_of(result)
     if result.get("outcome") != Outcome.TRACKED or error is None:
         return None
-    entry: dict[str, Any] = {
-        "name": run["metadata"]["name"],
-        "index": point_of(run),
-        "ate": error,
-        "coverage": result.get("coverage"),
-        "algorithm": run["spec"]["algorithmRef"]["name"],
-        "dataset": run["spec"]["datasetRef"]["name"],
-    }
-    return {key: value for key, value in entry.items() if value is not None}
+    return BestRun(
+        name=run["metadata"]["name"],
+        index=point_of(run),
+        ate=error,
+        coverage=result.get("coverage"),
+        algorithm=run["spec"]["algorithmRef"]["name"],
+        dataset=run["spec"]["datasetRef"]["name"],
+    )
 
 
 def _passed(given: Mapping[str, str] | None) -> dict[str, str]:
     """Return labels or annotations of a template without those that are ours to set."""
     return {key: value for key, value in (given or {}).items() if not key.startswith(OWN_PREFIX)}
+
+
+def encode_points(states: bytes | bytearray) -> str:
+    """Return states, one a byte, as text; the first point has the lowest bits of the first byte."""
+    padded = bytes(states) + bytes(-len(states) % 4)
+    packed = bytes(
+        padded[at] | padded[at + 1] << 2 | padded[at + 2] << 4 | padded[at + 3] << 6
+        for at in range(0, len(padded), 4)
+    )
+    return base64.b64encode(packed).decode()
+
+
+def decode_points(text: str | None, total: int) -> bytearray:
+    """Return the states that a text holds, one a byte; what it does not say is pending."""
+    try:
+        packed = base64.b64decode(text or "", validate=True)
+    except (binascii.Error, ValueError):
+        packed = b""
+    states = bytearray(value >> shift & 3 for value in packed for shift in (0, 2, 4, 6))
+    return states[:total] + bytearray(max(0, total - len(states)))

@@ -2,8 +2,9 @@
 """Variants on the cluster: one preparation Job each, readiness in the Dataset's status.
 
 A variant's entry in ``Dataset.status.variants`` holds as long as the Dataset does: it never changes, so the
-same name means the same recording. A failed entry holds for the runs that were there when it failed; a later
-run tries again.
+same name means the same recording. One whose folder is gone waits to be prepared anew, and keeps what is
+known of it: runs that have ended are measured by that. A failed entry holds for the runs that were there when
+it failed; a later run tries again.
 """
 
 from __future__ import annotations
@@ -11,19 +12,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.settled import is_settled
 from slamhive.engine import VariantState
 from slamhive.kube.builders import variant_job, variant_name
 from slamhive.kube.errors import AlreadyExists
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
 from slamhive.kube.observing import observe_variant
 from slamhive.kube.reconciling.refusals import patience
-from slamhive.kube.status import changes, iso, moment
+from slamhive.kube.status import iso, moment
 from slamhive.model.base import quantity
 from slamhive.model.results import Reason
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
+from slamhive.model.status import MESSAGE_LENGTH, DatasetStatus, VariantEntry, VariantPhase
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from slamhive.kube.operator import Operator
     from slamhive.model.algorithm import Algorithm
     from slamhive.model.dataset import Dataset
@@ -82,9 +87,11 @@ def look(op: Operator, namespace: str, wanted: Wanted, created: float) -> Varian
         wanted: the variant.
         created: when the run that asks was made, or last tried, s since 1970: older failures don't count.
     """
-    entry = entries(op, Key(Kind.DATASET, namespace, wanted.dataset.name)).get(wanted.name)
-    if entry is not None and entry.get("phase") == "Ready":
-        return VariantSeen(VariantState.READY, entry.get("description") or {})
+    entry = _entry_of(op, Key(Kind.DATASET, namespace, wanted.dataset.name), wanted.name)
+    if entry is not None and entry.phase is VariantPhase.READY:
+        return VariantSeen(VariantState.READY, entry.description or {})
+    # The Job tells as soon as it ends; until the Dataset's status says so too, runs would wait for a write in
+    # between.
     jobs = op.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name)
     for job in jobs:
         pods = op.store.select(Kind.POD, namespace, Label.VARIANT, wanted.name)
@@ -95,10 +102,10 @@ def look(op: Operator, namespace: str, wanted: Wanted, created: float) -> Varian
             return VariantSeen(VariantState.MAKING)
         if seen.problem is not None and _made(job) >= created:
             return VariantSeen(VariantState.FAILED, problem=seen.problem)
-    if entry is not None and entry.get("phase") == "Failed":
-        since = moment(entry.get("changedTime")) or 0.0
+    if entry is not None and entry.phase is VariantPhase.FAILED:
+        since = moment(entry.changed_time) or 0.0
         if since >= created:
-            return VariantSeen(VariantState.FAILED, problem=_told(entry))
+            return VariantSeen(VariantState.FAILED, problem=_problem_of(entry))
     return VariantSeen(VariantState.ABSENT)
 
 
@@ -117,6 +124,7 @@ async def make(op: Operator, namespace: str, wanted: Wanted, owner: dict[str, An
     jobs = op.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name)
     for job in jobs:
         pods = op.store.select(Kind.POD, namespace, Label.VARIANT, wanted.name)
+        # The Job's name follows from the variant: the failed one has to go before another can be made.
         if observe_variant(job, pods).state is VariantState.FAILED:
             await op.delete(key_of(Kind.JOB, job))
             return _PENDING_SECONDS / 5
@@ -126,7 +134,11 @@ async def make(op: Operator, namespace: str, wanted: Wanted, owner: dict[str, An
             for job in op.store.select(Kind.JOB, namespace, Label.ROLE, Role.PREPARE)
             if not _has_ended(job)
         ]
-        if len(active) >= op.settings.preparation.parallel_jobs:
+        # Other workers may have found the same room a moment ago.
+        coming = op.being_created(Kind.JOB, namespace, Label.ROLE, Role.PREPARE)
+        names = {job["metadata"]["name"] for job in (*active, *coming)}
+        is_coming = any(job["metadata"]["labels"].get(Label.VARIANT) == wanted.name for job in coming)
+        if not is_coming and len(names) >= op.settings.preparation.parallel_jobs:
             return _PENDING_SECONDS
     body = variant_job(
         namespace=namespace,
@@ -159,13 +171,9 @@ async def _join(op: Operator, key: Key, owner: dict[str, Any]) -> None:
     owners = job["metadata"].get("ownerReferences") or []
     if owner["uid"] in {item["uid"] for item in owners}:
         return
-    patch = {
-        "metadata": {
-            "resourceVersion": job["metadata"]["resourceVersion"],
-            "ownerReferences": [*owners, owner],
-        }
-    }
-    await op.patch(key, patch)
+    # Without the version a merge patch of the list would drop an owner that another worker has just added,
+    # and the Job with it.
+    await op.patch_seen(Kind.JOB, job, {"metadata": {"ownerReferences": [*owners, owner]}})
 
 
 class DatasetReconciler:
@@ -176,64 +184,72 @@ class DatasetReconciler:
         dataset = op.store.get(key)
         if dataset is None:
             return None
-        before = entries(op, key)
+        before = {entry.name: entry for entry in DatasetStatus.of(dataset).variants}
         after = dict(before)
         delays: list[float] = []
         for job in op.store.select(Kind.JOB, key.namespace, Label.DATASET, key.name):
             name = job["metadata"].get("labels", {}).get(Label.VARIANT)
             if name is not None:
-                entry = self._entry(op, key.namespace, name, job, before.get(name) or {})
+                entry = self._entry(op, key.namespace, name, job, before.get(name))
                 after[name] = await self._without_pod(op, job, entry, delays)
         after = _within(op, key.namespace, after)
-        if after == before:
-            return min(delays, default=None)
-        body = {
-            "metadata": {"resourceVersion": dataset["metadata"]["resourceVersion"]},
-            "status": {"variants": list(after.values())},
-        }
-        await op.patch(key, body, subresource="status")
-        self._wake(op, key)
+        if after != before:
+            await _write(op, dataset, after.values())
+            self._wake(op, key)
         return min(delays, default=None)
 
     @staticmethod
     async def _without_pod(
-        op: Operator, job: dict[str, Any], entry: dict[str, Any], delays: list[float]
-    ) -> dict[str, Any]:
+        op: Operator, job: dict[str, Any], entry: VariantEntry, delays: list[float]
+    ) -> VariantEntry:
         """Return an entry with why its Job has no pod; one whose pod is refused for long has failed."""
-        if entry["phase"] != "Preparing":
+        if entry.phase is not VariantPhase.PREPARING:
             return entry
         pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
         waiting, seconds = await patience(op, job, observe_variant(job, pods).waiting)
         if waiting is None or seconds is None:
-            return {field: value for field, value in entry.items() if field != "message"}
+            return entry.replace(message=None)
         if seconds > 0:
             delays.append(seconds)
-            return entry | {"message": waiting.message}
+            return entry.replace(message=waiting.message)
         await op.delete(key_of(Kind.JOB, job))
-        told = {"phase": "Failed", "message": f"{Reason.SYSTEM_FAULT}: {waiting.message}"}
-        return entry | told | {"changedTime": iso(op.clock())}
+        return entry.replace(
+            phase=VariantPhase.FAILED,
+            reason=Reason.SYSTEM_FAULT,
+            message=waiting.message[:MESSAGE_LENGTH],
+            changed_time=iso(op.clock()),
+        )
 
     @staticmethod
     def _entry(
-        op: Operator, namespace: str, name: str, job: dict[str, Any], known: dict[str, Any]
-    ) -> dict[str, Any]:
-        if known.get("phase") == "Ready":
+        op: Operator, namespace: str, name: str, job: dict[str, Any], known: VariantEntry | None
+    ) -> VariantEntry:
+        if known is not None and known.phase is VariantPhase.READY:
             return known
         seen = observe_variant(job, op.store.select(Kind.POD, namespace, Label.VARIANT, name))
-        entry: dict[str, Any] = {"name": name, "phase": "Preparing"}
+        now = iso(op.clock())
+        # What was known of it before its folder was lost stays until it is told anew: see lose().
+        before = known or VariantEntry(name=name)
         if seen.state is VariantState.READY and seen.description is not None:
-            described = seen.description.as_json()
-            entry |= {
-                "phase": "Ready",
-                "folder": f"variants/{described['folder']}",
-                "sizeBytes": described["sizeBytes"],
-                "description": described,
-                "lastUsedTime": iso(op.clock()),
-            }
-        elif seen.problem is not None:
-            entry |= {"phase": "Failed", "message": f"{seen.problem[0]}: {seen.problem[1]}"[:4096]}
-        same = known and not changes(known, entry)
-        return known if same else entry | {"changedTime": iso(op.clock())}
+            return before.replace(
+                phase=VariantPhase.READY,
+                reason=None,
+                message=None,
+                folder=f"variants/{seen.description.folder}",
+                size_bytes=seen.description.size_bytes,
+                description=seen.description.as_json(),
+                last_used_time=now,
+                changed_time=now,
+            )
+        if seen.problem is None:
+            # One that prepares already has a message of its own: why its Job has no pod.
+            if before.phase is VariantPhase.PREPARING:
+                return before
+            return before.replace(phase=VariantPhase.PREPARING, reason=None, message=None, changed_time=now)
+        reason, message = seen.problem[0], seen.problem[1][:MESSAGE_LENGTH]
+        if before.phase is VariantPhase.FAILED and _problem_of(before) == (reason, message):
+            return before
+        return before.replace(phase=VariantPhase.FAILED, reason=reason, message=message, changed_time=now)
 
     @staticmethod
     def _wake(op: Operator, key: Key) -> None:
@@ -243,76 +259,87 @@ class DatasetReconciler:
 
 async def touch(op: Operator, key: Key, name: str) -> None:
     """Note that a variant is used, at most once an hour."""
-    known = entries(op, key)
-    dataset = op.store.get(key)
-    if name not in known or dataset is None:
+    entry, dataset = _entry_of(op, key, name), op.store.get(key)
+    if entry is None or dataset is None:
         return
-    used = moment(known[name].get("lastUsedTime")) or 0.0
-    if op.clock() - used < _TOUCH_SECONDS:
-        return
-    known[name] = known[name] | {"lastUsedTime": iso(op.clock())}
-    body = {
-        "metadata": {"resourceVersion": dataset["metadata"]["resourceVersion"]},
-        "status": {"variants": list(known.values())},
-    }
-    await op.patch(key, body, subresource="status")
+    used = moment(entry.last_used_time) or 0.0
+    if op.clock() - used >= _TOUCH_SECONDS:
+        await _change(op, dataset, entry.replace(last_used_time=iso(op.clock())))
 
 
-async def forget(op: Operator, key: Key, name: str) -> None:
-    """Take a variant that turned out to be gone from the volume out of a Dataset's status."""
-    known = entries(op, key)
-    dataset = op.store.get(key)
+async def lose(op: Operator, key: Key, name: str) -> None:
+    """Note that a variant turned out to be gone from the volume, so that it is prepared anew.
+
+    What is known of it stays: its name stands for one content, and runs that have read it can be measured
+    only by its description.
+    """
     for job in op.store.select(Kind.JOB, key.namespace, Label.VARIANT, name):
-        await op.delete(key_of(Kind.JOB, job))  # its report would bring the entry back
-    if dataset is None or known.pop(name, None) is None:
+        await op.delete(key_of(Kind.JOB, job))  # its report would have it ready again
+    entry, dataset = _entry_of(op, key, name), op.store.get(key)
+    if entry is None or dataset is None or entry.phase is VariantPhase.PENDING:
         return
-    body = {
-        "metadata": {"resourceVersion": dataset["metadata"]["resourceVersion"]},
-        "status": {"variants": list(known.values())},
-    }
-    await op.patch(key, body, subresource="status")
+    now = iso(op.clock())
+    await _change(
+        op, dataset, entry.replace(phase=VariantPhase.PENDING, reason=None, message=None, changed_time=now)
+    )
 
 
-def _within(op: Operator, namespace: str, known: dict[str, Any]) -> dict[str, Any]:
+async def _change(op: Operator, dataset: dict[str, Any], entry: VariantEntry) -> None:
+    """Write one entry of a Dataset's status."""
+    known = DatasetStatus.of(dataset).variants
+    await _write(op, dataset, [entry if item.name == entry.name else item for item in known])
+
+
+async def _write(op: Operator, dataset: dict[str, Any], entries: Iterable[VariantEntry]) -> None:
+    # Not checked here: where there are too many, the API server has a sentence for it.
+    await op.write_status(Kind.DATASET, dataset, DatasetStatus().replace(variants=list(entries)))
+
+
+def _within(op: Operator, namespace: str, known: dict[str, VariantEntry]) -> dict[str, VariantEntry]:
     """Return the entries that may stay: unused ones go while a namespace's variants are too large."""
     limit = quantity(op.settings.variants_limit)
+    # The limit holds for a namespace, as all its Datasets share one volume. Of the others' entries, which can
+    # be thousands, only the sizes are read.
     others = sum(
         item.get("sizeBytes", 0)
         for dataset in op.store.of(Kind.DATASET, namespace)
         for item in (dataset.get("status") or {}).get("variants") or ()
         if item["name"] not in known
     )
-    total = others + sum(item.get("sizeBytes", 0) for item in known.values())
+    total = others + sum(entry.size_bytes or 0 for entry in known.values())
+    # A run that has ended is measured by the description of what it read.
     used = {
         (run.get("status") or {}).get("variant")
         for run in op.store.of(Kind.MAPPING_RUN, namespace)
-        if (run.get("status") or {}).get("phase") in {"Pending", "Preparing", "Running", None}
+        if not is_settled(run)
     }
     kept = dict(known)
-    oldest = sorted(known.values(), key=lambda item: item.get("lastUsedTime") or item.get("changedTime", ""))
-    for item in oldest:
+    for entry in sorted(known.values(), key=lambda item: item.last_used_time or item.changed_time or ""):
         if total <= limit and len(kept) <= _ENTRIES:
             break
-        ready_unused = item.get("phase") != "Preparing" and item["name"] not in used
-        recent = op.clock() - (moment(item.get("changedTime")) or 0.0) < _TOUCH_SECONDS
+        ready_unused = entry.phase is not VariantPhase.PREPARING and entry.name not in used
+        # Use is noted once an hour at most, so a new entry may look unused although runs read it.
+        recent = op.clock() - (moment(entry.changed_time) or 0.0) < _TOUCH_SECONDS
         if ready_unused and not recent:
-            total -= item.get("sizeBytes", 0)
-            del kept[item["name"]]
+            total -= entry.size_bytes or 0
+            # Only the entry goes here. The collector removes the folder when no Dataset names it any more.
+            del kept[entry.name]
     return kept
 
 
-def entries(op: Operator, key: Key) -> dict[str, dict[str, Any]]:
-    """Return what a Dataset's status says of its variants, by name."""
+def _entry_of(op: Operator, key: Key, name: str) -> VariantEntry | None:
+    """Return what a Dataset's status says of one variant; the others are not even read."""
     dataset = op.store.get(key) or {}
     variants = (dataset.get("status") or {}).get("variants") or ()
-    return {item["name"]: item for item in variants}
+    same = [item for item in variants if item.get("name") == name]
+    return next(iter(DatasetStatus.of({"status": {"variants": same}}).variants), None)
 
 
 def described(op: Operator, key: Key, name: str) -> dict[str, Any] | None:
     """Return the description of a variant, from its Job where the Dataset's status does not say it yet."""
-    entry = entries(op, key).get(name)
-    if entry is not None and entry.get("description"):
-        return dict(entry["description"])
+    entry = _entry_of(op, key, name)
+    if entry is not None and entry.description:
+        return dict(entry.description)
     for job in op.store.select(Kind.JOB, key.namespace, Label.VARIANT, name):
         seen = observe_variant(job, op.store.select(Kind.POD, key.namespace, Label.VARIANT, name))
         if seen.description is not None:
@@ -320,11 +347,13 @@ def described(op: Operator, key: Key, name: str) -> dict[str, Any] | None:
     return None
 
 
-def _told(entry: dict[str, Any]) -> tuple[Reason, str]:
-    reason, _, message = str(entry.get("message", "")).partition(": ")
-    if reason in set(Reason):
-        return Reason(reason), message
-    return Reason.PREPARATION_FAILED, str(entry.get("message", "preparation failed"))
+def _problem_of(entry: VariantEntry) -> tuple[Reason, str]:
+    """Return why a variant could not be made."""
+    reason, message = entry.reason, entry.message or "preparation failed"
+    if reason is None:  # earlier versions wrote it before the sentence
+        first, _, rest = message.partition(": ")
+        reason, message = (first, rest) if first in set(Reason) else (None, message)
+    return Reason(reason) if reason in set(Reason) else Reason.PREPARATION_FAILED, message
 
 
 def _made(job: dict[str, Any]) -> float:

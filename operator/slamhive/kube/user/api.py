@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people ask of the API beyond what the operator does: trials, logs as they come, programs in pods."""
+"""API client of users' commands: the operator's client plus dry runs, following logs and exec."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from slamhive.kube.user.executing import PROTOCOL, Session
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, AsyncIterator, Sequence
 
-    from slamhive.kube.kinds import Key, Kind
+    from slamhive.kube.kinds import Key, Kind, Object
 
-Object = dict[str, Any]
 
 _MERGE = "application/merge-patch+json"
 _SILENCE_SECONDS = 900.0
@@ -128,6 +127,8 @@ class UserApi(Api):
         headers = {"Accept": "*/*", "User-Agent": "slamhive"}
         await self._client.update_params_for_auth(headers, [], ["BearerToken"], path, "GET", None)
         address = f"{self._client.configuration.host}{path}?{urlencode(query)}"
+        # A log that is followed has no end to wait for; a quarter of an hour of silence ends the connection,
+        # and the reader takes it up again.
         timeout = aiohttp.ClientTimeout(total=None, connect=CONNECT_SECONDS, sock_read=_SILENCE_SECONDS)
         try:
             answer = await self._client.rest_client.request(  # type: ignore[no-untyped-call]

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ending what was begun: runs, whole Sweeps, or their objects altogether."""
+"""Cancelling of runs and Sweeps, and deleting of objects, for ``slamhive cancel``."""
 
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from slamhive.kube.errors import NotFound
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.kinds import Key, Kind, Object
 from slamhive.kube.status import holds, phase_of
 from slamhive.kube.user.looking import find, is_over, name_of, runs_of, status_of
 from slamhive.model.errors import InputError
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from slamhive.kube.user.connecting import Cluster
 
-Object = dict[str, Any]
 
 _AT_ONCE = 16
 _PATIENCE_SECONDS = 10.0
@@ -33,15 +32,15 @@ async def cancel(cluster: Cluster, names: Sequence[str]) -> list[str]:
         UnknownNameError: nothing has one of the names.
         InputError: it is an Evaluation, which can only be deleted.
     """
-    told = []
+    sentences = []
     for kind, body in await find(cluster, names):
         if kind is Kind.SWEEP:
-            told.append(await _cancel_sweep(cluster, body))
+            sentences.append(await _cancel_sweep(cluster, body))
         elif kind is Kind.MAPPING_RUN:
-            told.append(await _cancel_single(cluster, body))
+            sentences.append(await _cancel_single(cluster, body))
         else:
             raise InputError(f"{kind} {name_of(body)} cannot be cancelled, only deleted: --delete")
-    return told
+    return sentences
 
 
 async def delete(cluster: Cluster, names: Sequence[str]) -> list[str]:
@@ -50,7 +49,7 @@ async def delete(cluster: Cluster, names: Sequence[str]) -> list[str]:
     Raises:
         UnknownNameError: nothing has one of the names.
     """
-    told = []
+    sentences = []
     for kind, body in await find(cluster, names):
         key = cluster.key(kind, name_of(body))
         await cluster.api.delete(key, uid=body["metadata"]["uid"])
@@ -58,8 +57,8 @@ async def delete(cluster: Cluster, names: Sequence[str]) -> list[str]:
             Kind.SWEEP: ", and with it its runs, their Jobs and pods",
             Kind.MAPPING_RUN: ", and with it its Jobs and pods",
         }
-        told.append(f"{kind} {key.name}: deleted{also.get(kind, '')}")
-    return told
+        sentences.append(f"{kind} {key.name}: deleted{also.get(kind, '')}")
+    return sentences
 
 
 async def _cancel_single(cluster: Cluster, run: Object) -> str:
@@ -77,6 +76,7 @@ async def _cancel_sweep(cluster: Cluster, sweep: Object) -> str:
     key = cluster.key(Kind.SWEEP, name_of(sweep))
     if is_over(Kind.SWEEP, sweep):
         return f"Sweep {key.name}: {status_of(sweep).get('phase')} already, nothing of it runs"
+    # First of all, so that the operator starts nothing in the place of the runs that are cancelled next.
     await cluster.api.patch(key, {"spec": {"suspend": True}})
     cancelled: set[str] = set()
     loop = asyncio.get_running_loop()

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an object in a cluster differs in from the manifest of its name, and the patch that would end that."""
+"""Comparison of a manifest with the cluster's object of the same name, and the patch that makes them equal.
+
+``slamhive submit`` uses it.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,9 @@ from slamhive.model.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from slamhive.kube.kinds import Object
     from slamhive.kube.user.manifests import Manifest
 
-Object = dict[str, Any]
 
 _SHOWN = 5
 _VALUE_LENGTH = 60
@@ -26,7 +29,7 @@ _MISSING = object()
 
 @dataclass(frozen=True)
 class Difference:
-    """What is to be done about an object that is there.
+    """What an object lacks to be equal to its manifest.
 
     Attributes:
         frozen: what differs and may not change, as sentences.
@@ -44,7 +47,7 @@ def compare(manifest: Manifest, present: Object) -> Difference:
     try:
         there = parse(type(manifest.item), present)
     except InputError as error:
-        return Difference(frozen=[f"the cluster's object does not follow the language: {error}"])
+        return Difference(frozen=[f"the cluster's object is not valid here: {error}"])
     here_spec, there_spec = _plain(manifest.item), _plain(there)
     immutable = FROZEN.get(str(manifest.kind), ())
     result = Difference()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which cluster and which namespace are meant, and the way there."""
+"""Connection to a cluster: finds kubeconfig, context and namespace, and checks that the CRDs are there."""
 
 from __future__ import annotations
 
@@ -80,6 +80,7 @@ def find_target(context: str | None, namespace: str | None) -> Target:
     """
     files = os.environ.get("KUBECONFIG") or str(Path("~/.kube/config").expanduser())
     if not any(Path(file).is_file() for file in files.split(os.pathsep)):
+        # In a pod without a kubeconfig the command works with the pod's own account, as kubectl does.
         if _NAMESPACE_OF_POD.is_file() and context is None:
             return Target(None, None, namespace or _NAMESPACE_OF_POD.read_text(encoding="utf-8").strip())
         raise ClusterError(f"no cluster is known: there is no file {files}; set KUBECONFIG")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program executed in a pod, and what passes between it and here: the protocol v4.channel.k8s.io.
+"""Execution of a program in a pod: its streams, by the protocol v4.channel.k8s.io.
 
 Messages are binary, and their first byte says what they carry: 0 standard input, 1 standard output,
 2 standard error, 3 how the program ended, as a Status object.

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a cluster into an archive: finished runs with their results, as if they had been run here."""
+"""Import of a cluster's finished runs, with their results, into an archive here, for ``slamhive fetch``."""
 
 from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from slamhive.archive import CatalogEntry, SweepRecord
-from slamhive.kube.kinds import Kind
+from slamhive.kube.kinds import Kind, Object
 from slamhive.kube.reconciling.catalogue import parse
-from slamhive.kube.reconciling.records import record_of, with_evaluations
+from slamhive.kube.records import record_of, with_evaluations
 from slamhive.kube.status import phase_of
 from slamhive.kube.user.filing import Wanted
 from slamhive.kube.user.looking import is_over, name_of, owner_uid, runs_of, status_of
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from slamhive.kube.user.folders import RunFolder
     from slamhive.kube.user.submitting import ClusterCatalog
     from slamhive.model.results import RunRecord
-
-Object = dict[str, Any]
 
 
 @dataclass(frozen=True)

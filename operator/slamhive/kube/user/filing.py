@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fetching the files of finished runs into folders here, whole and checked or not at all."""
+"""Download of finished runs' files, whole and checked or not at all: ``slamhive fetch --files``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.errors import ApiError, ServerFault
-from slamhive.kube.kinds import Kind, Label, Role
+from slamhive.kube.kinds import Kind, Label, Object, Role
 from slamhive.kube.user.folders import LOG, TRAJECTORY, RunFolder
 from slamhive.kube.user.looking import name_of, status_of
 from slamhive.kube.user.sending import sender
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from slamhive.kube.user.executing import Session
     from slamhive.kube.user.sending import SenderPod
 
-Object = dict[str, Any]
 
 _AHEAD = 4
 _FAILURES = 3
@@ -146,6 +145,8 @@ class Filing:
                 async with pod.session() as session:
                     await self._converse(session, todo)
             except ServerFault:
+                # A connection that brought anything is no failure: long transfers may break as often as they
+                # like.
                 failures = 0 if (self._filed.size, len(todo)) != before else failures + 1
                 if failures >= _FAILURES:
                     raise
@@ -155,6 +156,7 @@ class Filing:
         """Take one folder after the other, asking for the next ones meanwhile."""
         asked = 0
         while todo:
+            # Asked ahead, so that the pod has the next folder at hand while this one arrives.
             while asked < min(_AHEAD, len(todo)):
                 item = todo[asked]
                 request = {"folder": item.folder, "have": self._folder(item).held()}
@@ -187,11 +189,12 @@ class Filing:
             self._filed.remarks.append(f"{item.name}: {str(path)!r} is left out: {why}")
         if told.get("problem"):
             problems.append(str(told["problem"]))
+        # The checksum stands in the run's status, which the programs on the volume can't change.
         elif (wanted := item.trajectory_sha256) and checksums.get(TRAJECTORY) != wanted:
             folder.drop(TRAJECTORY)
             problems.append("the trajectory on the results volume is not the one that the run reported")
         if problems:
-            self._filed.problems.append(f"{item.name}: its files cannot be had: {'; '.join(problems)}")
+            self._filed.problems.append(f"{item.name}: its files can't be fetched: {'; '.join(problems)}")
             return
         await self._log(item, folder)
         folder.finish()
@@ -222,6 +225,7 @@ class Filing:
         except (DataError, OSError) as error:
             if isinstance(error, OSError) and error.errno in _FULL:
                 raise
+            # What follows in the stream is the next file: this one has to be read to its end.
             async for _ in session.take(left):
                 pass
             await session.line()
@@ -278,7 +282,7 @@ def _parsed(line: bytes) -> Object:
 
 def _nonsense(what: object) -> ServerFault:
     return ServerFault(
-        f"the pod that sends the files said what cannot be understood: {what!r}",
+        f"the pod that sends the files sent what can't be understood: {what!r}",
         verb="get",
         resource="pods/exec",
     )

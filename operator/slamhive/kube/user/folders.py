@@ -45,7 +45,7 @@ class Incoming:
         while left:
             data = os.read(descriptor, min(left, _CHUNK))
             if not data:
-                raise DataError("what was there of it has gone")
+                raise DataError("the part of it that was here is gone")
             self._digest.update(data)
             left -= len(data)
         os.ftruncate(descriptor, offset)
@@ -73,6 +73,7 @@ class RunFolder:
     """
 
     def __init__(self, place: Path, name: str, uid: str) -> None:
+        # With the uid: the folder of a former run of that name stays what it is.
         title = f"{name}@{uid[:8]}"
         self.path = place / title
         self._making = place / f".{title}.fetching"
@@ -124,6 +125,7 @@ class RunFolder:
         Raises:
             OSError: the disk refuses.
         """
+        # Renamed last: a folder under its own name is whole.
         self._making.mkdir(parents=True, exist_ok=True)
         self._making.rename(self.path)
 

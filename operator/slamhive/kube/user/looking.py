@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people want to know of Sweeps, runs and Evaluations, taken from their objects."""
+"""Queries over the Sweeps, runs and Evaluations of a namespace.
+
+The cluster commands show and act on what they return.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,10 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.settled import is_settled
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.errors import NotFound
-from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.kinds import Kind, Label, Object
 from slamhive.kube.status import holds, moment, phase_of
 from slamhive.model.errors import UnknownNameError
 
@@ -18,7 +22,6 @@ if TYPE_CHECKING:
 
     from slamhive.kube.user.connecting import Cluster
 
-Object = dict[str, Any]
 
 SEEN = (Kind.SWEEP, Kind.MAPPING_RUN, Kind.EVALUATION)
 """Kinds that commands take by name, in this order."""
@@ -27,6 +30,7 @@ _UNNOTICED_SECONDS = 20.0
 _BAD = {
     "Accepted": ("False", "not accepted"),
     "Blocked": ("True", "blocked"),
+    "ArchiveUnavailable": ("True", "the archive is away"),
     "Suspended": ("True", "suspended"),
     "Admitted": ("False", "refused by the cluster"),
     "Scheduled": ("False", "not scheduled"),
@@ -41,7 +45,7 @@ _BAD = {
 
 @dataclass(frozen=True)
 class Picture:
-    """What there is to see in a namespace.
+    """Objects of a namespace that a command shows.
 
     Attributes:
         sweeps: Sweeps.
@@ -133,6 +137,7 @@ async def runs_of(cluster: Cluster, sweep: Mapping[str, Any]) -> list[Object]:
     """Return the MappingRuns of a Sweep that the cluster holds, by point."""
     selector = f"{Label.SWEEP}={label_value(name_of(sweep))}"
     runs, _ = await cluster.api.list(Kind.MAPPING_RUN, cluster.namespace, labels=selector)
+    # A label can be cut short or set by anybody: the owner's uid decides.
     own = [run for run in runs if owner_uid(run) == sweep["metadata"]["uid"]]
     return sorted(own, key=lambda run: int(labels_of(run).get(Label.POINT, "0")))
 
@@ -153,23 +158,21 @@ def troubles(kind: Kind, body: Mapping[str, Any], now: float) -> list[str]:
     ended = kind is Kind.MAPPING_RUN and phase_of(status).is_finished
     passed = {"Accepted", "Admitted", "Scheduled"} if ended else set()
     passed |= {"LiveUsage"} if is_over(kind, body) else set()
-    told = []
+    sentences = []
     for item in conditions:
         bad, words = _BAD.get(item["type"], ("", ""))
         if item["status"] != bad or item["type"] in passed:
             continue
         message = item.get("message") or ""
-        told.append(f"{words}: {message}" if message else words)
-    return told
+        sentences.append(f"{words}: {message}" if message else words)
+    return sentences
 
 
 def is_over(kind: Kind, body: Mapping[str, Any]) -> bool:
     """Tell whether nothing more will happen to an object."""
     status = status_of(body)
     if kind is Kind.MAPPING_RUN:
-        waits = phase_of(status) == "Succeeded" and body["spec"].get("evaluate", True)
-        told = bool(status.get("results")) or holds(status, "Evaluated") is not None
-        return phase_of(status).is_finished and (not waits or told or not status.get("trajectory"))
+        return is_settled(body)
     return holds(status, "Complete") is True
 
 

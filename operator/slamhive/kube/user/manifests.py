@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Manifests on their way to a cluster: from files, from standard input, from the catalog."""
+"""Manifests to submit to a cluster: from files, from standard input, and from the catalog."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from slamhive.kube.kinds import Kind
+from slamhive.kube.kinds import Kind, Object
 from slamhive.model.base import API_VERSION
 from slamhive.model.errors import InputError, ManifestError
 from slamhive.model.loading import parse, read_text, to_object
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from slamhive.model.base import Resource
 
-Object = dict[str, Any]
 
 STDIN = "-"
 

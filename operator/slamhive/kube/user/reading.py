@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run's log: as its pod writes it or, when that is gone, what is kept of it."""
+"""Logs of runs: read from the pod or, when that is gone, from what was kept."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.builders.common import label_value
 from slamhive.kube.errors import ApiError, Forbidden, NotFound
-from slamhive.kube.kinds import Kind, Label, Role
+from slamhive.kube.kinds import Kind, Label, Object, Role
 from slamhive.kube.status import phase_of
 from slamhive.kube.user.looking import find, name_of, status_of
 from slamhive.model.base import Choice
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from slamhive.kube.user.connecting import Cluster
 
-Object = dict[str, Any]
 
 _PAUSE_SECONDS = 1.0
 _WAITING = "waiting"
@@ -201,6 +200,7 @@ def _kept(run: Object, seen: _Seen | None, container: str) -> list[tuple[Part, s
     else:
         why = status.get("message") or ""
         parts.append((Part.REMARK, f"{name} never ran: {status.get('reason') or phase}: {why}".rstrip(": ")))
+    # The status keeps the last lines alone; who needs all of them finds them there.
     if folder := status.get("folder"):
         parts.append((Part.REMARK, f"its files are on the results volume, in {folder}/"))
     return parts

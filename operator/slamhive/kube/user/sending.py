@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pod of the user's own that sees the results volume, for as long as files are fetched from it."""
+"""File server pod: the user's own, with the results volume mounted, for as long as files are fetched."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slamhive.jobs.send import COMMAND
 from slamhive.kube.builders.run import job_name
 from slamhive.kube.builders.sending import SEND, sender_job
 from slamhive.kube.errors import ApiError, Forbidden, NotFound
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.kinds import Key, Kind, Object
 from slamhive.kube.transport import Request
 from slamhive.kube.user.connecting import ClusterError
 from slamhive.kube.user.looking import name_of, status_of
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from slamhive.kube.user.connecting import Cluster
     from slamhive.kube.user.executing import Session
 
-Object = dict[str, Any]
 
 _LOOK_SECONDS = 0.5
 _TELL_SECONDS = 10.0
@@ -33,7 +32,7 @@ _AWAY_SECONDS = 15.0
 _TRIED = 5
 _COLLECTOR = "app.kubernetes.io/component=collector,app.kubernetes.io/name=slamhive"
 _RIGHTS = (
-    "fetching files takes the rights to create and delete jobs, to list pods, and to create and get "
+    "fetching files needs the rights to create and delete jobs, to list pods, and to create and get "
     "pods/exec in this namespace; without --files results alone are copied"
 )
 
@@ -52,7 +51,7 @@ class SenderPod:
 
     @asynccontextmanager
     async def session(self) -> AsyncIterator[Session]:
-        """Have a conversation with it, as ``slamhive.jobs.send`` understands it.
+        """Open an exec session to the file server pod, in the protocol of ``slamhive.jobs.send``.
 
         Raises:
             ClusterError: the user may not.
@@ -104,6 +103,7 @@ def _explained() -> Iterator[None]:
 
 async def _like(cluster: Cluster, runs: Iterable[Mapping[str, Any]]) -> Object:
     """Return the spec of a pod that the operator or its chart made in this namespace."""
+    # The last ones first: their Jobs are the likeliest to be there still.
     tried = [run for run in runs if status_of(run).get("attempts")][-_TRIED:]
     for run in reversed(tried):
         name = job_name(name_of(run), status_of(run)["attempts"])
@@ -120,7 +120,7 @@ async def _like(cluster: Cluster, runs: Iterable[Mapping[str, Any]]) -> Object:
         spec.pop("serviceAccountName", None)  # the collector's has rights
         return spec
     raise ClusterError(
-        f"namespace {cluster.namespace} shows nowhere what its results volume is: the Jobs of these runs are "
+        f"the results volume of namespace {cluster.namespace} can't be found: the Jobs of these runs are "
         "gone, and there is no collector"
     )
 
@@ -131,7 +131,7 @@ async def _started(cluster: Cluster, job: str, tell: Callable[[str], None]) -> s
     begun, told = loop.time(), 0.0
     while True:
         pods, _ = await cluster.api.list(Kind.POD, cluster.namespace, labels=f"job-name={job}")
-        why = "no pod has been made of it"
+        why = "its pod was not made yet"
         for pod in pods:
             state, why = _state(pod)
             if state == "running":
@@ -160,7 +160,7 @@ def _state(pod: Object) -> tuple[str, str]:
     why = str(detail.get("message") or detail.get("reason") or "")
     if state == "terminated" and "slamhive.jobs.send" in why:
         image = pod["spec"]["containers"][0]["image"]
-        return state, f"image {image} is older than this command; the release there wants an upgrade"
+        return state, f"image {image} is older than this command; upgrade the release there"
     unmet = [item for item in status.get("conditions") or () if item["status"] == "False"]
     return state, why or next(
         (item["message"] for item in unmet if item.get("message")), "it is being started"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sending manifests to a cluster: all of them or, where one cannot go, none.
+"""Submission of manifests to a cluster: all of them or, if one can't be accepted, none.
 
 First everything is checked: here against the catalog, there against the objects that exist and, in a trial
 without effect, by the API server itself. Only then is anything made.
@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from slamhive.kube.errors import AlreadyExists, Conflict, Invalid, NotFound
-from slamhive.kube.kinds import Kind
+from slamhive.kube.kinds import Kind, Object
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.user.comparing import Difference, bounded, compare
 from slamhive.kube.user.manifests import Manifest, entry_of
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from slamhive.model.base import Resource
     from slamhive.plan import Plan
 
-Object = dict[str, Any]
 
 _AT_ONCE = 16
 _ORDER = (Kind.ALGORITHM, Kind.DATASET, Kind.SWEEP, Kind.MAPPING_RUN, Kind.EVALUATION)
@@ -128,18 +127,18 @@ def unable(plans: Iterable[tuple[str, Plan]], catalog: Mapping[str, Algorithm]) 
 
 def left_behind(manifests: Iterable[Manifest]) -> list[str]:
     """Return a sentence for each Dataset whose files the cluster has to have by other ways."""
-    told = []
+    sentences = []
     for manifest in manifests:
         item = manifest.item
         if not isinstance(item, Dataset):
             continue
         paths = [file.path for file in item.spec.recording.files or () if not file.url]
         if paths:
-            told.append(
+            sentences.append(
                 f"{manifest}: a manifest carries no recording; the cluster looks for {', '.join(paths[:3])}"
                 f"{', …' if len(paths) > 3 else ''} under datasets/{item.name}/ on its data volume"
             )
-    return told
+    return sentences
 
 
 async def send(cluster: Cluster, manifests: Sequence[Manifest], *, trial: bool = False) -> list[Sent]:
@@ -185,6 +184,7 @@ async def send(cluster: Cluster, manifests: Sequence[Manifest], *, trial: bool =
         for manifest, (_, difference) in zip(ordered, seen, strict=True)
         if difference.frozen
     )
+    # The server checks all of them by dry runs before the first is made: either all go or none.
     tried = await asyncio.gather(*(attempt(item, *found) for item, found in zip(ordered, seen, strict=True)))
     _raise(problem for problem in tried if problem)
     return [await _do(cluster, item, *found, trial) for item, found in zip(ordered, seen, strict=True)]

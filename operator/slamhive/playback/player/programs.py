@@ -126,6 +126,15 @@ class Master:
         }
         return [topic for topic in topics if topic in others]
 
+    def has_publisher(self, topic: str) -> bool:
+        """Tell whether a node that isn't ours has announced a topic; it may still be out of our reach."""
+        try:
+            found: Any = self.api.getSystemState(PLAYER_NODE)
+        except (OSError, xmlrpc.client.Error):
+            return False
+        publishers = {str(name): nodes for name, nodes in found[2][0]} if found[0] == 1 else {}
+        return bool(set(publishers.get(topic, ())) - {BAG_NODE, PLAYER_NODE})
+
     def end(self) -> None:
         """End it."""
         self._program.end()

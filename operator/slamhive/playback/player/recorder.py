@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was heard while a recording was played: frames and poses with sensor stamp and wall clock."""
+"""Recorder of what the player hears: frames and poses, with sensor stamp and wall clock."""
 
 from __future__ import annotations
 

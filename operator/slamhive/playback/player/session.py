@@ -108,13 +108,20 @@ class Session:
             missing = sorted(set(wanted) - set(self._master.taken(wanted))) if self._master else wanted
             if not missing and ears.linked:
                 taken_at = taken_at or now
-                if ears.has_poses or now > taken_at + _POSE_LINK_SECONDS:
+                # Some nodes announce their poses with the first one; who has announced them is waited for.
+                late = now > taken_at + _POSE_LINK_SECONDS
+                if ears.has_poses or (late and not self._announces(request.poses.topic)):
                     return True
             if seen is not None and now > seen + request.ready_seconds:
-                message = f"the node did not subscribe to {', '.join(missing)} in {request.ready_seconds:g} s"
-                raise PlayError(message, "AlgorithmFailed")
+                if not missing and ears.linked:
+                    return True  # its poses may be of another type; it may write its trajectory itself
+                what = f"did not subscribe to {', '.join(missing)}" if missing else "could not be heard"
+                raise PlayError(f"the node {what} in {request.ready_seconds:g} s", "AlgorithmFailed")
             time.sleep(_LOOK_SECONDS)
         return False
+
+    def _announces(self, topic: str) -> bool:
+        return self._master is not None and self._master.has_publisher(topic)
 
     def _check(self) -> None:
         if self._master is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import json
 import zlib
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
@@ -21,10 +20,10 @@ from testcluster.lab import Lab
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.archive import Archive
 from slamhive.jobs.lines import encode_all
+from slamhive.jobs.requests import EvaluateRequest
 from slamhive.kube.client import Api
-from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.kinds import Kind, Label, Object
 from slamhive.kube.transport import Request
-from slamhive.model.evaluation import EvaluationSettings
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
@@ -39,8 +38,8 @@ if TYPE_CHECKING:
 
     from slamhive.kube.operator import Operator
     from slamhive.kube.settings import Settings
+    from slamhive.model.results import RunRecord
 
-Object = dict[str, Any]
 T = TypeVar("T")
 
 SECONDS = 90.0
@@ -63,20 +62,20 @@ async def played_logs(api: Api, namespace: str, pod: str, container: str, **_: A
     """
     path = f"/api/v1/namespaces/{namespace}/pods/{pod}"
     body = await api.json(Request("get", "pods/log", f"{namespace}/{pod}/{container}", "GET", path))
-    request = json.loads(body["metadata"]["annotations"]["slamhive.io/request"])
-    hashed = settings_hash(EvaluationSettings.model_validate(request["settings"]))
+    request = EvaluateRequest.model_validate_json(body["metadata"]["annotations"]["slamhive.io/request"])
+    hashed = settings_hash(request.settings)
     records = [
         {
             "uid": run["uid"],
             "name": run["name"],
             "result": {
-                "evaluation": request["evaluation"] or "SE3",
+                "evaluation": request.evaluation or "SE3",
                 "outcome": "Tracked",
                 "coverage": 1.0,
                 "values": {"ate": {"rmse": error_of(run["uid"])}, SETTINGS_KEY: hashed},
             },
         }
-        for run in request["runs"]
+        for run in request.runs
     ]
     return "".join(encode_all(records))
 
@@ -115,7 +114,7 @@ class Instance:
 
     def is_over(self) -> bool:
         """Tell whether all is done, and all is gone that is to go."""
-        over = self.scenario.is_over(self.arena.seen, self.namespace, self.archive)
+        over = self.scenario.is_over(self.arena.seen, self.namespace, len(self.records()))
         return over and not self.outcome().orphans
 
     async def until(self, condition: Callable[[], Any], what: str, seconds: float = SECONDS) -> None:
@@ -140,18 +139,26 @@ class Instance:
             await self.until(self.is_over, "the end")
         return self.outcome()
 
+    def records(self) -> list[RunRecord]:
+        """Return the archived runs of this namespace; others may share the archive."""
+        runs = self.archive.runs() if self.archive else ()
+        return [record for record in runs if record.namespace == self.namespace]
+
     def outcome(self) -> Outcome:
         """Return what there is now, in a form that is the same whenever all went the same way."""
         seen, namespace = self.arena.seen, self.namespace
         ends = [(_place(run), _end(run)) for run in seen.alive("mappingruns", namespace)]
-        records = list(self.archive.runs()) if self.archive else []
+        records = self.records()
+        objects = seen.ever["mappingruns", namespace]
         for record in records:
             cpu = record.usage.cpu.seconds if record.usage else None
             results = tuple(
                 (item.evaluation, item.values["ate"]["rmse"] == error_of(record.uid))
                 for item in record.results
             )
-            end = (str(record.phase), record.reason, record.attempts, 0, cpu, results)
+            # The archive has no conditions; those of its object, as last seen, are still what came of it.
+            conditions = _conditions(objects[record.uid]["status"])
+            end = (str(record.phase), record.reason, record.attempts, 0, cpu, results, conditions)
             ends.append((str(record.index), end))
         ends += [("sweep", _standing(obj)) for obj in seen.alive("sweeps", namespace)]
         return Outcome(
@@ -193,7 +200,8 @@ class Outcome:
     """What came of a scenario.
 
     Attributes:
-        ends: how each run ended with its point, live ones and archived ones, and where the Sweep stands.
+        ends: how each run ended with its point, live ones and archived ones, and where the Sweep stands, each
+            with its conditions.
         created: how many objects there were of each point and attempt.
         archived: rows of the archive; which runs it has depends on which ended first.
         orphans: Jobs and pods whose owner is gone; they go by themselves after a moment.
@@ -223,8 +231,11 @@ class Arena:
         scenario: Scenario,
         course: Callable[[Instance], Awaitable[T]],
         kubeconfig: Path | None = None,
+        archive: Archive | None = None,
     ) -> T:
         """Give a scenario a namespace with its objects in it, and return what a course of events comes to.
+
+        The archive is the namespace's own unless one is given.
 
         The course runs in a thread and loop of its own: kopf cancels all tasks of a loop that it leaves.
         """
@@ -233,8 +244,7 @@ class Arena:
         lab = Lab(cluster, name, self.plays(scenario.play))
         loop = asyncio.get_running_loop()
         with ExitStack() as stack:
-            archive = None
-            if scenario.archived is not None:
+            if scenario.archived is not None and archive is None:
                 file = self.folder / f"{name}-{next(_NUMBERS)}.sqlite"
                 archive = stack.enter_context(Archive.open(f"sqlite:///{file}"))
             instance = Instance(self, scenario, lab, archive)
@@ -292,6 +302,18 @@ def _end(run: Object) -> tuple[Any, ...]:
         status.get("faults", 0),
         usage.get("seconds"),
         results,
+        _conditions(status),
+    )
+
+
+def _conditions(status: Object) -> tuple[tuple[str, str, str], ...]:
+    """Return what the conditions say, without their sentences and times, and without what is over."""
+    return tuple(
+        sorted(
+            (item["type"], item["status"], item["reason"])
+            for item in status.get("conditions") or ()
+            if item["reason"] != "Recovered"
+        )
     )
 
 
@@ -300,4 +322,5 @@ def _standing(sweep: Object) -> tuple[Any, ...]:
     fields = ("phase", "total", "pending", "running", "succeeded", "failed", "reused", "evaluated")
     figures = tuple(status.get(name) for name in (*fields, "cpuSeconds", "progress", "points"))
     best = sorted(item["index"] for item in status.get("best") or ())
-    return (*figures, tuple(best), bool(status.get("startTime")), bool(status.get("completionTime")))
+    times = (bool(status.get("startTime")), bool(status.get("completionTime")))
+    return (*figures, tuple(best), *times, _conditions(status))

@@ -7,12 +7,12 @@ import asyncio
 import itertools
 import os
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from testcluster.lab import bound_volumes, until, volumes
 
 from slamhive.kube.errors import ApiError
-from slamhive.kube.kinds import OUR_KINDS, Kind
+from slamhive.kube.kinds import OUR_KINDS, Kind, Object
 from slamhive.kube.transport import Request
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from slamhive.kube.client import Api
 
-Object = dict[str, Any]
 
 SECONDS = 60.0
 _NUMBERS = itertools.count()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What really was made on the API server, seen by a watch of the test's own."""
+"""Recorder of every object that is made on the API server, by a watch of the test's own."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import ssl
 from collections import defaultdict
 from contextlib import asynccontextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import aiohttp
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
     from slamhive.kube.client import Api
+    from slamhive.kube.kinds import Object
 
-Object = dict[str, Any]
 
 PATHS = {
     "mappingruns": "/apis/slamhive.io/v1alpha1/mappingruns",

@@ -1,24 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What operators are to bring to an end while they are disturbed, and what tells that they did."""
+"""Scenarios that operators must bring to an end while they are disturbed, and how a test tells."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from testcluster.kwok import Play, run_message
 from testcluster.lab import algorithm, condition_of, dataset, manifest, run, sweep
 
-from slamhive.kube.kinds import Key, Kind, Label
+from slamhive.kube.kinds import Key, Kind, Label, Object
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from faultlab.recorder import Recorder
-
-    from slamhive.archive import Archive
-
-Object = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,7 @@ class Scenario:
         """Algorithm and Dataset."""
         return algorithm(), dataset()
 
-    def is_over(self, seen: Recorder, namespace: str, archive: Archive | None) -> bool:
+    def is_over(self, seen: Recorder, namespace: str, archived: int) -> bool:
         """Tell whether all is done that is to be done."""
         sweeps = seen.alive("sweeps", namespace)
         runs = seen.alive("mappingruns", namespace)
@@ -57,7 +53,7 @@ class Scenario:
             and len(runs) == self.retained
             and all(self._is_settled(item) for item in runs)
             and not [job for job in seen.alive("jobs", namespace) if _role(job) == "evaluate"]
-            and (archive is None or archive.count() == self.archived)
+            and archived == (self.archived or 0)
         )
 
     def _is_settled(self, run: Object) -> bool:

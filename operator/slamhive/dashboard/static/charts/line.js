@@ -1,78 +1,168 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Lines over the groups of /api/v1/analysis/aggregate, with the interval or the range around them. */
 import { COLOURS } from '../core/chart.js';
-import { cell, clip, keysText, number } from '../core/format.js';
+import { cell, clip, headingOf, keysText, number } from '../core/format.js';
 
-/** Return one line a combination of all keys but x and the facet: [{name, points: [{x, figure, group}]}]. */
+/**
+ * Return one line a combination of all keys but x and the facet.
+ * @param {Api.Aggregate} data
+ * @param {string} x
+ * @param {string} y
+ * @param {string|null|undefined} facet
+ * @param {string|null|undefined} facetValue
+ * @returns {Array<{name: string, points: LinePoint[]}>}
+ */
 export function lines(data, x, y, facet, facetValue) {
-  const others = data.keys.map((key) => key.name).filter((name) => name !== x && name !== facet)
+  const others = data.keys
+    .map((key) => key.name)
+    .filter((name) => name !== x && name !== facet)
     .filter((name) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
+  /** @type {Map<string, LinePoint[]>} */
   const found = new Map();
   for (const group of data.groups) {
     if (facet && String(group.keys[facet]) !== facetValue) continue;
     const name = keysText(Object.fromEntries(others.map((key) => [key, group.keys[key]]))) || 'runs';
-    if (!found.has(name)) found.set(name, []);
-    found.get(name).push({ x: group.keys[x], figure: group.figures[y], group });
+    const points = found.get(name) ?? [];
+    found.set(name, points);
+    points.push({ x: group.keys[x], figure: group.figures[y], group });
   }
-  return [...found].map(([name, points]) => ({ name, points: points.filter((point) => point.x !== null) })).filter((line) => line.points.length);
+  return [...found]
+    .map(([name, points]) => ({ name, points: points.filter((point) => point.x !== null) }))
+    .filter((line) => line.points.length);
 }
 
-/** Return the option of a line chart.
- * @param {object} data answer of analysis/aggregate
- * @param {{x: string, y: string, facet?: string, facetValue?: string, figure: 'median'|'mean', xlog: boolean, ylog: boolean}} settings */
+/**
+ * Return the option of a line chart.
+ * @param {Api.Aggregate} data answer of analysis/aggregate
+ * @param {{x: string, y: string, facet?: string, facetValue?: string|null, figure: 'median'|'mean', xlog:
+ *   boolean, ylog: boolean}} settings
+ * @returns {ChartOption}
+ */
 export function line(data, settings) {
-  const heading = data.metrics.find((one) => one.name === settings.y);
-  const xHeading = data.keys.find((one) => one.name === settings.x);
+  const heading = headingOf(data.metrics, settings.y);
+  const xHeading = headingOf(data.keys, settings.x);
   const all = lines(data, settings.x, settings.y, settings.facet, settings.facetValue);
-  const category = !['number', 'integer', 'time'].includes(xHeading.kind);
+  const category = !['number', 'integer', 'time'].includes(xHeading.kind ?? '');
   const factor = heading.factor ?? 1;
-  const scaleX = (value) => (category ? clip(cell(value), 28) : xHeading.kind === 'time' ? value : value * (xHeading.factor ?? 1));
-  const categories = category ? [...new Set(all.flatMap((one) => one.points.map((point) => scaleX(point.x))))] : null;
+  /** @param {any} value */
+  const scaleX = (value) =>
+    category ? clip(cell(value), 28) : xHeading.kind === 'time' ? value : value * (xHeading.factor ?? 1);
+  const categories = category
+    ? [...new Set(all.flatMap((one) => one.points.map((point) => scaleX(point.x))))]
+    : null;
   const series = all.flatMap((one, index) => {
     const colour = COLOURS[index % COLOURS.length];
-    const points = one.points.map((point) => ({ ...point, x: scaleX(point.x), ...reach(point.figure, settings.figure, factor) }))
+    const points = one.points
+      .map((point) => ({ ...point, x: scaleX(point.x), ...reach(point.figure, settings.figure, factor) }))
       .filter((point) => point.middle !== null);
     if (!category) points.sort((a, b) => a.x - b.x);
-    return [band(one.name, points, colour), {
-      type: 'line', name: clip(one.name, 50), color: colour, symbol: index % 2 ? 'diamond' : 'circle', symbolSize: 8, showAllSymbol: true,
-      data: points.map((point) => ({ value: [point.x, point.middle], point })),
-    }];
+    return [
+      band(one.name, points, colour),
+      {
+        type: 'line',
+        name: clip(one.name, 50),
+        color: colour,
+        symbol: index % 2 ? 'diamond' : 'circle',
+        symbolSize: 8,
+        showAllSymbol: true,
+        data: points.map((point) => ({ value: [point.x, point.middle], point })),
+      },
+    ];
   });
   return {
     grid: { left: 72, right: 24, top: all.length > 1 ? 40 : 16, bottom: 46 },
-    legend: all.length > 1 ? { icon: 'roundRect', itemHeight: 4, itemWidth: 18, data: all.map((one) => clip(one.name, 50)) } : undefined,
-    tooltip: { trigger: 'item', formatter: (item) => tell(item.data?.point, item.seriesName, heading, settings.figure) },
-    xAxis: { type: category ? 'category' : settings.xlog ? 'log' : 'value', scale: true, data: categories ?? undefined, name: clip(xHeading.title, 50), nameGap: 28 },
-    yAxis: { type: settings.ylog ? 'log' : 'value', scale: true, name: `${clip(heading.title, 44)}, ${settings.figure}`, nameGap: 52 },
+    legend:
+      all.length > 1
+        ? { icon: 'roundRect', itemHeight: 4, itemWidth: 18, data: all.map((one) => clip(one.name, 50)) }
+        : undefined,
+    tooltip: {
+      trigger: 'item',
+      formatter: (item) => tell(item.data?.point, item.seriesName, heading, settings.figure),
+    },
+    xAxis: {
+      type: category ? 'category' : settings.xlog ? 'log' : 'value',
+      scale: true,
+      data: categories ?? undefined,
+      name: clip(xHeading.title, 50),
+      nameGap: 28,
+    },
+    yAxis: {
+      type: settings.ylog ? 'log' : 'value',
+      scale: true,
+      name: `${clip(heading.title, 44)}, ${settings.figure}`,
+      nameGap: 52,
+    },
     series,
   };
 }
 
+/**
+ * The middle of a figure and how far it reaches: an interval, or the least and the largest.
+ * @param {Api.Figure|undefined} figure
+ * @param {'median'|'mean'} which
+ * @param {number} factor
+ */
 function reach(figure, which, factor) {
   const interval = figure?.[`${which}Interval`];
   const [low, high] = interval ? [interval.low, interval.high] : [figure?.min, figure?.max];
+  /** @param {number|null|undefined} value */
   const scaled = (value) => (value === null || value === undefined ? null : value * factor);
   const middle = scaled(figure?.[which]);
-  return { middle, low: scaled(low) ?? middle, high: scaled(high) ?? middle, interval: interval?.method ?? null };
+  return {
+    middle,
+    low: scaled(low) ?? middle,
+    high: scaled(high) ?? middle,
+    interval: interval?.method ?? null,
+  };
 }
 
+/**
+ * @param {string} name
+ * @param {Reached[]} points
+ * @param {string} colour
+ * @returns {ChartOption}
+ */
 function band(name, points, colour) {
   return {
-    type: 'custom', name: clip(name, 50), color: colour, silent: true, z: 1, clip: true, tooltip: { show: false },
+    type: 'custom',
+    name: clip(name, 50),
+    color: colour,
+    silent: true,
+    z: 1,
+    clip: true,
+    tooltip: { show: false },
     encode: { x: 0, y: [1, 2] },
     data: points.map((point) => [point.x, point.low, point.high]),
     renderItem: (params, api) => {
       if (params.dataIndex !== 0 || points.length === 0) return null;
+      /** @param {'low'|'high'} key */
       const edge = (key) => points.map((point) => api.coord([point.x, point[key]]));
-      return { type: 'polygon', shape: { points: [...edge('high'), ...edge('low').reverse()] }, style: { fill: colour, opacity: 0.16, stroke: colour, lineWidth: 1 } };
+      return {
+        type: 'polygon',
+        shape: { points: [...edge('high'), ...edge('low').reverse()] },
+        style: { fill: colour, opacity: 0.16, stroke: colour, lineWidth: 1 },
+      };
     },
   };
 }
 
+/**
+ * @param {Reached|undefined} point
+ * @param {string} name
+ * @param {Api.Heading} heading
+ * @param {string} which
+ */
 function tell(point, name, heading, which) {
   if (!point) return '';
   const { group, figure } = point;
-  const failures = Object.entries(group.failures ?? {}).map(([what, count]) => `${count} ${what}`).join(', ');
-  return [clip(name, 60), `${clip(heading.title, 40)} (${which}): ${number(point.middle)}`, `${point.interval ?? 'least to largest'}: ${number(point.low)} to ${number(point.high)}`,
-    `n = ${figure.n} of ${group.runs} runs${failures ? `; ${failures}` : ''}`, `coverage: ${number(group.coverage?.mean, 3)}`].join('\n');
+  const failures = Object.entries(group.failures ?? {})
+    .map(([what, count]) => `${count} ${what}`)
+    .join(', ');
+  return [
+    clip(name, 60),
+    `${clip(heading.title, 40)} (${which}): ${number(point.middle)}`,
+    `${point.interval ?? 'least to largest'}: ${number(point.low)} to ${number(point.high)}`,
+    `n = ${figure?.n} of ${group.runs} runs${failures ? `; ${failures}` : ''}`,
+    `coverage: ${number(group.coverage?.mean, 3)}`,
+  ].join('\n');
 }

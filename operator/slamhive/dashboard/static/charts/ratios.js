@@ -2,59 +2,131 @@
 /** What a change did in each setting: median after over median before. */
 import { COLOURS } from '../core/chart.js';
 import { cell, clip, number } from '../core/format.js';
-import { labelRoom } from './points.js';
+import { labelRoom, rowAxis } from './rows.js';
 
 const MOST = 40;
 const WIDE_RANGE = 5;
 const NARROW = 560;
-const SIGNS = { better: ['circle', COLOURS[2]], worse: ['diamond', COLOURS[5]], same: ['emptyCircle', COLOURS[8]] };
-
-/** Return what became of a setting: better, worse or same. */
-const verdict = ({ before, after }) => {
-  if (before.medianFailed || after.medianFailed) return before.medianFailed === after.medianFailed ? 'same' : after.medianFailed ? 'worse' : 'better';
-  return after.median < before.median ? 'better' : after.median > before.median ? 'worse' : 'same';
+const SIGNS = {
+  better: ['circle', COLOURS[2]],
+  worse: ['diamond', COLOURS[5]],
+  same: ['emptyCircle', COLOURS[8]],
 };
 
-/** Return a setting in words. @param {object} keys @param {string[]} told columns that tell settings apart @param {boolean} [short] whether values do without their names */
-export const settingText = (keys, told, short = false) => told.map((name) => (short || name === 'dataset' ? cell(keys[name]) : `${name.replace(/^(parameters|input)\./, '')} ${cell(keys[name])}`)).join(', ');
+/**
+ * Return what became of a setting.
+ * @param {Api.Setting} setting
+ * @returns {'better'|'worse'|'same'}
+ */
+const verdict = ({ before, after }) => {
+  if (before.medianFailed || after.medianFailed)
+    return before.medianFailed === after.medianFailed ? 'same' : after.medianFailed ? 'worse' : 'better';
+  const [now, then] = [Number(after.median), Number(before.median)];
+  return now < then ? 'better' : now > then ? 'worse' : 'same';
+};
 
-/** Return the columns that tell settings apart; the dataset where there is a single one. @param {object[]} settings */
+/**
+ * Return a setting in words.
+ * @param {Api.Keys} keys
+ * @param {string[]} told columns that tell settings apart
+ * @param {boolean} [short] whether values do without their names
+ */
+export const settingText = (keys, told, short = false) =>
+  told
+    .map((name) =>
+      short || name === 'dataset'
+        ? cell(keys[name])
+        : `${name.replace(/^(parameters|input)\./, '')} ${cell(keys[name])}`,
+    )
+    .join(', ');
+
+/**
+ * Return the columns that tell settings apart; the dataset where there is a single one.
+ * @param {Array<{keys: Api.Keys}>} settings
+ */
 export const toldApart = (settings) => {
   const names = Object.keys(settings[0]?.keys ?? {});
   const varied = names.filter((name) => new Set(settings.map((one) => String(one.keys[name]))).size > 1);
   return varied.length ? varied : names.slice(0, 1);
 };
 
-/** Return the chart of a change and its height; null where nothing can be drawn. @param {object} change of /api/v1/analysis/versions */
+/**
+ * Return the chart of a change and its height; null where nothing can be drawn.
+ * @param {{settings: Api.Setting[]}} change of /api/v1/analysis/versions
+ * @returns {Drawn|null}
+ */
 export function ratioChart(change) {
   const shown = change.settings.slice(0, MOST);
-  const known = shown.filter((one) => one.ratio > 0 && !failed(one)).map((one) => one.ratio);
+  const known = shown
+    .filter((one) => !failed(one))
+    .map((one) => Number(one.ratio))
+    .filter((ratio) => ratio > 0);
   if (shown.length === 0) return null;
   const [least, most] = [Math.min(1, ...known), Math.max(1, ...known)];
   const log = most / least > WIDE_RANGE;
-  const place = (one) => (!failed(one) && one.ratio > 0 ? one.ratio : { better: least / 1.1, worse: most * 1.1, same: 1 }[verdict(one)]);
+  /** @param {Api.Setting} one */
+  const place = (one) =>
+    !failed(one) && Number(one.ratio) > 0
+      ? one.ratio
+      : { better: least / 1.1, worse: most * 1.1, same: 1 }[verdict(one)];
   const told = toldApart(shown);
   return {
     height: 100 + shown.length * 26,
     option: ({ width }) => ({
       grid: { left: labelRoom(width, 280), right: 30, top: 30, bottom: 50 },
-      tooltip: { trigger: 'item', formatter: (item) => (item.data?.one ? `${clip(settingText(item.data.one.keys, told), 120)}\n${words(item.data.one)}` : '') },
-      xAxis: { type: log ? 'log' : 'value', scale: true, name: width < NARROW ? 'after / before' : 'median after over median before', nameGap: 28, axisLabel: { formatter: (value) => number(value, 3) } },
-      yAxis: { type: 'category', inverse: true, data: shown.map((one) => clip(settingText(one.keys, told, width < NARROW), 60)), name: '', axisLabel: { interval: 0, width: labelRoom(width, 280) - 14, overflow: 'truncate' } },
-      series: [{
-        type: 'scatter',
-        data: shown.map((one, at) => {
-          const [symbol, color] = SIGNS[verdict(one)];
-          return { value: [place(one), at], one, symbolSize: failed(one) ? 14 : 11, symbol: failed(one) ? 'path://M0,0L10,10M10,0L0,10' : symbol, itemStyle: { color, borderColor: color, borderWidth: failed(one) ? 2 : 0 } };
-        }),
-        markLine: { silent: true, symbol: 'none', data: [{ xAxis: 1 }], label: { formatter: 'as before', position: 'start', color: 'inherit' }, lineStyle: { type: 'dashed' } },
+      tooltip: {
+        trigger: 'item',
+        formatter: (item) =>
+          item.data?.one
+            ? `${clip(settingText(item.data.one.keys, told), 120)}\n${words(item.data.one)}`
+            : '',
       },
-      // Nobody sees it: it keeps 1 on the axis.
-      { type: 'scatter', silent: true, symbolSize: 0.1, itemStyle: { opacity: 0 }, data: [[1, 0]] }],
+      xAxis: {
+        type: log ? 'log' : 'value',
+        scale: true,
+        name: width < NARROW ? 'after / before' : 'median after over median before',
+        nameGap: 28,
+        axisLabel: { formatter: (value) => number(value, 3) },
+      },
+      yAxis: rowAxis(
+        shown.map((one) => clip(settingText(one.keys, told, width < NARROW), 60)),
+        width,
+        280,
+      ),
+      series: [
+        {
+          type: 'scatter',
+          data: shown.map((one, at) => {
+            const [symbol, color] = SIGNS[verdict(one)];
+            return {
+              value: [place(one), at],
+              one,
+              symbolSize: failed(one) ? 14 : 11,
+              symbol: failed(one) ? 'path://M0,0L10,10M10,0L0,10' : symbol,
+              itemStyle: { color, borderColor: color, borderWidth: failed(one) ? 2 : 0 },
+            };
+          }),
+          markLine: {
+            silent: true,
+            symbol: 'none',
+            data: [{ xAxis: 1 }],
+            label: { formatter: 'as before', position: 'start', color: 'inherit' },
+            lineStyle: { type: 'dashed' },
+          },
+        },
+        // Nobody sees it: it keeps 1 on the axis.
+        { type: 'scatter', silent: true, symbolSize: 0.1, itemStyle: { opacity: 0 }, data: [[1, 0]] },
+      ],
     }),
   };
 }
 
+/** @param {Api.Setting} setting */
 const failed = ({ before, after }) => before.medianFailed || after.medianFailed;
 
-const words = (one) => (failed(one) ? `the median run ${one.after.medianFailed ? (one.before.medianFailed ? 'failed before and after' : 'fails now') : 'failed before'}` : `${number(one.ratio, 3)} times what it was`);
+/** @param {Api.Setting} one */
+const words = (one) => {
+  if (!failed(one)) return `${number(one.ratio, 3)} times what it was`;
+  if (!one.after.medianFailed) return 'the median run failed before';
+  return one.before.medianFailed ? 'the median run failed before and after' : 'the median run fails now';
+};

@@ -4,12 +4,17 @@ import { COLOURS } from '../core/chart.js';
 import { clip } from '../core/format.js';
 import { asCategories, axisOption, readAxis } from './points.js';
 
+/** @type {Record<string, string>} */
 const SHAPES = { Tracked: 'circle', Partial: 'circle', Lost: 'triangle', Diverged: 'diamond' };
 const MANY = 3000;
 
-/** Return the option of a scatter chart.
- * @param {object} data answer of analysis/points @param {number[]} indices which of its points
- * @param {{xlog: boolean, ylog: boolean, top: number|null}} settings top: where points without y are drawn */
+/**
+ * Return the option of a scatter chart.
+ * @param {Api.Points} data answer of analysis/points
+ * @param {number[]} indices which of its points
+ * @param {{xlog: boolean, ylog: boolean, top: number|null}} settings top: where points without y are drawn
+ * @returns {ChartOption}
+ */
 export function scatter(data, indices, { xlog, ylog, top }) {
   const x = readAxis(data.axes.x);
   const y = readAxis(data.axes.y);
@@ -17,45 +22,108 @@ export function scatter(data, indices, { xlog, ylog, top }) {
   const colour = data.axes.colour ? readAxis(data.axes.colour) : null;
   const groups = colour && asCategories(colour, data.count, 20);
   const continuous = colour && !groups;
-  const place = (index) => [x.at(index), y.at(index) ?? top, index, ...(continuous ? [colour.at(index)] : [])];
+  /** @param {number} index */
+  const place = (index) => [
+    x.at(index),
+    y.at(index) ?? top,
+    index,
+    ...(continuous ? [colour.at(index)] : []),
+  ];
   const large = indices.length > MANY;
+  /**
+   * @param {number} point
+   * @param {string} ink
+   */
   const dress = (point, ink) => {
     const value = place(point);
     if (large) return value;
     const state = status?.text(point) ?? 'Tracked';
-    if (y.at(point) === null) return { value, symbol: 'path://M0 0L10 10M10 0L0 10', itemStyle: { borderColor: ink, borderWidth: 1.8 } };
-    // What did not track to the end is hollow. Where colours tell a number, the drawing library gives them to the fill alone.
+    if (y.at(point) === null)
+      return {
+        value,
+        symbol: 'path://M0 0L10 10M10 0L0 10',
+        itemStyle: { borderColor: ink, borderWidth: 1.8 },
+      };
+    // What did not track to the end is hollow. Where colours tell a number, the drawing library gives them to
+    // the fill alone.
     if (state === 'Tracked' || continuous) return { value, symbol: SHAPES[state] ?? 'rect' };
-    return { value, symbol: SHAPES[state] ?? 'rect', itemStyle: { color: 'transparent', borderColor: ink, borderWidth: 1.8 } };
+    return {
+      value,
+      symbol: SHAPES[state] ?? 'rect',
+      itemStyle: { color: 'transparent', borderColor: ink, borderWidth: 1.8 },
+    };
   };
   const kept = indices.filter((index) => x.at(index) !== null && place(index)[1] !== null);
-  const shared = { type: 'scatter', symbolSize: large ? 3 : 9, large, largeThreshold: MANY, itemStyle: { opacity: large ? 0.5 : 0.85 }, progressive: 0 };
+  const shared = {
+    type: 'scatter',
+    symbolSize: large ? 3 : 9,
+    large,
+    largeThreshold: MANY,
+    itemStyle: { opacity: large ? 0.5 : 0.85 },
+    progressive: 0,
+  };
   const named = groups ? [...groups.categories, '–'] : ['runs'];
-  const parts = new Map(named.map((name) => [name, []]));
-  for (const index of kept) parts.get(groups ? named[groups.at(index) ?? named.length - 1] : 'runs').push(index);
-  const series = [...parts].map(([name, members], number) => ({ ...shared, name: clip(name, 40), color: COLOURS[number % COLOURS.length], data: members.map((point) => dress(point, COLOURS[number % COLOURS.length])), id: String(number) }));
+  // By place, not by name: two values may read the same.
+  /** @type {number[][]} */
+  const parts = named.map(() => []);
+  for (const index of kept) parts[groups ? (groups.at(index) ?? named.length - 1) : 0].push(index);
+  const series = parts.map((members, number) => ({
+    ...shared,
+    name: clip(named[number], 40),
+    color: COLOURS[number % COLOURS.length],
+    data: members.map((point) => dress(point, COLOURS[number % COLOURS.length])),
+    id: String(number),
+  }));
+  /** @param {Item} item */
   const tell = (item) => {
     const index = item.value[2];
-    return [`run ${data.run?.[index] ?? data.id?.[index] ?? ''}`, `${clip(x.heading.title, 40)}: ${clip(x.text(index), 40)}`, `${clip(y.heading.title, 40)}: ${clip(y.text(index), 40)}`,
-      ...(colour ? [`${clip(colour.heading.title, 40)}: ${clip(colour.text(index), 40)}`] : []), status?.text(index) ?? ''].join('\n');
+    return [
+      `run ${data.run?.[index] ?? data.id?.[index] ?? ''}`,
+      `${clip(x.heading.title, 40)}: ${clip(x.text(index), 40)}`,
+      `${clip(y.heading.title, 40)}: ${clip(y.text(index), 40)}`,
+      ...(colour ? [`${clip(colour.heading.title, 40)}: ${clip(colour.text(index), 40)}`] : []),
+      status?.text(index) ?? '',
+    ].join('\n');
   };
   return {
-    grid: { left: 72, right: continuous ? 90 : 24, top: groups ? 40 : 16, bottom: x.categories && x.categories.length > 4 ? 76 : 46 },
+    grid: {
+      left: 72,
+      right: continuous ? 90 : 24,
+      top: groups ? 40 : 16,
+      bottom: x.categories && x.categories.length > 4 ? 76 : 46,
+    },
     legend: groups ? { data: series.filter((one) => one.data.length).map((one) => one.name) } : undefined,
     tooltip: { trigger: 'item', formatter: tell },
     visualMap: continuous ? range(kept.map(colour.at), colour.heading.title) : undefined,
     xAxis: axisOption(x, { log: xlog }),
     yAxis: axisOption(y, { log: ylog, vertical: true }),
-    brush: { xAxisIndex: 0, yAxisIndex: 0, brushMode: 'single', outOfBrush: { colorAlpha: 0.25 }, throttleType: 'debounce', throttleDelay: 150 },
+    brush: {
+      xAxisIndex: 0,
+      yAxisIndex: 0,
+      brushMode: 'single',
+      outOfBrush: { colorAlpha: 0.25 },
+      throttleType: 'debounce',
+      throttleDelay: 150,
+    },
     toolbox: { show: false },
     series,
   };
 }
 
+/**
+ * @param {Api.Numbers} values
+ * @param {string} title
+ */
 function range(values, title) {
   const known = values.filter((value) => value !== null);
   return {
-    type: 'continuous', dimension: 3, min: known.reduce((a, b) => Math.min(a, b), Infinity), max: known.reduce((a, b) => Math.max(a, b), -Infinity), text: [clip(title, 16), ''], right: 0, top: 'middle',
+    type: 'continuous',
+    dimension: 3,
+    min: known.reduce((a, b) => Math.min(a, b), Infinity),
+    max: known.reduce((a, b) => Math.max(a, b), -Infinity),
+    text: [clip(title, 16), ''],
+    right: 0,
+    top: 'middle',
     inRange: { color: ['#440154', '#31688e', '#35b779', '#d8b000'] },
   };
 }

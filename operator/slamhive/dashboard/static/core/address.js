@@ -4,10 +4,32 @@ import { createContext, useContext } from './ui.js';
 
 /** Names that are settings of a page; every other one is a filter and goes to the API as it is. */
 const OWN = new Set([
-  'kind', 'x', 'y', 'colour', 'size', 'facet', 'outcomes', 'figure', 'xlog', 'ylog', 'embed', 'sort', 'columns',
-  'limit', 'after', 'by', 'metric', 'metrics', 'plane', 'title', 'axes', 'view', 'figures',
+  'kind',
+  'x',
+  'y',
+  'colour',
+  'size',
+  'facet',
+  'outcomes',
+  'figure',
+  'xlog',
+  'ylog',
+  'embed',
+  'sort',
+  'columns',
+  'limit',
+  'after',
+  'by',
+  'metric',
+  'metrics',
+  'plane',
+  'title',
+  'axes',
+  'view',
+  'figures',
 ]);
 
+/** @param {string} text */
 const decode = (text) => {
   try {
     return decodeURIComponent(text.replaceAll('+', ' '));
@@ -16,47 +38,77 @@ const decode = (text) => {
   }
 };
 
+/** Half a character, which a field may hold, has no encoding. @param {string} text */
+const encode = (text) => encodeURIComponent(text.toWellFormed?.() ?? text);
+
 /** A query string that keeps the order, the repetitions and the signs of its parameters. */
 export class Query {
   /** @param {Array<[string, string|null]>} pairs names and values; null where there was no equals sign */
   constructor(pairs = []) {
+    /** @type {Array<[string, string|null]>} */
     this.pairs = pairs;
   }
 
-  /** @param {string} search with or without its question mark */
+  /**
+   * @param {string} search with or without its question mark
+   * @returns {Query}
+   */
   static parse(search) {
     const parts = search.replace(/^\?/, '').split('&').filter(Boolean);
-    return new Query(parts.map((part) => {
-      const at = part.indexOf('=');
-      return at < 0 ? [decode(part), null] : [decode(part.slice(0, at)), decode(part.slice(at + 1))];
-    }));
+    return new Query(
+      parts.map((part) => {
+        const at = part.indexOf('=');
+        return at < 0 ? [decode(part), null] : [decode(part.slice(0, at)), decode(part.slice(at + 1))];
+      }),
+    );
   }
 
-  /** Return the first value of a name. */
+  /**
+   * Return the first value of a name.
+   * @param {string} name
+   * @param {string} [otherwise]
+   * @returns {string}
+   */
   get(name, otherwise = '') {
     return this.pairs.find(([key]) => key === name)?.[1] ?? otherwise;
   }
 
-  /** Return all values of a name. */
+  /**
+   * Return all values of a name.
+   * @param {string} name
+   * @returns {string[]}
+   */
   all(name) {
-    return this.pairs.filter(([key]) => key === name).map(([, value]) => value);
+    return this.pairs.filter(([key]) => key === name).map(([, value]) => value ?? '');
   }
 
-  /** Return a query with some names set anew; null, '' and [] leave a name out. */
+  /**
+   * Return a query with some names set anew; null, '' and [] leave a name out.
+   * @param {Changes} changes
+   */
   with(changes) {
-    const kept = this.pairs.filter(([key]) => !(key in changes));
+    const kept = this.pairs.filter(([key]) => !Object.hasOwn(changes, key));
     const added = Object.entries(changes).flatMap(([key, value]) =>
-      (Array.isArray(value) ? value : [value]).filter((one) => one !== null && one !== undefined && one !== '')
-        .map((one) => [key, String(one)]));
+      (Array.isArray(value) ? value : [value])
+        .filter((one) => one !== null && one !== undefined && one !== '')
+        .map((one) => /** @type {[string, string]} */ ([key, String(one)])),
+    );
     return new Query([...kept, ...added]);
   }
 
-  /** Return a query with one more filter. */
+  /**
+   * Return a query with one more filter.
+   * @param {string} name
+   * @param {string} value
+   */
   and(name, value) {
     return new Query([...this.pairs, [name, value]]);
   }
 
-  /** Return a query without the pair at a position. */
+  /**
+   * Return a query without the pair at a position.
+   * @param {[string, string|null]} pair
+   */
   without(pair) {
     return new Query(this.pairs.filter((one) => one !== pair));
   }
@@ -67,24 +119,36 @@ export class Query {
   }
 
   toString() {
-    return this.pairs.map(([key, value]) =>
-      encodeURIComponent(key) + (value === null ? '' : `=${encodeURIComponent(value)}`)).join('&');
+    return this.pairs
+      .map(([key, value]) => encode(key) + (value === null ? '' : `=${encode(value)}`))
+      .join('&');
   }
 }
 
-/** Return an address of a path and a query. */
+/**
+ * Return an address of a path and a query.
+ * @param {string} path
+ * @param {Query | Changes} [query]
+ */
 export const address = (path, query) => {
   const text = query instanceof Query ? query.toString() : new Query().with(query ?? {}).toString();
   return text ? `${path}?${text}` : path;
 };
 
-/** Go to an address of these pages. */
+/**
+ * Go to an address of these pages.
+ * @param {string} href
+ * @param {{replace?: boolean}} [how]
+ */
 export const go = (href, { replace = false } = {}) => {
   history[replace ? 'replaceState' : 'pushState'](null, '', href);
   dispatchEvent(new Event('addresschange'));
 };
 
-/** What the pages know of the address: path (decoded parts), query. */
+/**
+ * What the pages know of the address: path (decoded parts), query. @type {import('./ui.js').Context<{path:
+ * string[], query: Query}>}
+ */
 export const Address = createContext(null);
 
 /** Return the address and a function that changes settings in it. */
@@ -92,7 +156,10 @@ export const useAddress = () => {
   const here = useContext(Address);
   return {
     ...here,
-    change: (changes, replace = false) => go(address(location.pathname, here.query.with(changes)), { replace }),
+    /** @param {Changes} changes @param {boolean} [replace] */
+    change: (changes, replace = false) =>
+      go(address(location.pathname, here.query.with(changes)), { replace }),
+    /** @param {Query} query */
     follow: (query) => go(address(location.pathname, query)),
   };
 };

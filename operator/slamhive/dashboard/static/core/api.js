@@ -4,6 +4,7 @@ import { createContext, useContext, useEffect, useState } from './ui.js';
 
 /** An answer that says what was wrong: `field` is the parameter that it was about. */
 export class ApiError extends Error {
+  /** @param {string} message @param {number} status @param {string|null} [field] */
   constructor(message, status, field = null) {
     super(message);
     this.status = status;
@@ -11,77 +12,140 @@ export class ApiError extends Error {
   }
 }
 
-/** Return the JSON at an address of the API. @param {string} url @param {AbortSignal} [signal] */
+/**
+ * Return the JSON at an address of the API.
+ * @param {string} url
+ * @param {AbortSignal} [signal]
+ * @returns {Promise<any>}
+ */
 export async function fetchJson(url, signal) {
   let answer;
   try {
     answer = await fetch(url, { signal, headers: { Accept: 'application/json' } });
   } catch (error) {
-    if (error.name === 'AbortError') throw error;
+    if (error instanceof Error && error.name === 'AbortError') throw error;
     throw new ApiError('The dashboard does not answer. It is tried again by itself.', 0);
   }
   const body = await answer.json().catch(() => null);
-  if (!answer.ok) throw new ApiError(body?.error ?? `The dashboard answered ${answer.status}.`, answer.status, body?.field ?? null);
+  if (!answer.ok)
+    throw new ApiError(
+      body?.error ?? `The dashboard answered ${answer.status}.`,
+      answer.status,
+      body?.field ?? null,
+    );
   return body;
 }
 
-/** The state of what is known: revision, counts, problems, whether the server answers. */
-export const Live = createContext({ revision: null, connected: true, problems: [] });
+/**
+ * The state of what is known: revision, counts, problems, whether the server answers. @type
+ * {import('./ui.js').Context<LiveState>}
+ */
+export const Live = createContext(
+  /** @type {LiveState} */ ({ revision: null, connected: true, problems: [] }),
+);
 
-/** Fetch an address, again at each new revision; the last answer stays until the next one is there.
+const UNKNOWN = { url: null, data: null, current: null, error: null, loading: true };
+
+/**
+ * Fetch an address, again at each new revision; the last answer stays until the next one is there.
+ * @template [T=any]
  * @param {string|null} url null fetches nothing
- * @returns {{data: any, current: any, error: ApiError|null, loading: boolean}} current: the data, if they are already of this very address */
+ * @returns {Loading<T>} current: the data, if they are already of this very address
+ */
 export function useData(url) {
   const { revision, connected } = useContext(Live);
-  const [state, setState] = useState({ url: null, data: null, error: null, loading: true });
+  const [state, setState] = useState(/** @type {Loading<any> & {url: string|null}} */ (UNKNOWN));
   useEffect(() => {
-    if (url === null || (state.url === url && revision && state.data?.revision === revision)) return undefined;
+    if (url === null || (state.url === url && revision && state.data?.revision === revision))
+      return undefined;
     const abort = new AbortController();
     setState((last) => ({ ...last, loading: true }));
     fetchJson(url, abort.signal).then(
-      (data) => setState({ url, data, error: null, loading: false }),
-      (error) => error.name === 'AbortError' || setState((last) => ({ url, data: error.status === 0 ? last.data : null, error, loading: false })),
+      (data) => setState({ url, data, current: null, error: null, loading: false }),
+      (error) =>
+        error.name === 'AbortError' ||
+        setState((last) => ({
+          url,
+          data: error.status === 0 ? last.data : null,
+          current: null,
+          error,
+          loading: false,
+        })),
     );
     return () => abort.abort();
   }, [url, revision, connected]);
-  return url === null ? { data: null, error: null, loading: false, current: null } : { ...state, current: state.url === url ? state.data : null };
+  return url === null
+    ? { data: null, error: null, loading: false, current: null }
+    : { ...state, current: state.url === url ? state.data : null };
 }
 
-/** Fetch several addresses; one that fails gives its error in its place.
- * @param {Array<string|null>} urls null gives no data and no error @returns {Array<{data: any, error: ApiError|null}>|null} null until all are there */
+/**
+ * Fetch several addresses; one that fails gives its error in its place.
+ * @param {Array<string|null>} urls null gives no data and no error
+ * @returns {Array<{data: any, error: ApiError|null}>|null} null until all are there
+ */
 export function useAll(urls) {
   const { revision } = useContext(Live);
   const key = urls.map(String).join(' ');
   const [state, setState] = useState(null);
   useEffect(() => {
     const abort = new AbortController();
-    Promise.all(urls.map((url) => url !== null && fetchJson(url, abort.signal).then((data) => ({ data, error: null }), (error) => ({ data: null, error }))))
-      .then((answers) => abort.signal.aborted || setState({ key, answers: answers.map((one) => one || { data: null, error: null }) }));
+    Promise.all(
+      urls.map(
+        (url) =>
+          url !== null &&
+          fetchJson(url, abort.signal).then(
+            (data) => ({ data, error: null }),
+            (error) => ({ data: null, error }),
+          ),
+      ),
+    ).then(
+      (answers) =>
+        abort.signal.aborted ||
+        setState({ key, answers: answers.map((one) => one || { data: null, error: null }) }),
+    );
     return () => abort.abort();
   }, [key, revision]);
   return state?.key === key ? state.answers : null;
 }
 
-/** Add `format=csv` to an address of the API: the table behind it. */
+/**
+ * Add `format=csv` to an address of the API: the table behind it.
+ * @param {string} url
+ */
 export const csvOf = (url) => `${url}${url.includes('?') ? '&' : '?'}format=csv`;
 
-/** Tell of each new revision: server-sent events, or asking every 5 s where they don't come.
- * @param {(live: object) => void} tell @returns {() => void} ends it */
+/**
+ * Tell of each new revision: server-sent events, or asking every 5 s where they don't come.
+ * @param {(live: LiveState) => void} tell
+ * @returns {() => void} ends it
+ */
 export function follow(tell) {
-  let timer = null;
-  let last = {};
+  /** @type {ReturnType<typeof setInterval> | undefined} */
+  let timer;
+  /** @type {LiveState} */
+  let last = { revision: null, connected: true, problems: [] };
+  /** @param {Partial<LiveState>} changes */
   const say = (changes) => {
     last = { ...last, ...changes };
     tell(last);
   };
-  const poll = () => fetchJson('/api/v1').then(
-    (index) => say({ connected: true, revision: index.revision, counts: index.counts, problems: index.problems ?? [] }),
-    (error) => say({ connected: error.status !== 0 }),
-  );
+  const poll = () =>
+    fetchJson('/api/v1').then(
+      (index) =>
+        say({
+          connected: true,
+          revision: index.revision,
+          counts: index.counts,
+          problems: index.problems ?? [],
+        }),
+      (error) => say({ connected: error.status !== 0 }),
+    );
+  /** @type {EventSource|null} */
   let source = null;
   const quiet = () => {
     clearInterval(timer);
-    timer = null;
+    timer = undefined;
   };
   const close = () => {
     source?.close();

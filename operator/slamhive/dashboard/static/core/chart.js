@@ -4,77 +4,163 @@ import { fileName, Framed, inks, isDark, save, saveSvg } from './figure.js';
 import { html, useEffect, useLayoutEffect, useRef, useState } from './ui.js';
 
 /** Okabe and Ito's colours, distinguishable to the colour-blind; black is left out for the dark theme. */
-export const COLOURS = ['#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6bb1', '#a6761d', '#7f7f7f', '#b3b300'];
+export const COLOURS = [
+  '#0072b2',
+  '#e69f00',
+  '#009e73',
+  '#cc79a7',
+  '#56b4e9',
+  '#d55e00',
+  '#8c6bb1',
+  '#a6761d',
+  '#7f7f7f',
+  '#b3b300',
+  '#1b9e77',
+  '#7570b3',
+];
 
-let loading = null;
+/** @type {Promise<typeof import('/vendor/echarts.mjs')>|undefined} */
+let loading;
 const load = () => (loading ??= import('/vendor/echarts.mjs'));
 
-function dressed(option, dark) {
+/**
+ * Give an option the colours of the page.
+ * @param {any} option
+ * @param {boolean} dark
+ */
+export function dressed(option, dark) {
   const ink = inks(dark);
+  /** @param {any} one */
   const axis = (one) => ({
-    nameTextStyle: { color: ink.text }, nameLocation: 'middle', ...one,
+    nameTextStyle: { color: ink.text },
+    nameLocation: 'middle',
+    ...one,
     axisLabel: { color: ink.faint, hideOverlap: true, ...one.axisLabel },
     axisLine: { lineStyle: { color: ink.faint }, ...one.axisLine },
     splitLine: { lineStyle: { color: ink.line }, ...one.splitLine },
   });
+  /** @param {any} all */
   const axes = (all) => (Array.isArray(all) ? all.map(axis) : all && axis(all));
   const base = {
-    color: COLOURS, animation: false, backgroundColor: ink.back, textStyle: { color: ink.text, fontFamily: 'system-ui, sans-serif' },
+    color: COLOURS,
+    animation: false,
+    backgroundColor: ink.back,
+    textStyle: { color: ink.text, fontFamily: 'system-ui, sans-serif' },
     aria: { enabled: true },
   };
+  /** @type {Record<string, any>} */
   const out = { ...base, ...option, xAxis: axes(option.xAxis), yAxis: axes(option.yAxis) };
   if (option.tooltip) {
-    out.tooltip = { renderMode: 'richText', confine: true, backgroundColor: ink.back, borderColor: ink.line, textStyle: { color: ink.text }, ...option.tooltip };
+    out.tooltip = {
+      renderMode: 'richText',
+      confine: true,
+      backgroundColor: ink.back,
+      borderColor: ink.line,
+      textStyle: { color: ink.text },
+      ...option.tooltip,
+    };
   }
-  if (option.legend) out.legend = { type: 'scroll', top: 0, textStyle: { color: ink.text }, inactiveColor: ink.line, pageTextStyle: { color: ink.text }, pageIconColor: ink.text, ...option.legend };
+  if (option.legend)
+    out.legend = {
+      type: 'scroll',
+      top: 0,
+      textStyle: { color: ink.text },
+      inactiveColor: ink.line,
+      pageTextStyle: { color: ink.text },
+      pageIconColor: ink.text,
+      ...option.legend,
+    };
   if (option.visualMap) out.visualMap = { textStyle: { color: ink.text }, ...option.visualMap };
   if (option.parallel) {
-    out.parallelAxis = option.parallelAxis.map((one) => ({ ...one, nameTextStyle: { color: ink.text }, axisLabel: { color: ink.faint, width: 80, overflow: 'truncate' }, axisLine: { lineStyle: { color: ink.faint } } }));
+    out.parallelAxis = option.parallelAxis.map((/** @type {any} */ one) => ({
+      ...one,
+      nameTextStyle: { color: ink.text },
+      axisLabel: { color: ink.faint, width: 80, overflow: 'truncate' },
+      axisLine: { lineStyle: { color: ink.faint } },
+    }));
   }
   for (const key of ['xAxis', 'yAxis']) if (out[key] === undefined) delete out[key];
   return out;
 }
 
-const sized = (option, box) => (typeof option === 'function' ? option({ width: box.clientWidth, height: box.clientHeight }) : option);
+/**
+ * @param {Sized} option
+ * @param {HTMLElement} box
+ */
+const sized = (option, box) =>
+  typeof option === 'function' ? option({ width: box.clientWidth, height: box.clientHeight }) : option;
 
-const take = (chart, on) => chart?.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption: { brushType: on ? 'rect' : false, brushMode: 'single' } });
+/**
+ * @param {import('/vendor/echarts.mjs').Instance|null} chart
+ * @param {boolean} on
+ */
+const take = (chart, on) =>
+  chart?.dispatchAction({
+    type: 'takeGlobalCursor',
+    key: 'brush',
+    brushOption: { brushType: on ? 'rect' : false, brushMode: 'single' },
+  });
 
-/** A chart.
- * @param {{option: object, title: string, height?: number, csv?: string, table?: {columns: object[], rows: object[]},
- *   onClick?: (event: object) => void, onBrush?: (event: object) => void, link?: string, summary?: string}} props
- *   option: of ECharts, without colours, or a function of {width, height} that gives it; csv: address of the table behind it; link: the page that shows it in full;
- *   brushing: dragging selects, where the option has a brush; group: charts of one group share their cursor. */
-export function Chart({ option, title, height = 380, csv, table, onClick, events, link, summary, brushing = false, group }) {
+/**
+ * A chart.
+ * @param {{option: Sized, title: string, height?: number, csv?: string|true, table?: TableData, onClick?:
+ *   (event: any) => void, events?: Record<string, (event: any, chart: any) => void>, link?: string, summary?:
+ *   string, brushing?: boolean, group?: string}} props option: of ECharts, without colours, or a function of
+ *   {width, height} that gives it; csv: address of the table behind it; link: the page that shows it in full;
+ *   brushing: dragging selects, where the option has a brush; group: charts of one group share their cursor.
+ */
+export function Chart({
+  option,
+  title,
+  height = 380,
+  csv,
+  table,
+  onClick,
+  events,
+  link,
+  summary,
+  brushing = false,
+  group,
+}) {
   const box = useRef(null);
   const chart = useRef(null);
-  const current = useRef({});
+  const current = useRef(/** @type {any} */ ({}));
   const [failed, setFailed] = useState(null);
   current.current = { option, onClick, events, brushing, group };
 
   useLayoutEffect(() => {
     let ended = false;
+    /** @type {ResizeObserver|null} */
     let watcher = null;
-    const draw = () => chart.current?.setOption(dressed(sized(current.current.option, box.current), isDark()), { notMerge: true });
-    load().then((echarts) => {
-      if (ended) return;
-      chart.current = echarts.init(box.current, null, { renderer: 'canvas' });
-      if (current.current.group) {
-        chart.current.group = current.current.group;
-        echarts.connect(current.current.group);
-      }
-      chart.current.on('click', (event) => current.current.onClick?.(event));
-      for (const name of Object.keys(current.current.events ?? {})) {
-        chart.current.on(name, (event) => current.current.events[name]?.(event, chart.current));
-      }
-      draw();
-      if (current.current.option.brush) take(chart.current, current.current.brushing);
-      box.current.dataset.drawn = 'yes';
-      watcher = new ResizeObserver(() => {
-        chart.current?.resize();
-        if (typeof current.current.option === 'function') draw();
+    const draw = () =>
+      chart.current?.setOption(dressed(sized(current.current.option, box.current), isDark()), {
+        notMerge: true,
       });
-      watcher.observe(box.current);
-    }, () => setFailed('The chart library could not be loaded; the table below has the numbers.'));
+    load().then(
+      (echarts) => {
+        if (ended) return;
+        chart.current = echarts.init(box.current, null, { renderer: 'canvas' });
+        if (current.current.group) {
+          chart.current.group = current.current.group;
+          echarts.connect(current.current.group);
+        }
+        chart.current.on('click', (/** @type {any} */ event) => current.current.onClick?.(event));
+        for (const name of Object.keys(current.current.events ?? {})) {
+          chart.current.on(name, (/** @type {any} */ event) =>
+            current.current.events[name]?.(event, chart.current),
+          );
+        }
+        draw();
+        if (current.current.option.brush) take(chart.current, current.current.brushing);
+        box.current.dataset.drawn = 'yes';
+        watcher = new ResizeObserver(() => {
+          chart.current?.resize();
+          if (typeof current.current.option === 'function') draw();
+        });
+        watcher.observe(box.current);
+      },
+      () => setFailed('The chart library could not be loaded; the table below has the numbers.'),
+    );
     addEventListener('themechange', draw);
     return () => {
       ended = true;
@@ -86,19 +172,48 @@ export function Chart({ option, title, height = 380, csv, table, onClick, events
   }, []);
   useEffect(() => {
     chart.current?.setOption(dressed(sized(option, box.current), isDark()), { notMerge: true });
-    if (option.brush) take(chart.current, brushing);
+    if ('brush' in option) take(chart.current, brushing);
   }, [option, brushing]);
 
-  const png = () => save(chart.current.getDataURL({ type: 'png', pixelRatio: 2, backgroundColor: inks(isDark()).back }), fileName(title, 'png'));
+  const png = () =>
+    save(
+      chart.current.getDataURL({
+        type: 'png',
+        pixelRatio: 2,
+        backgroundColor: inks(isDark()).back,
+      }),
+      fileName(title, 'png'),
+    );
   const svg = async () => {
     const echarts = await load();
-    const paper = echarts.init(null, null, { renderer: 'svg', ssr: true, width: box.current.clientWidth, height });
+    const paper = echarts.init(null, null, {
+      renderer: 'svg',
+      ssr: true,
+      width: box.current.clientWidth,
+      height,
+    });
     paper.setOption(dressed(sized(current.current.option, box.current), false));
     saveSvg(paper.renderToSVGString(), fileName(title, 'svg'));
     paper.dispose();
   };
 
-  return html`<${Framed} title=${title} link=${link} csv=${csv} table=${table} png=${png} svg=${svg}>
-    ${failed && html`<p class="fault" role="alert">${failed}</p>`}
-    <div class="canvas" ref=${box} role="img" aria-label=${summary ?? title} style=${{ height: `${height}px` }}></div></${Framed}>`;
+  return html`
+    <${Framed} title=${title} link=${link} csv=${csv} table=${table} png=${png} svg=${svg}>
+      ${
+        failed &&
+        html`
+          <p class="fault" role="alert">
+            ${failed}
+          </p>
+        `
+      }
+      <div
+        class="canvas"
+        ref=${box}
+        role="img"
+        aria-label=${summary ?? title}
+        style=${{ height: `${height}px` }}
+      ></div>
+    </${Framed}>
+  `;
 }

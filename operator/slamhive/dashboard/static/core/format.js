@@ -1,11 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Values as people read them. */
 
-const STATUS_CLASS = {
-  Tracked: 'good', Succeeded: 'good', Partial: 'fair', Running: 'live', Pending: 'live', Queued: 'live', NotEvaluated: 'plain',
-};
+const STATUS_CLASS = new Map(
+  Object.entries({
+    Tracked: 'good',
+    Succeeded: 'good',
+    Partial: 'fair',
+    Running: 'live',
+    Pending: 'live',
+    Queued: 'live',
+    NotEvaluated: 'plain',
+  }),
+);
 
-/** Return a number with four significant digits; '–' where there is none. */
+/**
+ * Return a number with four significant digits; '–' where there is none.
+ * @param {number|null|undefined} value
+ * @param {number} [digits]
+ */
 export function number(value, digits = 4) {
   if (value === null || value === undefined || Number.isNaN(value)) return '–';
   if (value === 0) return '0';
@@ -15,14 +27,22 @@ export function number(value, digits = 4) {
   return String(Number(value.toPrecision(Math.max(digits, Math.ceil(Math.log10(size))))));
 }
 
-/** Return an ISO time or seconds since 1970 in the reader's zone. */
+/**
+ * Return an ISO time or seconds since 1970 in the reader's zone.
+ * @param {string|number|null|undefined} value
+ */
 export function time(value) {
   if (value === null || value === undefined) return '–';
   const date = new Date(typeof value === 'number' ? value * 1000 : value);
   return Number.isNaN(date.getTime()) ? String(value) : date.toLocaleString('sv');
 }
 
-/** Return a stored value of a column as it is shown. @param heading the column's heading */
+/**
+ * Return a stored value of a column as it is shown.
+ * @param {any} value
+ * @param {{kind?: string, factor?: number}} [heading] the column's
+ * @returns {string}
+ */
 export function cell(value, heading) {
   if (value === null || value === undefined) return '–';
   if (typeof value === 'boolean') return value ? 'yes' : 'no';
@@ -32,16 +52,28 @@ export function cell(value, heading) {
   return String(value);
 }
 
-/** Cut a long text in the middle of its length. */
+/**
+ * Cut a long text at its end, between two characters.
+ * @param {unknown} text
+ * @param {number} [length]
+ */
 export const clip = (text, length = 60) => {
   const whole = String(text);
-  return whole.length > length ? `${whole.slice(0, length - 1)}…` : whole;
+  if (whole.length <= length) return whole;
+  const kept = whole.slice(0, length - 1);
+  return `${/[\ud800-\udbff]$/.test(kept) ? kept.slice(0, -1) : kept}…`;
 };
 
-/** Return the class of a status' colour. */
-export const statusClass = (status) => STATUS_CLASS[status] ?? 'bad';
+/**
+ * Return the class of a status' colour.
+ * @param {string} status
+ */
+export const statusClass = (status) => STATUS_CLASS.get(status) ?? 'bad';
 
-/** Return bytes as KiB, MiB or GiB. */
+/**
+ * Return bytes as KiB, MiB or GiB.
+ * @param {number|null|undefined} value
+ */
 export function bytes(value) {
   if (value === null || value === undefined) return '–';
   const steps = ['B', 'KiB', 'MiB', 'GiB', 'TiB'];
@@ -51,23 +83,60 @@ export function bytes(value) {
 
 /** Columns whose values say by themselves what they are. */
 export const SUBJECT = ['algorithm', 'sensors', 'dataset'];
-const TITLES = { 'input.frameRate': 'frame rate [Hz]', 'provenance.cpuModel': 'processor', 'usage.includesReader': 'reader included' };
+const TITLES = new Map(
+  Object.entries({
+    'input.frameRate': 'frame rate [Hz]',
+    'provenance.cpuModel': 'processor',
+    'usage.includesReader': 'reader included',
+  }),
+);
 const PREFIX = /^(parameters|input|resources|dataset\.attributes|label|provenance)\./;
 
-/** Return what people call a column, with its unit. */
-export const columnTitle = (name) => TITLES[name] ?? name.replace(PREFIX, '');
+/**
+ * Return what people call a column, with its unit.
+ * @param {string} name
+ */
+export const columnTitle = (name) => TITLES.get(name) ?? name.replace(PREFIX, '');
 
-/** Return a value of a column with its name, unless it says by itself what it is: "mono", "frame rate 7.5 Hz", "reader not included". */
+/**
+ * Return the heading of a column; one that the answer doesn't have is called by its name.
+ * @template {Api.Heading} T
+ * @param {T[]} headings
+ * @param {string} name
+ * @returns {T | Api.Heading}
+ */
+export const headingOf = (headings, name) =>
+  headings.find((one) => one.name === name) ?? { name, title: name };
+
+/**
+ * Return a value of a column with its name, unless it says by itself what it is: "mono", "frame rate 7.5 Hz",
+ * "reader not included".
+ * @param {string} name
+ * @param {Api.Value|undefined} value
+ */
 export function namedValue(name, value) {
-  if (name === 'usage.includesReader') return { true: 'reader included', false: 'reader not included' }[value] ?? 'reader unknown';
+  if (name === 'usage.includesReader')
+    return value === true ? 'reader included' : value === false ? 'reader not included' : 'reader unknown';
   if (SUBJECT.includes(name)) return cell(value);
-  const [title, unit] = columnTitle(name).split(' [');
-  return `${title} ${cell(value)}${unit && value !== null && value !== undefined ? ` ${unit.slice(0, -1)}` : ''}`;
+  const [, title, unit] = /^(.*?)(?: \[([^[\]]*)\])?$/s.exec(columnTitle(name)) ?? [];
+  return `${title} ${cell(value)}${unit && value !== null && value !== undefined ? ` ${unit}` : ''}`;
 }
 
-/** Return keys of a group as one text: "orb-slam3, mono, evaluation sim3". */
-export const keysText = (keys) => Object.entries(keys ?? {}).map(([name, value]) => namedValue(name, value)).join(', ');
+/**
+ * Return keys of a group as one text: "orb-slam3, mono, evaluation sim3".
+ * @param {Api.Keys|null|undefined} keys
+ */
+export const keysText = (keys) =>
+  Object.entries(keys ?? {})
+    .map(([name, value]) => namedValue(name, value))
+    .join(', ');
 
-/** Return the keys by which some groups differ, and those that say what a group is about: what all share needs no telling.
- * @param {object[]} all keys of each group */
-export const tellingKeys = (all) => Object.keys(all[0] ?? {}).filter((name) => SUBJECT.includes(name) || new Set(all.map((keys) => String(keys[name]))).size > 1);
+/**
+ * Return the keys by which some groups differ, and those that say what a group is about: what all share needs
+ * no telling.
+ * @param {Api.Keys[]} all keys of each group
+ */
+export const tellingKeys = (all) =>
+  Object.keys(all[0] ?? {}).filter(
+    (name) => SUBJECT.includes(name) || new Set(all.map((keys) => String(keys[name]))).size > 1,
+  );

@@ -4,79 +4,265 @@ import { address, go } from './address.js';
 import { cell, clip, statusClass } from './format.js';
 import { html, useEffect } from './ui.js';
 
-/** A link within these pages; modifier keys and the middle button open it as browsers do. */
-export const Link = ({ href, children, ...rest }) => html`<a href=${href} onClick=${(event) => {
-  if (event.ctrlKey || event.metaKey || event.shiftKey || event.button) return;
-  event.preventDefault();
-  go(href);
-  scrollTo(0, 0);
-}} ...${rest}>${children}</a>`;
+const ARROWS = { ascending: ' ↑', descending: ' ↓' };
 
-/** Give the page its title. */
-export const useTitle = (title) => useEffect(() => {
-  document.title = `${clip(title, 80)} · SLAM Hive`;
-}, [title]);
+/**
+ * A link within these pages; modifier keys and the middle button open it as browsers do.
+ * @param {{href: string, children?: Shown} & Record<string, any>} props
+ */
+export const Link = ({ href, children, ...rest }) => html`
+  <a
+    href=${href}
+    onClick=${(event) => {
+      if (event.ctrlKey || event.metaKey || event.shiftKey || event.button) return;
+      event.preventDefault();
+      go(href);
+      scrollTo(0, 0);
+    }}
+    ...${rest}
+  >
+    ${children}
+  </a>
+`;
 
-/** What was wrong, in the API's words; a second and third line show the place. */
-export const Fault = ({ error }) => error && html`<div class="fault" role="alert"><pre>${error.message}</pre></div>`;
+/**
+ * Give the page its title.
+ * @param {string} title
+ */
+export const useTitle = (title) =>
+  useEffect(() => {
+    document.title = `${clip(title, 80)} · SLAM Hive`;
+  }, [title]);
+
+/**
+ * What was wrong, in the API's words; a second and third line show the place.
+ * @param {{error: {message: string}|null|undefined}} props
+ */
+export const Fault = ({ error }) =>
+  error &&
+  html`
+    <div class="fault" role="alert">
+      <pre>${error.message}</pre>
+    </div>
+  `;
 
 /** Shown while the first answer is awaited. */
-export const Waiting = () => html`<p class="quiet" role="status">Loading…</p>`;
+export const Waiting = () => html`
+  <p class="quiet" role="status">
+    Loading…
+  </p>
+`;
 
-/** An answer's body, or what stands in its place. */
-export const Loaded = ({ state, children }) => html`<${Fault} error=${state.error} />${
-  state.data ? children(state.data) : !state.error && html`<${Waiting} />`}`;
+/**
+ * An answer's body, or what stands in its place. @template T
+ * @param {{state: {data: T|null, error: Error|null}, children: (data: T) => Shown}} props
+ */
+export const Loaded = ({ state, children }) => html`
+  <${Fault} error=${state.error} />
+  ${state.data ? children(state.data) : !state.error && html`<${Waiting} />`}
+`;
 
-/** A run's status in words and colour. */
-export const Status = ({ value }) => html`<span class=${`status ${statusClass(value)}`}>${clip(value ?? '–', 40)}</span>`;
+/**
+ * A run's status in words and colour.
+ * @param {{value: string}} props
+ */
+export const Status = ({ value }) => html`
+  <span class=${`status ${statusClass(value)}`}>${clip(value ?? '–', 40)}</span>
+`;
 
-/** Sentences below a chart. */
-export const Notes = ({ notes }) => notes?.length > 0 && html`<ul class="notes">${notes.map((note) => html`<li>${clip(note, 600)}</li>`)}</ul>`;
+/**
+ * Sentences below a chart.
+ * @param {{notes: string[]|null|undefined}} props
+ */
+export const Notes = ({ notes }) =>
+  notes &&
+  notes.length > 0 &&
+  html`
+    <ul class="notes">
+      ${notes.map(
+        (note) => html`
+          <li>${clip(note, 600)}</li>
+        `,
+      )}
+    </ul>
+  `;
 
 /** What to do where there are no results yet. */
-export const Empty = () => html`<section class="empty"><h2>Nothing is here yet</h2>
-  <p>Run a sweep on this machine:</p><pre>slamhive run examples/…/sweep.yaml</pre>
-  <p>or take in the runs of the original SLAM Hive:</p><pre>slamhive import slam-hive FOLDER --ground-truth FOLDER --alignment sim3</pre>
-  <p>This page shows them as soon as they are there; there is no need to load it again.</p></section>`;
+export const Empty = () => html`
+  <section class="empty">
+    <h2>Nothing is here yet</h2>
+    <p>Run a sweep on this machine:</p>
+    <pre>slamhive run examples/…/sweep.yaml</pre>
+    <p>or import the runs of the original SLAM Hive:</p>
+    <pre>slamhive import slam-hive FOLDER --ground-truth FOLDER --alignment sim3</pre>
+    <p>This page shows them as soon as they exist; no reload is needed.</p>
+  </section>
+`;
 
-/** Nothing fits the filters. @param {{notes?: string[]}} props notes: what is left out */
-export const NothingFits = ({ notes }) => html`<div><p class="empty">No run fits these filters. Take one of them away.</p><${Notes} notes=${notes} /></div>`;
+/**
+ * Nothing fits the filters.
+ * @param {{notes?: string[]}} props notes: what is left out
+ */
+export const NothingFits = ({ notes }) => html`
+  <div>
+    <p class="empty">No run fits these filters. Remove one of them.</p>
+    <${Notes} notes=${notes} />
+  </div>
+`;
 
-/** A choice with a label. `options` are [value, text] or texts; a group is {label, options}. */
+/**
+ * A choice with a label. `options` are [value, text] or texts; a group is {label, options}.
+ * @param {{label: string, value: string, options: Array<Offered | OfferedGroup>,
+ *   onChange: (value: string) => void, error?: ApiFault|null, none?: string}} props
+ */
 export const Choice = ({ label, value, options, onChange, error, none }) => {
+  /** @param {Offered} option */
   const one = (option) => {
     const [key, text] = Array.isArray(option) ? option : [option, option];
-    return html`<option value=${key} selected=${key === value}>${clip(text, 60)}</option>`;
+    return html`
+      <option value=${key} selected=${key === value}>
+        ${clip(text, 60)}
+      </option>
+    `;
   };
-  const known = options.flatMap((option) => option.options ?? [option]).some((option) => (Array.isArray(option) ? option[0] : option) === value);
-  return html`<label class=${`field ${error ? 'wrong' : ''}`}><span>${label}</span>
-    <select value=${value} aria-invalid=${error ? 'true' : null} onChange=${(event) => onChange(event.target.value)}>
-      ${none !== undefined && html`<option value="" selected=${!value}>${none}</option>`}
-      ${value && !known && html`<option value=${value} selected>${clip(value, 60)}</option>`}
-      ${options.map((option) => (option.options ? html`<optgroup label=${option.label}>${option.options.map(one)}</optgroup>` : one(option)))}
-    </select>${error && html`<${Fault} error=${error} />`}</label>`;
+  const known = options
+    .flatMap((option) => (isGroup(option) ? option.options : [option]))
+    .some((option) => (Array.isArray(option) ? option[0] : option) === value);
+  return html`
+    <label class=${`field ${error ? 'wrong' : ''}`}>
+      <span>${label}</span>
+      <select
+        value=${value}
+        aria-invalid=${error ? 'true' : null}
+        onChange=${(event) => onChange(event.target.value)}
+      >
+        ${
+          none !== undefined &&
+          html`
+            <option value="" selected=${!value}>
+              ${none}
+            </option>
+          `
+        }
+        ${
+          value &&
+          !known &&
+          html`
+            <option value=${value} selected>
+              ${clip(value, 60)}
+            </option>
+          `
+        }
+        ${options.map((option) =>
+          isGroup(option)
+            ? html`
+              <optgroup label=${option.label}>${option.options.map(one)}</optgroup>
+            `
+            : one(option),
+        )}
+      </select>
+      ${error && html`<${Fault} error=${error} />`}
+    </label>
+  `;
 };
 
-/** A box to tick. */
-export const Tick = ({ label, checked, onChange }) => html`<label class="tick"><input type="checkbox" checked=${checked}
-  onChange=${(event) => onChange(event.target.checked)} />${label}</label>`;
+/**
+ * @param {Offered | OfferedGroup} option
+ * @returns {option is OfferedGroup}
+ */
+const isGroup = (option) => typeof option === 'object' && 'options' in option;
 
-/** A table. `columns`: {name, title, kind, factor, show?(value, row)}. */
-export const Table = ({ columns, rows, caption, sort, onSort, rowKey }) => html`<div class="scroll" tabindex="0" role="region" aria-label=${caption}>
-  <table><caption class="hidden">${caption}</caption><thead><tr>${columns.map((column) => {
-    const direction = sort?.replace('-', '') === column.name ? (sort.startsWith('-') ? 'descending' : 'ascending') : null;
-    const arrow = { ascending: ' ↑', descending: ' ↓' }[direction] ?? '';
-    return html`<th scope="col" class=${numeric(column) ? 'number' : ''} aria-sort=${direction} title=${column.name}>${onSort && column.sortable !== false
-      ? html`<button type="button" onClick=${() => onSort(direction === 'ascending' ? `-${column.name}` : column.name)}>${clip(column.title ?? column.name, 40)}${arrow}</button>`
-      : clip(column.title ?? column.name, 40)}</th>`;
-  })}</tr></thead>
-  <tbody>${rows.map((row, index) => html`<tr key=${rowKey ? row[rowKey] : index}>${columns.map((column) => {
-    const value = row[column.name];
-    const text = column.show ? null : cell(value, column);
-    return html`<td class=${numeric(column) ? 'number' : ''} title=${text?.length > 48 ? clip(text, 1000) : null}>${column.show ? column.show(value, row) : clip(text, 48)}</td>`;
-  })}</tr>`)}</tbody></table></div>`;
+/**
+ * A box to tick.
+ * @param {{label: string, checked: boolean, onChange: (on: boolean) => void}} props
+ */
+export const Tick = ({ label, checked, onChange }) => html`
+  <label class="tick">
+    <input
+      type="checkbox"
+      checked=${checked}
+      onChange=${(event) => onChange(event.target.checked)}
+    />
+    ${label}
+  </label>
+`;
 
-const numeric = (column) => ['number', 'integer'].includes(column.kind);
+/**
+ * A table.
+ * @param {TableData & {caption: string, sort?: string, onSort?: (sort: string) => void, rowKey?: string}}
+ *   props
+ */
+export const Table = ({ columns, rows, caption, sort, onSort, rowKey }) => html`
+  <div class="scroll" tabindex="0" role="region" aria-label=${caption}>
+    <table>
+      <caption class="hidden">${caption}</caption>
+      <thead>
+        <tr>
+          ${columns.map((column) => {
+            const direction =
+              sort?.replace('-', '') === column.name
+                ? sort.startsWith('-')
+                  ? 'descending'
+                  : 'ascending'
+                : null;
+            const arrow = direction ? ARROWS[direction] : '';
+            return html`
+              <th
+                scope="col"
+                class=${numeric(column) ? 'number' : ''}
+                aria-sort=${direction}
+                title=${column.name}
+              >
+                ${
+                  onSort && column.sortable !== false
+                    ? html`
+                      <button
+                        type="button"
+                        onClick=${() => onSort(direction === 'ascending' ? `-${column.name}` : column.name)}
+                      >
+                        ${clip(column.title ?? column.name, 40)}
+                        ${arrow}
+                      </button>
+                    `
+                    : clip(column.title ?? column.name, 40)
+                }
+              </th>
+            `;
+          })}
+        </tr>
+      </thead>
+      <tbody>
+        ${rows.map(
+          (row, index) => html`
+            <tr key=${rowKey ? row[rowKey] : index}>
+              ${columns.map((column) => {
+                const value = row[column.name];
+                const text = column.show ? null : cell(value, column);
+                return html`
+                  <td
+                    class=${numeric(column) ? 'number' : ''}
+                    title=${text && text.length > 48 ? clip(text, 1000) : null}
+                  >
+                    ${column.show ? column.show(value, row) : clip(text, 48)}
+                  </td>
+                `;
+              })}
+            </tr>
+          `,
+        )}
+      </tbody>
+    </table>
+  </div>
+`;
 
-/** A link to a run by its uid. */
-export const runLink = (uid, text) => html`<${Link} href=${address(`/runs/${encodeURIComponent(uid)}`)}>${clip(text ?? uid, 48)}</${Link}>`;
+/** @param {TableColumn} column */
+const numeric = (column) => ['number', 'integer'].includes(column.kind ?? '');
+
+/**
+ * A link to a run by its uid.
+ * @param {string} uid
+ * @param {string} [text]
+ */
+export const runLink = (uid, text) => html`
+  <${Link} href=${address(`/runs/${encodeURIComponent(uid)}`)}>${clip(text ?? uid, 48)}</${Link}>
+`;

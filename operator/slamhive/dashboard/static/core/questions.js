@@ -1,51 +1,173 @@
 // SPDX-License-Identifier: Apache-2.0
 /** The questions that SLAM Hive's paper asks, as saved analyses. */
 
+/**
+ * @param {Api.Column[]} columns
+ * @param {string} name
+ */
 const named = (columns, name) => columns.find((one) => one.name === name);
+/**
+ * @param {Api.Column[]} columns
+ * @param {string} name
+ */
 const varies = (columns, name) => (named(columns, name)?.distinct ?? 0) > 1;
-const has = (columns, name, values) => values.every((value) => named(columns, name)?.values?.some((one) => one.value === value));
-const first = (columns, pattern, groups) => columns.find((one) => pattern.test(one.name) && groups.includes(one.group) && one.distinct > 1)?.name;
+/**
+ * @param {Api.Column[]} columns
+ * @param {string} name
+ * @param {Api.Value[]} values
+ */
+const has = (columns, name, values) =>
+  values.every((value) => named(columns, name)?.values?.some((one) => one.value === value));
+/**
+ * @param {Api.Column[]} columns
+ * @param {RegExp} pattern
+ * @param {string[]} groups
+ */
+const first = (columns, pattern, groups) =>
+  columns.find((one) => pattern.test(one.name) && groups.includes(one.group) && one.distinct > 1)?.name;
 
 /** The tables of the ICRA 2023 paper, which averaged over all runs but a few. */
 const PUBLISHED = [
-  { title: 'Table III as published', page: '/table', settings: { by: 'sensors,algorithm,dataset', metrics: 'ate.rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes', figures: 'mean', outcomes: 'all',
-    where: "dataset != 'rgbd-dataset-freiburg2-desk' and run not in (53, 103, 122)" },
-    note: 'As in the paper: runs 53, 103 (0.446 m) and 122 are left out, and runs that did not track to the end count like all others, run 63 with 47 % of its path among them. The leaderboard leaves out none and ranks failures last.' },
-  { title: 'Table IV as published', page: '/table', settings: { by: 'parameters.nFeatures', metrics: 'ate.rmse,rpe[0].rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes', figures: 'mean', outcomes: 'all',
-    where: "dataset == 'rgbd-dataset-freiburg2-desk' and run not in (124, 139, 140)" },
-    note: 'As in the paper: means over five runs each, runs 124, 139 and 140 left out, and runs that did not track to the end count like all others.' },
+  {
+    title: 'Table III as published',
+    page: '/table',
+    settings: {
+      by: 'sensors,algorithm,dataset',
+      metrics: 'ate.rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes',
+      figures: 'mean',
+      outcomes: 'all',
+      where: "dataset != 'rgbd-dataset-freiburg2-desk' and run not in (53, 103, 122)",
+    },
+    note:
+      'As in the paper: runs 53, 103 (0.446 m) and 122 are left out, and runs that did not track to the ' +
+      'end count like all others, run 63 with 47 % of its path among them. The leaderboard leaves out ' +
+      'none and ranks failures last.',
+  },
+  {
+    title: 'Table IV as published',
+    page: '/table',
+    settings: {
+      by: 'parameters.nFeatures',
+      metrics: 'ate.rmse,rpe[0].rmse,usage.cpu.meanCores,usage.cpu.maxCores,usage.memory.peakBytes',
+      figures: 'mean',
+      outcomes: 'all',
+      where: "dataset == 'rgbd-dataset-freiburg2-desk' and run not in (124, 139, 140)",
+    },
+    note:
+      'As in the paper: means over five runs each, runs 124, 139 and 140 left out, and runs that did not ' +
+      'track to the end count like all others.',
+  },
 ];
 
-/** Return the presets that draw the paper's own tables; [] where its runs are not here. @param {object[]} columns */
-export const published = (columns) => (named(columns, 'label.source')?.values?.some((one) => one.value === 'slam-hive') ? PUBLISHED : []);
+/**
+ * Return the presets that draw the paper's own tables; [] where its runs are not here.
+ * @param {Api.Column[]} columns
+ */
+export const published = (columns) =>
+  named(columns, 'label.source')?.values?.some((one) => one.value === 'slam-hive') ? PUBLISHED : [];
 
-/** Return the column that tells a front from a back camera. */
-const cameras = (columns) => columns.find((one) => ['labels', 'dataset', 'input'].includes(one.group) && one.distinct > 1
-  && [/front/i, /back|rear/i].every((side) => one.values?.some((found) => side.test(String(found.value)))))?.name;
+/**
+ * Return the column that tells a front from a back camera.
+ * @param {Api.Column[]} columns
+ */
+const cameras = (columns) =>
+  columns.find(
+    (one) =>
+      ['labels', 'dataset', 'input'].includes(one.group) &&
+      one.distinct > 1 &&
+      [/front/i, /back|rear/i].every((side) => one.values?.some((found) => side.test(String(found.value)))),
+  )?.name;
 
-/** Return what can be asked. Those without `settings` say in `needs` which runs they need.
- * @param {object[]} columns headings of /api/v1/columns
- * @returns {Array<{title: string, page: string, settings: object|null, needs: string}>} */
+/**
+ * Return what can be asked. Those without `settings` say in `needs` which runs they need.
+ * @param {Api.Column[]} columns of /api/v1/columns
+ * @returns {Question[]}
+ */
 export function questions(columns) {
+  /**
+   * @param {string} title
+   * @param {string} needs
+   * @param {Question['settings']} settings
+   */
   const ask = (title, needs, settings) => ({ title, page: '/explore', needs, settings });
+  /**
+   * @param {boolean} holds
+   * @param {Record<string, string|string[]>} settings
+   */
   const when = (holds, settings) => (holds ? settings : null);
+  /** @type {{facet?: string}} */
   const apart = varies(columns, 'dataset') ? { facet: 'dataset' } : {};
-  const features = first(columns, /^parameters\..*(n|num|max)_?features?$/i, ['parameters']) ?? 'parameters.nFeatures';
-  const loops = first(columns, /loop/i, ['dataset']) ?? first(columns, /loop/i, ['metrics']) ?? first(columns, /loop/i, ['parameters']);
+  const features =
+    first(columns, /^parameters\..*(n|num|max)_?features?$/i, ['parameters']) ?? 'parameters.nFeatures';
+  const loops =
+    first(columns, /loop/i, ['dataset']) ??
+    first(columns, /loop/i, ['metrics']) ??
+    first(columns, /loop/i, ['parameters']);
   const camera = cameras(columns);
   return [
-    ask('Image resolution vs ATE', 'runs at several input.resolution', when(varies(columns, 'input.resolution'), { kind: 'line', x: 'input.resolution', y: 'ate.rmse', ...apart })),
-    ask('Frame rate vs CPU', 'runs at several input.frameRate', when(varies(columns, 'input.frameRate'), { kind: 'line', x: 'input.frameRate', y: 'usage.cpu.meanCores', ...apart })),
-    ask('Features vs ATE, CPU and RAM', 'runs with several nFeatures', when(varies(columns, features), {
-      kind: 'line', x: features, y: 'ate.rmse,usage.cpu.meanCores,usage.memory.peakBytes', ...apart, where: `${quoted(features)} is not null` })),
-    ask('Loops vs ATE', 'datasets with an attribute loops, or a metric or parameter of the algorithm of that name', loops ? { kind: 'scatter', x: loops, y: 'ate.rmse', colour: 'algorithm' } : null),
-    ask('Sensor mode against sensor mode', 'runs in several sensor modes', when(varies(columns, 'sensors'), { kind: 'box', x: 'sensors', y: 'ate.rmse', ...apart })),
-    ask('Front against back camera', 'runs with input.remap.camera, a label or an attribute that says front and back', camera ? { kind: 'box', x: camera, y: 'ate.rmse', colour: 'algorithm', ...apart } : null),
-    ask('LiDAR against RGB-D', 'runs with lidar and with rgbd', when(
-      has(columns, 'sensors', ['lidar', 'rgbd']), { kind: 'box', x: 'sensors', y: 'ate.rmse', sensors: ['lidar', 'rgbd'], ...apart })),
+    ask(
+      'Image resolution vs ATE',
+      'runs at several input.resolution',
+      when(varies(columns, 'input.resolution'), {
+        kind: 'line',
+        x: 'input.resolution',
+        y: 'ate.rmse',
+        ...apart,
+      }),
+    ),
+    ask(
+      'Frame rate vs CPU',
+      'runs at several input.frameRate',
+      when(varies(columns, 'input.frameRate'), {
+        kind: 'line',
+        x: 'input.frameRate',
+        y: 'usage.cpu.meanCores',
+        ...apart,
+      }),
+    ),
+    ask(
+      'Features vs ATE, CPU and RAM',
+      'runs with several nFeatures',
+      when(varies(columns, features), {
+        kind: 'line',
+        x: features,
+        y: 'ate.rmse,usage.cpu.meanCores,usage.memory.peakBytes',
+        ...apart,
+        where: `${quoted(features)} is not null`,
+      }),
+    ),
+    ask(
+      'Loops vs ATE',
+      'datasets with an attribute loops, or a metric or parameter of the algorithm of that name',
+      loops ? { kind: 'scatter', x: loops, y: 'ate.rmse', colour: 'algorithm' } : null,
+    ),
+    ask(
+      'Sensor mode against sensor mode',
+      'runs in several sensor modes',
+      when(varies(columns, 'sensors'), { kind: 'box', x: 'sensors', y: 'ate.rmse', ...apart }),
+    ),
+    ask(
+      'Front against back camera',
+      'runs with input.remap.camera, a label or an attribute that says front and back',
+      camera ? { kind: 'box', x: camera, y: 'ate.rmse', colour: 'algorithm', ...apart } : null,
+    ),
+    ask(
+      'LiDAR against RGB-D',
+      'runs with lidar and with rgbd',
+      when(has(columns, 'sensors', ['lidar', 'rgbd']), {
+        kind: 'box',
+        x: 'sensors',
+        y: 'ate.rmse',
+        sensors: ['lidar', 'rgbd'],
+        ...apart,
+      }),
+    ),
     ...published(columns),
   ];
 }
 
-/** Return a column's name as it stands in a condition. */
+/**
+ * Return a column's name as it stands in a condition.
+ * @param {string} name
+ */
 export const quoted = (name) => (/^[A-Za-z_][\w.]*$/.test(name) ? name : `\`${name}\``);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/** Marks on what a wrong calibration may have falsified: scales that are off by the same factor in all runs. */
+/** Marks on what a wrong calibration may have falsified: scales that are off by one factor in all runs. */
 import { address } from './address.js';
 import { useData } from './api.js';
 import { clip, keysText, number } from './format.js';
@@ -8,20 +8,59 @@ import { html } from './ui.js';
 
 const ADDRESS = '/api/v1/analysis/suspects';
 
-/** Return all suspects; [] until they are known. */
+/**
+ * Return all suspects; [] until they are known.
+ * @returns {Api.Suspect[]}
+ */
 export const useSuspects = () => useData(ADDRESS).data?.items ?? [];
 
-/** Return the suspect that something belongs to; undefined where there is none.
- * @param {object[]} suspects @param {object} keys algorithm, sensors, dataset, evaluation as far as they are known */
-export const suspectOf = (suspects, keys) => suspects.find((one) => Object.entries(one.keys).every(([name, value]) => keys[name] === undefined || keys[name] === value)
-  && ['algorithm', 'sensors'].every((name) => keys[name] !== undefined));
+/**
+ * Return the suspect that something belongs to; undefined where there is none.
+ * @param {Api.Suspect[]} suspects
+ * @param {Record<string, Api.Value|undefined>} keys algorithm, sensors, dataset, evaluation as far as they
+ *   are known
+ */
+export const suspectOf = (suspects, keys) =>
+  suspects.find(
+    (one) =>
+      Object.entries(one.keys).every(([name, value]) => keys[name] === undefined || keys[name] === value) &&
+      ['algorithm', 'sensors'].every((name) => keys[name] !== undefined),
+  );
 
-/** A mark beside a figure. */
-export const Mark = ({ suspect }) => suspect && html` <${Link} class="status fair" href=${address('/studies', { kind: 'suspects' })} title=${clip(suspect.sentence, 400)}>calibration suspect</${Link}>`;
+/**
+ * A mark beside a figure.
+ * @param {{suspect: Api.Suspect|undefined}} props
+ */
+export const Mark = ({ suspect }) =>
+  suspect &&
+  html`
+    <${Link}
+      class="status fair"
+      href=${address('/studies', { kind: 'suspects' })}
+      title=${clip(suspect.sentence, 400)}
+    >
+      calibration suspect
+    </${Link}>
+  `;
 
-/** What is suspect of one run's kind, in sentences. @param {{keys: object, evaluations: string[]}} props */
+/**
+ * What is suspect of one run's kind, in sentences.
+ * @param {{keys: Api.Keys, evaluations: string[]}} props
+ */
 export function SuspectNotes({ keys, evaluations }) {
   const suspects = useSuspects();
-  const found = suspects.filter((one) => (evaluations.length ? evaluations : [undefined]).some((evaluation) => suspectOf([one], { ...keys, evaluation })));
-  return found.map((one) => html`<p class="suspect"><${Mark} suspect=${one} /> ${clip(keysText(one.keys), 120)}: in ${one.n} runs the scale is ${number(one.scale)} ± ${number(one.spread, 2)}; an algorithm's own error would vary, a wrong calibration or depth factor doesn't.</p>`);
+  const found = suspects.filter((one) =>
+    (evaluations.length ? evaluations : [undefined]).some((evaluation) =>
+      suspectOf([one], { ...keys, evaluation }),
+    ),
+  );
+  return found.map(
+    (one) => html`
+      <p class="suspect">
+        <${Mark} suspect=${one} /> ${clip(keysText(one.keys), 120)}: in ${one.n} runs the scale is${' '}
+        ${number(one.scale)} ± ${number(one.spread, 2)}; an algorithm's own error would vary, a wrong
+        calibration or depth factor doesn't.
+      </p>
+    `,
+  );
 }

@@ -22,92 +22,348 @@ export default function Compare() {
   const uids = given.slice(0, MOST);
   const base = uids.map((uid) => `/api/v1/runs/${encodeURIComponent(uid)}`);
   const runs = useAll(base);
-  const tracks = useAll(base.map((one, at) => (runs?.[at].data?.files ? `${one}/trajectory?points=1500` : null)));
+  const tracks = useAll(
+    base.map((one, at) => (runs?.[at].data?.files ? `${one}/trajectory?points=1500` : null)),
+  );
   const usage = useAll(base.map((one, at) => (runs?.[at].data?.files ? `${one}/usage` : null)));
+  /** @param {Event} event */
   const add = async (event) => {
     event.preventDefault();
     if (draft.trim()) change({ uid: [...uids, draft.trim()] });
     setDraft('');
   };
   const embedded = query.get('embed') === '1';
-  return html`<h1>Compare runs</h1>
-    ${!embedded && html`<form class="controls" onSubmit=${add}><div class="row middle">${uids.map((uid, at) => html`<span class=${`chip ${runs?.[at].error ? 'wrong' : ''}`}>${clip(runs?.[at].data?.name ?? uid, 60)}
-        <button type="button" aria-label=${`Remove ${clip(uid, 80)}`} onClick=${() => change({ uid: uids.filter((one) => one !== uid) })}>×</button></span>`)}
-      <${Link} href="/runs">Choose in the table</${Link}>
-      ${runs && html`<${CommonLink} runs=${runs.filter((one) => one.data).map((one) => one.data)} />`}</div>
-      <div class="row"><label class="field wide"><span>Add a run by its uid, then Enter</span><input type="text" value=${draft} onInput=${(event) => setDraft(event.target.value)} /></label>
-      <${Choice} label="Colours tell" value=${query.get('colour', 'run')} options=${[['run', 'the run'], ['error', 'the error']]} onChange=${(colour) => change({ colour: colour === 'run' ? null : colour })} /></div>
-      ${runs?.map((one) => html`<${Fault} error=${one.error} />`)}</form>`}
-    ${uids.length === 0 && html`<p class="empty">Tick runs in <${Link} href="/runs">the table of runs</${Link}> to lay them side by side here.</p>`}
-    ${given.length > MOST && html`<p class="fault" role="alert">${MOST} runs at most are compared; the others of this address are left out.</p>`}
+  return html`
+    <h1>Compare runs</h1>
+    ${
+      !embedded &&
+      html`
+        <form class="controls" onSubmit=${add}>
+          <div class="row middle">
+            ${uids.map(
+              (uid, at) => html`
+                <span class=${`chip ${runs?.[at].error ? 'wrong' : ''}`}>
+                  ${clip(runs?.[at].data?.name ?? uid, 60)}
+                  <button
+                    type="button"
+                    aria-label=${`Remove ${clip(uid, 80)}`}
+                    onClick=${() => change({ uid: uids.filter((one) => one !== uid) })}
+                  >
+                    ×
+                  </button>
+                </span>
+              `,
+            )}
+            <${Link} href="/runs">Choose in the table</${Link}>
+            ${runs && html`<${CommonLink} runs=${runs.filter((one) => one.data).map((one) => one.data)} />`}
+          </div>
+          <div class="row">
+            <label class="field wide">
+              <span>Add a run by its uid, then Enter</span>
+              <input
+                type="text"
+                value=${draft}
+                onInput=${(event) => setDraft(event.target.value)}
+              />
+            </label>
+            <${Choice}
+              label="Colours tell"
+              value=${query.get('colour', 'run')}
+              options=${[['run', 'the run'], ['error', 'the error']]}
+              onChange=${(colour) => change({ colour: colour === 'run' ? null : colour })}
+            />
+          </div>
+          ${runs?.map(
+            (one) => html`
+              <${Fault} error=${one.error} />
+            `,
+          )}
+        </form>
+      `
+    }
+    ${
+      uids.length === 0 &&
+      html`
+        <p class="empty">
+          Tick runs in <${Link} href="/runs">the table of runs</${Link}> to lay them side by side here.
+        </p>
+      `
+    }
+    ${
+      given.length > MOST &&
+      html`
+        <p class="fault" role="alert">
+          ${MOST} runs at most are compared; the others of this address are left out.
+        </p>
+      `
+    }
     ${embedded && runs?.map((one) => html`<${Fault} error=${one.error} />`)}
-    ${uids.length > 0 && (runs && tracks && usage ? html`<${Compared} runs=${runs} tracks=${tracks} usage=${usage} byError=${query.get('colour') === 'error'} />` : html`<${Waiting} />`)}`;
+    ${
+      uids.length > 0 &&
+      (runs && tracks && usage
+        ? html`
+          <${Compared}
+            runs=${runs}
+            tracks=${tracks}
+            usage=${usage}
+            byError=${query.get('colour') === 'error'}
+          />
+        `
+        : html`
+          <${Waiting} />
+        `)
+    }
+  `;
 }
 
-/** What a run is called in a legend: its number, and what tells it apart from the others. */
+/**
+ * What a run is called in a legend: its number, and what tells it apart from the others.
+ * @param {Api.Run[]} runs
+ */
 function namesOf(runs) {
-  const told = ['algorithm', 'sensors', 'dataset', 'repetition'].filter((key) => new Set(runs.map((run) => String(run.configuration?.[key]))).size > 1);
-  return runs.map((run) => [`run ${clip(run.run ?? run.uid, 40)}`, ...told.map((key) => `${key === 'repetition' ? 'repetition ' : ''}${clip(cell(run.configuration?.[key]), 40)}`)].join(', '));
+  const told = ['algorithm', 'sensors', 'dataset', 'repetition'].filter(
+    (key) => new Set(runs.map((run) => String(run.configuration?.[key]))).size > 1,
+  );
+  return runs.map((run) =>
+    [
+      `run ${clip(run.run ?? run.uid, 40)}`,
+      ...told.map(
+        (key) => `${key === 'repetition' ? 'repetition ' : ''}${clip(cell(run.configuration?.[key]), 40)}`,
+      ),
+    ].join(', '),
+  );
 }
 
+/**
+ * @param {{runs: Answer<Api.Run>[], tracks: Answer<Api.Trajectory>[], usage: Answer<Api.Usage>[], byError:
+ *   boolean}} props
+ */
 function Compared({ runs, tracks, usage, byError }) {
   const suspects = useSuspects();
   const drawn = useMemo(() => pictures(runs, tracks, usage), [runs, tracks, usage]);
-  const keys = (run) => ({ algorithm: run.configuration?.algorithm, sensors: run.configuration?.sensors, dataset: run.configuration?.dataset, evaluation: run.results?.[0]?.evaluation });
+  /** @param {Api.Run} run */
+  const keys = (run) => ({
+    algorithm: run.configuration?.algorithm,
+    sensors: run.configuration?.sensors,
+    dataset: run.configuration?.dataset,
+    evaluation: run.results?.[0]?.evaluation,
+  });
+  /** @type {TableColumn[]} */
   const columns = [
-    { name: 'run', title: 'run', show: (_, run) => runLink(run.uid, cell(run.run ?? run.uid)) }, { name: 'algorithm', title: 'algorithm', show: (_, run) => clip(cell(run.configuration?.algorithm), 40) },
-    { name: 'sensors', title: 'sensors', show: (_, run) => clip(cell(run.configuration?.sensors), 40) }, { name: 'dataset', title: 'dataset', show: (_, run) => clip(cell(run.configuration?.dataset), 40) },
-    { name: 'outcome', title: 'outcome', show: (_, run) => html`<${Status} value=${run.results?.[0]?.outcome ?? run.reason ?? run.phase} /><${Mark} suspect=${suspectOf(suspects, keys(run))} />` },
-    { name: 'coverage', title: 'coverage', kind: 'number', show: (_, run) => number(run.results?.[0]?.coverage) }, { name: 'alignment', title: 'alignment', show: (_, run) => cell(run.results?.[0]?.alignment) },
-    { name: 'ate', title: 'ATE [m]', kind: 'number', show: (_, run) => number(run.results?.[0]?.ate?.rmse) },
-    { name: 'cpu', title: 'CPU [cores]', kind: 'number', show: (_, run) => number(run.usage?.cpu?.meanCores) }, { name: 'memory', title: 'peak memory', kind: 'number', show: (_, run) => bytes(run.usage?.memory?.peakBytes) },
-    { name: 'csv', title: 'CSV', show: (_, run) => (run.files ? html`<a href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/trajectory?format=csv`} download>trajectory</a> <a href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/usage?format=csv`} download>load</a>` : '–') },
+    { name: 'run', title: 'run', show: (_, run) => runLink(run.uid, cell(run.run ?? run.uid)) },
+    {
+      name: 'algorithm',
+      title: 'algorithm',
+      show: (_, run) => clip(cell(run.configuration?.algorithm), 40),
+    },
+    {
+      name: 'sensors',
+      title: 'sensors',
+      show: (_, run) => clip(cell(run.configuration?.sensors), 40),
+    },
+    {
+      name: 'dataset',
+      title: 'dataset',
+      show: (_, run) => clip(cell(run.configuration?.dataset), 40),
+    },
+    {
+      name: 'outcome',
+      title: 'outcome',
+      show: (_, run) => html`
+        <${Status} value=${run.results?.[0]?.outcome ?? run.reason ?? run.phase} />
+        <${Mark} suspect=${suspectOf(suspects, keys(run))} />
+      `,
+    },
+    {
+      name: 'coverage',
+      title: 'coverage',
+      kind: 'number',
+      show: (_, run) => number(run.results?.[0]?.coverage),
+    },
+    {
+      name: 'alignment',
+      title: 'alignment',
+      show: (_, run) => cell(run.results?.[0]?.alignment),
+    },
+    {
+      name: 'ate',
+      title: 'ATE [m]',
+      kind: 'number',
+      show: (_, run) => number(run.results?.[0]?.ate?.rmse),
+    },
+    {
+      name: 'cpu',
+      title: 'CPU [cores]',
+      kind: 'number',
+      show: (_, run) => number(run.usage?.cpu?.meanCores),
+    },
+    {
+      name: 'memory',
+      title: 'peak memory',
+      kind: 'number',
+      show: (_, run) => bytes(run.usage?.memory?.peakBytes),
+    },
+    {
+      name: 'csv',
+      title: 'CSV',
+      show: (_, run) =>
+        run.files
+          ? html`
+            <a
+              href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/trajectory?format=csv`}
+              download
+            >
+              trajectory
+            </a>${' '}
+            <a href=${`/api/v1/runs/${encodeURIComponent(run.uid)}/usage?format=csv`} download>
+              load
+            </a>
+          `
+          : '–',
+    },
   ];
   const present = runs.filter((one) => one.data).map((one) => one.data);
   if (present.length === 0) return null;
-  return html`<${Table} columns=${columns} rows=${present} caption="The runs compared" /><${Different} runs=${present} />
-    <${Notes} notes=${drawn.notes} /><div class="facets spaced">
-      ${drawn.estimates.length > 0 && html`<${Tracks} estimates=${drawn.estimates} reference=${drawn.reference} byError=${byError} title="Trajectories" />`}</div>
+  return html`
+    <${Table} columns=${columns} rows=${present} caption="The runs compared" />
+    <${Different} runs=${present} />
+    <${Notes} notes=${drawn.notes} />
+    <div class="facets spaced">
+      ${
+        drawn.estimates.length > 0 &&
+        html`
+          <${Tracks}
+            estimates=${drawn.estimates}
+            reference=${drawn.reference}
+            byError=${byError}
+            title="Trajectories"
+          />
+        `
+      }
+    </div>
     ${drawn.error && html`<${Chart} ...${drawn.error} csv=${true} height=${300} />`}
-    <div class="facets">${drawn.charts.map(({ title, option, table, ofDataset }) => html`<${Chart} key=${title} title=${title} option=${option} group=${ofDataset ? 'dataset' : 'program'} table=${table} csv=${true} height=${320} />`)}</div>`;
+    <div class="facets">
+      ${drawn.charts.map(
+        ({ title, option, table, ofDataset }) => html`
+          <${Chart}
+            key=${title}
+            title=${title}
+            option=${option}
+            group=${ofDataset ? 'dataset' : 'program'}
+            table=${table}
+            csv=${true}
+            height=${320}
+          />
+        `,
+      )}
+    </div>
+  `;
 }
 
-/** In which settings the runs differ. */
+/**
+ * In which settings the runs differ.
+ * @param {{runs: Api.Run[]}} props
+ */
 function Different({ runs }) {
-  const names = [...new Set(runs.flatMap((run) => ['parameters', 'input', 'resources'].flatMap((part) => Object.keys(run.configuration?.[part] ?? {}).map((name) => `${part}.${name}`))))];
+  const names = [
+    ...new Set(
+      runs.flatMap((run) =>
+        ['parameters', 'input', 'resources'].flatMap((part) =>
+          Object.keys(run.configuration?.[part] ?? {}).map((name) => `${part}.${name}`),
+        ),
+      ),
+    ),
+  ];
+  /**
+   * @param {Api.Run} run
+   * @param {string} name
+   */
   const value = (run, name) => {
     const dot = name.indexOf('.');
     return run.configuration?.[name.slice(0, dot)]?.[name.slice(dot + 1)] ?? null;
   };
   const told = names.filter((name) => new Set(runs.map((run) => JSON.stringify(value(run, name)))).size > 1);
   if (told.length === 0) return null;
-  const columns = [{ name: 'setting', title: 'differs', show: (name) => clip(name, 60) }, ...runs.map((run) => ({ name: run.uid, title: `run ${cell(run.run ?? run.uid)}` }))];
-  return html`<p></p><${Table} columns=${columns} rows=${told.map((name) => ({ setting: name, ...Object.fromEntries(runs.map((run) => [run.uid, value(run, name)])) }))} caption="Settings in which the runs differ" />`;
+  /** @type {TableColumn[]} */
+  const columns = [
+    { name: 'setting', title: 'differs', show: (name) => clip(name, 60) },
+    ...runs.map((run) => ({ name: run.uid, title: `run ${cell(run.run ?? run.uid)}` })),
+  ];
+  return html`
+    <p></p>
+    <${Table}
+      columns=${columns}
+      rows=${told.map((name) => ({
+        setting: name,
+        ...Object.fromEntries(runs.map((run) => [run.uid, value(run, name)])),
+      }))}
+      caption="Settings in which the runs differ"
+    />
+  `;
 }
 
+/**
+ * @param {Answer<Api.Run>[]} runs
+ * @param {Answer<Api.Trajectory>[]} tracks
+ * @param {Answer<Api.Usage>[]} usage
+ */
 function pictures(runs, tracks, usage) {
-  const found = runs.map((run, at) => ({ run: run.data, track: tracks[at].data, usage: usage[at].data, why: tracks[at].error?.message })).filter((one) => one.run);
+  const found = runs.flatMap(({ data: run }, at) =>
+    run ? [{ run, track: tracks[at].data, usage: usage[at].data, why: tracks[at].error?.message }] : [],
+  );
   const names = namesOf(found.map((one) => one.run));
-  const present = found.map((one, at) => ({ ...one, name: names[at], colour: COLOURS[at % COLOURS.length] }));
-  const moved = present.filter((one) => one.track);
+  const present = found.map((one, at) => ({
+    ...one,
+    name: names[at],
+    colour: COLOURS[at % COLOURS.length],
+  }));
+  const moved = present.flatMap((one) => (one.track ? [{ ...one, track: one.track }] : []));
   const measured = moved.filter((one) => one.track.estimate.error?.some((value) => value !== null));
-  const loaded = present.filter((one) => one.usage);
+  const loaded = present.flatMap((one) => (one.usage ? [{ ...one, usage: one.usage }] : []));
   const datasets = new Set(present.map((one) => one.run.configuration?.dataset));
-  const notes = datasets.size > 1 ? ['These runs are of several datasets: the ground truth drawn is that of the first.'] : [];
-  for (const one of present) if (!one.track) notes.push(`${one.name} has no trajectory here${one.why ? `: ${one.why}` : ''}.`);
+  const notes =
+    datasets.size > 1
+      ? ['These runs are of several datasets: the ground truth drawn is that of the first.']
+      : [];
+  for (const one of present)
+    if (!one.track) notes.push(`${one.name} has no trajectory here${one.why ? `: ${one.why}` : ''}.`);
   const estimates = moved.map((one) => ({ name: one.name, track: one.track.estimate }));
+  /**
+   * @param {{run: Api.Run}} one
+   * @returns {string}
+   */
   const dataset = (one) => one.run.configuration?.dataset;
-  const { zeros, title: axis } = shared(present.flatMap((one) => [one.track?.clock, one.usage?.clock].filter(Boolean).map((clock) => ({ dataset: dataset(one), clock }))));
-  const placed = (one, stamps) => stamps && since(stamps, zeros.get(dataset(one)));
-  const errors = measured.map((one) => ({ name: one.name, colour: one.colour, t: placed(one, one.track.estimate.t), values: one.track.estimate.error }));
-  const load = loaded.map((one) => ({ ...one, t: placed(one, one.usage.stamp) }));
-  const span = spanOf([...errors, ...load].filter((one) => one.t).map((one) => one.t));
+  const { zeros, title: axis } = shared(
+    present.flatMap((one) =>
+      [one.track?.clock, one.usage?.clock].flatMap((clock) =>
+        clock ? [{ dataset: dataset(one), clock }] : [],
+      ),
+    ),
+  );
+  /**
+   * @param {{run: Api.Run}} one
+   * @param {number[]} stamps
+   */
+  const placed = (one, stamps) => since(stamps, zeros.get(dataset(one)) ?? 0);
+  const errors = measured.map((one) => ({
+    name: one.name,
+    colour: one.colour,
+    t: placed(one, one.track.estimate.t),
+    values: one.track.estimate.error ?? [],
+  }));
+  const load = loaded.map((one) => ({ ...one, t: one.usage.stamp && placed(one, one.usage.stamp) }));
+  const span = spanOf([...errors, ...load].flatMap((one) => (one.t ? [one.t] : [])));
   const error = measured.length && {
-    title: 'Error over time', group: 'dataset', table: trackTable(measured.map((one) => ({ name: one.name, track: one.track.estimate }))),
+    title: 'Error over time',
+    group: 'dataset',
+    table: trackTable(measured.map((one) => ({ name: one.name, track: one.track.estimate }))),
     option: overTime(errors, 'error [m]', axis, { span }),
   };
   return {
-    notes, estimates, reference: moved[0]?.track.reference ?? null,
-    error, charts: loads(load, { title: axis, span }),
+    notes,
+    estimates,
+    reference: moved[0]?.track.reference ?? null,
+    error,
+    charts: loads(load, { title: axis, span }),
   };
 }

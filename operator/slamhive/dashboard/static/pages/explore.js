@@ -8,7 +8,7 @@ import { address, go, Query, useAddress } from '../core/address.js';
 import { csvOf, fetchJson, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
-import { clip, namedValue } from '../core/format.js';
+import { clip, headingOf, namedValue } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
 import { groupTable, GroupTable } from './groups.js';
@@ -17,22 +17,53 @@ import { Parallel } from './parallel.js';
 import { Pareto } from './pareto.js';
 import { RunRows } from './runrows.js';
 
-const KINDS = [['scatter', 'points'], ['line', 'lines'], ['box', 'boxes'], ['heat', 'heat map'], ['parallel', 'parallel axes'], ['pareto', 'Pareto front']];
+const KINDS = [
+  ['scatter', 'points'],
+  ['line', 'lines'],
+  ['box', 'boxes'],
+  ['heat', 'heat map'],
+  ['parallel', 'parallel axes'],
+  ['pareto', 'Pareto front'],
+];
+const KIND_NAMES = KINDS.map(([kind]) => kind).join(', ');
+/** @type {Record<string, ((props: any) => Shown) | undefined>} */
 const OTHERS = { heat: Heat, parallel: Parallel, pareto: Pareto };
 const LOG_X = ['scatter', 'line', 'pareto'];
+/** Which field shows an error of a parameter. @type {Record<string, string>} */
+const FIELD_OF = { by: 'x', metrics: 'y', metric: 'y' };
+/** @type {Record<string, string>} */
+const COLOUR_LABELS = { heat: 'Rows', pareto: 'Competitors' };
 const FIELDS = ['x', 'y', 'colour', 'facet', 'outcomes'];
 
-/** Return the settings of an address, with what is shown where it names nothing. */
+/**
+ * Return the settings of an address, with what is shown where it names nothing.
+ * @param {Query} query
+ * @param {Api.Column[]} columns
+ * @returns {Settings}
+ */
 function settingsOf(query, columns) {
   const varied = columns.filter((one) => one.distinct > 1);
-  const guess = varied.find((one) => one.group === 'parameters' && isNumeric(one)) ?? varied.find((one) => one.name === 'usage.cpu.meanCores') ?? varied.find(isNumeric);
+  const guess =
+    varied.find((one) => one.group === 'parameters' && isNumeric(one)) ??
+    varied.find((one) => one.name === 'usage.cpu.meanCores') ??
+    varied.find(isNumeric);
+  /**
+   * @param {string} name
+   * @param {string} [otherwise]
+   */
   const at = (name, otherwise) => query.get(name, otherwise);
   const kind = KINDS.some(([one]) => one === at('kind')) ? at('kind') : 'scatter';
   const y = at('y', 'ate.rmse');
   return {
-    kind, x: at('x', guess?.name ?? 'algorithm'), y: kind === 'line' ? y : y.split(',')[0], // only lines are drawn of several columns
-    colour: at('colour'), facet: at('facet'), outcomes: at('outcomes', 'tracked'),
-    figure: at('figure') === 'mean' ? 'mean' : 'median', xlog: at('xlog') === '1', ylog: at('ylog') === '1',
+    kind,
+    x: at('x', guess?.name ?? 'algorithm'),
+    y: kind === 'line' ? y : y.split(',')[0], // only lines are drawn of several columns
+    colour: at('colour'),
+    facet: at('facet'),
+    outcomes: at('outcomes', 'tracked'),
+    figure: at('figure') === 'mean' ? 'mean' : 'median',
+    xlog: at('xlog') === '1',
+    ylog: at('ylog') === '1',
   };
 }
 
@@ -40,12 +71,21 @@ export default function Explore() {
   const { query } = useAddress();
   const columns = useColumns();
   useTitle(query.get('title') || 'Explore');
-  if (columns.error) return html`<h1>Explore</h1><${Fault} error=${columns.error} />`;
+  if (columns.error)
+    return html`
+      <h1>Explore</h1>
+      <${Fault} error=${columns.error} />
+    `;
   if (!columns.data) return html`<${Waiting} />`;
-  if (columns.data.items.length === 0) return html`<h1>Explore</h1><${NothingFits} />`;
+  if (columns.data.items.length === 0)
+    return html`
+      <h1>Explore</h1>
+      <${NothingFits} />
+    `;
   return html`<${Explored} columns=${columns.data.items} />`;
 }
 
+/** @param {{columns: Api.Column[]}} props */
 function Explored({ columns }) {
   const { query, change } = useAddress();
   const set = settingsOf(query, columns);
@@ -53,122 +93,431 @@ function Explored({ columns }) {
   const filters = query.filters();
   const Other = OTHERS[set.kind];
   const asked = query.get('kind');
-  const unknown = asked && asked !== set.kind ? { message: `There is no drawing ${clip(asked, 40)}; these are: ${KINDS.map(([kind]) => kind).join(', ')}.`, field: 'kind' } : null;
-  const drawn = Other ? null : set.kind === 'line'
-    ? address('/api/v1/analysis/aggregate', filters.with({ by: [set.x, set.colour, set.facet].filter(Boolean).join(','), metrics: set.y, outcomes: set.outcomes }))
-    : address('/api/v1/analysis/points', filters.with({ x: set.x, y: set.y, colour: set.colour, facet: set.facet }));
+  const unknown =
+    asked && asked !== set.kind
+      ? {
+          message: `There is no drawing ${clip(asked, 40)}; these are: ${KIND_NAMES}.`,
+          field: 'kind',
+        }
+      : null;
+  const drawn = Other
+    ? null
+    : set.kind === 'line'
+      ? address(
+          '/api/v1/analysis/aggregate',
+          filters.with({
+            by: [set.x, set.colour, set.facet].filter(Boolean).join(','),
+            metrics: set.y,
+            outcomes: set.outcomes,
+          }),
+        )
+      : address(
+          '/api/v1/analysis/points',
+          filters.with({ x: set.x, y: set.y, colour: set.colour, facet: set.facet }),
+        );
   const state = useData(drawn);
   const title = query.get('title') || `${titleOf(columns, set.y)} over ${titleOf(columns, set.x)}`;
   const [otherError, setOtherError] = useState(null);
   const error = Other ? otherError : state.error;
-  const at = { by: 'x', metrics: 'y', metric: 'y' }[error?.field] ?? error?.field;
+  const at = FIELD_OF[error?.field ?? ''] ?? error?.field;
   const atFilters = shownByFilters(error, query);
-  return html`<h1>${clip(title, 120)}</h1>
-    ${!embedded && html`<${Controls} columns=${columns} set=${set} change=${(changes) => change({ title: null, ...changes })} error=${error ?? unknown} field=${error ? at : unknown?.field} />
-      <${Filters} columns=${columns} error=${error} />`}
+  return html`
+    <h1>${clip(title, 120)}</h1>
+    ${
+      !embedded &&
+      html`
+        <${Controls}
+          columns=${columns}
+          set=${set}
+          change=${(changes) => change({ title: null, ...changes })}
+          error=${error ?? unknown}
+          field=${error ? at : unknown?.field}
+        />
+        <${Filters} columns=${columns} error=${error} />
+      `
+    }
     ${(embedded || (!atFilters && !FIELDS.includes(at))) && html`<${Fault} error=${error} />`}
-    ${Other ? html`<${Other} key=${set.kind} set=${set} columns=${columns} filters=${filters} title=${title} onError=${setOtherError} />` : state.current ? html`<${Drawing} key=${set.kind} set=${set} data=${state.current} title=${title} csv=${csvOf(drawn)} />` : !state.error && html`<${Waiting} />`}
-    ${!embedded && !Other && state.data && html`<${GroupTable} columns=${columns} set=${set} filters=${filters} />`}
-    ${!embedded && !error && !['scatter', 'parallel'].includes(set.kind) && html`<${RunRows} filters=${filters} extra=${[set.x, ...set.y.split(','), set.colour]} />`}`;
+    ${
+      Other
+        ? html`
+          <${Other}
+            key=${set.kind}
+            set=${set}
+            columns=${columns}
+            filters=${filters}
+            title=${title}
+            onError=${setOtherError}
+          />
+        `
+        : state.current
+          ? html`
+            <${Drawing}
+              key=${set.kind}
+              set=${set}
+              data=${state.current}
+              title=${title}
+              csv=${csvOf(drawn ?? '')}
+            />
+          `
+          : (!state.error && html`<${Waiting} />`)
+    }
+    ${
+      !embedded &&
+      !Other &&
+      state.data &&
+      html`
+        <${GroupTable} columns=${columns} set=${set} filters=${filters} />
+      `
+    }
+    ${
+      !embedded &&
+      !error &&
+      !['scatter', 'parallel'].includes(set.kind) &&
+      html`
+        <${RunRows} filters=${filters} extra=${[set.x, ...set.y.split(','), set.colour]} />
+      `
+    }
+  `;
 }
 
-/** Several columns, separated by commas, are named one after the other. */
-const titleOf = (columns, names) => names.split(',').map((name) => columns.find((one) => one.name === name)?.title ?? name).join(', ');
+/**
+ * Several columns, separated by commas, are named one after the other.
+ * @param {Api.Column[]} columns
+ * @param {string} names
+ */
+const titleOf = (columns, names) =>
+  names
+    .split(',')
+    .map((name) => columns.find((one) => one.name === name)?.title ?? name)
+    .join(', ');
 
+/**
+ * @param {{columns: Api.Column[], set: Settings, change: (changes: Changes) => void, error: ApiFault|null,
+ *   field?: string}} props
+ */
 function Controls({ columns, set, change, error, field }) {
   const { query } = useAddress();
+  /** @param {string} name */
   const wrong = (name) => (field === name ? error : null);
   const any = columnOptions(columns);
   const numbers = columnOptions(columns, isNumeric);
-  return html`<section class="controls" aria-label="What is drawn"><div class="row">
-    <${Choice} label="Draw" value=${set.kind} options=${KINDS} error=${wrong('kind')} onChange=${(kind) => change({ kind })} />
-    <${Choice} label="x" value=${set.x} options=${any} error=${wrong('x')} onChange=${(x) => change({ x })} />
-    <${Choice} label="y" value=${set.y} options=${numbers} error=${wrong('y')} onChange=${(y) => change({ y })} />
-    <${Choice} label=${{ heat: 'Rows', pareto: 'Competitors' }[set.kind] ?? 'Colour'} value=${set.colour} options=${any} none="none" error=${wrong('colour')} onChange=${(colour) => change({ colour })} />
-    ${!OTHERS[set.kind] && html`<${Choice} label="One chart each" value=${set.facet} options=${any} none="all in one" error=${wrong('facet')} onChange=${(facet) => change({ facet })} />`}
-    ${!['scatter', 'parallel', 'pareto'].includes(set.kind) && html`<${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} error=${wrong('outcomes')} onChange=${(outcomes) => change({ outcomes })} />`}
-    ${['line', 'heat'].includes(set.kind) && html`<${Choice} label="Figure" value=${set.figure} options=${['median', 'mean']} onChange=${(figure) => change({ figure })} />`}
-    <${Link} class="alone" href=${address('/explore', query.with({ embed: 1 }))}>Alone, to embed</${Link}>
-    <span class="row ticks">${LOG_X.includes(set.kind) && html`<${Tick} label="log x" checked=${set.xlog} onChange=${(on) => change({ xlog: on ? 1 : null })} />`}
-      ${[...LOG_X, 'box'].includes(set.kind) && html`<${Tick} label="log y" checked=${set.ylog} onChange=${(on) => change({ ylog: on ? 1 : null })} />`}</span>
-  </div></section>`;
+  return html`
+    <section class="controls" aria-label="What is drawn">
+      <div class="row">
+        <${Choice}
+          label="Draw"
+          value=${set.kind}
+          options=${KINDS}
+          error=${wrong('kind')}
+          onChange=${(kind) => change({ kind })}
+        />
+        <${Choice}
+          label="x"
+          value=${set.x}
+          options=${any}
+          error=${wrong('x')}
+          onChange=${(x) => change({ x })}
+        />
+        <${Choice}
+          label="y"
+          value=${set.y}
+          options=${numbers}
+          error=${wrong('y')}
+          onChange=${(y) => change({ y })}
+        />
+        <${Choice}
+          label=${COLOUR_LABELS[set.kind] ?? 'Colour'}
+          value=${set.colour}
+          options=${any}
+          none="none"
+          error=${wrong('colour')}
+          onChange=${(colour) => change({ colour })}
+        />
+        ${
+          !OTHERS[set.kind] &&
+          html`
+            <${Choice}
+              label="One chart each"
+              value=${set.facet}
+              options=${any}
+              none="all in one"
+              error=${wrong('facet')}
+              onChange=${(facet) => change({ facet })}
+            />
+          `
+        }
+        ${
+          !['scatter', 'parallel', 'pareto'].includes(set.kind) &&
+          html`
+            <${Choice}
+              label="Runs"
+              value=${set.outcomes}
+              options=${[['tracked', 'tracked'], ['all', 'all evaluated']]}
+              error=${wrong('outcomes')}
+              onChange=${(outcomes) => change({ outcomes })}
+            />
+          `
+        }
+        ${
+          ['line', 'heat'].includes(set.kind) &&
+          html`
+            <${Choice}
+              label="Figure"
+              value=${set.figure}
+              options=${['median', 'mean']}
+              onChange=${(figure) => change({ figure })}
+            />
+          `
+        }
+        <${Link} class="alone" href=${address('/explore', query.with({ embed: 1 }))}>
+          Alone, to embed
+        </${Link}>
+        <span class="row ticks">
+          ${
+            LOG_X.includes(set.kind) &&
+            html`
+              <${Tick}
+                label="log x"
+                checked=${set.xlog}
+                onChange=${(on) => change({ xlog: on ? 1 : null })}
+              />
+            `
+          }
+          ${
+            [...LOG_X, 'box'].includes(set.kind) &&
+            html`
+              <${Tick}
+                label="log y"
+                checked=${set.ylog}
+                onChange=${(on) => change({ ylog: on ? 1 : null })}
+              />
+            `
+          }
+        </span>
+      </div>
+    </section>
+  `;
 }
 
+/**
+ * @param {{set: Settings, data: any, title: string, csv: string}} props data: points, or groups where lines
+ *   are drawn
+ */
 function Drawing({ set, data, title, csv }) {
   const { query } = useAddress();
   const [area, setArea] = useState(null);
   const [brushing, setBrushing] = useState(false);
-  const parts = useMemo(() => (set.kind === 'line' ? lineParts(data, set) : pointParts(data, set)), [data, JSON.stringify(set)]);
-  if (parts === null) return html`<p class="fault" role="alert">${clip(set.facet, 60)} has too many values for one chart each; choose another column.</p>`;
+  const parts = useMemo(
+    () => (set.kind === 'line' ? lineParts(data, set) : pointParts(data, set)),
+    [data, JSON.stringify(set)],
+  );
+  if (parts === null)
+    return html`
+      <p class="fault" role="alert">
+        ${clip(set.facet, 60)} has too many values for one chart each; choose another column.
+      </p>
+    `;
   if ((data.count ?? data.groups?.length) === 0) return html`<${NothingFits} notes=${data.notes} />`;
-  const sentences = [...new Set([...(data.mixed ?? []).map((one) => one.sentence), ...(data.notes ?? []), ...(parts[0]?.left ? [`${parts[0].left} of the charts would have no line with two values of ${clip(set.x, 60)}; they are left out, the table has them`] : [])])];
+  const sentences = [
+    ...new Set([
+      ...(data.mixed ?? []).map((/** @type {{sentence: string}} */ one) => one.sentence),
+      ...(data.notes ?? []),
+      ...(parts[0]?.left
+        ? [
+            `${parts[0].left} of the charts would have no line with two values of ${clip(set.x, 60)}; ` +
+              'they are left out, the table has them',
+          ]
+        : []),
+    ]),
+  ];
+  /** @param {Item} event */
   const open = (event) => openRun(data, event);
   const many = parts.length > 1;
-  return html`${set.kind === 'scatter' && html`<p class="row"><${Tick} label="Select by dragging" checked=${brushing} onChange=${setBrushing} />
-      ${area && html`<button type="button" onClick=${() => setArea(null)}>All runs again</button>`}<span class="quiet">A click on a point opens its run. Hollow: not tracked to the end. Crosses have no value: they are drawn above the others.</span></p>`}
-    <div class=${many ? 'facets' : ''}>${parts.map((part) => (part.option
-      ? html`<${Chart} key=${`${part.name} ${part.metric}`} option=${part.option} height=${many ? 320 : 440} brushing=${brushing} onClick=${open} events=${{ brushEnd: (event) => setArea(ranges(event, data)) }}
-          title=${part.name ? `${part.title ?? title}: ${clip(part.name, 80)}` : part.title ?? title} csv=${csv} table=${part.table} summary=${`${title}; the table has its numbers`} />`
-      : html`<p class="fault" role="alert">${clip(set.x, 60)} has too many values for boxes; choose another column or draw points.</p>`))}</div>
+  return html`
+    ${
+      set.kind === 'scatter' &&
+      html`
+        <p class="row">
+          <${Tick} label="Select by dragging" checked=${brushing} onChange=${setBrushing} />
+          ${
+            area &&
+            html`
+              <button type="button" onClick=${() => setArea(null)}>
+                All runs again
+              </button>
+            `
+          }
+          <span class="quiet">
+            A click on a point opens its run. Hollow: not tracked to the end. Crosses have no
+            value: they are drawn above the others.
+          </span>
+        </p>
+      `
+    }
+    <div class=${many ? 'facets' : ''}>
+      ${parts.map((part) =>
+        part.option
+          ? html`
+            <${Chart}
+              key=${`${part.name} ${part.metric}`}
+              option=${part.option}
+              height=${many ? 320 : 440}
+              brushing=${brushing}
+              onClick=${open}
+              events=${{ brushEnd: (/** @type {Item} */ event) => setArea(ranges(event, data)) }}
+              title=${part.name ? `${part.title ?? title}: ${clip(part.name, 80)}` : (part.title ?? title)}
+              csv=${csv}
+              table=${part.table}
+              summary=${`${title}; the table has its numbers`}
+            />
+          `
+          : html`
+            <p class="fault" role="alert">
+              ${clip(set.x, 60)} has too many values for boxes; choose another column or draw
+              points.
+            </p>
+          `,
+      )}
+    </div>
     <${Notes} notes=${sentences} />
-    ${set.kind === 'scatter' && query.get('embed') !== '1' && html`<${RunRows} filters=${new Query([...query.filters().pairs, ...(area ?? [])])} extra=${[set.x, set.y, set.colour]} selected=${area !== null} />`}`;
+    ${
+      set.kind === 'scatter' &&
+      query.get('embed') !== '1' &&
+      html`
+        <${RunRows}
+          filters=${new Query([...query.filters().pairs, ...(area ?? [])])}
+          extra=${[set.x, set.y, set.colour]}
+          selected=${area !== null}
+        />
+      `
+    }
+  `;
 }
 
+/**
+ * @param {Api.Aggregate} data
+ * @param {Settings} set
+ * @returns {ChartOfSettings[]|null}
+ */
 function lineParts(data, set) {
   const values = set.facet ? [...new Set(data.groups.map((group) => String(group.keys[set.facet])))] : [null];
   if (values.length > 24) return null;
   // A chart is worth drawing where at least one of its lines has two points.
-  const wide = values.filter((value) => lines(data, set.x, data.metrics[0].name, set.facet, value).some((one) => one.points.length > 1));
-  return (wide.length ? wide : values).flatMap((value) => data.metrics.map((metric) => ({
-    name: value && facetName(data, set.facet, value), metric: metric.name, title: data.metrics.length > 1 ? `${clip(metric.title, 40)} over ${clip(data.keys.find((key) => key.name === set.x)?.title ?? set.x, 60)}` : null, left: wide.length ? values.length - wide.length : 0,
-    option: line(data, { ...set, y: metric.name, facetValue: value }),
-    table: groupTable({ ...data, metrics: [metric], groups: set.facet ? data.groups.filter((group) => String(group.keys[set.facet]) === value) : data.groups }),
-  })));
+  const wide = values.filter((value) =>
+    lines(data, set.x, data.metrics[0].name, set.facet, value).some((one) => one.points.length > 1),
+  );
+  const over = clip(headingOf(data.keys, set.x).title, 60);
+  return (wide.length ? wide : values).flatMap((value) =>
+    data.metrics.map((metric) => ({
+      name: value && facetName(data, set.facet, value),
+      metric: metric.name,
+      title: data.metrics.length > 1 ? `${clip(metric.title, 40)} over ${over}` : null,
+      left: wide.length ? values.length - wide.length : 0,
+      option: line(data, { ...set, y: metric.name, facetValue: value }),
+      table: groupTable({
+        ...data,
+        metrics: [metric],
+        groups: set.facet
+          ? data.groups.filter((group) => String(group.keys[set.facet]) === value)
+          : data.groups,
+      }),
+    })),
+  );
 }
 
+/**
+ * @param {Api.Aggregate} data
+ * @param {string} facet
+ * @param {string} value
+ */
 function facetName(data, facet, value) {
   const known = data.groups.find((group) => String(group.keys[facet]) === value);
-  return namedValue(facet, known.keys[facet]);
+  return namedValue(facet, known?.keys[facet]);
 }
 
+/**
+ * @param {Api.Points} data
+ * @param {Settings} set
+ * @returns {ChartOfSettings[]|null}
+ */
 function pointParts(data, set) {
   const parts = facets(data);
   if (parts === null) return null;
   const y = readAxis(data.axes.y);
-  const largest = parts.flatMap((part) => part.indices).reduce((top, index) => Math.max(top, y.at(index) ?? -Infinity), -Infinity);
+  const largest = parts
+    .flatMap((part) => part.indices)
+    .reduce((top, index) => Math.max(top, y.at(index) ?? -Infinity), -Infinity);
   const top = Number.isFinite(largest) && !y.categories ? largest * 1.1 : null;
   return parts.map(({ name, indices }) => ({
-    name, table: pointTable(data, indices),
-    option: set.kind === 'box' ? box(data, indices, { ylog: set.ylog, tracked: set.outcomes === 'tracked' }) : scatter(data, indices, { ...set, top }),
+    name,
+    table: pointTable(data, indices),
+    option:
+      set.kind === 'box'
+        ? box(data, indices, { ylog: set.ylog, tracked: set.outcomes === 'tracked' })
+        : scatter(data, indices, { ...set, top }),
   }));
 }
 
+/**
+ * @param {Api.Points} data
+ * @param {number[]} indices
+ * @returns {TableData}
+ */
 function pointTable(data, indices) {
   const axes = Object.values(data.axes).map(readAxis);
   const status = readAxis(data.status);
   return {
-    columns: [{ name: 'run', title: 'run' }, ...axes.map((axis) => ({ name: axis.heading.name, title: axis.heading.title, show: (value) => clip(value, 48) })), { name: 'status', title: 'status' }],
-    rows: indices.slice(0, 1001).map((index) => ({ run: data.run?.[index] ?? data.id[index], ...Object.fromEntries(axes.map((axis) => [axis.heading.name, axis.text(index)])), status: status.text(index) })),
+    columns: [
+      { name: 'run', title: 'run' },
+      ...axes.map((axis) => ({
+        name: axis.heading.name,
+        title: axis.heading.title,
+        show: (/** @type {unknown} */ value) => clip(value, 48),
+      })),
+      { name: 'status', title: 'status' },
+    ],
+    rows: indices.slice(0, 1001).map((index) => ({
+      run: data.run?.[index] ?? data.id[index],
+      ...Object.fromEntries(axes.map((axis) => [axis.heading.name, axis.text(index)])),
+      status: status.text(index),
+    })),
   };
 }
 
+/**
+ * @param {Api.Points} data
+ * @param {Item} event
+ */
 async function openRun(data, event) {
   const index = event.value?.[2];
   if (event.seriesType !== 'scatter' || index === undefined) return;
-  const uid = data.uid?.[index] ?? (await fetchJson(address('/api/v1/runs', { id: data.id[index], columns: 'uid' }))).items[0]?.uid;
+  const uid =
+    data.uid?.[index] ??
+    (await fetchJson(address('/api/v1/runs', { id: data.id[index], columns: 'uid' }))).items[0]?.uid;
   if (uid) go(`/runs/${encodeURIComponent(uid)}`);
 }
 
-/** Turn a dragged rectangle into filters of the API, in stored units. */
+/**
+ * Turn a dragged rectangle into filters of the API, in stored units.
+ * @param {Item} event
+ * @param {Api.Points} data
+ * @returns {Array<[string, string]>|null}
+ */
 function ranges(event, data) {
   const area = event.areas?.[0]?.coordRange;
   if (!area) return null;
   return ['x', 'y'].flatMap((name, at) => {
-    const axis = readAxis(data.axes[name]);
+    const axis = readAxis(name === 'x' ? data.axes.x : data.axes.y);
     const [low, high] = area[at];
-    if (axis.categories) return axis.categories.slice(Math.max(0, Math.ceil(low)), Math.floor(high) + 1).map((value) => [axis.heading.name, value]);
+    if (axis.categories)
+      return axis.categories
+        .slice(Math.max(0, Math.ceil(low)), Math.floor(high) + 1)
+        .map((value) => [axis.heading.name, value]);
     if (axis.heading.kind === 'time') return [];
     const factor = axis.heading.factor ?? 1;
-    return [[`${axis.heading.name}>`, String(low / factor)], [`${axis.heading.name}<`, String(high / factor)]];
+    return [
+      [`${axis.heading.name}>`, String(low / factor)],
+      [`${axis.heading.name}<`, String(high / factor)],
+    ];
   });
 }

@@ -6,41 +6,113 @@ import { clip, number } from '../core/format.js';
 import { Fault, Notes, Table } from '../core/parts.js';
 import { html } from '../core/ui.js';
 
-/** The figures of a group. */
+/** The figures of a group. @type {Array<'median'|'mean'|'std'|'min'|'max'>} */
 export const FIGURES = ['median', 'mean', 'std', 'min', 'max'];
 
-/** Return the columns and rows of a table of groups. @param {object} data answer of analysis/aggregate @param {string[]} [which] of its figures */
+/**
+ * Return the columns and rows of a table of groups.
+ * @param {Api.Aggregate} data answer of analysis/aggregate
+ * @param {Array<'median'|'mean'|'std'|'min'|'max'>} [which] of its figures
+ * @returns {TableData}
+ */
 export function groupTable(data, which = FIGURES) {
+  /** @param {{name: string}} key */
   const values = (key) => new Set(data.groups.map((group) => group.keys[key.name]));
-  // A column that nobody asked for is worth its room where it has several values, not for being unknown of some.
+  // A column that nobody asked for is worth its room where it has several values, not for being unknown of
+  // some.
+  /** @param {{name: string}} key */
   const known = (key) => [...values(key)].filter((value) => value !== null).length;
-  const varied = data.keys.filter((key) => (key.facet ? known(key) > 1 : data.groups.length < 2 || values(key).size > 1));
+  const varied = data.keys.filter((key) =>
+    key.facet ? known(key) > 1 : data.groups.length < 2 || values(key).size > 1,
+  );
   // Equal trajectories are one result: their errors have no spread.
-  const equal = data.groups.some((group) => group.deterministic) ? [{ name: 'equal', title: 'deterministic' }] : [];
-  const figures = data.metrics.flatMap((metric) => which.map((one) => ({ ...metric, kind: 'number', name: `${metric.name} ${one}`, title: `${metric.title} ${one}` })));
+  const equal = data.groups.some((group) => group.deterministic)
+    ? [{ name: 'equal', title: 'deterministic' }]
+    : [];
+  const figures = data.metrics.flatMap((metric) =>
+    which.map((one) => ({
+      ...metric,
+      kind: 'number',
+      name: `${metric.name} ${one}`,
+      title: `${metric.title} ${one}`,
+    })),
+  );
   return {
-    columns: [...varied, { name: 'n', kind: 'integer', title: 'n' }, { name: 'runs', kind: 'integer', title: 'runs' }, { name: 'failures', title: 'failures' }, { name: 'coverage', kind: 'number', title: 'coverage' }, ...equal, ...figures],
+    columns: [
+      ...varied,
+      { name: 'n', kind: 'integer', title: 'n' },
+      { name: 'runs', kind: 'integer', title: 'runs' },
+      { name: 'failures', title: 'failures' },
+      { name: 'coverage', kind: 'number', title: 'coverage' },
+      ...equal,
+      ...figures,
+    ],
     rows: data.groups.map((group) => ({
-      ...group.keys, n: group.n, runs: group.runs, coverage: group.coverage?.mean ?? null, failures: failureText(group.failures), equal: group.deterministic ? `one result, ${group.n} equal runs` : '',
-      ...Object.fromEntries(data.metrics.flatMap((metric) => which.map((one) => [`${metric.name} ${one}`, group.figures[metric.name]?.[one] ?? null]))),
+      ...group.keys,
+      n: group.n,
+      runs: group.runs,
+      coverage: group.coverage?.mean ?? null,
+      failures: failureText(group.failures),
+      equal: group.deterministic ? `one result, ${group.n} equal runs` : '',
+      ...Object.fromEntries(
+        data.metrics.flatMap((metric) =>
+          which.map((one) => [`${metric.name} ${one}`, group.figures[metric.name]?.[one] ?? null]),
+        ),
+      ),
     })),
   };
 }
 
-/** Return failures as words: "4 Partial, 1 Lost". */
-export const failureText = (failures) => Object.entries(failures ?? {}).map(([what, count]) => `${number(count)} ${what}`).join(', ') || 'none';
+/**
+ * Return failures as words: "4 Partial, 1 Lost".
+ * @param {Api.Failures|null|undefined} failures
+ */
+export const failureText = (failures) =>
+  Object.entries(failures ?? {})
+    .map(([what, count]) => `${number(count)} ${what}`)
+    .join(', ') || 'none';
 
-/** The groups of what a chart shows, with their n, failures and coverage. */
+/**
+ * The groups of what a chart shows, with their n, failures and coverage.
+ * @param {{columns: Api.Column[], set: Settings, filters: import('../core/address.js').Query}} props
+ */
 export function GroupTable({ columns, set, filters }) {
+  /** @param {string} name */
   const few = (name) => name && (columns.find((one) => one.name === name)?.distinct ?? 1e9) <= 40;
   const by = [...new Set([set.x, set.colour, set.facet].filter(few))];
-  const url = by.length ? address('/api/v1/analysis/aggregate', filters.with({ by: by.join(','), metrics: set.y, outcomes: set.outcomes })) : null;
+  const url = by.length
+    ? address(
+        '/api/v1/analysis/aggregate',
+        filters.with({ by: by.join(','), metrics: set.y, outcomes: set.outcomes }),
+      )
+    : null;
   const state = useData(url);
   if (!url) return null;
   const shown = state.data && groupTable(state.data);
-  return html`<section><h2>Behind it <a class="small" href=${csvOf(url)} download>CSV</a></h2>
-    <p class="quiet">Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs; coverage over all evaluated ones.</p>
-    <${Fault} error=${state.error} />
-    ${shown && html`<${Table} columns=${shown.columns} rows=${shown.rows.slice(0, 200)} caption=${`Groups by ${clip(by.join(', '), 100)}`} />`}
-    <${Notes} notes=${state.data?.notes} /></section>`;
+  return html`
+    <section>
+      <h2>
+        Behind it${' '}
+        <a class="small" href=${csvOf(url)} download>
+          CSV
+        </a>
+      </h2>
+      <p class="quiet">
+        Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs; coverage over
+        all evaluated ones.
+      </p>
+      <${Fault} error=${state.error} />
+      ${
+        shown &&
+        html`
+          <${Table}
+            columns=${shown.columns}
+            rows=${shown.rows.slice(0, 200)}
+            caption=${`Groups by ${clip(by.join(', '), 100)}`}
+          />
+        `
+      }
+      <${Notes} notes=${state.data?.notes} />
+    </section>
+  `;
 }

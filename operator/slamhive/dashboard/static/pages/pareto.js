@@ -7,39 +7,148 @@ import { clip, columnTitle, keysText, number } from '../core/format.js';
 import { NothingFits, Notes, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo } from '../core/ui.js';
 
-/** @param {{set: object, filters: import('../core/address.js').Query, title: string, onError: (error: Error|null) => void}} props of explore */
+/**
+ * @param {{set: Settings, filters: import('../core/address.js').Query, title: string, onError: (error:
+ *   Error|null) => void}} props of explore
+ */
 export function Pareto({ set, filters, title, onError }) {
   const by = [...new Set(['algorithm', 'sensors', set.colour].filter(Boolean))].join(',');
   const url = address('/api/v1/analysis/pareto', filters.with({ x: set.x, y: set.y, by }));
   const { current: data, error } = useData(url);
   useEffect(() => onError(error), [error]);
-  const drawn = useMemo(() => data?.fronts.slice(0, 24).map((front) => front.points.some((point) => point.x !== null) && pareto(data, front, set)).filter(Boolean), [data, set.xlog, set.ylog]);
+  const drawn = useMemo(
+    () =>
+      data?.fronts
+        .slice(0, 24)
+        .map(
+          (/** @type {Api.ParetoFront} */ front) =>
+            front.points.some((point) => point.x !== null) && pareto(data, front, set),
+        )
+        .filter(Boolean),
+    [data, set.xlog, set.ylog],
+  );
   if (!data) return !error && html`<${Waiting} />`;
   if (drawn.length === 0) return html`<${NothingFits} notes=${data.notes} />`;
-  return html`<div class=${drawn.length > 1 ? 'facets' : ''}>${drawn.map((one) => html`<${Chart} key=${one.name} title=${one.name ? `${title}: ${clip(one.name, 100)}` : title} option=${one.option} height=${360} csv=${csvOf(url)} table=${one.table} />`)}</div>
-    <p class="quiet">Filled: nobody has both a smaller error and a smaller cost. Crosses: the median run failed.</p><${Notes} notes=${data.notes} />`;
+  return html`
+    <div class=${drawn.length > 1 ? 'facets' : ''}>
+      ${drawn.map(
+        (/** @type {NonNullable<ReturnType<typeof pareto>>} */ one) => html`
+          <${Chart}
+            key=${one.name}
+            title=${one.name ? `${title}: ${clip(one.name, 100)}` : title}
+            option=${one.option}
+            height=${360}
+            csv=${csvOf(url)}
+            table=${one.table}
+          />
+        `,
+      )}
+    </div>
+    <p class="quiet">
+      Filled: nobody has both a smaller error and a smaller cost. Crosses: the median run
+      failed.
+    </p>
+    <${Notes} notes=${data.notes} />
+  `;
 }
 
+/**
+ * @param {Api.Pareto} data
+ * @param {Api.ParetoFront} front
+ * @param {Settings} set
+ */
 function pareto(data, front, set) {
-  const scaled = (value, heading) => (value === null || value === undefined ? null : value * (heading.factor ?? 1));
-  const points = front.points.map((point) => ({ ...point, sx: scaled(point.x, data.x), sy: scaled(point.y, data.y) })).filter((point) => point.sx !== null);
+  /**
+   * @param {number|null} value
+   * @param {Api.Heading} heading
+   */
+  const scaled = (value, heading) =>
+    value === null || value === undefined ? null : value * (heading.factor ?? 1);
+  const points = front.points
+    .map((point) => ({ ...point, sx: Number(scaled(point.x, data.x)), sy: scaled(point.y, data.y) }))
+    .filter((point) => point.x !== null);
   const top = Math.max(0, ...points.map((point) => point.sy ?? 0)) * 1.15 || 1;
   const best = points.filter((point) => point.front && point.sy !== null).sort((a, b) => a.sx - b.sx);
-  const mark = (point) => (point.sy === null ? { symbol: 'path://M0 0L10 10M10 0L0 10', itemStyle: { borderColor: COLOURS[0], borderWidth: 1.8 } }
-    : point.front ? {} : { itemStyle: { color: 'transparent', borderColor: COLOURS[0], borderWidth: 1.8 } });
-  const columns = [...Object.keys(points[0]?.keys ?? {}).map((name) => ({ name, title: columnTitle(name) })), { ...data.x, name: 'x' }, { ...data.y, name: 'y' }, { name: 'front', title: 'on the front' },
-    ...['n', 'runs', 'failed'].map((name) => ({ name, title: name, kind: 'integer' })), { name: 'coverage', title: 'coverage', kind: 'number' }];
+  /** @param {Api.ParetoPoint & {sy: number|null}} point */
+  const mark = (point) =>
+    point.sy === null
+      ? {
+          symbol: 'path://M0 0L10 10M10 0L0 10',
+          itemStyle: { borderColor: COLOURS[0], borderWidth: 1.8 },
+        }
+      : point.front
+        ? {}
+        : { itemStyle: { color: 'transparent', borderColor: COLOURS[0], borderWidth: 1.8 } };
+  const columns = [
+    ...Object.keys(points[0]?.keys ?? {}).map((name) => ({ name, title: columnTitle(name) })),
+    { ...data.x, name: 'x' },
+    { ...data.y, name: 'y' },
+    { name: 'front', title: 'on the front' },
+    ...['n', 'runs', 'failed'].map((name) => ({ name, title: name, kind: 'integer' })),
+    { name: 'coverage', title: 'coverage', kind: 'number' },
+  ];
   return {
     name: keysText(front.facets),
-    table: { columns, rows: front.points.map((point) => ({ ...point.keys, ...point, coverage: point.coverage?.mean ?? point.coverage })) },
+    table: {
+      columns,
+      rows: front.points.map((point) => ({
+        ...point.keys,
+        ...point,
+      })),
+    },
     option: {
       grid: { left: 72, right: 30, top: 20, bottom: 48 },
-      tooltip: { trigger: 'item', formatter: (item) => (item.data?.point ? `${clip(keysText(item.data.point.keys), 60)}\n${clip(data.x.title, 40)}: ${number(item.data.point.sx)}\n${clip(data.y.title, 40)}: ${number(item.data.point.sy)}\nn = ${item.data.point.n} of ${item.data.point.runs}, ${item.data.point.failed} failed` : '') },
-      xAxis: { type: set.xlog ? 'log' : 'value', scale: true, name: clip(data.x.title, 44), nameGap: 28 }, yAxis: { type: set.ylog ? 'log' : 'value', scale: true, name: `${clip(data.y.title, 44)}, median`, nameGap: 52 },
+      tooltip: {
+        trigger: 'item',
+        formatter: (/** @type {Item} */ item) => {
+          const point = item.data?.point;
+          if (!point) return '';
+          return [
+            clip(keysText(point.keys), 60),
+            `${clip(data.x.title, 40)}: ${number(point.sx)}`,
+            `${clip(data.y.title, 40)}: ${number(point.sy)}`,
+            `n = ${point.n} of ${point.runs}, ${point.failed} failed`,
+          ].join('\n');
+        },
+      },
+      xAxis: {
+        type: set.xlog ? 'log' : 'value',
+        scale: true,
+        name: clip(data.x.title, 44),
+        nameGap: 28,
+      },
+      yAxis: {
+        type: set.ylog ? 'log' : 'value',
+        scale: true,
+        name: `${clip(data.y.title, 44)}, median`,
+        nameGap: 52,
+      },
       series: [
-        { type: 'line', step: 'end', symbol: 'none', data: best.map((point) => [point.sx, point.sy]), lineStyle: { color: COLOURS[1], type: 'dashed' }, silent: true },
-        { type: 'scatter', symbolSize: 11, color: COLOURS[0], data: points.map((point) => ({ value: [point.sx, point.sy ?? top], ...mark(point), point })),
-          label: { show: points.length <= 14, position: 'top', fontSize: 11, formatter: (item) => clip(keysText(item.data.point.keys), 30) }, labelLayout: { hideOverlap: true } },
+        {
+          type: 'line',
+          step: 'end',
+          symbol: 'none',
+          data: best.map((point) => [point.sx, point.sy]),
+          lineStyle: { color: COLOURS[1], type: 'dashed' },
+          silent: true,
+        },
+        {
+          type: 'scatter',
+          symbolSize: 11,
+          color: COLOURS[0],
+          data: points.map((point) => ({
+            value: [point.sx, point.sy ?? top],
+            ...mark(point),
+            point,
+          })),
+          label: {
+            show: points.length <= 14,
+            position: 'top',
+            fontSize: 11,
+            formatter: (/** @type {Item} */ item) => clip(keysText(item.data.point.keys), 30),
+          },
+          labelLayout: { hideOverlap: true },
+        },
       ],
     },
   };

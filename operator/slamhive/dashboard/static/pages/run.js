@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** One run: how it was set, what it cost, what was measured, and how to run it again. */
 import { overTime, shared, since } from '../charts/trajectory.js';
-import { useAddress } from '../core/address.js';
+import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { bytes, cell, clip, number, time } from '../core/format.js';
@@ -21,91 +21,354 @@ export default function RunPage({ uid }) {
   const state = useData(base);
   const run = state.data;
   useTitle(run ? `Run ${clip(run.run ?? run.name, 60)}` : 'Run');
-  if (!run) return html`<h1>Run</h1>${state.error ? html`<${Fault} error=${state.error} /><p><${Link} href="/runs">To all runs</${Link}></p>` : html`<${Waiting} />`}`;
+  if (!run)
+    return html`
+      <h1>Run</h1>
+      ${
+        state.error
+          ? html`
+            <${Fault} error=${state.error} />
+            <p>
+              <${Link} href="/runs">To all runs</${Link}>
+            </p>
+          `
+          : html`
+            <${Waiting} />
+          `
+      }
+    `;
   const results = run.results ?? [];
-  return html`<h1>${clip(run.name ?? uid, 160)}</h1>
-    <p class="row"><${Status} value=${results[0]?.outcome ?? run.reason ?? run.phase} />${run.run !== null && run.run !== undefined && run.run !== run.name && html`<span>run ${clip(cell(run.run), 80)}</span>`}
-      ${run.sweep && html`<span>of <${Link} href=${`/sweeps/${encodeURIComponent(run.sweep)}`}>${clip(run.sweep, 80)}</${Link}></span>`}
-      <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}><a href=${`${base}/manifest`} download>YAML to run it again</a></p>
+  return html`
+    <h1>${clip(run.name ?? uid, 160)}</h1>
+    <p class="row">
+      <${Status} value=${results[0]?.outcome ?? run.reason ?? run.phase} />
+      ${
+        run.run !== null &&
+        run.run !== undefined &&
+        run.run !== run.name &&
+        html`
+          <span>run ${clip(cell(run.run), 80)}</span>
+        `
+      }
+      ${
+        run.sweep &&
+        html`
+          <span>
+            of${' '}
+            <${Link} href=${`/sweeps/${encodeURIComponent(run.sweep)}`}>${clip(run.sweep, 80)}</${Link}>
+          </span>
+        `
+      }
+      <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}>
+      <a href=${`${base}/manifest`} download>
+        YAML to run it again
+      </a>
+    </p>
     ${run.message && html`<p class="quiet">${clip(run.message, LONGEST)}</p>`}
     <${Results} results=${results} />
-    <${SuspectNotes} keys=${{ algorithm: run.configuration?.algorithm, sensors: run.configuration?.sensors, dataset: run.configuration?.dataset }} evaluations=${results.map((one) => one.evaluation)} />
-    ${results.length === 0 && run.phase !== 'Succeeded' && html`<p class="quiet">Nothing was measured: ${clip(run.reason ?? run.phase ?? 'no result', 200)}.</p>`}
-    ${run.files ? html`<${Trajectory} base=${base} results=${results} name=${`run ${clip(run.run ?? '', 40)}`} /><${Usage} base=${base} />` : html`<p class="quiet">The files of this run are not here: its trajectory and its load over time can't be drawn.</p>`}
+    <${SuspectNotes}
+      keys=${{
+        algorithm: run.configuration?.algorithm,
+        sensors: run.configuration?.sensors,
+        dataset: run.configuration?.dataset,
+      }}
+      evaluations=${results.map((/** @type {{evaluation: string}} */ one) => one.evaluation)}
+    />
+    ${
+      results.length === 0 &&
+      run.phase !== 'Succeeded' &&
+      html`
+        <p class="quiet">
+          Nothing was measured: ${clip(run.reason ?? run.phase ?? 'no result', 200)}.
+        </p>
+      `
+    }
+    ${
+      run.files
+        ? html`
+          <${Trajectory} base=${base} results=${results} name=${`run ${clip(run.run ?? '', 40)}`} />
+          <${Usage} base=${base} />
+        `
+        : html`
+          <p class="quiet">
+            The files of this run are not on this machine: its trajectory and its load over time can't be
+            drawn.
+          </p>
+        `
+    }
     <div class="cards facts">
       <${Facts} title="Configuration" value=${run.configuration} keep=${/^parameters\./} />
-      <${Facts} title="How it went" value=${{ phase: run.phase, reason: run.reason, attempts: run.attempts, created: time(run.created), started: time(run.started), finished: time(run.finished) }} />
-      <${Facts} title="Cost" value=${run.usage} /><${Facts} title="Frames" value=${run.frames} /><${Facts} title="Own metrics" value=${run.metrics} keep=${/./} />
-      <${Facts} title="Labels" value=${run.labels} /><${Facts} title="Trajectory" value=${run.trajectory} /><${Facts} title="Provenance" value=${run.provenance} />
+      <${Facts}
+        title="How it went"
+        value=${{
+          phase: run.phase,
+          reason: run.reason,
+          attempts: run.attempts,
+          created: time(run.created),
+          started: time(run.started),
+          finished: time(run.finished),
+        }}
+      />
+      <${Facts} title="Cost" value=${run.usage} />
+      <${Facts} title="Frames" value=${run.frames} />
+      <${Facts} title="Own metrics" value=${run.metrics} keep=${/./} />
+      <${Facts} title="Labels" value=${run.labels} />
+      <${Facts} title="Trajectory" value=${run.trajectory} />
+      <${Facts} title="Provenance" value=${run.provenance} />
     </div>
     <${Files} base=${base} known=${run.files} />
-    ${run.logTail && html`<h2>End of the log</h2><pre class="text" tabindex="0">${run.logTail}</pre>`}
-    ${run.manifest && html`<details><summary>YAML to run it again</summary><pre class="text" tabindex="0">${run.manifest}</pre></details>`}
-    <${Facts} title="Attributes of the dataset" value=${run.attributes} folded />`;
+    ${
+      run.logTail &&
+      html`
+        <h2>End of the log</h2>
+        <pre class="text" tabindex="0">
+          ${run.logTail}
+        </pre>
+      `
+    }
+    ${
+      run.manifest &&
+      html`
+        <details>
+          <summary>YAML to run it again</summary>
+          <pre class="text" tabindex="0">
+            ${run.manifest}
+          </pre>
+        </details>
+      `
+    }
+    <${Facts} title="Attributes of the dataset" value=${run.attributes} folded />
+  `;
 }
 
-/** Lay nested values out as "a.b: value"; what is null is left out unless its name is to be kept: NaN and infinity come as null. */
+/**
+ * Lay nested values out as "a.b: value"; what is null is left out unless its name is to be kept: NaN and
+ * infinity come as null.
+ * @param {any} value
+ * @param {RegExp|null} keep
+ * @param {string} [prefix]
+ * @returns {Array<[string, any]>}
+ */
 function flat(value, keep, prefix = '') {
   if (value === null || value === undefined) return [];
   return Object.entries(value).flatMap(([key, inner]) => {
     const name = prefix ? `${prefix}.${key}` : key;
     if (inner === undefined || inner === '–' || (inner === null && !keep?.test(name))) return [];
-    return inner !== null && typeof inner === 'object' && !Array.isArray(inner) ? flat(inner, keep, name) : [[name, inner]];
+    return inner !== null && typeof inner === 'object' && !Array.isArray(inner)
+      ? flat(inner, keep, name)
+      : [[name, inner]];
   });
 }
 
-const shown = (name, value) => clip(/bytes$/i.test(name) && typeof value === 'number' ? bytes(value) : cell(value), LONGEST);
+/**
+ * @param {string} name
+ * @param {any} value
+ */
+const shown = (name, value) =>
+  clip(/bytes$/i.test(name) && typeof value === 'number' ? bytes(value) : cell(value), LONGEST);
 
+/**
+ * @param {{title: string, value: object|null|undefined, keep?: RegExp|null, folded?:
+ *   boolean}} props
+ */
 function Facts({ title, value, keep = null, folded = false }) {
   const pairs = flat(value, keep);
   if (pairs.length === 0) return null;
-  const list = html`<dl class="facts">${pairs.map(([name, one]) => html`<dt>${clip(name, 120)}</dt><dd tabindex=${String(one).length > LONG ? 0 : null}>${shown(name, one)}</dd>`)}</dl>`;
-  return folded ? html`<details class="card"><summary>${title} (${pairs.length})</summary>${list}</details>` : html`<section class="card"><h3>${title}</h3>${list}</section>`;
+  const list = html`
+    <dl class="facts">
+      ${pairs.map(
+        ([name, one]) => html`
+          <dt>${clip(name, 120)}</dt>
+          <dd tabindex=${String(one).length > LONG ? 0 : null}>${shown(name, one)}</dd>
+        `,
+      )}
+    </dl>
+  `;
+  return folded
+    ? html`
+      <details class="card">
+        <summary>
+          ${title} (${pairs.length})
+        </summary>
+        ${list}
+      </details>
+    `
+    : html`
+      <section class="card">
+        <h3>${title}</h3>
+        ${list}
+      </section>
+    `;
 }
 
+/** @param {{results: Api.Run['results']}} props */
 function Results({ results }) {
   if (results.length === 0) return null;
-  const metre = (name, title, of) => ({ name, title, kind: 'number', show: (_, row) => number(of(row)) });
+  /**
+   * @param {string} name
+   * @param {string} title
+   * @param {(row: any) => number|null|undefined} of
+   */
+  const metre = (name, title, of) => ({
+    name,
+    title,
+    kind: 'number',
+    show: (/** @type {unknown} */ _, /** @type {any} */ row) => number(of(row)),
+  });
+  /** @type {TableColumn[]} */
   const columns = [
-    { name: 'evaluation', title: 'evaluation' }, { name: 'alignment', title: 'alignment' }, { name: 'outcome', title: 'outcome', show: (value) => html`<${Status} value=${value} />` },
-    { name: 'coverage', title: 'coverage', kind: 'number' }, { name: 'scale', title: 'scale', kind: 'number' },
-    ...['rmse', 'mean', 'median', 'std', 'max'].map((which) => metre(`ate.${which}`, `ATE ${which} [m]`, (row) => row.ate?.[which])),
+    { name: 'evaluation', title: 'evaluation' },
+    { name: 'alignment', title: 'alignment' },
+    { name: 'outcome', title: 'outcome', show: (value) => html`<${Status} value=${value} />` },
+    { name: 'coverage', title: 'coverage', kind: 'number' },
+    { name: 'scale', title: 'scale', kind: 'number' },
+    ...['rmse', 'mean', 'median', 'std', 'max'].map((which) =>
+      metre(`ate.${which}`, `ATE ${which} [m]`, (row) => row.ate?.[which]),
+    ),
     metre('rpe', 'RPE rmse [m]', (row) => row.rpe?.[0]?.rmse ?? row.rpe?.[0]?.translation?.rmse),
   ];
-  return html`<h2>Measured</h2><${Table} columns=${columns} rows=${results} caption="Results by evaluation" />`;
+  return html`
+    <h2>Measured</h2>
+    <${Table} columns=${columns} rows=${results} caption="Results by evaluation" />
+  `;
 }
 
+/** @param {{base: string, results: Api.Run['results'], name: string}} props */
 function Trajectory({ base, results, name }) {
   const { query, change } = useAddress();
   const evaluation = query.get('evaluation', results[0]?.evaluation ?? '');
-  const url = `${base}/trajectory?points=2000${evaluation ? `&evaluation=${encodeURIComponent(evaluation)}` : ''}`;
+  const url = address(`${base}/trajectory`, { points: 2000, evaluation });
   const { data, error } = useData(url);
   const estimates = useMemo(() => data && [{ name, track: data.estimate }], [data, name]);
-  const errors = useMemo(() => data && overTime([{ name: 'error', t: since(data.estimate.t, data.clock.start), values: data.estimate.error }], 'error [m]', shared([data]).title), [data]);
+  const errors = useMemo(
+    () =>
+      data &&
+      overTime(
+        [
+          {
+            name: 'error',
+            t: since(data.estimate.t, data.clock.start),
+            values: data.estimate.error,
+          },
+        ],
+        'error [m]',
+        shared([data]).title,
+      ),
+    [data],
+  );
   const choice = results.length > 1 || error?.field === 'evaluation';
-  return html`<h2>Trajectory</h2>
-    ${choice && html`<p><${Choice} label="Evaluation" value=${evaluation} options=${results.map((one) => one.evaluation)} error=${error?.field === 'evaluation' ? error : null} onChange=${(value) => change({ evaluation: value })} /></p>`}
+  return html`
+    <h2>Trajectory</h2>
+    ${
+      choice &&
+      html`
+        <p>
+          <${Choice}
+            label="Evaluation"
+            value=${evaluation}
+            options=${results.map((one) => one.evaluation)}
+            error=${error?.field === 'evaluation' ? error : null}
+            onChange=${(value) => change({ evaluation: value })}
+          />
+        </p>
+      `
+    }
     ${error && error.field !== 'evaluation' && html`<p class="quiet">${clip(error.message, 500)}</p>`}
-    ${data && html`<div class="facets"><${Tracks} estimates=${estimates} reference=${data.reference} byError=${true} csv=${csvOf(url)} title=${name} />
-</div>
-      ${data.estimate.error?.some((value) => value !== null) && html`<${Chart} option=${errors} group=${base} height=${260} csv=${csvOf(url)} table=${trackTable(estimates)} title=${`${name}: error over time`} />`}
-      <p class="quiet">${number(data.shown)} of ${number(data.poses)} poses are drawn, aligned by ${clip(data.alignment ?? 'nothing', 40)}.</p><${Notes} notes=${data.notes} />`}`;
+    ${
+      data &&
+      html`
+        <div class="facets">
+          <${Tracks}
+            estimates=${estimates}
+            reference=${data.reference}
+            byError=${true}
+            csv=${csvOf(url)}
+            title=${name}
+          />
+        </div>
+        ${
+          data.estimate.error?.some((/** @type {number|null} */ value) => value !== null) &&
+          html`
+            <${Chart}
+              option=${errors}
+              group=${base}
+              height=${260}
+              csv=${csvOf(url)}
+              table=${trackTable(estimates)}
+              title=${`${name}: error over time`}
+            />
+          `
+        }
+        <p class="quiet">
+          ${number(data.shown)} of ${number(data.poses)} poses are drawn, aligned by${' '}
+          ${clip(data.alignment ?? 'nothing', 40)}.
+        </p>
+        <${Notes} notes=${data.notes} />
+      `
+    }
+  `;
 }
 
+/** @param {{base: string}} props */
 function Usage({ base }) {
   const { data, error } = useData(`${base}/usage`);
-  const drawn = useMemo(() => data && loads([{ name: 'run', usage: data, t: data.stamp && since(data.stamp, data.clock.start) }], data.clock && shared([data])), [data]);
+  const drawn = useMemo(
+    () =>
+      data &&
+      loads(
+        [{ name: 'run', usage: data, t: data.stamp && since(data.stamp, data.clock.start) }],
+        data.clock && shared([data]),
+      ),
+    [data],
+  );
   const csv = csvOf(`${base}/usage`);
-  return html`<h2>Load</h2>${error && html`<p class="quiet">${clip(error.message, 500)}</p>`}
-    ${data && html`<div class="facets">${drawn.map(({ title, option, table, ofDataset }) => html`<${Chart} key=${title} option=${option} height=${260} csv=${csv} table=${table} title=${title} group=${`${base}${ofDataset ? '' : ' program'}`} />`)}</div><${Notes} notes=${data.notes} />`}`;
+  return html`
+    <h2>Load</h2>
+    ${error && html`<p class="quiet">${clip(error.message, 500)}</p>`}
+    ${
+      data &&
+      html`
+        <div class="facets">
+          ${drawn.map(
+            (/** @type {LoadChart} */ { title, option, table, ofDataset }) => html`
+              <${Chart}
+                key=${title}
+                option=${option}
+                height=${260}
+                csv=${csv}
+                table=${table}
+                title=${title}
+                group=${`${base}${ofDataset ? '' : ' program'}`}
+              />
+            `,
+          )}
+        </div>
+        <${Notes} notes=${data.notes} />
+      `
+    }
+  `;
 }
 
+/** @param {{base: string, known: boolean}} props */
 function Files({ base, known }) {
   const { data } = useData(known === false ? null : `${base}/files`);
   if (!data?.items?.length) return null;
+  /** @type {TableColumn[]} */
   const columns = [
-    { name: 'path', title: 'file', show: (path) => html`<a href=${`${base}/files/${path.split('/').map(encodeURIComponent).join('/')}`} download>${clip(path, 100)}</a>` },
-    { name: 'size', title: 'size', kind: 'number', show: (size) => bytes(size) }, { name: 'modified', title: 'modified', show: (value) => time(value) },
+    {
+      name: 'path',
+      title: 'file',
+      show: (path) => html`
+        <a href=${`${base}/files/${path.split('/').map(encodeURIComponent).join('/')}`} download>
+          ${clip(path, 100)}
+        </a>
+      `,
+    },
+    { name: 'size', title: 'size', kind: 'number', show: (size) => bytes(size) },
+    { name: 'modified', title: 'modified', show: (value) => time(value) },
   ];
-  return html`<h2>Files</h2><${Table} columns=${columns} rows=${data.items} caption="Files of the run" />`;
+  return html`
+    <h2>Files</h2>
+    <${Table} columns=${columns} rows=${data.items} caption="Files of the run" />
+  `;
 }

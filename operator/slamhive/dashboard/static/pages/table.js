@@ -14,24 +14,101 @@ export default function Groups() {
   const title = query.get('title') || 'Table';
   useTitle(title);
   const columns = useColumns();
-  const set = { by: query.get('by'), metrics: query.get('metrics', 'ate.rmse'), outcomes: query.get('outcomes', 'tracked') };
-  const asked = query.get('figures').split(',').filter((one) => FIGURES.includes(one));
+  const set = {
+    by: query.get('by'),
+    metrics: query.get('metrics', 'ate.rmse'),
+    outcomes: query.get('outcomes', 'tracked'),
+  };
+  const asked = query
+    .get('figures')
+    .split(',')
+    .flatMap((name) => FIGURES.filter((one) => one === name));
   const figures = asked.length ? asked : FIGURES;
   const url = address('/api/v1/analysis/aggregate', query.filters().with(set));
   const state = useData(url);
-  const list = (label, name) => html`<label class=${`field wide ${state.error?.field === name ? 'wrong' : ''}`}><span>${label}</span>
-    <input type="text" value=${set[name]} spellcheck="false" onChange=${(event) => change({ [name]: event.target.value.trim(), title: null })} /></label>`;
+  /**
+   * @param {string} label
+   * @param {'by'|'metrics'} name
+   */
+  const list = (label, name) => html`
+    <label class=${`field wide ${state.error?.field === name ? 'wrong' : ''}`}>
+      <span>${label}</span>
+      <input
+        type="text"
+        value=${set[name]}
+        spellcheck="false"
+        onChange=${(event) => change({ [name]: event.target.value.trim(), title: null })}
+      />
+    </label>
+  `;
   const preset = published(columns.data?.items ?? []).find((one) => one.title === query.get('title'));
   const shown = state.data && groupTable(state.data, figures);
-  return html`<h1>${clip(title, 120)}</h1>
-    ${query.get('embed') !== '1' && html`<section class="controls" aria-label="What is in the table"><div class="row">${list('Rows tell apart', 'by')}${list('Metrics', 'metrics')}
-      <${Choice} label="Runs" value=${set.outcomes} options=${[['tracked', 'tracked'], ['all', 'all evaluated']]} error=${state.error?.field === 'outcomes' ? state.error : null} onChange=${(outcomes) => change({ outcomes, title: null })} /></div>
-      <div class="row">${FIGURES.map((one) => html`<${Tick} key=${one} label=${one} checked=${figures.includes(one)} onChange=${(on) => change({ figures: FIGURES.filter((other) => (other === one ? on : figures.includes(other))).join(',') })} />`)}
-        ${published(columns.data?.items ?? []).map(({ title: name, page, settings }) => html`<${Link} href=${address(page, { ...settings, title: name })}>${name}</${Link}>`)}</div></section>
-      <${Filters} columns=${columns.data?.items} error=${state.error} />`}
+  return html`
+    <h1>${clip(title, 120)}</h1>
+    ${
+      query.get('embed') !== '1' &&
+      html`
+        <section class="controls" aria-label="What is in the table">
+          <div class="row">
+            ${list('Rows tell apart', 'by')}
+            ${list('Metrics', 'metrics')}
+            <${Choice}
+              label="Runs"
+              value=${set.outcomes}
+              options=${[['tracked', 'tracked'], ['all', 'all evaluated']]}
+              error=${state.error?.field === 'outcomes' ? state.error : null}
+              onChange=${(outcomes) => change({ outcomes, title: null })}
+            />
+          </div>
+          <div class="row">
+            ${FIGURES.map(
+              (one) => html`
+                <${Tick}
+                  key=${one}
+                  label=${one}
+                  checked=${figures.includes(one)}
+                  onChange=${(on) =>
+                    change({
+                      figures: FIGURES.filter((other) => (other === one ? on : figures.includes(other))).join(
+                        ',',
+                      ),
+                    })}
+                />
+              `,
+            )}
+            ${published(columns.data?.items ?? []).map(
+              ({ title: name, page, settings }) => html`
+                <${Link} href=${address(page, { ...settings, title: name })}>${name}</${Link}>
+              `,
+            )}
+          </div>
+        </section>
+        <${Filters} columns=${columns.data?.items} error=${state.error} />
+      `
+    }
     ${state.error && !shownByFilters(state.error, query) && html`<${Fault} error=${state.error} />`}
     ${preset && html`<p>${preset.note}</p>`}
-    ${shown ? html`<p class="quiet">Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs. <a href=${csvOf(url)} download>CSV</a></p>
-      ${shown.rows.length ? html`<${Table} columns=${shown.columns} rows=${shown.rows.slice(0, 1000)} caption=${title} />` : html`<${NothingFits} />`}
-      <${Notes} notes=${state.data.notes} />` : !state.error && html`<${Waiting} />`}`;
+    ${
+      shown
+        ? html`
+          <p class="quiet">
+            Figures are over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs.${' '}
+            <a href=${csvOf(url)} download>
+              CSV
+            </a>
+          </p>
+          ${
+            shown.rows.length
+              ? html`
+                <${Table} columns=${shown.columns} rows=${shown.rows.slice(0, 1000)} caption=${title} />
+              `
+              : html`
+                <${NothingFits} />
+              `
+          }
+          <${Notes} notes=${state.data.notes} />
+        `
+        : !state.error && html`<${Waiting} />`
+    }
+  `;
 }

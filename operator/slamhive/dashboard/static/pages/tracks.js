@@ -9,30 +9,95 @@ import { html, useMemo } from '../core/ui.js';
 /** The ground truth is a pale, broad line below the paths. */
 const TRUTH_UNDER = `${TRUTH}73`;
 
-const NUMBERS = ['t', 'x', 'y', 'z', 'error'].map((name) => ({ name, title: name === 't' ? 'time stamp [s]' : `${name} [m]`, kind: 'number' }));
-const FIGURES = [{ name: 'run', title: 'run' }, ...NUMBERS.map((column) => (column.name === 't' ? { ...column, show: (value) => value.toFixed(3) } : column))];
+const NUMBERS = ['t', 'x', 'y', 'z', 'error'].map((name) => ({
+  name,
+  title: name === 't' ? 'time stamp [s]' : `${name} [m]`,
+  kind: 'number',
+}));
+const FIGURES = [
+  { name: 'run', title: 'run' },
+  ...NUMBERS.map((column) =>
+    column.name === 't' ? { ...column, show: (/** @type {number} */ value) => value.toFixed(3) } : column,
+  ),
+];
 
-/** Return the poses of some tracks as a table. @param {Array<{name: string, track: object}>} estimates */
+/**
+ * Return the poses of some tracks as a table.
+ * @param {Array<{name: string, track: Api.Track}>} estimates
+ * @param {TableColumn[]} [columns]
+ * @returns {TableData}
+ */
 export const trackTable = (estimates, columns = FIGURES) => ({
-  columns, rows: estimates.flatMap(({ name, track }) => track.t.map((t, at) => ({ run: name, t, x: track.x[at], y: track.y[at], z: track.z[at], error: track.error?.[at] ?? null }))),
+  columns,
+  rows: estimates.flatMap(({ name, track }) =>
+    track.t.map((t, at) => ({
+      run: name,
+      t,
+      x: track.x[at],
+      y: track.y[at],
+      z: track.z[at],
+      error: track.error?.[at] ?? null,
+    })),
+  ),
 });
 
-/** @param {{estimates: Array<{name: string, track: object}>, reference: object|null, byError: boolean, csv?: string, title: string, aligned?: string}} props
- *   byError: colours tell the error instead of the run */
+/**
+ * @param {{estimates: Array<{name: string, track: Api.Track}>, reference: Api.Track|null, byError: boolean,
+ *   csv?: string|true, title: string, aligned?: string}} props byError: colours tell the error instead of the
+ *   run
+ */
 export function Tracks({ estimates, reference, byError, csv, title }) {
   const { query, change } = useAddress();
   const drawn = useMemo(() => {
     const range = byError ? errorRange(estimates.map((one) => one.track)) : null;
     return {
-      range, table: trackTable(estimates),
+      range,
+      table: trackTable(estimates),
       planes: PLANES.map(([name, a, b]) => [name, plane(estimates, reference, a, b, range)]),
       paths: [
-        ...(reference ? [{ name: 'ground truth', track: reference, colour: TRUTH_UNDER, width: 4, under: true }] : []),
-        ...estimates.map((one, at) => ({ name: one.name, track: one.track, colour: COLOURS[at % COLOURS.length], width: 2, ...(range ? { error: one.track.error } : {}) })),
+        ...(reference
+          ? [
+              {
+                name: 'ground truth',
+                track: reference,
+                colour: TRUTH_UNDER,
+                width: 4,
+                under: true,
+              },
+            ]
+          : []),
+        ...estimates.map((one, at) => ({
+          name: one.name,
+          track: one.track,
+          colour: COLOURS[at % COLOURS.length],
+          width: 2,
+          ...(range ? { error: one.track.error } : {}),
+        })),
       ],
     };
   }, [estimates, reference, byError]);
-  return html`${drawn.planes.map(([name, option]) => html`<${Chart} key=${name} option=${option} height=${360} csv=${csv ?? true} table=${drawn.table} title=${`${title} ${name}${drawn.range ? ', coloured by error' : ''}`} />`)}
-    <${Space} title=${`${title} in 3D`} paths=${drawn.paths} range=${drawn.range} height=${330} csv=${csv ?? true} table=${drawn.table}
-      view=${query.get('view')} onView=${(view) => change({ view }, true)} />`;
+  return html`
+    ${drawn.planes.map(
+      ([name, option]) => html`
+        <${Chart}
+          key=${name}
+          option=${option}
+          height=${360}
+          csv=${csv ?? true}
+          table=${drawn.table}
+          title=${`${title} ${name}${drawn.range ? ', coloured by error' : ''}`}
+        />
+      `,
+    )}
+    <${Space}
+      title=${`${title} in 3D`}
+      paths=${drawn.paths}
+      range=${drawn.range}
+      height=${330}
+      csv=${csv ?? true}
+      table=${drawn.table}
+      view=${query.get('view')}
+      onView=${(view) => change({ view }, true)}
+    />
+  `;
 }

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Groups of runs that are measured together: a Sweep's runs, a single run, or what an Evaluation selects.
+
+Sweeps and runs bring their own settings; their groups are queued as Evaluations of the names ``sweep:NAME``
+and ``run:NAME``, which no object can have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
+from slamhive.kube.kinds import Key, Kind, Label, Object, reference
+from slamhive.kube.reconciling.catalogue import parse
+from slamhive.kube.routing import OWN_EVALUATIONS
+from slamhive.kube.status import phase_of
+from slamhive.model.errors import InputError
+from slamhive.model.evaluation import Evaluation, EvaluationSettings
+from slamhive.model.results import Phase
+from slamhive.model.sweep import Sweep
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from slamhive.kube.operator import Operator
+    from slamhive.model.evaluation import Evaluator, RunSelector
+
+
+SWEEP_PREFIX, RUN_PREFIX = OWN_EVALUATIONS
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that are measured alike.
+
+    Attributes:
+        key: what it is queued as.
+        name: name of the Evaluation, None where the alignment names the result.
+        settings: how to measure.
+        hash: the hash of that.
+        evaluator: the container that measures, None for ours.
+        owner: the object whose end ends the Jobs.
+        runs: the finished runs that can be measured.
+        selected: how many runs are selected in all, finished or not.
+    """
+
+    key: Key
+    name: str | None
+    settings: EvaluationSettings
+    hash: str
+    evaluator: Evaluator | None
+    owner: Object
+    runs: list[Object]
+    selected: int
+
+    @property
+    def labels(self) -> dict[str, str | None]:
+        """Return the labels by which the end of one of its Jobs leads back to it; None removes one."""
+        for prefix, label in OWN_EVALUATIONS.items():
+            if self.key.name.startswith(prefix):
+                return {str(label): self.key.name.removeprefix(prefix), str(Label.EVALUATION): None}
+        return {}
+
+    def has_result(self, run: Mapping[str, Any]) -> bool:
+        """Tell whether a run has been measured like this."""
+        results = run["status"].get("results") or ()
+        if self.name is None:
+            return any(result.get(SETTINGS_KEY) == self.hash for result in results)
+        return any(
+            result["evaluation"] == self.name and result.get(SETTINGS_KEY) in {self.hash, None}
+            for result in results
+        )
+
+
+def key_for(run: Mapping[str, Any]) -> Key | None:
+    """Return what a finished run's own measurement is queued as; None when none is asked for."""
+    status, meta = run["status"], run["metadata"]
+    if phase_of(status) is not Phase.SUCCEEDED or not run["spec"].get("evaluate", True):
+        return None
+    sweep = (meta.get("labels") or {}).get(Label.SWEEP)
+    name = f"{SWEEP_PREFIX}{sweep}" if sweep else f"{RUN_PREFIX}{meta['name']}"
+    return Key(Kind.EVALUATION, meta["namespace"], name)
+
+
+def group_of(op: Operator, key: Key) -> Group | None:
+    """Return a group by its key; None when what it belongs to is gone.
+
+    Raises:
+        InputError: the object is wrong where its CRD could not tell.
+    """
+    if key.name.startswith(SWEEP_PREFIX):
+        return _of_sweep(op, key, key.name.removeprefix(SWEEP_PREFIX))
+    if key.name.startswith(RUN_PREFIX):
+        return _of_run(op, key, key.name.removeprefix(RUN_PREFIX))
+    return _of_evaluation(op, key)
+
+
+def _of_sweep(op: Operator, key: Key, name: str) -> Group | None:
+    body = op.store.get(Key(Kind.SWEEP, key.namespace, name))
+    if body is None or body["metadata"].get("deletionTimestamp"):
+        return None
+    runs = op.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, name)
+    settings = parse(Sweep, body).spec.evaluation
+    owner = reference(Kind.SWEEP, body)
+    runs = [run for run in runs if run["spec"].get("evaluate", True)]
+    return _group(key, settings, owner, runs)
+
+
+def _of_run(op: Operator, key: Key, name: str) -> Group | None:
+    run = op.store.get(Key(Kind.MAPPING_RUN, key.namespace, name))
+    if run is None or run["metadata"].get("deletionTimestamp"):
+        return None
+    return _group(key, EvaluationSettings(), reference(Kind.MAPPING_RUN, run), [run])
+
+
+def _of_evaluation(op: Operator, key: Key) -> Group | None:
+    body = op.store.get(key)
+    if body is None or body["metadata"].get("deletionTimestamp"):
+        return None
+    spec = parse(Evaluation, body).spec
+    if spec.evaluator is not None and not op.settings.custom_evaluators:
+        raise InputError(
+            f"spec.evaluator: {spec.evaluator.image!r} is not run here: the operator's setting "
+            "customEvaluators is false, so its own evaluator alone measures"
+        )
+    settings = EvaluationSettings.model_validate(
+        {name: getattr(spec, name) for name in EvaluationSettings.model_fields}
+    )
+    runs = [run for run in _candidates(op, key.namespace, spec.runs) if _selected(spec.runs, run)]
+    return _group(
+        key, settings, reference(Kind.EVALUATION, body), runs, name=key.name, evaluator=spec.evaluator
+    )
+
+
+def _group(
+    key: Key,
+    settings: EvaluationSettings,
+    owner: Object,
+    runs: list[Object],
+    *,
+    name: str | None = None,
+    evaluator: Evaluator | None = None,
+) -> Group:
+    # `selected` counts all of them, so that an Evaluation waits for runs that are still to end.
+    able = [run for run in runs if _can_be_measured(run)]
+    return Group(key, name, settings, settings_hash(settings), evaluator, owner, able, len(runs))
+
+
+def _can_be_measured(run: Object) -> bool:
+    status = run["status"]
+    alive = not run["metadata"].get("deletionTimestamp")
+    return alive and phase_of(status) is Phase.SUCCEEDED and bool(status.get("trajectory"))
+
+
+def _candidates(op: Operator, namespace: str, selector: RunSelector) -> list[Object]:
+    if selector.sweep_ref is not None:
+        return op.store.select(Kind.MAPPING_RUN, namespace, Label.SWEEP, selector.sweep_ref.name)
+    if selector.names:
+        found = (op.store.get(Key(Kind.MAPPING_RUN, namespace, name)) for name in selector.names)
+        return [run for run in found if run is not None]
+    return op.store.of(Kind.MAPPING_RUN, namespace)
+
+
+def _selected(selector: RunSelector, run: Object) -> bool:
+    labels = run["metadata"].get("labels") or {}
+    return selector.selects(run["metadata"]["name"], labels.get(Label.SWEEP), labels)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""In-memory state of a Sweep: its plan, and the state of each point.
+
+All of it can be made again from the Sweep's spec and status, its live runs and the archive.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+from slamhive.archive import SweepRecord
+from slamhive.engine import PointState
+from slamhive.kube.reconciling.archiving import asked
+from slamhive.kube.reconciling.sweep_runs import Tally, decode_points
+from slamhive.kube.status import moment
+from slamhive.model.errors import InputError
+from slamhive.model.results import Phase
+from slamhive.model.status import AxisSelection
+from slamhive.plan import FixedCatalog, Plan, plan_problems
+from slamhive.plan.catalog import select
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.archive import Archive
+    from slamhive.model.status import SweepStatus
+    from slamhive.model.sweep import Axis, Sweep
+
+_KINDS = {"algorithm": "algorithm", "dataset": "dataset"}
+
+
+@dataclass
+class SweepMemory:
+    """A Sweep that was accepted.
+
+    Attributes:
+        plan: its points.
+        order: indices in the order in which they are to be started.
+        states: state of each point, one a byte.
+        selected: what each selector of its matrix chose.
+        remarks: which of its settings have no effect on some recordings, a sentence a line.
+        cursor: position in ``order`` before which no point is pending.
+        archived: figures over finished runs whose objects are gone.
+        started_at: when its first run was started, s since 1970.
+        looked_at: when it was last looked at.
+        written_at: when its status was last written.
+        finished: its finished runs that were there when it was last looked at.
+        points: the states of its points as they were last written or read.
+    """
+
+    plan: Plan
+    order: Sequence[int]
+    states: bytearray
+    selected: list[AxisSelection]
+    archived: Tally
+    remarks: str = ""
+    started_at: float | None = None
+    cursor: int = 0
+    looked_at: float = 0.0
+    written_at: float = 0.0
+    finished: dict[int, dict[str, Any]] = field(default_factory=dict)
+    points: str | None = None
+
+
+def choose(sweep: Sweep, catalog: FixedCatalog, status: SweepStatus) -> list[AxisSelection]:
+    """Return what each selector of a matrix chooses; what a status says was chosen before stays.
+
+    Without that, an Algorithm added later would give every point another meaning.
+    """
+    before = {item.axis: item for item in status.selected}
+    chosen = []
+    for number, axis in enumerate(sweep.spec.matrix):
+        if axis.selector is not None:
+            kind = (axis.path or "").removesuffix("Ref.name")
+            names = select(catalog, _KINDS.get(kind, kind), axis.selector.match_labels)
+            chosen.append(before.get(number) or AxisSelection(axis=number, names=names))
+    return chosen
+
+
+def fixed(sweep: Sweep, selected: list[AxisSelection]) -> Sweep:
+    """Return a Sweep with the values that its selectors chose in their places."""
+    names = {item.axis: item.names for item in selected}
+
+    def axis(number: int, given: Axis) -> Axis:
+        if not names.get(number):
+            return given
+        return given.replace(selector=None, values=names[number])
+
+    matrix = [axis(number, given) for number, given in enumerate(sweep.spec.matrix)]
+    return sweep.replace(spec=sweep.spec.replace(matrix=matrix))
+
+
+async def remember(
+    sweep: Sweep,
+    status: SweepStatus,
+    catalog: FixedCatalog,
+    live: dict[str, PointState],
+    archive: Archive | None,
+    *,
+    accepted: bool,
+    cluster: str | None = None,
+) -> SweepMemory:
+    """Return the memory of a Sweep, made from what is written down of it.
+
+    Args:
+        sweep: the Sweep.
+        status: its status.
+        catalog: Algorithms and Datasets of its namespace.
+        live: states of its live runs by uid.
+        archive: where finished runs go.
+        accepted: whether it was accepted before; then the catalog isn't checked again.
+        cluster: what tells its cluster from others.
+
+    Raises:
+        InputError: the plan is wrong, or the catalog does not allow it; one sentence a line.
+        ArchiveAway: the archive does not answer.
+    """
+    selected = choose(sweep, catalog, status)
+
+    def lay_out() -> tuple[Plan, list[int], str]:
+        plan = Plan(fixed(sweep, selected), catalog, strict=True)
+        # What was accepted once goes on: a catalog that has changed since must not stop a Sweep halfway.
+        problems = [] if accepted else plan_problems(plan)
+        if problems:
+            raise InputError("\n".join(problems))
+        return plan, plan.start_order(), "\n".join(plan.remarks())
+
+    # In a thread: a plan of tens of thousands of points takes long enough for probes and watches to suffer.
+    plan, order, remarks = await asyncio.to_thread(lay_out)
+    states = decode_points(status.points, len(plan))
+    archived = Tally(best=status.best)
+    if archive is not None:
+        await asked(_recall, sweep, archive, live, states, archived, cluster)
+    return SweepMemory(
+        plan=plan,
+        order=order,
+        states=states,
+        selected=selected,
+        archived=archived,
+        remarks=remarks,
+        started_at=moment(status.start_time),
+        points=status.points,
+    )
+
+
+def _recall(  # noqa: PLR0917 - called in a thread
+    sweep: Sweep,
+    archive: Archive,
+    live: dict[str, PointState],
+    states: bytearray,
+    archived: Tally,
+    cluster: str | None = None,
+) -> None:
+    """Take from the archive what became of the runs whose objects are gone."""
+    uid = sweep.metadata.uid or ""
+    archive.put_sweep(
+        SweepRecord(
+            uid=uid,
+            name=sweep.name,
+            namespace=sweep.metadata.namespace,
+            cluster=cluster,
+            labels=sweep.metadata.labels,
+            spec=sweep.spec.as_json(),
+            created=datetime.now(UTC),
+            evaluation=sweep.spec.evaluation.as_json(),
+        )
+    )
+    for run, point in archive.finished(uid).items():
+        # A run can be in the archive and still be live, when its deletion was cut short: the live one counts.
+        if run not in live and point.index is not None and point.index < len(states):
+            succeeded = point.phase is Phase.SUCCEEDED
+            states[point.index] = PointState.SUCCEEDED if succeeded else PointState.FAILED
+    totals = archive.totals(uid, live)
+    archived.reused, archived.evaluated = totals.reused, totals.evaluated
+    archived.cpu_seconds = totals.cpu_seconds

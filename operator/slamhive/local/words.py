@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memory file for a supervisor's standard error: on a full disk its message would be lost in a file."""
+
+from __future__ import annotations
+
+import os
+import weakref
+
+_LIMIT = 64 << 10
+
+
+class Words:
+    """What a child writes to its standard error."""
+
+    def __init__(self) -> None:
+        self.descriptor = os.memfd_create("words", os.MFD_CLOEXEC)
+        """For the child to write to."""
+        weakref.finalize(self, os.close, self.descriptor)
+
+    def last(self, count: int = 1) -> str:
+        """Return its last lines that say something, in one line; empty where it said nothing."""
+        size = os.fstat(self.descriptor).st_size
+        text = os.pread(self.descriptor, _LIMIT, max(0, size - _LIMIT)).decode("utf-8", "replace")
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        return " ".join(lines[-count:])

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of behaviours on a workstation; tests/e2e/test_contract.py holds a cluster to the same."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING
+
+import pytest
+from executors import algorithm, table
+from executors.executor import Row, differences, outcomes
+from executors.process import Process
+
+from slamhive.data.erasing import erase
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+NOT_MEASURED = ("frames.", "metrics.", "reused")
+
+
+@pytest.fixture(scope="module")
+def process(tmp_path_factory: pytest.TempPathFactory, environments: Path, tiny: Path) -> Iterator[Process]:
+    """A workstation."""
+    made = Process.at(tmp_path_factory.mktemp("workstation") / "home", environments, tiny)
+    yield made
+    erase(made.home.path / "runs")  # pytest can't remove folders that are as deep
+
+
+@pytest.fixture(scope="module")
+def behaved(process: Process) -> dict[str, Row]:
+    """What came of all behaviours; ``SLAMHIVE_UPDATE=1`` keeps what came of the first as what is expected."""
+    found = table.carry_out(process)
+    if os.environ.get("SLAMHIVE_UPDATE"):
+        kept = {key: value for key, value in found["well"].items() if not key.startswith(NOT_MEASURED)}
+        table.MEASURED.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n")
+    return found
+
+
+def test_the_table_has_all_behaviours() -> None:
+    assert table.BEHAVIOURS.keys() == algorithm.ACTS.keys()
+
+
+@pytest.mark.parametrize("name", table.expected("process"))
+def test_a_workstation_makes_of_it_what_the_table_says(name: str, behaved: dict[str, Row]) -> None:
+    assert differences(behaved[name], table.expected("process")[name]) == []
+
+
+def test_what_it_left_is_in_nobodys_way(process: Process, behaved: dict[str, Row]) -> None:
+    """Whatever stands in its run folder: the same comes of the same run a second time."""
+    made, _, _ = table.study(process)
+    for _ in range(2):
+        archive = process.run(made, table.sweep("hostile", table.HOSTILE), rerun=True)
+        found = outcomes(archive, "hostile")
+        assert found.keys() == table.HOSTILE.keys()
+        changed = {name: differences(found[name], behaved[name]) for name in found}
+        assert {name: lines for name, lines in changed.items() if lines} == {}

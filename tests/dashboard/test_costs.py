@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of which questions the dashboard answers itself, and of its queue when many ask the others."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.dashboard.problems import BadRequest, Busy
+from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.workers import Limits, Workers
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+
+    from slamhive.dashboard.workers import Cost
+
+sys.path.append(str(Path(__file__).parents[1] / "bench"))
+
+from bench_dashboard import fill
+
+
+@pytest.fixture(scope="session")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A home with runs of eight algorithms on ten datasets with twenty parameters."""
+    home = tmp_path_factory.mktemp("filled")
+    fill(f"sqlite:///{home / 'archive.sqlite'}", 800)
+    return home
+
+
+@pytest.mark.parametrize(
+    ("question", "by_a_worker"),
+    [
+        ("runs?algorithm=orb-slam3&coverage%3E=0.5&sort=ate.rmse&limit=100", False),
+        ("analysis/points?x=parameters.p0&y=ate.rmse&colour=algorithm", False),
+        ("analysis/leaderboard", False),
+        ("analysis/aggregate?by=algorithm,dataset", False),
+        ("algorithms", False),
+        ("analysis/aggregate?by=id", True),
+        ("analysis/aggregate", True),
+        ("analysis/leaderboard?by=algorithm,dataset", True),
+        ("analysis/importance", True),
+        ("runs?where=" + " or ".join(f"id == {number}" for number in range(40)), True),
+    ],
+)
+async def test_who_computes(
+    filled: Path, open_app: Callable[..., Any], question: str, by_a_worker: bool
+) -> None:
+    asked: list[Cost] = []
+    async with open_app(Workstation(f"sqlite:///{filled / 'archive.sqlite'}", filled)) as client:
+        client.raw._transport.app.state.service.workers.told = asked.append
+        await client.get(f"/{question}")
+    assert bool(asked) is by_a_worker
+
+
+@pytest.fixture
+async def workers() -> AsyncIterator[Workers]:
+    found = Workers(Limits(inside=1, waiting=1, waiting_of_one=1, waiting_seconds=300.0))
+    yield found
+    await found.stop()
+
+
+async def test_questions_wait_for_those_before_them(workers: Workers) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slow() -> str:
+        begun.set()
+        go_on.wait()
+        return "first"
+
+    first = asyncio.create_task(workers.compute_inside(slow, "one"))
+    await asyncio.to_thread(begun.wait)
+    second = asyncio.create_task(workers.compute_inside(lambda: "second", "other"))
+    await asyncio.sleep(0)
+    with pytest.raises(Busy):
+        await workers.compute_inside(lambda: "third", "another")
+    assert await workers.compute(lambda: "by a worker", "another") == "by a worker"
+    go_on.set()
+    assert await asyncio.gather(first, second) == ["first", "second"]
+
+
+async def test_what_is_wrong_is_told_and_the_place_is_free_again(workers: Workers) -> None:
+    def wrong() -> None:
+        raise BadRequest("no such column", "by")
+
+    for _ in range(3):
+        with pytest.raises(BadRequest, match="no such column"):
+            await workers.compute_inside(wrong, "one")
+
+
+async def test_a_client_that_leaves_keeps_no_place(workers: Workers) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slow() -> None:
+        begun.set()
+        go_on.wait()
+
+    left = asyncio.create_task(workers.compute_inside(slow, "one"))
+    await asyncio.to_thread(begun.wait)
+    left.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await left
+    go_on.set()
+    assert await workers.compute_inside(lambda: "next", "other") == "next"

@@ -1,0 +1,500 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Charts: their options, and that ECharts draws them, whatever the archive's texts are. */
+import assert from 'node:assert/strict';
+import test from 'node:test';
+import * as echarts from '/vendor/echarts.mjs';
+import { box } from '../../operator/slamhive/dashboard/static/charts/box.js';
+import { dumbbells } from '../../operator/slamhive/dashboard/static/charts/dumbbells.js';
+import { importanceCharts } from '../../operator/slamhive/dashboard/static/charts/importance.js';
+import { line, lines } from '../../operator/slamhive/dashboard/static/charts/line.js';
+import { pairsChart } from '../../operator/slamhive/dashboard/static/charts/pairs.js';
+import {
+  asCategories,
+  axisOption,
+  facets,
+  quantile,
+  readAxis,
+} from '../../operator/slamhive/dashboard/static/charts/points.js';
+import {
+  ratioChart,
+  settingText,
+  toldApart,
+} from '../../operator/slamhive/dashboard/static/charts/ratios.js';
+import { labelRoom } from '../../operator/slamhive/dashboard/static/charts/rows.js';
+import { scatter } from '../../operator/slamhive/dashboard/static/charts/scatter.js';
+import { spreadChart, suspectChart } from '../../operator/slamhive/dashboard/static/charts/spread.js';
+import { overTime, plane } from '../../operator/slamhive/dashboard/static/charts/trajectory.js';
+import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
+import { answer, HOSTILE } from './helpers.js';
+
+const SIZE = { width: 800, height: 400 };
+const every = (data) => Array.from({ length: data.count }, (_, index) => index);
+
+/** Points: numbers of x and y, categories of status and, if given, colour and facet. */
+function points(x, y, { status, colour, facet } = {}) {
+  const coded = (values) => {
+    const categories = [...new Set(values)].filter((value) => value !== null);
+    return {
+      name: 'c',
+      title: 'c',
+      kind: 'text',
+      categories,
+      codes: values.map((value) => categories.indexOf(value)),
+    };
+  };
+  return {
+    count: x.length,
+    axes: {
+      x: typeof x[0] === 'string' ? coded(x) : { name: 'x', title: 'x', kind: 'number', values: x },
+      y: { name: 'y', title: 'y', kind: 'number', values: y },
+      ...(colour && { colour: coded(colour) }),
+      ...(facet && { facet: { ...coded(facet), name: 'dataset', title: 'dataset' } }),
+    },
+    status: coded(status ?? x.map(() => 'Tracked')),
+    run: x.map((_, index) => index + 1),
+    id: x.map((_, index) => index),
+  };
+}
+
+/** Draw an option as the page does; return the SVG. */
+function drawn(option) {
+  const paper = echarts.init(null, null, { renderer: 'svg', ssr: true, ...SIZE });
+  paper.setOption(dressed(typeof option === 'function' ? option(SIZE) : option, false));
+  const svg = paper.renderToSVGString();
+  paper.dispose();
+  return svg;
+}
+
+const track = (name, error) => ({
+  name,
+  track: { t: [0, 1, 2, 30], x: [0, 1, 2, 3], y: [0, 1, 0, 1], z: [0, 0, 1, 1], error },
+});
+const side = (median) => ({
+  runs: 3,
+  n: 3,
+  failures: {},
+  median,
+  medianFailed: median === null,
+  points: [],
+  deterministic: false,
+});
+const setting = (n, before, after) => ({
+  keys: { dataset: 'hall', 'parameters.n': n },
+  before: side(before),
+  after: side(after),
+  ratio: before && after && after / before,
+});
+const entry = (name, own, ownRank, common, rank) => ({
+  keys: { algorithm: name, sensors: 'mono' },
+  runs: 3,
+  n: 3,
+  own,
+  ownRank,
+  common,
+  rank,
+});
+const group = (name, x, median) => ({
+  keys: { name, 'parameters.n': x },
+  runs: 3,
+  n: 2,
+  failures: { Lost: 1 },
+  coverage: { mean: 0.9 },
+  figures: { 'ate.rmse': { n: 2, median, min: median - 1, max: median + 1, medianInterval: null } },
+});
+const aggregate = (groups) => ({
+  keys: [
+    { name: 'name', title: 'name', kind: 'text' },
+    { name: 'parameters.n', title: 'n', kind: 'integer' },
+  ],
+  metrics: [{ name: 'ate.rmse', title: 'ATE', kind: 'number', factor: 1 }],
+  groups,
+});
+const LINE = { x: 'parameters.n', y: 'ate.rmse', figure: 'median', xlog: false, ylog: false };
+const SCATTER = { xlog: false, ylog: false, top: 9 };
+
+/** Each kind of chart, made with a text of the archive. */
+const CHARTS = {
+  scatter: (text) =>
+    scatter(points([1, 2, 3], [1, null, 3], { colour: [text, text, 'b'] }), [0, 1, 2], SCATTER),
+  box: (text) =>
+    box(points([text, text, text, text, text, 'b'], [1, 2, 3, 4, 5, 6]), [0, 1, 2, 3, 4, 5], {
+      ylog: false,
+      tracked: true,
+    }),
+  line: (text) => line(aggregate([group(text, 1, 5), group(text, 2, 6), group('b', 1, 7)]), LINE),
+  dumbbells: (text) => dumbbells([entry(text, 0.1, 2, 0.2, 1), entry('b', 0.2, 1, null, 2)]).option,
+  importance: (text) =>
+    importanceCharts({
+      parameters: [{ name: `parameters.${text}`, variance: 0.4 }],
+      interactions: [{ a: text, b: 'b', variance: 0.1 }],
+    }).option,
+  pairs: (text) =>
+    pairsChart([
+      { a: { algorithm: text }, b: { algorithm: 'b' }, n: 2, wins: { a: 2, b: 0 }, effect: 1, pHolm: 0.01 },
+    ]).option,
+  ratios: (text) => ratioChart({ settings: [setting(text, 1, 2), setting('b', 1, null)] }).option,
+  spread: (text) =>
+    spreadChart({
+      metric: {},
+      groups: [{ keys: { algorithm: text }, n: 2, verdict: text, figure: { median: 1, min: 0.5, max: 2 } }],
+    }).option,
+  suspects: (text) => suspectChart([{ keys: { algorithm: text }, scale: 1.04, spread: 0.01, n: 3 }]).option,
+  plane: (text) => plane([track(text), track('b', [0, 1, null, 3])], track('truth').track, 'x', 'y', null),
+  'plane by error': (text) => plane([track(text, [0, 1, null, 3])], null, 'x', 'z', { low: 0, high: 3 }),
+  'over time': (text) => overTime([{ name: text, t: [0, 1, 90], values: [1, null, 2] }], text, 'time [s]'),
+};
+
+for (const [name, make] of Object.entries(CHARTS))
+  test(`${name}: texts of the archive are drawn as texts`, () => {
+    for (const text of HOSTILE) {
+      const svg = drawn(make(text));
+      assert.match(svg, /<(path|text)/);
+      assert.doesNotMatch(svg, /<(img|script)|<svg onload/);
+    }
+  });
+
+for (const [name, make] of Object.entries(CHARTS))
+  test(`${name}: what is pointed at is told in lines of bearable length`, () => {
+    const made = make('x'.repeat(5000));
+    const option = typeof made === 'function' ? made(SIZE) : made;
+    const tell = option.tooltip.formatter;
+    for (const series of option.series.filter((one) => one.type !== 'custom' && !one.silent))
+      for (const data of series.data) {
+        if (data[0] === '-') continue; // a break in a line, at which nobody can point
+        const item = {
+          data,
+          value: data?.value ?? data,
+          name: 'n',
+          seriesName: series.name,
+          seriesType: series.type,
+        };
+        const told = tell(option.tooltip.trigger === 'axis' ? [item] : item);
+        assert.equal(typeof told, 'string');
+        assert.ok(
+          told.split('\n').every((one) => one.length <= 200),
+          told,
+        );
+        assert.doesNotMatch(told, /undefined|NaN|\[object/);
+      }
+  });
+
+test('kept answers of a dashboard are drawn', () => {
+  const data = answer('/analysis/points');
+  for (const part of facets(data)) {
+    const indices = part.indices.filter((index) => index < 6);
+    assert.ok(drawn(scatter(data, indices, SCATTER)).length > 1000);
+    assert.ok(drawn(box(data, indices, { ylog: false, tracked: false })).length > 1000);
+  }
+  assert.ok(drawn(line(answer('/analysis/aggregate'), { ...LINE, x: 'parameters.nFeatures' })).length > 1000);
+  assert.ok(drawn(pairsChart(answer('/analysis/compare').boards[0].pairs).option).length > 1000);
+  assert.ok(drawn(spreadChart(answer('/analysis/repeatability')).option).length > 1000);
+  assert.ok(drawn(suspectChart(answer('/analysis/suspects').items).option).length > 1000);
+  assert.ok(drawn(importanceCharts(answer('/analysis/importance').subjects[0]).option).length > 1000);
+  assert.ok(drawn(dumbbells(answer('/analysis/common').groups[0].entries).option).length > 1000);
+});
+
+test('where nothing can be drawn there is no chart', () => {
+  assert.equal(dumbbells([]), null);
+  assert.equal(dumbbells([entry('a', 0.1, 1, null, 1)]), null);
+  assert.equal(ratioChart({ settings: [] }), null);
+  assert.equal(spreadChart({ metric: {}, groups: [] }), null);
+  assert.equal(
+    spreadChart({
+      metric: {},
+      groups: [
+        { keys: {}, n: 3, figure: { median: 0 } },
+        { keys: {}, n: 2, figure: null },
+      ],
+    }),
+    null,
+  );
+  assert.equal(
+    box(points([...'abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQ'], Array(43).fill(1)), [], {}),
+    null,
+  );
+});
+
+test('numbers of an axis are in the shown unit, unknown ones are none', () => {
+  const axis = readAxis({ name: 'm', title: 'memory', kind: 'number', factor: 0.5, values: [4, null, 0] });
+  assert.deepEqual([axis.at(0), axis.at(1), axis.at(2)], [2, null, 0]);
+  assert.deepEqual([axis.text(0), axis.text(1)], ['2', '–']);
+  assert.equal(readAxis({ name: 't', title: 't', kind: 'time', values: [1.5] }).at(0), 1500);
+});
+
+test('categories of an axis are read by their codes', () => {
+  const axis = readAxis({ name: 'a', title: 'a', codes: [1, -1, 0], categories: [true, '–'] });
+  assert.deepEqual([0, 1, 2].map(axis.at), [1, null, 0]);
+  assert.deepEqual([0, 1, 2].map(axis.text), ['–', '–', 'true']);
+});
+
+test('few numbers become categories in their order, many do not', () => {
+  const axis = readAxis({ name: 'n', title: 'n', kind: 'integer', values: [10, 9, null, 10] });
+  const made = asCategories(axis, 4);
+  assert.deepEqual(made.categories, ['9', '10']);
+  assert.deepEqual([0, 1, 2, 3].map(made.at), [1, 0, null, 1]);
+  assert.equal(asCategories(axis, 4, 1), null);
+  assert.equal(asCategories(readAxis({ codes: [0], categories: ['a', 'b'] }), 1, 1), null);
+});
+
+test('facets share out all points, those without a value too', () => {
+  const data = points([1, 2, 3], [1, 2, 3], { facet: ['hall', null, 'yard'] });
+  assert.deepEqual(facets(data), [
+    { name: 'hall', indices: [0] },
+    { name: 'yard', indices: [2] },
+    { name: 'without dataset', indices: [1] },
+  ]);
+  assert.deepEqual(facets(points([1, 2], [1, 2])), [{ name: null, indices: [0, 1] }]);
+  const many = Array.from({ length: 30 }, (_, index) => `d${index}`);
+  assert.equal(
+    facets(
+      points(
+        many.map(() => 1),
+        many.map(() => 1),
+        { facet: many },
+      ),
+    ),
+    null,
+  );
+});
+
+test('names of many categories are turned below the axis, not beside it', () => {
+  const axis = readAxis({ name: 'a', title: 'a', codes: [], categories: [...'abcdef'] });
+  assert.equal(axisOption(axis).axisLabel.rotate, 25);
+  assert.equal(axisOption(axis, { vertical: true }).axisLabel.rotate, 0);
+  assert.equal(
+    axisOption(readAxis({ name: 'x', title: 'x', kind: 'number', values: [] }), { log: true }).type,
+    'log',
+  );
+  assert.equal(
+    axisOption(readAxis({ name: 'x', title: 'x', kind: 'time', values: [] }), { log: true }).type,
+    'time',
+  );
+});
+
+test('names leave most of a phone to the chart', () =>
+  assert.deepEqual([labelRoom(360, 250), labelRoom(1280, 250)], [130, 250]));
+
+const SHARES = [
+  [[1], 0.25, 1],
+  [[1, 2], 0.5, 1.5],
+  [[1, 2, 3, 4, 5], 0.25, 2],
+  [[1, 2, 4], 0.75, 3],
+];
+for (const [values, share, expected] of SHARES)
+  test(`the quantile ${share} of ${values} is ${expected}`, () =>
+    assert.equal(quantile(values, share), expected));
+
+test('points without a value are drawn above all others, in another shape', () => {
+  const data = points([1, 2, 3], [1, null, 3], { status: ['Tracked', 'Lost', 'Lost'] });
+  const [{ data: made }] = scatter(data, [0, 1, 2], SCATTER).series;
+  assert.deepEqual(
+    made.map((one) => one.value[1]),
+    [1, 9, 3],
+  );
+  assert.match(made[1].symbol, /^path/);
+  assert.deepEqual([made[0].symbol, made[2].symbol], ['circle', 'triangle']);
+  assert.equal(made[2].itemStyle.color, 'transparent');
+});
+
+test('points without x are left out, and those without y where there is no place for them', () => {
+  const data = points([1, null, 3], [1, 2, null]);
+  assert.equal(scatter(data, [0, 1, 2], { ...SCATTER, top: null }).series[0].data.length, 1);
+});
+
+test('values that read the same keep a colour each', () => {
+  const data = points([1, 2, 3], [1, 2, 3]);
+  data.axes.colour = { name: 'c', title: 'c', kind: 'number', values: [1.00001, 1.00002, null] };
+  assert.deepEqual(
+    scatter(data, [0, 1, 2], SCATTER).series.map((one) => one.data.length),
+    [1, 1, 1],
+  );
+});
+
+test('a colour of many numbers is a scale', () => {
+  const x = Array.from({ length: 30 }, (_, index) => index);
+  const data = points(x, x);
+  data.axes.colour = { name: 'c', title: 'c', kind: 'number', values: x };
+  const { visualMap, series } = scatter(data, x, SCATTER);
+  assert.deepEqual([visualMap.min, visualMap.max, series[0].data[7].value[3]], [0, 29, 7]);
+});
+
+test('many points are drawn plainly', () => {
+  const x = Array.from({ length: 3001 }, (_, index) => index);
+  const [series] = scatter(points(x, x), x, SCATTER).series;
+  assert.ok(series.large && Array.isArray(series.data[0]));
+});
+
+test('fewer than five runs get no box, and how many count is said below', () => {
+  const data = points([...'aaaaab'], [1, 2, 3, 4, 5, 6], {
+    status: ['Tracked', 'Tracked', 'Tracked', 'Tracked', 'Tracked', 'Lost'],
+  });
+  const all = box(data, every(data), { ylog: false, tracked: false })(SIZE);
+  assert.deepEqual(all.series[0].data, [[1, 2, 3, 4, 5], ['-']]);
+  const four = box(points([...'aaaa'], [1, 2, 3, 4]), [0, 1, 2, 3], { ylog: false, tracked: true })(SIZE);
+  assert.deepEqual(four.series[0].data, [['-']]);
+  const tracked = box(data, every(data), { ylog: false, tracked: true })(SIZE);
+  assert.deepEqual(tracked.xAxis.data, ['a\nn 5/5', 'b\nn 0/1']);
+  assert.equal(tracked.series[1].data.length, 5);
+});
+
+test('a line is one combination of all keys but x and the facet', () => {
+  const data = aggregate([group('a', 2, 6), group('a', 1, 5), group('b', null, 7), group('b', 1, 7)]);
+  assert.deepEqual(
+    lines(data, 'parameters.n', 'ate.rmse').map((one) => [one.name, one.points.length]),
+    [
+      ['name a', 2],
+      ['name b', 1],
+    ],
+  );
+  assert.deepEqual(
+    lines(data, 'parameters.n', 'ate.rmse', 'name', 'b').map((one) => one.name),
+    ['runs'],
+  );
+});
+
+test('points of a line stand in the order of x, those without a figure are left out', () => {
+  const data = aggregate([group('a', 3, 7), group('a', 1, 5), group('a', 2, 6)]);
+  data.groups[2].figures['ate.rmse'] = { n: 0, median: null, min: null, max: null };
+  const made = line(data, LINE).series.find((one) => one.type === 'line');
+  assert.deepEqual(
+    made.data.map((one) => one.value),
+    [
+      [1, 5],
+      [3, 7],
+    ],
+  );
+});
+
+test('a line has its interval around it where there is one, else what it spans', () => {
+  const data = aggregate([group('a', 1, 5)]);
+  const reach = () => line(data, LINE).series[0].data[0].slice(1);
+  assert.deepEqual(reach(), [4, 6]);
+  data.groups[0].figures['ate.rmse'].medianInterval = { low: 4.5, high: null, method: 'order' };
+  assert.deepEqual(reach(), [4.5, 5]);
+});
+
+test('a line over a column that the answer does not describe is drawn by its name', () => {
+  const data = { ...aggregate([group('a', 1, 5)]), metrics: [] };
+  assert.match(line(data, LINE).yAxis.name, /^ate.rmse/);
+});
+
+test('who changed its rank says so at the larger of its errors', () => {
+  const option = dumbbells([
+    entry('a', 0.3, 2, 0.1, 1),
+    entry('b', 0.2, 1, 0.25, 2),
+    entry('c', 0.5, 3, 0.5, 3),
+  ]).option(SIZE);
+  const [, own, common] = option.series.map((one) => one.data.map((point) => point.label?.show));
+  assert.deepEqual(
+    [own, common],
+    [
+      [true, false, false],
+      [false, true, false],
+    ],
+  );
+  assert.equal(option.series[1].data[0].label.formatter, '2 → 1');
+});
+
+test('errors of very different size are drawn over a logarithm, of which 0 has none', () => {
+  const type = (least) =>
+    dumbbells([entry('a', least, 1, least, 1), entry('b', 5, 2, 5, 2)]).option(SIZE).xAxis.type;
+  assert.deepEqual([type(0.01), type(4), type(0)], ['log', 'value', 'value']);
+});
+
+test('what matters most stands first, noise below 0 is drawn as nothing', () => {
+  const subject = {
+    parameters: [
+      { name: 'parameters.a', variance: -0.01 },
+      { name: 'parameters.b', variance: 0.5 },
+      { name: 'c', variance: null },
+    ],
+    interactions: [{ a: 'parameters.a', b: 'parameters.b', variance: 0.2 }],
+  };
+  const { rows, option } = importanceCharts(subject);
+  assert.equal(rows.length, 4);
+  assert.deepEqual(option(SIZE).yAxis.data, ['b', 'a × b', 'a']);
+  assert.deepEqual(
+    option(SIZE).series[0].data.map((one) => one.value),
+    [50, 20, 0],
+  );
+});
+
+test('of a pair both directions are shown, the better competitor first', () => {
+  const pair = {
+    a: { algorithm: 'worse' },
+    b: { algorithm: 'better' },
+    n: 5,
+    wins: { a: 1, b: 4 },
+    effect: -0.6,
+    pHolm: 0.01,
+  };
+  const { yAxis, series } = pairsChart([pair]).option(SIZE);
+  assert.deepEqual(yAxis.data, ['1  better', '2  worse']);
+  assert.deepEqual(
+    series[0].data.map((one) => [...one.value, one.told]),
+    [
+      [0, 1, -0.6, '1:4 *'],
+      [1, 0, 0.6, '4:1 *'],
+    ],
+  );
+});
+
+test('a pair without an effect or a test is drawn without a colour and a star', () => {
+  const pair = {
+    a: { algorithm: 'a' },
+    b: { algorithm: 'b' },
+    n: 0,
+    wins: { a: 0, b: 0 },
+    effect: null,
+    pHolm: null,
+  };
+  assert.deepEqual(
+    pairsChart([pair])
+      .option(SIZE)
+      .series[0].data.map((one) => [Math.abs(one.value[2]), one.told]),
+    [
+      [0, '0:0'],
+      [0, '0:0'],
+    ],
+  );
+});
+
+test('settings that fail now stand beyond the worst, those that recovered beyond the best', () => {
+  const change = {
+    settings: [
+      setting(1, 1, 2),
+      setting(2, 1, null),
+      setting(3, null, 1),
+      setting(4, null, null),
+      setting(5, 1, 0.5),
+    ],
+  };
+  const values = ratioChart(change)
+    .option(SIZE)
+    .series[0].data.map((one) => one.value[0]);
+  assert.deepEqual(values, [2, 2.2, 0.5 / 1.1, 1, 0.5]);
+});
+
+test('settings are told by what differs, by the dataset where nothing does', () => {
+  assert.deepEqual(toldApart([setting(1, 1, 1), setting(2, 1, 1)]), ['parameters.n']);
+  assert.deepEqual(toldApart([setting(1, 1, 1)]), ['dataset']);
+  assert.deepEqual(toldApart([]), []);
+  assert.equal(settingText({ dataset: 'hall', 'parameters.n': 5 }, ['dataset', 'parameters.n']), 'hall, n 5');
+  assert.equal(settingText({ dataset: 'hall', 'parameters.n': 5 }, ['parameters.n'], true), '5');
+});
+
+test('repetitions are drawn over the median of their configuration', () => {
+  const groups = [
+    { keys: { algorithm: 'a' }, n: 3, verdict: '', figure: { median: 2, min: 1, max: 4, points: [1, 2, 4] } },
+    { keys: { algorithm: 'b' }, n: 1, verdict: '', figure: { median: 2, min: 2, max: 2 } },
+  ];
+  const { series } = spreadChart({ metric: {}, groups }).option(SIZE);
+  assert.deepEqual(
+    series[1].data.map((one) => one.value),
+    [
+      [0.5, 0],
+      [1, 0],
+      [2, 0],
+    ],
+  );
+});

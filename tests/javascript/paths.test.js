@@ -1,0 +1,218 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Paths in the plane, in space and over time. */
+import assert from 'node:assert/strict';
+import test from 'node:test';
+import { drawing, projector, scene, toSvg } from '../../operator/slamhive/dashboard/static/charts/space.js';
+import {
+  errorRange,
+  overTime,
+  pieces,
+  plane,
+  RAMP,
+  ramp,
+  shared,
+  since,
+  spanOf,
+} from '../../operator/slamhive/dashboard/static/charts/trajectory.js';
+import { inks } from '../../operator/slamhive/dashboard/static/core/figure.js';
+import { HOSTILE } from './helpers.js';
+
+const track = { t: [0, 1, 2, 3], x: [0, 4, 4, 0], y: [0, 0, 2, 2], z: [0, 0, 0, 1] };
+const path = { name: 'run', track, colour: '#123456', width: 2 };
+const VIEW = { azimuth: -90, elevation: 90, zoom: 1 };
+
+const PIECES = [
+  ['no pose', [], []],
+  ['one pose', [5], [[0, 1]]],
+  ['even steps', [0, 1, 2], [[0, 3]]],
+  [
+    'a gap',
+    [0, 1, 2, 3, 60, 61],
+    [
+      [0, 4],
+      [4, 6],
+    ],
+  ],
+  ['two poses far apart', [0, 1000], [[0, 2]]],
+  ['equal stamps', [0, 0, 0], [[0, 3]]],
+];
+for (const [what, t, expected] of PIECES)
+  test(`a path of ${what} is in ${expected.length} pieces`, () => assert.deepEqual(pieces({ t }), expected));
+
+test('a line is broken at each gap', () => {
+  const [{ data }] = overTime(
+    [{ name: 'a', t: [0, 1, 2, 3, 60], values: [1, 2, null, 4, 5] }],
+    'y',
+    'x',
+  ).series;
+  assert.deepEqual(data, [
+    [0, 1],
+    [1, 2],
+    [2, '-'],
+    [3, 4],
+    ['-', '-'],
+    [60, 5],
+  ]);
+});
+
+test('one line has no legend unless it is asked for', () => {
+  const lines = [{ name: 'a', t: [0], values: [1] }];
+  assert.equal(overTime(lines, 'y', 'x').legend, undefined);
+  assert.ok(overTime(lines, 'y', 'x', { legend: true }).legend);
+  assert.ok(overTime([...lines, ...lines], 'y', 'x').legend);
+});
+
+test('colours of errors run from none to the largest and no further', () => {
+  const ends = [RAMP[0], RAMP.at(-1)].map((one) => `rgb(${one.join(',')})`);
+  assert.deepEqual([ramp(0), ramp(1)], ends);
+  assert.deepEqual([ramp(-5), ramp(7)], ends);
+  assert.match(ramp(0.5), /^rgb\(\d+,\d+,\d+\)$/);
+});
+
+test('errors of poses without ground truth do not count', () => {
+  assert.deepEqual(errorRange([{ error: [null, 3, 1] }, { error: null }, {}]), { low: 1, high: 3 });
+  assert.equal(errorRange([{ error: [null] }, {}]), null);
+  assert.equal(errorRange([]), null);
+});
+
+test('errors of a long path are ranged without a limit of arguments', () => {
+  const error = Array.from({ length: 300_000 }, (_, index) => index);
+  assert.deepEqual(errorRange([{ error }]), { low: 0, high: 299_999 });
+});
+
+test('a metre of a plane is equally long on both axes', () => {
+  for (const [width, height] of [
+    [800, 400],
+    [360, 400],
+    [400, 1200],
+  ]) {
+    const { grid, xAxis, yAxis } = plane([path], null, 'x', 'y', null)({ width, height });
+    const across = (width - grid.left - grid.right) / (xAxis.max - xAxis.min);
+    const up = (height - grid.top - grid.bottom) / (yAxis.max - yAxis.min);
+    assert.ok(Math.abs(across / up - 1) < 1e-9);
+    assert.ok(xAxis.min <= 0 && xAxis.max >= 4 && yAxis.min <= 0 && yAxis.max >= 2);
+  }
+});
+
+test('a plane without a pose has axes of its own, one of a single pose some extent', () => {
+  const of = (t, x) =>
+    plane([{ name: 'a', track: { t, x, y: x, z: x } }], null, 'x', 'y', null)({ width: 400, height: 400 });
+  assert.equal(of([], []).xAxis.min, undefined);
+  const { xAxis } = of([0], [7]);
+  assert.ok(xAxis.min < 7 && xAxis.max > 7);
+});
+
+const clock = (dataset, start, of) => ({ dataset, clock: { start, of } });
+test('runs of a dataset share the best known clock, of equal ones the earliest', () => {
+  const { zeros, title } = shared([
+    clock('a', 9, 'estimate'),
+    clock('a', 5, 'groundTruth'),
+    clock('a', 4, 'groundTruth'),
+    clock('b', 1, 'recording'),
+  ]);
+  assert.deepEqual(
+    [...zeros],
+    [
+      ['a', 4],
+      ['b', 1],
+    ],
+  );
+  assert.equal(title, 'time since the recording began or the ground truth began [s]');
+});
+
+test('datasets may be called anything', () => {
+  for (const name of HOSTILE) assert.equal(shared([clock(name, 3, 'estimate')]).zeros.get(name), 3);
+});
+
+test('times are counted from a zero, lines span all of theirs', () => {
+  assert.deepEqual(since([5, 6.5], 5), [0, 1.5]);
+  assert.deepEqual(
+    spanOf([
+      [3, 9],
+      [1, 4],
+    ]),
+    [1, 9],
+  );
+});
+
+test('a scene holds all paths, in pieces of one colour', () => {
+  const found = scene([path, { ...path, error: [0, 1, null, 3] }], { low: 0, high: 3 });
+  assert.deepEqual(
+    [found.low, found.high, found.middle],
+    [
+      [0, 0, 0],
+      [4, 2, 1],
+      [2, 1, 0.5],
+    ],
+  );
+  assert.ok(found.chunks.length >= 3);
+  assert.equal(scene([], null), null);
+  assert.equal(scene([{ ...path, track: { t: [], x: [], y: [], z: [] } }], null), null);
+});
+
+test('a single pose is a dot', () => {
+  const [dot] = scene([{ ...path, track: { t: [0], x: [1], y: [2], z: [3] } }], null).chunks;
+  assert.deepEqual(
+    [dot.points, dot.width],
+    [
+      [
+        [1, 2, 3],
+        [1, 2, 3],
+      ],
+      4,
+    ],
+  );
+});
+
+test('seen from above x goes right and y up, lengths stay true', () => {
+  const project = projector(scene([path], null), VIEW, 400, 300);
+  const [[ax, ay], [bx, by], [cx, cy]] = [
+    [0, 0, 0],
+    [4, 0, 0],
+    [4, 2, 0],
+  ].map(project);
+  assert.ok(bx > ax && Math.abs(by - ay) < 1e-6 && cy < by && Math.abs(cx - bx) < 1e-6);
+  assert.ok(Math.abs((bx - ax) / (by - cy) - 2) < 1e-6);
+});
+
+test('all of a scene is on the paper, from whatever side', () => {
+  const found = scene([path], null);
+  for (let azimuth = -180; azimuth < 180; azimuth += 45)
+    for (const elevation of [-90, -30, 0, 30, 90])
+      for (const { points } of drawing(found, { azimuth, elevation, zoom: 1 }, 400, 300, inks(false)).lines)
+        for (const [x, y] of points)
+          assert.ok(x >= 0 && x <= 400 && y >= 0 && y <= 300, `${azimuth} ${elevation}`);
+});
+
+test('what is under the others is drawn before them', () => {
+  const found = scene([path, { ...path, colour: 'under', under: true }], null);
+  const drawn = drawing(found, VIEW, 400, 300, inks(false)).lines.map((one) => one.colour);
+  assert.ok(drawn.lastIndexOf('under') < drawn.indexOf('#123456'));
+});
+
+test('the picture of a scene is SVG, whatever its texts', () => {
+  for (const text of HOSTILE) {
+    const word = { text, at: [1, 2], colour: text };
+    const svg = toSvg(
+      {
+        lines: [
+          {
+            points: [
+              [0, 0],
+              [1, 1],
+            ],
+            colour: text,
+            width: 1,
+          },
+        ],
+        texts: [word],
+      },
+      10,
+      10,
+      text,
+    );
+    assert.match(svg, /^<svg xmlns=/);
+    assert.doesNotMatch(svg, /<(img|script|svg onload)/);
+    assert.equal((svg.match(/"/g)?.length ?? 0) % 2, 0);
+  }
+});

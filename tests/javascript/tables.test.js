@@ -1,0 +1,254 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Tables, their CSV, choices and filters, without a browser. */
+import assert from 'node:assert/strict';
+import test from 'node:test';
+import { Query } from '../../operator/slamhive/dashboard/static/core/address.js';
+import { fileName, toCsv } from '../../operator/slamhive/dashboard/static/core/figure.js';
+import {
+  columnOptions,
+  isEmpty,
+  isNumeric,
+  shownByFilters,
+} from '../../operator/slamhive/dashboard/static/core/filters.js';
+import { Choice, Fault, Link, Notes, Table } from '../../operator/slamhive/dashboard/static/core/parts.js';
+import { published, questions, quoted } from '../../operator/slamhive/dashboard/static/core/questions.js';
+import { suspectOf } from '../../operator/slamhive/dashboard/static/core/suspects.js';
+import { failureText, groupTable } from '../../operator/slamhive/dashboard/static/pages/groups.js';
+import { loads } from '../../operator/slamhive/dashboard/static/pages/loads.js';
+import { trackTable } from '../../operator/slamhive/dashboard/static/pages/tracks.js';
+import { answer, found, HOSTILE, text } from './helpers.js';
+
+const FIELDS = [
+  [null, ''],
+  [undefined, ''],
+  [Number.NaN, ''],
+  [Number.NEGATIVE_INFINITY, ''],
+  [0.1 + 0.2, '0.30000000000000004'],
+  [-3, '-3'],
+  [false, 'false'],
+  ['a,b', '"a,b"'],
+  ['say "x"', '"say ""x"""'],
+  ['a\r\nb', '"a\r\nb"'],
+  ['-3.5e2', '-3.5e2'],
+  ['+1', '+1'],
+  ['=1+1', "'=1+1"],
+  ['-1+1', "'-1+1"],
+  ['@SUM(A1)', "'@SUM(A1)"],
+  ['\tx', "'\tx"],
+  ['=a,b', '"\'=a,b"'],
+  ["'=1", "''=1"],
+  ["'quoted'", "'quoted'"],
+];
+for (const [value, expected] of FIELDS)
+  test(`${JSON.stringify(value) ?? value} in CSV is ${JSON.stringify(expected)}`, () =>
+    assert.equal(toCsv([{ name: 'a' }], [{ a: value }]), `a\n${expected}`));
+
+test('CSV has the columns in their order, whatever rows have', () => {
+  assert.equal(toCsv([{ name: 'b' }, { name: 'a' }], [{ a: 1, c: 3 }, { b: 2 }]), 'b,a\n,1\n2,');
+});
+
+const FILES = [
+  ['Error over time', 'Error-over-time.png'],
+  ['../../etc/passwd', 'etc-passwd.png'],
+  ['日本', 'chart.png'],
+  ['', 'chart.png'],
+  ['...', 'chart.png'],
+  ['a/b\\c:d', 'a-b-c-d.png'],
+];
+for (const [title, expected] of FILES)
+  test(`a picture of ${title || 'nothing'} is called ${expected}`, () =>
+    assert.equal(fileName(title, 'png'), expected));
+
+test('files have names of a bearable length', () => assert.ok(fileName('x'.repeat(5000), 'csv').length < 90));
+
+test('a table shows texts as texts, cut, with all of them at hand', () => {
+  for (const hostile of HOSTILE) {
+    const table = Table({ columns: [{ name: 'a' }], rows: [{ a: hostile }], caption: hostile });
+    const [shown] = found(table, 'td');
+    assert.deepEqual(shown.props.children, hostile.length > 48 ? `${hostile.slice(0, 46)}…` : hostile);
+    assert.equal(shown.props.title, hostile.length > 48 ? hostile : null);
+    assert.equal(found(table, 'img').length + found(table, 'script').length + found(table, 'svg').length, 0);
+  }
+});
+
+test('a table says by which column it is sorted, and sorts the other way round', () => {
+  const asked = [];
+  const columns = [{ name: 'a' }, { name: 'b' }, { name: 'c', sortable: false }];
+  const sorted = (sort) => Table({ columns, rows: [], caption: '', sort, onSort: (by) => asked.push(by) });
+  for (const sort of ['a', '-a', 'b']) found(sorted(sort), 'button')[0].props.onClick();
+  assert.deepEqual(asked, ['-a', 'a', 'a']);
+  assert.deepEqual(
+    found(sorted('-a'), 'th').map((one) => one.props['aria-sort']),
+    ['descending', null, null],
+  );
+  assert.equal(found(sorted('a'), 'button').length, 2);
+});
+
+test('numbers of a table stand to the right, in the shown unit', () => {
+  const columns = [
+    { name: 'a', kind: 'integer', factor: 0.5 },
+    { name: 'b', show: (value, row) => `${value} of ${row.a}` },
+  ];
+  const cells = found(Table({ columns, rows: [{ a: 3, b: 'x' }], caption: '' }), 'td');
+  assert.deepEqual(cells.map(text), ['1.5', 'x of 3']);
+  assert.deepEqual(
+    cells.map((one) => one.props.class),
+    ['number', ''],
+  );
+});
+
+test('a choice keeps what the address says though it is not offered', () => {
+  const options = [['a', 'A'], { label: 'more', options: ['b'] }];
+  const values = (value) =>
+    found(Choice({ label: 'x', value, options, onChange: () => {} }), 'option').map((one) => one.props.value);
+  assert.deepEqual(values('b'), ['a', 'b']);
+  assert.deepEqual(values('gone'), ['gone', 'a', 'b']);
+});
+
+test('a link with a modifier key is left to the browser', () => {
+  const [link] = found(Link({ href: '/runs', children: 'x' }), 'a');
+  for (const key of ['ctrlKey', 'metaKey', 'shiftKey', 'button'])
+    link.props.onClick({ [key]: 1, preventDefault: () => assert.fail('taken from the browser') });
+});
+
+test('faults and notes are shown only where there are some', () => {
+  assert.equal(text(Fault({ error: { message: '<b>' } })), '<b>');
+  assert.ok(!Fault({ error: null }));
+  assert.ok(!Notes({ notes: [] }) && !Notes({ notes: undefined }));
+  assert.equal(text(Notes({ notes: ['a', 'b'] })), 'ab');
+});
+
+test('columns are offered in groups, those that never vary are not', () => {
+  const { items } = answer('/columns');
+  const offered = columnOptions(items).flatMap((group) => group.options.map(([name]) => name));
+  for (const column of items)
+    assert.equal(
+      offered.includes(column.name),
+      column.kind !== 'other' && column.distinct !== 1,
+      column.name,
+    );
+  assert.deepEqual(columnOptions(undefined), []);
+  assert.ok(columnOptions(items, isNumeric).every((group) => group.options.length > 0));
+});
+
+test('an error is shown by the filters if it is about one of them', () => {
+  const query = Query.parse('algorithm=a&coverage%3E=1&x=y');
+  const shown = (field) => shownByFilters(field === undefined ? null : { message: '', field }, query);
+  assert.deepEqual(['where', 'algorithm', 'coverage', 'x', null, undefined].map(shown), [
+    true,
+    true,
+    true,
+    false,
+    false,
+    false,
+  ]);
+});
+
+test('nothing is known only where nothing is left out either', () => {
+  assert.ok(isEmpty({ data: { rows: 0, items: [], notes: [] } }));
+  assert.ok(!isEmpty({ data: { rows: 0, items: [], notes: ['2 are left out'] } }));
+  assert.ok(!isEmpty({ data: null }));
+});
+
+const QUOTED = [
+  ['ate.rmse', 'ate.rmse'],
+  ['rpe[0].rmse', '`rpe[0].rmse`'],
+  ['label.a b', '`label.a b`'],
+  ['1x', '`1x`'],
+];
+for (const [name, expected] of QUOTED)
+  test(`${name} stands in a condition as ${expected}`, () => assert.equal(quoted(name), expected));
+
+const column = (name, group, ...values) => ({
+  name,
+  title: name,
+  kind: 'text',
+  group,
+  count: 9,
+  distinct: values.length,
+  values: values.map((value) => ({ value, count: 1 })),
+});
+
+test('questions that the runs cannot answer say what they need', () => {
+  const asked = questions([]);
+  assert.ok(asked.every((one) => one.settings === null && one.needs));
+  const loops = questions([column('metrics.loops', 'metrics', 1, 2)]).find(
+    (one) => one.title === 'Loops vs ATE',
+  );
+  assert.equal(loops.settings.x, 'metrics.loops');
+});
+
+test('questions are asked apart for each dataset where there are several', () => {
+  const rates = column('input.frameRate', 'input', 5, 10);
+  const of = (columns) => questions(columns).find((one) => one.title === 'Frame rate vs CPU').settings;
+  assert.deepEqual(
+    [of([rates]).facet, of([rates, column('dataset', 'dataset', 'a', 'b')]).facet],
+    [undefined, 'dataset'],
+  );
+});
+
+test("the paper's tables are offered where its runs are", () => {
+  assert.equal(published([column('label.source', 'labels', 'slam-hive')]).length, 2);
+  assert.equal(published([column('label.source', 'labels', 'other')]).length, 0);
+  assert.equal(published([]).length, 0);
+});
+
+test('a suspect belongs to what has its keys, as far as they are known', () => {
+  const suspects = [{ keys: { algorithm: 'a', sensors: 'rgbd', dataset: 'hall' } }];
+  assert.ok(suspectOf(suspects, { algorithm: 'a', sensors: 'rgbd' }));
+  assert.ok(suspectOf(suspects, { algorithm: 'a', sensors: 'rgbd', dataset: 'hall' }));
+  assert.ok(!suspectOf(suspects, { algorithm: 'a', sensors: 'rgbd', dataset: 'yard' }));
+  assert.ok(!suspectOf(suspects, { dataset: 'hall' }));
+});
+
+test('failures are said in words', () => {
+  assert.equal(failureText({ Partial: 4, Lost: 12000 }), '4 Partial, 12,000 Lost');
+  assert.equal(failureText({}), 'none');
+  assert.equal(failureText(null), 'none');
+});
+
+test('a table of groups has the keys that differ, n, failures and the figures', () => {
+  const data = answer('/analysis/aggregate');
+  const { columns, rows } = groupTable(data, ['median']);
+  const names = columns.map((one) => one.name);
+  assert.deepEqual(
+    names.filter((name) => name.startsWith('ate')),
+    ['ate.rmse median'],
+  );
+  assert.ok(names.includes('parameters.nFeatures') && names.includes('failures'));
+  assert.equal(rows.length, data.groups.length);
+  assert.equal(rows[0]['ate.rmse median'], data.groups[0].figures['ate.rmse'].median);
+});
+
+test('poses without an error have none in their table', () => {
+  const track = { t: [0, 1], x: [1, 2], y: [3, 4], z: [5, 6] };
+  assert.deepEqual(trackTable([{ name: 'r', track }]).rows[1], {
+    run: 'r',
+    t: 1,
+    x: 2,
+    y: 4,
+    z: 6,
+    error: null,
+  });
+});
+
+test('load is drawn on the clock of the dataset where it is known, on its own otherwise', () => {
+  const [on, off] = [answer('/runs/run-002/usage'), answer('/runs/run-000/usage')];
+  const runs = [
+    { name: 'a', usage: on, t: on.stamp },
+    { name: 'b', usage: off, t: off.stamp },
+  ];
+  const charts = loads(runs, { title: 'time since', span: [0, 9] });
+  assert.deepEqual(
+    charts.map((one) => one.ofDataset),
+    [true, true, false, false],
+  );
+  assert.equal(charts[1].table.rows[0].memory, on.memory[0] / 2 ** 20);
+  const first = charts.map((one) => one.option.series[0].data[0][1]);
+  assert.deepEqual(first, [on.cpu[0], on.memory[0] / 2 ** 20, off.cpu[0], off.memory[0] / 2 ** 20]);
+});
+
+test('memory that was not measured is no 0', () => {
+  const usage = { ...answer('/runs/run-000/usage'), t: [0], cpu: [1], memory: [null], anonymous: null };
+  assert.equal(loads([{ name: 'a', usage, t: null }], null)[1].table.rows[0].memory, null);
+});

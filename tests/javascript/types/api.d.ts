@@ -1,0 +1,311 @@
+// SPDX-License-Identifier: Apache-2.0
+/**
+ * What the API answers, as far as the pages read it. answers.ts holds kept answers of a dashboard against
+ * these types, and tests/dashboard_pages/test_answers.py holds today's answers against the kept ones.
+ */
+declare namespace Api {
+  type Value = string | number | boolean | null;
+  type Keys = Record<string, Value>;
+  type Counts = Record<string, number | undefined>;
+  type Numbers = Array<number | null>;
+
+  /** A column as tables and charts need it; `kind` is number, integer, time, text, boolean or other. */
+  type Heading = { name: string; title: string; kind?: string; unit?: string | null; factor?: number };
+  type Column = Heading & {
+    kind: string;
+    group: string;
+    count: number;
+    distinct: number;
+    values?: Array<{ value: Value; count: number }>;
+    min?: Value;
+    max?: Value;
+  };
+  type Columns = { rows: number; items: Column[]; notes: string[] };
+
+  type Index = {
+    revision: string;
+    counts: Counts;
+    statuses: Counts;
+    problems: string[];
+  };
+
+  type Condition = { type: string; status: string; reason?: string | null; message?: string | null };
+  type Sweep = {
+    uid: string | null;
+    name: string;
+    namespace: string | null;
+    live: boolean;
+    total: number | null;
+    runs: number;
+    superseded: number;
+    versions: number;
+    phases: Counts;
+    statuses: Counts;
+    algorithms: string[];
+    datasets: string[];
+    started: string | null;
+    finished: string | null;
+    created: string | null;
+    axes: Array<{ name: string; count: number }>;
+    best: Array<{ name: string; ate: number; dataset: string | null }>;
+    spec?: object | null;
+    manifest?: string | null;
+    evaluation?: object | null;
+    conditions?: Condition[];
+  };
+
+  type Entry = {
+    name: string;
+    description: string | null;
+    labels: Record<string, Value>;
+    attributes: Record<string, Value>;
+    runs: number;
+    modes: string[];
+    statuses: Counts;
+    algorithms?: string[];
+    datasets?: string[];
+    manifest?: string | null;
+    versions?: number;
+    parameters?: Record<string, object>;
+    sensors?: Record<string, object>;
+  };
+
+  type Row = Record<string, Value>;
+  type Runs = { total: number; next: string | null; columns: Heading[]; items: Row[]; notes: string[] };
+  type Run = {
+    uid: string;
+    name: string;
+    run: Value;
+    sweep: string | null;
+    phase: string;
+    reason: string | null;
+    message: string | null;
+    configuration: Record<string, any> | null;
+    results: Array<Record<string, any>>;
+    usage: Record<string, any> | null;
+    provenance: Record<string, any> | null;
+    manifest: string | null;
+    logTail: string | null;
+    files: boolean;
+    links: Record<string, string>;
+  } & Record<string, any>;
+
+  type Clock = { start: number; of: string };
+  type Track = { t: number[]; x: number[]; y: number[]; z: number[]; error?: Numbers | null };
+  type Trajectory = {
+    clock: Clock;
+    evaluation: string | null;
+    alignment: string | null;
+    poses: number;
+    shown: number;
+    estimate: Track;
+    reference: Track | null;
+    notes: string[];
+  };
+  type Usage = {
+    clock: Clock | null;
+    t: number[];
+    cpu: Numbers;
+    memory: Numbers;
+    anonymous: Numbers | null;
+    kind: string | null;
+    samples: number;
+    stamp: number[] | null;
+  };
+
+  type Interval = { low: number | null; high: number | null; method?: string };
+  type Figure = {
+    n: number;
+    mean: number | null;
+    std: number | null;
+    median: number | null;
+    min: number | null;
+    max: number | null;
+    points?: number[];
+    meanInterval?: Interval | null;
+    medianInterval?: Interval | null;
+  };
+  type Failures = Counts;
+  type Group = {
+    keys: Keys;
+    runs: number;
+    n: number;
+    failed: number;
+    failures: Failures;
+    deterministic: boolean;
+    coverage: Figure | null;
+    figures: Record<string, Figure>;
+  };
+  type Aggregate = {
+    keys: Array<Heading & { facet?: boolean }>;
+    metrics: Heading[];
+    groups: Group[];
+    notes: string[];
+  };
+
+  /** A column of points: numbers, or categories by their codes (-1: none). */
+  type Axis = Heading & { values?: Numbers; codes?: number[]; categories?: Value[] };
+  type Points = {
+    count: number;
+    axes: { x: Axis; y: Axis; colour?: Axis; facet?: Axis };
+    status: { kind: string; codes: number[]; categories: string[] };
+    id: number[];
+    uid: string[] | null;
+    run: Value[] | null;
+    mixed: Array<{ sentence: string }>;
+    notes: string[];
+  };
+
+  type CommonEntry = {
+    keys: Keys;
+    runs: number;
+    n: number;
+    own: number | null;
+    ownRank: number;
+    common: number | null;
+    rank: number;
+  };
+  type CommonRun = {
+    uid: string;
+    run: Value;
+    status: string;
+    coverage: number | null;
+    common: number | null;
+    own: number | null;
+    poses: number | null;
+    scale: number | null;
+    problem: string | null;
+  };
+  type Support = { spans: number[][]; seconds: number; metres: number; share: number };
+  type CommonGroup = {
+    facets: Keys;
+    support: Support | null;
+    entries: CommonEntry[];
+    runs: CommonRun[];
+    notes: string[];
+  };
+  type Common = { by: string[]; groups: CommonGroup[]; notes: string[] };
+
+  type Pair = {
+    a: Keys;
+    b: Keys;
+    n: number;
+    wins: { a: number; b: number; ties: number };
+    effect: number | null;
+    ratio: number | null;
+    ratioInterval: Interval | null;
+    p: number | null;
+    pHolm: number | null;
+    sentence: string;
+  };
+  type Compare = {
+    metric: Heading;
+    by: string[];
+    boards: Array<{ facets: Keys; pairs: Pair[] }>;
+    notes: string[];
+  };
+
+  type Subject = {
+    keys: Keys;
+    runs: number;
+    n: number;
+    parameters: Array<{ name: string; variance: number | null }>;
+    interactions: Array<{ a: string; b: string; variance: number | null }>;
+    unexplained: number | null;
+  };
+  type Importance = { metric: Heading; subjects: Subject[]; notes: string[] };
+
+  type Score = {
+    dataset: string;
+    runs: number;
+    n: number;
+    failures: Failures;
+    median: number | null;
+    medianFailed: boolean;
+    rank: number | null;
+    summary: Figure | null;
+    coverage: number | null;
+  };
+  type Ranked = {
+    keys: Keys;
+    rank: number;
+    rankInterval: Interval | null;
+    score: number | null;
+    ratio: number | null;
+    ratioInterval: Interval | null;
+    ratioFailed: boolean;
+    runs: number;
+    n: number;
+    failed: number;
+    datasets: Score[];
+  };
+  type Board = { facets: Keys; datasets: string[]; entries: Ranked[] };
+  type Leaderboard = { metric: Heading; by: string[]; boards: Board[]; notes: string[] };
+
+  type ParetoPoint = {
+    keys: Keys;
+    x: number | null;
+    y: number | null;
+    yFailed: boolean;
+    xRange: Numbers;
+    yRange: Numbers;
+    front: boolean;
+    runs: number;
+    n: number;
+    failed: number;
+    failures: Failures;
+    coverage: number | null;
+  };
+  type ParetoFront = { facets: Keys; points: ParetoPoint[] };
+  type Pareto = { x: Heading; y: Heading; by: string[]; fronts: ParetoFront[]; notes: string[] };
+
+  type Repeated = {
+    keys: Keys;
+    runs: number;
+    n: number;
+    failed: number;
+    failures: Failures;
+    coverage: Figure | null;
+    distinct: number | null;
+    deterministic: boolean;
+    figure: Figure | null;
+    relativeSpread: number | null;
+    verdict: string;
+  };
+  type Repeatability = { metric: Heading; groups: Repeated[]; notes: string[] };
+
+  type Suspect = { keys: Keys; scale: number; spread: number; n: number; sentence: string };
+  type Suspects = { items: Suspect[]; notes: string[] };
+
+  type Side = {
+    runs: number;
+    n: number;
+    failures: Failures;
+    median: number | null;
+    medianFailed: boolean;
+    points: number[];
+    deterministic: boolean;
+  };
+  type Setting = { keys: Keys; before: Side; after: Side; ratio: number | null };
+  type Version = { version: string | null; runs: number; first: string | null; last: string | null };
+  type Change = {
+    changed: string;
+    keys: Keys;
+    before: Version;
+    after: Version;
+    current: boolean;
+    n: number;
+    settings: Setting[];
+    unpaired: number;
+    ratio: number | null;
+    wins: { better: number; worse: number; same: number };
+    deterministic: boolean;
+    test: string | null;
+    p: number | null;
+    pHolm: number | null;
+    leastP: number | null;
+    differences: Array<{ column: string; before: Value[]; after: Value[] }>;
+    sentence: string;
+  };
+  type Versions = { metric: Heading; changes: Change[]; notes: string[] };
+}

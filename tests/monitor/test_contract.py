@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same output through a workstation's supervisor, and through a pod's sidecar and the operator."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import chdir
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
+
+from executors import algorithm, table
+
+from slamhive.kube.reports import read_report
+from slamhive.local.attempt import Attempt
+from slamhive.model.results import Frames
+from slamhive.monitor import SupervisorSpec
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from conftest import Pod
+    from slamhive.kube.reports import Report
+
+
+@pytest.mark.parametrize("name", table.LEAVING)
+@pytest.mark.parametrize("pod", ["proc"], indirect=True)
+def test_what_an_algorithm_left_is_judged_the_same_here_and_there(
+    name: str, pod: Pod, tmp_path: Path
+) -> None:
+    wanted = table.LEAVING[name]
+    attempt = Attempt(tmp_path / "attempt")
+    here, there = _judged(attempt, pod, algorithm.ACTS[name])
+    end, found = attempt.end(), attempt.trajectory()
+    assert (attempt.metrics(), there.metrics) == (wanted.metrics, wanted.metrics)
+    assert attempt.frames() == there.frames == Frames.model_validate(wanted.frames)
+    problem = wanted.message if wanted.outcome == "Tracked" else None
+    assert here["metricsProblem"] == there.metrics_problem == problem
+    problem = wanted.message if wanted.reason else None
+    assert end.trajectory_problem == there.trajectory_problem == problem
+    assert end.trajectory_missing == there.trajectory_missing == (wanted.reason == "NoTrajectory")
+    assert (found and found.replace(path="")) == (there.trajectory and there.trajectory.replace(path=""))
+    assert (found is not None) == (problem is None)
+
+
+def _judged(attempt: Attempt, pod: Pod, leave: Callable[[], object]) -> tuple[dict[str, object], Report]:
+    """Have the same output judged here and there; return a supervisor's summary and an operator's report."""
+    attempt.output.mkdir(parents=True)
+    with chdir(attempt.run):
+        leave()
+    here = _supervised(attempt)
+    with chdir(pod.folder):
+        leave()
+    sidecar = pod.sidecar()
+    pod.algorithm("sleep", "0.2")
+    pod.finished()
+    there = read_report(pod.folder.joinpath("message").read_text())
+    pod.end(sidecar)
+    assert there is not None
+    return here, there
+
+
+def _supervised(attempt: Attempt) -> dict[str, object]:
+    """Have an output folder judged by the supervisor of a workstation, and return its summary."""
+    folder = str(attempt.folder)
+    spec = SupervisorSpec(
+        argv=("true",),
+        cwd=folder,
+        env={"PATH": os.environ["PATH"]},
+        log_path=f"{folder}/log.txt",
+        usage_path=f"{folder}/usage.csv",
+        summary_path=f"{folder}/summary.json",
+        process_path=f"{folder}/process.json",
+        output_directory=str(attempt.output),
+        cgroup="none",
+    )
+    path = attempt.folder / "spec.json"
+    path.write_text(spec.to_json())
+    subprocess.run([sys.executable, "-m", "slamhive.monitor", "--spec", str(path)], check=True, timeout=120)
+    return json.loads(attempt.folder.joinpath("summary.json").read_text())
