@@ -25,7 +25,7 @@ from slamhive.model.loading import load_file
 
 TESTS = Path(__file__).parent
 ACTOR = TESTS / "actor"
-NEEDS = {"node_cluster": "node", "ros": "ros"}
+NEEDS = {"node_cluster": "node", "ros": "ros", "helm": "helm"}
 """Markers of the tests that ask for a fixture."""
 LONG = ("slow", "image", "ros")
 """Markers of tests that may take longer than a minute."""

@@ -478,6 +478,31 @@ async def test_an_object_that_cannot_be_written_is_no_further_failure(
     assert conditions(api, KEY)["ReconcileError"][0] == "False"
 
 
+async def test_a_failure_is_taken_back_though_the_answer_to_its_telling_was_lost(
+    op: Operator, api: FakeApi, toy: Toy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Written by the API server, but neither its answer nor the watch has reached the operator."""
+    api.have(RUN, thing(version=5))
+    op.observe(RUN, "ADDED", thing(version=5))
+    toy.act = failing(Invalid("refused"))
+    patch = api.patch
+
+    async def lose_the_answer(*args: Any, **options: Any) -> dict[str, Any]:
+        await patch(*args, **options)
+        raise ServerFault("reset")
+
+    monkeypatch.setattr(api, "patch", lose_the_answer)
+    await look(op, KEY)
+    monkeypatch.undo()
+    assert conditions(api, KEY)["ReconcileError"][0] == "True"
+    toy.act = None
+    api.errors = [ServerFault("down")]
+    await look(op, KEY)
+    assert op.queue.delayed == 1, "tried again"
+    await look(op, KEY)
+    assert conditions(api, KEY)["ReconcileError"][0] == "False"
+
+
 async def test_the_same_mistake_is_told_once(
     op: Operator, api: FakeApi, toy: Toy, caplog: pytest.LogCaptureFixture
 ) -> None:

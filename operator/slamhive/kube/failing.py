@@ -37,6 +37,8 @@ class Operator(Protocol):
         self, key: Key, uid: str, change: Callable[[Object], Object], *, subresource: str | None = None
     ) -> Object | None: ...
 
+    async def refresh(self, key: Key) -> Object | None: ...  # noqa: D102 - as the operator's
+
 
 async def tell_failure(op: Operator, key: Key, error: Exception) -> None:
     """Write what went wrong into an object's conditions, and attach an Event; failing to is no failure."""
@@ -49,9 +51,22 @@ async def tell_failure(op: Operator, key: Key, error: Exception) -> None:
             await op.api.event(place.kind, body, "Warning", kind, told["message"])
 
 
-async def tell_recovery(op: Operator, key: Key) -> bool:
-    """Take back what was told of an object; returns whether nothing of it stands there now."""
+async def tell_recovery(op: Operator, key: Key, *, told: bool) -> bool:
+    """Take back what was told of an object; returns whether nothing of it stands there now.
+
+    Args:
+        op: the operator.
+        key: the key that goes on.
+        told: whether `tell_failure` was called for it. What it wrote may stand there though its answer was
+            lost and the watch is late, so the object is read anew.
+    """
     place, kind = _place(key)
+    if told:
+        try:
+            await op.refresh(place)
+        except ApiError as error:
+            _log.debug("%s: can't be read anew: %s", place, error)
+            return False
     if not holds((op.store.get(place) or {}).get("status") or {}, kind):
         return True
     return await _write(op, place, condition(kind, False, "Recovered"))

@@ -107,6 +107,7 @@ class Operator:
         self._tasks: list[asyncio.Task[None]] = []
         self._told: dict[Key, str] = {}
         self._failures: dict[Key, int] = {}
+        self._failures_told: set[Key] = set()
         self._busy_since: dict[Key, float] = {}
         self._podless: dict[str, str] = {}
         self._finding_pods = asyncio.Lock()
@@ -151,6 +152,7 @@ class Operator:
             self.usage.forget(uid)
         self._told.pop(key, None)
         self._failures.pop(key, None)
+        self._failures_told.discard(key)
         self._enqueue(routes(kind, obj, self.store, new=True))
 
     def _note_podless(self, kind: Kind, obj: Object) -> None:
@@ -478,7 +480,9 @@ class Operator:
             self.queue.forget(key)
             self._told.pop(key, None)
             self._failures.pop(key, None)
-            if not await tell_recovery(self, key):
+            if await tell_recovery(self, key, told=key in self._failures_told):
+                self._failures_told.discard(key)
+            else:
                 again = min(_RECOVERY_SECONDS, again or _RECOVERY_SECONDS)
             if again is not None:
                 self.queue.add(key, again)
@@ -491,6 +495,7 @@ class Operator:
         """Have an object say what keeps it from going on, once that doesn't look like passing."""
         self._failures[key] = self._failures.get(key, 0) + 1
         if not passes or self._failures[key] >= FAILURES_TOLD:
+            self._failures_told.add(key)
             await tell_failure(self, key, error)
 
     def _failed(self, key: Key, error: SlamHiveError) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from faultlab.namespaces import Namespaces
 from faultlab.points import FaultyArchive
 from faultlab.recorder import recording
+from faultlab.scenarios import PASSING
 from testcluster.lab import Lab
 
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
@@ -307,12 +308,12 @@ def _end(run: Object) -> tuple[Any, ...]:
 
 
 def _conditions(status: Object) -> tuple[tuple[str, str, str], ...]:
-    """Return what the conditions say, without their sentences and times, and without what is over."""
+    """Return what the conditions say, without their sentences and times, and without trouble on the way."""
     return tuple(
         sorted(
             (item["type"], item["status"], item["reason"])
             for item in status.get("conditions") or ()
-            if item["reason"] != "Recovered"
+            if item["type"] not in PASSING
         )
     )
 

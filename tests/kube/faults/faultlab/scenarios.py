@@ -9,12 +9,16 @@ from typing import TYPE_CHECKING
 from testcluster.kwok import Play, run_message
 from testcluster.lab import algorithm, condition_of, dataset, manifest, run, sweep
 
+from slamhive.kube.failing import EVALUATION_ERROR, RECONCILE_ERROR
 from slamhive.kube.kinds import Key, Kind, Label, Object
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from faultlab.recorder import Recorder
+
+PASSING = (RECONCILE_ERROR, EVALUATION_ERROR)
+"""Conditions that tell of trouble on the way, and are no outcome."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,7 @@ class Scenario:
             and len(runs) == self.retained
             and all(self._is_settled(item) for item in runs)
             and not [job for job in seen.alive("jobs", namespace) if _role(job) == "evaluate"]
+            and not any(_says_that_it_fails(item) for item in (*sweeps, *runs))
             and archived == (self.archived or 0)
         )
 
@@ -61,6 +66,12 @@ class Scenario:
         if status.get("phase") == "Succeeded":
             return len(status.get("results") or ()) == self.evaluated
         return status.get("phase") in {"Failed", "Cancelled"}
+
+
+def _says_that_it_fails(obj: Object) -> bool:
+    """Tell whether an error has yet to be taken back, which the operator does within moments of going on."""
+    status = obj.get("status") or {}
+    return any(condition_of(status, kind).get("status") == "True" for kind in PASSING)
 
 
 def _role(job: Object) -> str | None:
