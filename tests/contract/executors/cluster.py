@@ -64,3 +64,7 @@ class OnCluster:
             timeout=300,
         )
         return Home.at(self._home).archive_url
+
+    def faults(self, sweep: str) -> dict[str, int]:
+        found = {run["spec"]["parameters"]["behaviour"]: run["status"] for run in self._lab.runs(sweep)}
+        return {name: status["faults"] for name, status in found.items() if status.get("faults")}

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slamhive.tables.reading import read_archive
@@ -46,13 +47,20 @@ class Executor(Protocol):
             sweep: the Sweep; its dataset is that of tests/actor.
         """
 
+    def faults(self, sweep: str) -> Mapping[str, int]:
+        """Return how many attempts of a sweep's behaviours the machine ended, by behaviour, if any.
 
-def outcomes(archive: str, sweep: str) -> dict[str, Row]:
+        A busy node ends some, and each is followed by another attempt.
+        """
+
+
+def outcomes(archive: str, sweep: str, faults: Mapping[str, int] = MappingProxyType({})) -> dict[str, Row]:
     """Return what came of each behaviour in a sweep: its columns with a value that are no matter of chance.
 
     Args:
         archive: URL of an archive.
         sweep: name of the sweep.
+        faults: attempts that don't count, by behaviour.
     """
     frame = read_archive(archive)
     found = {}
@@ -63,6 +71,7 @@ def outcomes(archive: str, sweep: str) -> dict[str, Row]:
             }
             if "message" in kept and row["folder"]:
                 kept["message"] = kept["message"].replace(row["folder"], FOLDER)
+            kept["attempts"] -= faults.get(row[BEHAVIOUR], 0)
             found[row[BEHAVIOUR]] = kept | {REUSED: row.get("provenance.reusedFrom") is not None}
     return found
 

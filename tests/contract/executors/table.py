@@ -36,6 +36,8 @@ FRAMES = 100
 NAME = "behaving"
 FAILED, SUCCEEDED = "Failed", "Succeeded"
 ALL_POSES = "".join(algorithm.lines())
+MACHINE_FAULTS = 3
+"""Attempts that a busy machine may end; what an algorithm does is never tried again."""
 TIMEOUT_SECONDS = 3
 """Of those that do not end by themselves; others have minutes, so that no machine is too slow."""
 
@@ -283,6 +285,7 @@ HOSTILE = {
     "output-is-a-link": without(),
     "removes-its-folder": without(),
     "folder-as-summary": measured(
+        asked={"retries": 0},
         differs={
             "process": Difference(
                 RIGHTS,
@@ -294,7 +297,7 @@ HOSTILE = {
                     "outcome": None,
                 },
             )
-        }
+        },
     ),
     "folder-as-process-record": measured(),
     "folders-1500-deep": measured(),
@@ -333,7 +336,7 @@ def sweep(name: str, behaviours: Iterable[str]) -> dict[str, Any]:
     template = {
         "algorithmRef": {"name": NAME},
         "datasetRef": {"name": "tiny"},
-        "retries": 0,
+        "retries": MACHINE_FAULTS,
         "timeout": "5m",
         "resources": {"cpu": "100m", "memory": "128Mi"},
     }
@@ -351,8 +354,8 @@ def _object(kind: str, name: str, spec: dict[str, Any]) -> dict[str, Any]:
 def carry_out(executor: Executor) -> dict[str, Row]:
     """Return what an executor made of all behaviours; those of the second sweep are called `again: …`."""
     algorithm, first, second = study(executor)
-    found = outcomes(executor.run(algorithm, first), "behaviours")
-    again = outcomes(executor.run(algorithm, second), "again")
+    found = outcomes(executor.run(algorithm, first), "behaviours", executor.faults("behaviours"))
+    again = outcomes(executor.run(algorithm, second), "again", executor.faults("again"))
     return found | {f"again: {name}": row for name, row in again.items()}
 
 
