@@ -71,7 +71,9 @@ def outcomes(archive: str, sweep: str, faults: Mapping[str, int] = MappingProxyT
             }
             if "message" in kept and row["folder"]:
                 kept["message"] = kept["message"].replace(row["folder"], FOLDER)
-            kept["attempts"] -= faults.get(row[BEHAVIOUR], 0)
+            attempts = kept["attempts"]
+            # A fault may have come before there was an attempt, as while the recording was prepared.
+            kept["attempts"] = max(min(attempts, 1), attempts - faults.get(row[BEHAVIOUR], 0))
             found[row[BEHAVIOUR]] = kept | {REUSED: row.get("provenance.reusedFrom") is not None}
     return found
 

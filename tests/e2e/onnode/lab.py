@@ -34,6 +34,11 @@ def manifest(kind: str, name: str, **spec: Any) -> dict[str, Any]:
     return {"apiVersion": API_VERSION, "kind": kind, "metadata": {"name": name}, "spec": spec}
 
 
+def needed_one_attempt(status: dict[str, Any]) -> bool:
+    """Tell whether a run was tried once, but for attempts that a busy node ended: those are repeated."""
+    return bool(1 <= status["attempts"] <= 1 + (status.get("faults") or 0))
+
+
 def stand_in() -> dict[str, Any]:
     """Return a shorter and coarser recording under the name of the catalog's."""
     body: dict[str, Any] = yaml.safe_load((ROOT / "examples" / "datasets" / f"{DATASET}.yaml").read_text())
