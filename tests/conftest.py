@@ -15,6 +15,7 @@ from random import Random, SystemRandom
 from typing import Any
 
 import pytest
+from aiohttp.client_proto import ResponseHandler
 from hypothesis import settings as hypothesis_settings
 from xdist.scheduler import LoadScopeScheduling
 
@@ -154,6 +155,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def rank(name: str) -> int:
     """Return when it is a file's turn: the place of what takes longest, and all others after that."""
     return next((place for place, start in enumerate(SLOWEST) if name.startswith(start)), len(SLOWEST))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _connections_end_at_once() -> None:
+    """Have connections with TLS end without saying goodbye to the server.
+
+    Those of a watch that is cancelled say goodbye in the background. Where the server is slow to answer and
+    the test's loop ends before, one is found open when garbage is collected, in whichever test that is.
+    """
+    ResponseHandler.close = ResponseHandler.abort  # type: ignore[method-assign]
 
 
 @pytest.fixture(scope="session")

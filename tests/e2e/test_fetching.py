@@ -179,6 +179,7 @@ def test_who_may_only_look_is_told_what_is_missing(
     config["users"] = [{"name": "student", "user": {"token": token}}]
     (tmp_path / "config").write_text(yaml.safe_dump(config))
     more = {"SLAMHIVE_HOME": str(tmp_path), "KUBECONFIG": str(tmp_path / "config")}
+    until(lambda: not senders(lab), "the pods of earlier fetches to go", 60)
     code, told = User(tmp_path, user.environment | more).type("fetch", SWEEP, "--files")
     assert code == 1
     assert "pods/exec" in told

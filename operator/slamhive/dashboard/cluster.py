@@ -26,7 +26,7 @@ from slamhive.dashboard.live import (
 )
 from slamhive.dashboard.sources import ArchiveData, Snapshot
 from slamhive.dashboard.truths import Truths
-from slamhive.dashboard.watching import Follower
+from slamhive.dashboard.watching import Follower, open_session
 from slamhive.kube.client import Api
 from slamhive.kube.errors import ApiError, NotFound
 from slamhive.kube.kinds import Key, Kind
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
     from concurrent.futures import Executor
     from pathlib import Path
+
+    from aiohttp import ClientSession
 
     from slamhive.archive.records import CatalogEntry, SweepRecord
     from slamhive.dashboard.live import LiveRun
@@ -97,6 +99,7 @@ class ClusterSource:
         self._count = 0
         self._lock = asyncio.Lock()
         self._api: Api | None = None
+        self._watches: ClientSession | None = None
         self._executor: Executor | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -109,10 +112,11 @@ class ClusterSource:
         self._executor = executor
         self._loop = asyncio.get_running_loop()
         self._api = await self._connect()
+        self._watches = open_session()
         self._tasks.append(asyncio.create_task(self._know_cluster(self._api), name="know the cluster"))
         for namespace in self._namespaces:
             for kind in (Kind.MAPPING_RUN, *_OTHERS):
-                follower = self._follower(self._api, kind, namespace)
+                follower = self._follower(self._api, self._watches, kind, namespace)
                 self._tasks.append(asyncio.create_task(follower.run(), name=f"follow {kind} {namespace}"))
 
     async def _know_cluster(self, api: Api) -> None:
@@ -128,12 +132,17 @@ class ClusterSource:
 
     async def stop(self) -> None:
         """End."""
+        # Connections first: see open_session.
+        for connections in (self._watches, self._api):
+            if connections is not None:
+                await connections.close()
         for task in self._tasks:
             task.cancel()
         if self._tasks:
-            await asyncio.wait(self._tasks, timeout=5)
-        if self._api is not None:
-            await self._api.close()
+            ended, _ = await asyncio.wait(self._tasks, timeout=5)
+            for task in ended:
+                if not task.cancelled():
+                    task.exception()  # what it says of closed connections is of no interest
         if self._archive is not None:
             await self._archive.stop()
 
@@ -258,7 +267,7 @@ class ClusterSource:
         earlier = self._archive.sweeps if self._archive is not None else ()
         return with_derived(columns, length, [*current, *(one for one in earlier if one.uid not in known)])
 
-    def _follower(self, api: Api, kind: Kind, namespace: str) -> Follower:
+    def _follower(self, api: Api, watches: ClientSession, kind: Kind, namespace: str) -> Follower:
         def trouble(sentence: str | None) -> None:
             self._troubles[kind, namespace] = sentence
 
@@ -266,6 +275,7 @@ class ClusterSource:
         if kind is Kind.MAPPING_RUN:
             return Follower(
                 api,
+                watches,
                 kind,
                 namespace,
                 reset=partial(cluster.reset_runs, namespace),
@@ -275,6 +285,7 @@ class ClusterSource:
             )
         return Follower(
             api,
+            watches,
             kind,
             namespace,
             reset=partial(cluster.reset_others, kind, namespace),

@@ -31,11 +31,24 @@ _MAX_LINE = 8 * 2**20
 _GONE = 410
 
 
+def open_session() -> aiohttp.ClientSession:
+    """Return the session of all watches; it must be closed before what follows is cancelled.
+
+    A watch that is cancelled says goodbye to the server first, and nothing waits for the answer; a session
+    that is closed ends its connections at once.
+    """
+    timeout = aiohttp.ClientTimeout(total=None, connect=10, sock_read=_SILENCE_SECONDS)
+    return aiohttp.ClientSession(
+        timeout=timeout, read_bufsize=_MAX_LINE, connector=aiohttp.TCPConnector(limit=0)
+    )
+
+
 class Follower:
     """Follows the objects of one kind in one namespace.
 
     Args:
         api: the API.
+        session: by which it watches; following ends when this is closed.
         kind: the kind.
         namespace: where.
         reset: called with all objects after each list.
@@ -47,6 +60,7 @@ class Follower:
     def __init__(
         self,
         api: Api,
+        session: aiohttp.ClientSession,
         kind: Kind,
         namespace: str,
         *,
@@ -56,6 +70,7 @@ class Follower:
         narrow: Callable[[Object], Any],
     ) -> None:
         self._api = api
+        self._session = session
         self._kind = kind
         self._namespace = namespace
         self._reset = reset
@@ -64,9 +79,9 @@ class Follower:
         self._narrow = narrow
 
     async def run(self) -> None:
-        """Follow until cancelled."""
+        """Follow until the session is closed."""
         pause = _FIRST_PAUSE
-        while True:
+        while not self._session.closed:
             try:
                 version = await self._list()
                 self._trouble(None)
@@ -115,11 +130,7 @@ class Follower:
             context.verify_mode = ssl.CERT_NONE
         if access.certificate_path:
             context.load_cert_chain(access.certificate_path, access.private_key_path)
-        timeout = aiohttp.ClientTimeout(total=None, connect=10, sock_read=_SILENCE_SECONDS)
-        async with (
-            aiohttp.ClientSession(timeout=timeout, read_bufsize=_MAX_LINE) as session,
-            session.get(address, headers=headers, ssl=context, proxy=access.proxy_url) as answer,
-        ):
+        async with self._session.get(address, headers=headers, ssl=context, proxy=access.proxy_url) as answer:
             if answer.status == _GONE:
                 return
             if answer.status >= 400:

@@ -116,9 +116,10 @@ async def recording(api: Api) -> AsyncIterator[Recorder]:
             await asyncio.wait_for(flag.wait(), 30)
         yield recorder
     finally:
+        # Closed first: a watch that is cancelled leaves its connection half closed.
+        await session.close()
         for task in tasks:
             task.cancel()
         for task in tasks:
-            with suppress(asyncio.CancelledError):
+            with suppress(asyncio.CancelledError, aiohttp.ClientError, RuntimeError):
                 await task
-        await session.close()
