@@ -26,6 +26,8 @@ pytestmark = pytest.mark.slow
 
 STEREO = {"sensors": ["Stereo"], "durationSeconds": 12, "loops": 0.4, "camera": {"width": 320, "height": 240}}
 
+FRAMES = 180
+
 
 @pytest.fixture
 def home(tmp_path: Path, environments: Path) -> Home:
@@ -40,7 +42,9 @@ def run(home: Home, names: list[str], dataset: str, notes: object) -> list[RunRe
         {"metadata": {"name": "stereo"}, "spec": {"recording": {"synthetic": STEREO}}}
     )
     workshop.add([small], home.path)
-    template = {"datasetRef": {"name": dataset}, "input": {"duration": "12s"}, "timeout": "10m"}
+    # At half its speed, so that a busy machine keeps up with some of it.
+    asked = {"duration": "12s", "rate": 0.5}
+    template = {"datasetRef": {"name": dataset}, "input": asked, "timeout": "10m"}
     template["sensors"] = "stereo" if dataset == "stereo" else "lidar"
     axis = {"path": "algorithm", "values": names}
     body = {"metadata": {"name": "real"}, "spec": {"template": {"spec": template}, "matrix": [axis]}}
@@ -53,7 +57,8 @@ def run(home: Home, names: list[str], dataset: str, notes: object) -> list[RunRe
     missing = [str(one.message) for one in records if one.reason is Reason.ALGORITHM_UNAVAILABLE]
     if missing:
         pytest.skip(missing[0])
-    assert [(one.phase, one.message or "") for one in records] == [("Succeeded", "")] * len(names)
+    said = "\n".join(f"{one.phase}, {one.reason}: {one.message}\n{one.log_tail}" for one in records)
+    assert [one.phase for one in records] == ["Succeeded"] * len(names), said
     return records
 
 
@@ -76,8 +81,10 @@ def test_kiss_icp(ros: None, home: Home, notes: object) -> None:
 def test_orb_slam(ros: None, home: Home, notes: object) -> None:
     (played,) = run(home, ["orb-slam3-smallvoc-ros"], "stereo", notes)
     assert played.frames is not None
-    assert played.frames.processed is not None
-    assert played.frames.processed > 20
+    # A busy machine drops some, however slowly they come.
+    assert played.frames.offered == FRAMES
+    assert (played.frames.processed or 0) + (played.frames.dropped or 0) == FRAMES
+    assert 0 < len(trajectory(played)) <= (played.frames.processed or 0)
     assert played.results[0].values["ate"]["rmse"] < 0.5
     assert len(trajectory(played)) > 20
     assert len(trajectory(played, "trajectory.online.txt")) > 20
