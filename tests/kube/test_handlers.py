@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import signal
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -148,6 +149,23 @@ async def test_only_our_pods_are_watched_and_nothing_is_written(server: Server) 
             assert query["labelSelector"] == "app.kubernetes.io/managed-by=slamhive"
         if path == RUNS:
             assert "labelSelector" not in query
+
+
+async def test_nobody_is_killed_minutes_after_the_watching_ended(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop, timers = asyncio.get_running_loop(), []
+    call_later = loop.call_later
+
+    def noting(delay: float, callback: Callable[..., Any], *args: Any, **options: Any) -> Any:
+        timers.append(callback)
+        return call_later(delay, callback, *args, **options)
+
+    monkeypatch.setattr(loop, "call_later", noting)
+    async with watching(server):
+        await eventually(lambda: any(path == PODS and "watch" in query for _, path, query in server.asked))
+    assert timers, "kopf sets some"
+    assert signal.pthread_kill not in timers
 
 
 def test_kopf_keeps_its_hands_off() -> None:

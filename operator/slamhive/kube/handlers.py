@@ -81,6 +81,9 @@ def settings_for_kopf() -> kopf.OperatorSettings:
     settings.queueing.idle_timeout = _IDLE_SECONDS
     settings.queueing.exit_timeout = _EXIT_SECONDS
     settings.persistence.diffbase_storage = NoDiffs()
+    # Ten minutes after its end kopf would kill the process by SIGKILL, whatever that does by then. A pod that
+    # doesn't end is the kubelet's to kill.
+    settings.process.ultimate_exiting_timeout = None
     logging.getLogger("kopf.objects").setLevel(logging.WARNING)
     return settings
 
