@@ -18,7 +18,7 @@ from fakeapi.controllers import Garbage, Jobs
 from fakeapi.nodes import Nodes, status_of
 from fakeapi.objects import Objects
 from fakeapi.refusals import Refusal
-from fakeapi.resources import NAMESPACES, NODES, PODS, named
+from fakeapi.resources import EVENTS, NAMESPACES, NODES, PODS, named
 from fakeapi.schema import loads
 from fakeapi.server import Server
 from testcluster.kwok import Play, Pool, node
@@ -65,6 +65,7 @@ class FakeCluster:
         self._jobs = Jobs(self._objects)
         self._garbage = Garbage(self._objects)
         self._unseen: list[Change] = []
+        self._asking_again = False
         self._runner = web.AppRunner(self._server.application, access_log=None, shutdown_timeout=1.0)
 
     def __enter__(self) -> Self:
@@ -169,6 +170,8 @@ class FakeCluster:
         await asyncio.gather(*left, return_exceptions=True)
 
     def _hear(self, change: Change) -> None:
+        if change.resource is EVENTS:
+            return  # no controller's business, and a Job whose pod is refused tells of it each time
         if not self._unseen:
             # Not at once: whoever wrote gets its answer first, as on a real cluster.
             self._loop.call_soon(self._control)
@@ -179,8 +182,19 @@ class FakeCluster:
         self._garbage.look(changes)
         self._jobs.look()
         self._nodes.look()
-        if self._jobs.refused:
-            self._loop.call_later(_PODS_AGAIN_SECONDS, self._jobs.look)
+        self._ask_again_for_pods()
+
+    def _ask_again_for_pods(self) -> None:
+        """Look at Jobs again in a while, if a pod was refused."""
+
+        def again() -> None:
+            self._asking_again = False
+            self._jobs.look()
+            self._ask_again_for_pods()
+
+        if self._jobs.refused and not self._asking_again:
+            self._asking_again = True
+            self._loop.call_later(_PODS_AGAIN_SECONDS, again)
 
 
 def _kubeconfig(address: str) -> Object:
