@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[2]
 RECORDINGS = {
     "synthetic-lidar": {"sensors": ["Lidar", "Imu"], "lidar": {"rings": 4, "columns": 36}},
-    "synthetic-camera": {"sensors": ["Stereo"], "camera": {"width": 64, "height": 48, "rate": 5}},
+    "synthetic-camera": {"sensors": ["Stereo", "Imu"], "camera": {"width": 64, "height": 48, "rate": 5}},
 }
 STAND_INS = ("kiss-icp", "genz-icp")
 ADAPTER = """\
@@ -69,7 +69,8 @@ def _stand_in_algorithm(folder: Path, name: str, truth: str) -> None:
     }
     folder.mkdir(parents=True)
     (folder / "algorithm.yaml").write_text(yaml.safe_dump(manifest))
-    (folder / "adapter.py").write_text(ADAPTER)
+    # The true adapter reads its parameters: a check looks for their names.
+    (folder / "adapter.py").write_text(f"{ADAPTER}UNUSED = {sorted(manifest['spec']['parameters'])}\n")
     (folder / "requirements.txt").write_text("")
     (folder / "truth.txt").write_text("".join(f"{x}\n" for x in truth.splitlines() if x[0] != "#"))
 

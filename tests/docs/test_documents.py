@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import pytest
 import yaml
 
@@ -225,7 +226,16 @@ def the_example_is_right(home: Path) -> None:
     assert errors["perfect"] < 0.1 * errors["synthetic-lidar"]
 
 
-AFTER = {"algorithms.md": the_example_is_right}
+def the_settings_are_read(_home: Path) -> None:
+    """OpenCV reads the files that were rendered, as VINS does."""
+    settings = cv2.FileStorage("rendered/vins.yaml", cv2.FILE_STORAGE_READ)
+    assert settings.getNode("body_T_cam0").mat().shape == (4, 4)
+    assert (settings.getNode("num_of_cam").real(), settings.getNode("max_cnt").real()) == (1, 150)
+    camera = cv2.FileStorage("rendered/cam0.yaml", cv2.FILE_STORAGE_READ)
+    assert camera.getNode("image_width").real() == settings.getNode("image_width").real() == 64
+
+
+AFTER = {"algorithms.md": the_example_is_right, "settings-files.md": the_settings_are_read}
 """What else is to hold when a document's commands have been run."""
 
 

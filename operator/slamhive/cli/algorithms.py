@@ -18,9 +18,14 @@ from slamhive.cli.vocabulary import train
 from slamhive.local.catalog import link_algorithm, load_workshop
 from slamhive.local.environments import availability
 from slamhive.local.home import Home
+from slamhive.model.algorithm import ParameterType
+from slamhive.model.errors import InputError
+from slamhive.model.loading import parse
+from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
     from slamhive.model.algorithm import Algorithm, Parameter
+    from slamhive.model.base import Scalar
 
 app = typer.Typer(no_args_is_help=True, help="Algorithms: list, add and check them.")
 
@@ -127,6 +132,71 @@ def check(name: Name) -> None:
         out.print(f"[{colours[finding.answer]}]{word}[/] {escape(finding.text)}")
     if any(finding.answer is Answer.FAILS for finding in findings):
         raise typer.Exit(FAILED)
+
+
+@app.command("render")
+def render_files(
+    name: Name,
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="Dataset by name.")],
+    *,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            "-p", "--parameter", metavar="NAME=VALUE", help="Value of a parameter; may be repeated."
+        ),
+    ] = None,
+    mode: Annotated[
+        SensorMode | None, typer.Option("--mode", help="Sensor mode; default: the only one.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write the files below this folder.")
+    ] = None,
+) -> None:
+    """Print the settings files that a run of an algorithm on a dataset would read.
+
+    Example: slamhive algorithm render my-vins mh01 -p maxFeatures=200
+    """
+    from slamhive.local.configuring import rendered_for
+    from slamhive.model.errors import sentence
+    from slamhive.templating import place_files
+
+    bench = open_workbench(Home.from_environment())
+    with bench.archive:
+        given = _given(parameter or [], bench.workshop.algorithm(name).algorithm)
+        files = rendered_for(bench, name, dataset, given, mode)
+    if output is not None:
+        try:
+            place_files(files, output, read_only=False)
+        except OSError as error:
+            raise InputError(f"--output: {sentence(error)}") from None
+        for file in files:
+            out.print(escape(str(output / file.path)), soft_wrap=True)
+        return
+    for file in files:
+        if len(files) > 1:
+            typer.echo(f"==> {file.path} <==")
+        typer.echo(file.text, nl=not file.text.endswith("\n"))
+
+
+def _given(parameters: list[str], algorithm: Algorithm) -> dict[str, Scalar]:
+    """Return values of parameters as they were written; a text is what its parameter is declared to take."""
+    found: dict[str, Scalar] = {}
+    for item in parameters:
+        name, equals, text = item.partition("=")
+        if not equals:
+            raise InputError(f"-p {item}: expected NAME=VALUE")
+        if name in found:
+            raise InputError(f"-p {item}: {name!r} was given before")
+        declared = algorithm.spec.parameters.get(name)
+        if declared is not None and declared.type is ParameterType.STRING:
+            found[name] = text
+            continue
+        documents = parse(text, f"-p {name}")
+        value = documents[0].value if documents else None
+        if isinstance(value, dict | list):
+            raise InputError(f"-p {item}: expected a single value")
+        found[name] = value
+    return found
 
 
 app.command("train-vocabulary")(train)

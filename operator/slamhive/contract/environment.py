@@ -12,8 +12,13 @@ THREAD_VARIABLES = (
 )
 """What numerical libraries ask for the number of their threads."""
 
+SETTINGS_FOLDER = "files"
+"""Folder of the run folder with the settings files that were rendered for an algorithm."""
 
-def program_variables(*, run: str, seed: int, cores: int, home: str, scratch: str) -> dict[str, str]:
+
+def program_variables(
+    *, run: str, seed: int, cores: int, home: str, scratch: str, settings_files: bool = False
+) -> dict[str, str]:
     """Return the variables that every algorithm has.
 
     Args:
@@ -22,9 +27,12 @@ def program_variables(*, run: str, seed: int, cores: int, home: str, scratch: st
         cores: processors that it may use.
         home: an empty folder of its own.
         scratch: another one, for temporary files.
+        settings_files: whether the algorithm has settings files.
     """
+    files = {"SLAMHIVE_FILES": f"{run}/{SETTINGS_FOLDER}"} if settings_files else {}
     return {
         "SLAMHIVE_RUN": run,
+        **files,
         "SLAMHIVE_SEED": str(seed),
         **dict.fromkeys(THREAD_VARIABLES, str(max(1, cores))),
         "OMP_WAIT_POLICY": "PASSIVE",  # threads that wait would count as the algorithm's CPU time

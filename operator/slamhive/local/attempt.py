@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from slamhive.contract.environment import program_variables
+from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
 from slamhive.contract.files import read_regular
 from slamhive.contract.metrics import frame_counts, keep_values, read_metrics
 from slamhive.contract.trajectory import check_trajectory
@@ -36,6 +36,7 @@ from slamhive.model.results import Frames, Reason, TrajectoryInfo, Usage, remark
 from slamhive.monitor import SupervisorSpec, end_orphans
 from slamhive.monitor.spec import OUTPUT_LIMIT
 from slamhive.playback.judging import judge
+from slamhive.templating import place_files, render
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -106,6 +107,7 @@ class Attempt:
         """Lay out the folder afresh and start the program.
 
         Raises:
+            SettingsError: a settings file can't be rendered.
             SystemFault: the folder can't be made or the supervisor can't be started.
         """
         try:
@@ -248,6 +250,11 @@ class Attempt:
         config.write_text(text)
         # Keeps out a slip of the algorithm, no attack: it has the same user.
         config.chmod(stat.S_IRUSR | stat.S_IRGRP | stat.S_IROTH)
+        templates = order.entry.algorithm.spec.templates
+        if templates:
+            folder = self.run / SETTINGS_FOLDER
+            told = order.configuration.as_json()
+            place_files(render(templates, told, str(self.run), str(folder)), folder)
 
     def _supervisor_spec(self, order: AttemptOrder, variables: Mapping[str, str]) -> SupervisorSpec:
         program = order.entry.algorithm.spec.local
@@ -278,6 +285,7 @@ class Attempt:
             cores=len(order.cpus),
             home=str(self.folder / "home"),
             scratch=str(self.folder / "tmp"),
+            settings_files=bool(order.entry.algorithm.spec.files),
         )
         passed_on = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
         return {

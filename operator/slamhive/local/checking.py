@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of what an Algorithm declares, by running it on a recording with exact ground truth.
 
+Whether something reads each of its parameters shows without a run.
+
 `slamhive algorithm check` prints them.
 """
 
@@ -14,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from slamhive.analysis.measuring import Subject, measure, read_estimate
+from slamhive.local.parameters import parameter_uses
 from slamhive.local.runner import Job, Runner
 from slamhive.model.algorithm import Poses
 from slamhive.model.base import ObjectMeta
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
+    from slamhive.local.catalog import AlgorithmEntry
     from slamhive.local.workbench import Workbench
     from slamhive.model.algorithm import Mode
 
@@ -100,8 +104,9 @@ def check_algorithm(bench: Workbench, name: str) -> list[Finding]:
     Raises:
         InputError: there is no algorithm of that name.
     """
-    algorithm = bench.workshop.algorithm(name).algorithm
-    findings: list[Finding] = []
+    entry = bench.workshop.algorithm(name)
+    algorithm = entry.algorithm
+    findings = list(_parameters(entry))
     for mode in algorithm.spec.modes:
         records = _run_twice(bench, name, mode)
         failed = [record for record in records if record.phase is not Phase.SUCCEEDED]
@@ -111,6 +116,18 @@ def check_algorithm(bench: Workbench, name: str) -> list[Finding]:
         findings += [_repeatable(algorithm.spec.deterministic, mode, records)]
         findings += _meaning(bench, mode, records[-1])
     return findings
+
+
+def _parameters(entry: AlgorithmEntry) -> Iterator[Finding]:
+    """Tell whether something reads each parameter that is declared."""
+    if not entry.algorithm.spec.parameters:
+        return
+    unused, why = parameter_uses(entry)
+    if not unused:
+        yield Finding(Answer.HOLDS, "parameters: each is named by a template or a program of its folder")
+        return
+    text = f"parameters: no template and no program in {entry.folder} names {', '.join(unused)}"
+    yield Finding(Answer.UNKNOWN, f"{text}; {why}") if why else Finding(Answer.FAILS, text)
 
 
 def _run_twice(bench: Workbench, name: str, mode: Mode) -> list[RunRecord]:

@@ -28,10 +28,10 @@ from slamhive.engine import (
     taken_over,
 )
 from slamhive.local.attempt import Attempt, AttemptOrder
+from slamhive.local.configuring import configured
 from slamhive.local.environments import Unavailable
 from slamhive.local.evaluating import Evaluator
-from slamhive.model.configuration import PreparedRecording
-from slamhive.model.errors import InputError, SlamHiveError, sentence
+from slamhive.model.errors import InputError, SettingsError, SlamHiveError, sentence
 from slamhive.model.results import (
     NOT_EVALUATED,
     IntendedEvaluation,
@@ -43,7 +43,7 @@ from slamhive.model.results import (
 )
 from slamhive.model.sensors import SensorMode
 from slamhive.monitor.machine import cpu_model
-from slamhive.plan import recording_fields, run_configuration
+from slamhive.plan import recording_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -332,16 +332,7 @@ class RunDriver:
 
     def _configuration(self, variant: Variant) -> RunConfiguration:
         dataset = self._bench.dataset(self._spec["datasetRef"]["name"]).dataset
-        recording = PreparedRecording(
-            format=variant.format,
-            recording=variant.path.name,
-            sensors=variant.sensors,
-            start_time=variant.start_time,
-            duration_seconds=variant.duration_seconds,
-            frame_rate=variant.frame_rate,
-            resolution=variant.resolution,
-        )
-        return run_configuration(self._order.point.name, self._spec, dataset, recording, len(self._cpus))
+        return configured(self._order.point.name, self._spec, dataset, variant, len(self._cpus))
 
     def _record(self, state: RunState, created: datetime) -> RunRecord:
         progress, order, attempt = self._progress, self._order, self._attempt
@@ -428,6 +419,8 @@ def _joined(*sentences: str | None) -> str | None:
 def _problem(error: Exception) -> tuple[Reason, str]:
     if isinstance(error, Unavailable):
         return Reason.ALGORITHM_UNAVAILABLE, str(error)
+    if isinstance(error, SettingsError):
+        return Reason.INVALID_PARAMETERS, str(error)
     if isinstance(error, InputError):
         return Reason.PREPARATION_FAILED, str(error)
     return Reason.SYSTEM_FAULT, sentence(error)

@@ -6,12 +6,13 @@ from __future__ import annotations
 import json
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from slamhive.model.base import Choice, Image, Model, Name, Resource, Scalar, Sha256, optional
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.ros1 import Ros1
 from slamhive.model.sensors import ROLES, Role, SensorMode
+from slamhive.model.templates import FILES_LIMIT, TEMPLATE_LIMIT, TEMPLATES_LIMIT, read_template
 
 _SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
 RelativePath = Annotated[
@@ -24,6 +25,13 @@ AssetName = Annotated[
     str,
     StringConstraints(pattern=rf"^{_BOUND_SEGMENT}(/{_BOUND_SEGMENT})*$", max_length=1024),
     Field(description="A path that stays below its folder and holds no colon: it is mounted in containers."),
+]
+SettingsPath = Annotated[
+    str,
+    StringConstraints(
+        pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*$", max_length=255
+    ),
+    Field(description="A path below its folder: letters, digits, . _ - and /, no part beginning with a dot."),
 ]
 TEXT_LIMIT = 16 * 1024
 """Characters of a parameter's text."""
@@ -194,6 +202,22 @@ class Asset(Model):
         return self
 
 
+class SettingsFile(Model):
+    """A settings file that an algorithm reads, rendered from a template before each run."""
+
+    path: SettingsPath = Field(description="Where it is, below $SLAMHIVE_FILES.")
+    template: str = Field(
+        max_length=TEMPLATE_LIMIT,
+        description="Jinja2 template of its text: see docs/settings-files.md for its names.",
+    )
+
+    @field_validator("template")
+    @classmethod
+    def _is_template(cls, text: str) -> str:
+        read_template(text)
+        return text
+
+
 class LocalProgram(Model):
     """How an algorithm runs on a workstation without a container."""
 
@@ -232,6 +256,9 @@ class AlgorithmSpec(Model):
     )
     parameters: dict[str, Parameter] = Field(default_factory=dict, description="Parameters by name.")
     assets: list[Asset] = Field(default_factory=list, description="Files it needs.")
+    files: list[SettingsFile] | None = optional(
+        "Settings files that it reads, rendered before each run.", max_length=FILES_LIMIT
+    )
     output: Output = Field(description="What its poses mean.")
     paces: list[Pace] = Field(default_factory=lambda: [Pace.LOCKSTEP], min_length=1, description="Paces.")
     realtime: RealtimePolicy | None = optional("Queue and drop policy in real time.")
@@ -254,6 +281,7 @@ class AlgorithmSpec(Model):
         assets = [asset.name for asset in self.assets]
         if len(set(assets)) != len(assets):
             raise ValueError("assets: each name may be used once")
+        self._check_files()
         if Pace.REALTIME in self.paces and self.realtime is None:
             raise ValueError("realtime: needed for the pace Realtime (queue and drop policy)")
         if self.ros1 is not None and Pace.REALTIME not in self.paces:
@@ -261,6 +289,30 @@ class AlgorithmSpec(Model):
         if self.ros1 is not None and self.recording != [RecordingFormat.ROSBAG1]:
             raise ValueError("ros1: needs recording: [Rosbag1], which is what is played")
         return self
+
+    def _check_files(self) -> None:
+        paths = [file.path for file in self.files or ()]
+        if len(set(paths)) != len(paths):
+            raise ValueError("files: each path may be used once")
+        folders = {path: other for other in paths for path in paths if other.startswith(f"{path}/")}
+        for path, other in folders.items():
+            raise ValueError(f"files: {path!r} can't be a file and the folder of {other!r}")
+        size = sum(len(file.template.encode("utf-8", "replace")) for file in self.files or ())
+        if size > TEMPLATES_LIMIT:
+            raise ValueError(
+                f"files: the templates have {size} bytes in all, at most {TEMPLATES_LIMIT} are allowed"
+            )
+        roles = {str(role) for mode in self.modes for role in mode.needs}
+        for index, file in enumerate(self.files or ()):
+            try:
+                read_template(file.template, self.parameters, roles)
+            except ValueError as error:
+                raise ValueError(f"files.{index}.template: {error}") from None
+
+    @property
+    def templates(self) -> list[tuple[str, str]]:
+        """Return path and template of each settings file."""
+        return [(file.path, file.template) for file in self.files or ()]
 
     def plays(self, pace: str) -> Ros1 | None:
         """Return how a run of a pace is played to as a ROS 1 node, None when it reads by itself."""

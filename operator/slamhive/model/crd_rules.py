@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
-from slamhive.model.algorithm import TEXT_LIMIT, AssetName, RelativePath
+from slamhive.model.algorithm import TEXT_LIMIT, AssetName, RelativePath, SettingsPath
 from slamhive.model.base import Sha256, explain
 from slamhive.model.run import MappingRunSpec
 from slamhive.model.sweep import IMMUTABLE, MAX_POINTS
@@ -154,6 +154,7 @@ EXTRA: dict[str, dict[str, Any]] = {
     },
     "AlgorithmSpec.modes": {"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["name"]},
     "AlgorithmSpec.assets": {"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["name"]},
+    "AlgorithmSpec.files": {"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["path"]},
     "Parameter.default": {"maxLength": TEXT_LIMIT},
     "Parameter.values[]": {"maxLength": TEXT_LIMIT},
     "SyntheticRecording.sensors": {"x-kubernetes-list-type": "set"},
@@ -173,6 +174,9 @@ FROZEN: dict[str, tuple[str, ...] | None] = {
 _MEANINGS = {
     get_args(RelativePath)[1].pattern: "expected a path below its folder: not absolute, no . or .. in it",
     get_args(AssetName)[1].pattern: "expected a path below its folder, without . or .. or a colon in it",
+    get_args(SettingsPath)[1].pattern: (
+        "expected a path below its folder: letters, digits, . _ - and /, no part that begins with a dot"
+    ),
     get_args(Sha256)[1].pattern: "expected a SHA-256 checksum: 64 digits and letters from a to f",
     "^https://": "expected an address that begins with https://",
 }

@@ -7,6 +7,7 @@
     ├── InputError                what the user wrote is wrong (exit code 2, HTTP 4xx, refused manifest)
     │   ├── ManifestError         a manifest does not follow the language
     │   ├── UnknownNameError      a name that nothing is known by
+    │   ├── SettingsError         a settings file that its template doesn't give with these parameters
     │   └── DataError             a recording or trajectory that cannot be used
     └── SystemFault               the machine could not do it; worth another try
 
@@ -63,6 +64,12 @@ class DataError(InputError):
     """A recording, ground truth or trajectory cannot be used."""
 
     reason = "InvalidData"
+
+
+class SettingsError(InputError):
+    """A settings file of an algorithm can't be rendered."""
+
+    reason = "InvalidParameters"
 
 
 class SystemFault(SlamHiveError):  # noqa: N818 - a fault of the machine, not an error of the user
