@@ -53,6 +53,7 @@ SLOWEST = (
     "faults/test_every_write.py",
     "faults/test_jobs.py",
     "synthetic/test_recording.py",
+    "templating/test_bounds.py",
     "jobs/test_evaluate.py",
     "local/test_untouchable.py",
     "local/test_surroundings.py",

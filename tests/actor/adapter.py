@@ -91,6 +91,15 @@ def configuration() -> None:
     assert not list((run / "dataset").glob("*groundtruth*"))
     assert os.sched_getaffinity(0)
     assert os.environ["SLAMHIVE_SEED"]
+    assert "SLAMHIVE_FILES" not in os.environ
+    assert not (run / "files").exists()
+    good()
+
+
+def settings() -> None:
+    files = Path(os.environ["SLAMHIVE_FILES"])
+    assert files == run / "files"
+    shutil.copytree(files, run / "output" / "seen")
     good()
 
 
@@ -132,6 +141,7 @@ ACTS: dict[str, Callable[[], object]] = {
     "elsewhere": elsewhere,
     "log": log,
     "configuration": configuration,
+    "settings": settings,
     "noted": noted,
 }
 ACTS[act.group(1) if act else "good"]()

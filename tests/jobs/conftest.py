@@ -25,7 +25,9 @@ sys.path.append(str(Path(__file__).parents[1] / "faults"))
 
 from forking import Forks
 
-PROGRAMS = tuple(f"slamhive.jobs.{name}" for name in ("collect", "evaluate", "prepare", "read", "report"))
+PROGRAMS = tuple(
+    f"slamhive.jobs.{name}" for name in ("collect", "evaluate", "prepare", "read", "render", "report")
+)
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 

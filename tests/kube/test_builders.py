@@ -172,12 +172,17 @@ def preparing(**spec: Any) -> dict[str, Any]:
     )
 
 
+TEMPLATE = "voxel: {{ parameters['voxel.size'] }}\ntopic: {{ sensors.lidar.topic|quoted }} # $(HOME)\n"
+FILES = [{"path": "config/lio.yaml", "template": TEMPLATE}]
+
+
 JOBS = {
     "run": lambda: built(
         run(labels={"slamhive.io/sweep": "study", "slamhive.io/slot": "3", "kueue.x-k8s.io/queue-name": "q"}),
         pods=PODS,
         resources={"cpu": "1500m", "memory": "2Gi", "gpu": 1},
     ),
+    "settings-files": lambda: built(declared=algorithm(files=FILES), resources={"cpu": 2, "memory": "2Gi"}),
     "prepare": preparing,
     "evaluate": lambda: evaluating(batch()),
     "custom-evaluator": lambda: evaluating(
@@ -308,6 +313,38 @@ def test_queues_labels_are_handed_on_and_no_others() -> None:
     made = job["spec"]["template"]["metadata"]["annotations"]
     assert made.keys() == {"kueue.x-k8s.io/job-uid", "slamhive.io/configuration"}
     assert made["slamhive.io/configuration"] != "mine"
+
+
+def test_settings_files_are_rendered_before_all_others_and_the_algorithm_can_not_change_them() -> None:
+    job = built(declared=algorithm(files=FILES))
+    pod = job["spec"]["template"]["spec"]
+    render, monitor = pod["initContainers"]
+    assert (render["name"], render["image"], monitor["name"]) == (
+        "render",
+        "example.org/slamhive:1",
+        "monitor",
+    )
+    # One that is to end, where the monitor stays.
+    assert "restartPolicy" not in render
+    mounts = {mount["mountPath"]: mount for mount in containers(job)[-1]["volumeMounts"]}
+    assert mounts["/slamhive/files"]["readOnly"]
+    assert mounts["/slamhive/files"]["subPathExpr"] == f"runs/{UID}/$(POD_UID)/files"
+    env = {item["name"]: item.get("value") for item in containers(job)[-1]["env"]}
+    assert env["SLAMHIVE_FILES"] == "/slamhive/files"
+    asked = json.loads(job["spec"]["template"]["metadata"]["annotations"]["slamhive.io/render"])
+    assert asked == {"files": FILES, "run": "/slamhive"}
+
+
+def test_an_algorithm_without_settings_files_is_run_as_before() -> None:
+    for declared in (algorithm(), algorithm(files=[])):
+        assert built(declared=declared) == built()
+
+
+def test_templates_beside_a_large_configuration_are_refused_before_the_api_server_does() -> None:
+    texts = {f"p{k}": {"type": "String", "default": "\u00e9" * (TEXT_LIMIT - 100)} for k in range(3)}
+    files = [{"path": f"{k}", "template": "\x01" * 10_000} for k in range(6)]
+    with pytest.raises(InputError, match=r"bytes.*(fit|holds)"):
+        built(declared=algorithm(parameters=texts, files=files))
 
 
 def test_a_player_is_added_beside_the_algorithm() -> None:

@@ -314,6 +314,39 @@ def test_nothing_is_believed_of_who_died_while_the_algorithm_ran(
     assert (attempted.report is None, attempted.needs_read) == (fault, False)
 
 
+def not_rendered(told: dict[str, Any] | None) -> dict[str, Any]:
+    """Return a pod whose settings files were not rendered, as a kubelet tells of it."""
+    found = pod("ok")
+    waiting = {"state": {"waiting": {"reason": "PodInitializing"}}}
+    ended = {"exitCode": 1, "reason": "Error", "finishedAt": "2026-11-21T15:12:19Z"}
+    message = {} if told is None else {"message": json.dumps(told)}
+    found["status"] |= {
+        "phase": "Failed",
+        "initContainerStatuses": [
+            {"name": "render", "state": {"terminated": ended | message}},
+            {"name": "monitor", **waiting},
+        ],
+        "containerStatuses": [{"name": "algorithm", **waiting}],
+    }
+    return found
+
+
+def test_settings_that_can_not_be_rendered_are_the_users_and_no_fault_of_the_machine() -> None:
+    sentence = "algorithm 'lio': files.0.template (lio.yaml): line 3: division by zero"
+    told = {"v": 1, "error": {"reason": "InvalidParameters", "message": sentence}}
+    attempted = seen(not_rendered(told))
+    assert attempted.state is AttemptState.ENDED
+    assert attempted.end is not None
+    assert (attempted.end.reason, attempted.end.message) == (Reason.INVALID_PARAMETERS, sentence)
+    assert not attempted.needs_read
+
+
+def test_a_container_that_renders_and_dies_without_a_word_is_a_fault() -> None:
+    end = seen(not_rendered(None)).end
+    assert end is not None
+    assert (end.reason, end.message) == (Reason.SYSTEM_FAULT, "container 'render': exit code 1")
+
+
 @pytest.mark.parametrize(("seconds", "reason"), [(1, None), (600, Reason.SYSTEM_FAULT)])
 def test_an_algorithm_that_hid_from_its_monitor_has_no_result(seconds: int, reason: Reason | None) -> None:
     found = with_report("ok", reason=None, startedAt=None, trajectory=json.loads(OK)["trajectory"])

@@ -214,3 +214,80 @@ def test_a_wrong_command_line_is_refused(arguments: list[str], call: Any) -> Non
     code, out, err = call(*arguments)
     assert (code, out) == (2, "")
     assert "Usage" in err
+
+
+@pytest.fixture
+def templated(home: Home) -> str:
+    """An algorithm of the home with two settings files."""
+    folder = home.path / "algorithms" / "templated"
+    folder.mkdir()
+    (folder / "algorithm.yaml").write_text(TEMPLATED)
+    return "templated"
+
+
+TEMPLATED = """apiVersion: slamhive.io/v1alpha1
+kind: Algorithm
+metadata: {name: templated}
+spec:
+  image: example.org/templated:1
+  modes: [{name: lidar}]
+  output: {frame: lidar}
+  parameters:
+    size: {type: Number, default: 2}
+    name: {type: String, default: none}
+  files:
+    - path: a/b.yaml
+      template: |
+        size: {{ 1 / parameters.size }}
+        name: {{ parameters.name|quoted }}
+    - {path: c.txt, template: "{{ mode }}"}
+"""
+
+
+def test_settings_files_are_printed_and_written(
+    templated: str, call: Callable[..., Any], tmp_path: Path
+) -> None:
+    code, out, err = call("algorithm", "render", templated, "tiny", "-p", "size=8", "-p", "name=12:30=x")
+    assert (code, err) == (0, "")
+    assert out == '==> a/b.yaml <==\nsize: 0.125\nname: "12:30=x"\n==> c.txt <==\nlidar\n'
+    for size, text in ((4, "0.25"), (1, "1.0")):
+        folder = tmp_path / "out"
+        code, out, _ = call("algorithm", "render", templated, "tiny", "-p", f"size={size}", "-o", folder)
+        assert (code, out.split()) == (0, [str(folder / "a/b.yaml"), str(folder / "c.txt")])
+        assert (folder / "a/b.yaml").read_text() == f'size: {text}\nname: "none"\n'
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["actor", "tiny"], "algorithm 'actor' has no settings files"),
+        (["templatet", "tiny"], "unknown algorithm 'templatet'; did you mean 'templated'?"),
+        (["templated", "tinny"], "unknown dataset 'tinny'; did you mean 'tiny'?"),
+        (["templated", "tiny", "-p", "size"], "-p size: expected NAME=VALUE"),
+        (["templated", "tiny", "-p", "size=1", "-p", "size=2"], "'size' was given before"),
+        (["templated", "tiny", "-p", "size=[1]"], "-p size=[1]: expected a single value"),
+        (["templated", "tiny", "-p", "size={"], "not YAML"),
+        (["templated", "tiny", "-p", "size=big"], "parameters.size: 'big' is not allowed, only a number"),
+        (["templated", "tiny", "-p", "sise=1"], "did you mean 'size'?"),
+        (["templated", "tiny", "-p", "size=0"], "files.0.template (a/b.yaml): line 1: division by zero"),
+        (["templated", "tiny", "--mode", "stereo"], "stereo"),
+        (["templated", "tiny", "-o", "/proc/nowhere"], "--output: "),
+    ],
+)
+def test_settings_files_that_can_not_be_rendered(
+    arguments: list[str], words: str, templated: str, call: Callable[..., Any]
+) -> None:
+    code, out, err = call("algorithm", "render", *arguments)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert "Traceback" not in err
+
+
+def test_a_template_that_is_none_is_told_with_its_file_field_and_line(
+    home: Home, call: Callable[..., Any]
+) -> None:
+    path = home.path / "wrong.yaml"
+    path.write_text(TEMPLATED.replace("parameters.size", "parameters.sise"))
+    code, _, err = call("validate", path)
+    assert code == 2
+    assert f"{path}:4: spec: files.0.template: line 1: unknown parameter 'sise'; did you mean 'size'?" in err

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from slamhive.analysis.subjects import SubjectItem
-from slamhive.model.algorithm import RecordingFormat, RelativePath
+from slamhive.model.algorithm import RecordingFormat, RelativePath, SettingsFile
 from slamhive.model.base import Model, Name, Sha256
 from slamhive.model.dataset import Dataset
 from slamhive.model.evaluation import EvaluationSettings
@@ -32,6 +32,13 @@ class PrepareRequest(Model):
     input: InputOptions = Field(default_factory=InputOptions)
     formats: list[RecordingFormat] = Field(min_length=1)
     assets: list[FetchedAsset] = Field(default_factory=list)
+
+
+class RenderRequest(Model):
+    """Settings files to render before an algorithm starts."""
+
+    files: list[SettingsFile] = Field(min_length=1)
+    run: str = Field(pattern=r"^/", description="The run folder as the algorithm sees it.")
 
 
 class EvaluateRequest(Model):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptEnd, AttemptState, VariantState
 from slamhive.kube.builders.evaluation import EVALUATE, EVALUATOR, LINKS, READ, REPORT
-from slamhive.kube.builders.run import ALGORITHM, MONITOR
+from slamhive.kube.builders.run import ALGORITHM, MONITOR, RENDER
 from slamhive.kube.builders.variant import PREPARE
 from slamhive.kube.errors import means_quota
 from slamhive.kube.kinds import Label
@@ -264,7 +264,7 @@ def _ended(seen: Attempted, pod: Object) -> Attempted:
     if told is not None:
         end = told
     elif ending is None:
-        end = AttemptEnd(reason=Reason.SYSTEM_FAULT, message=_before_start(pod))
+        end = _not_rendered(pod) or AttemptEnd(reason=Reason.SYSTEM_FAULT, message=_before_start(pod))
     else:
         end = _judged(ending, report)
     if ending is not None and report is None and end.reason is Reason.SYSTEM_FAULT:
@@ -314,6 +314,12 @@ def _began_again(status: Mapping[str, Any], begun: float) -> bool:
         return True
     times = [time for time in (started, died) if time is not None]
     return bool(status.get("restartCount")) and (not times or max(times) >= begun)
+
+
+def _not_rendered(pod: Object) -> AttemptEnd | None:
+    """Return the end of an attempt whose settings files could not be rendered."""
+    failure = read_failure(message_of(pod, RENDER))
+    return None if failure is None else AttemptEnd(reason=failure.reason, message=failure.message)
 
 
 def _before_start(pod: Object) -> str:

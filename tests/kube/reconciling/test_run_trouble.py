@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from fakeapi.refusals import Refusal, forbidden
 from testcluster.kwok import Moment, Play, ended, moment_of, run_message
 from testcluster.lab import algorithm, condition_of, manifest, run, status_of, until
 
+from slamhive.jobs.messages import failed
 from slamhive.kube.kinds import Key, Kind
+from slamhive.model.results import Reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -171,3 +175,48 @@ async def test_options_that_a_recording_cannot_give_are_refused(fake_lab: Lab) -
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
     assert status["reason"] == "InvalidParameters"
     assert "spec.input" in status["message"]
+
+
+FILES = [{"path": "icp.yaml", "template": "size: {{ 1 / parameters.size }}\n"}]
+
+
+async def test_settings_files_are_asked_for_and_the_run_is_one_like_others(fake_lab: Lab) -> None:
+    fake_lab.apply(algorithm("templated", files=FILES))
+    async with fake_lab.operator() as op:
+        fake_lab.apply(run(algorithmRef={"name": "templated"}))
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
+        [job] = [job for job in fake_lab.cluster.of("job", "lab") if job["metadata"]["name"] == "one-1"]
+    assert (status["phase"], status["attempts"]) == ("Succeeded", 1)
+    asked = json.loads(job["spec"]["template"]["metadata"]["annotations"]["slamhive.io/render"])
+    assert asked["files"] == FILES
+
+
+async def test_settings_that_can_not_be_rendered_fail_the_run_at_once(
+    make_fake_lab: Callable[..., Lab],
+) -> None:
+    sentence = "algorithm 'templated': files.0.template (icp.yaml): line 1: division by zero"
+    told = ended(1, failed(Reason.INVALID_PARAMETERS, sentence)).first
+    waits = {"waiting": {"reason": "PodInitializing"}}
+    lab = make_fake_lab(ends={"run": Moment("Failed", waits, told)})
+    lab.apply(algorithm("templated", files=FILES))
+    async with lab.operator() as op:
+        lab.apply(run(algorithmRef={"name": "templated"}, parameters={"size": 0}, retries=3))
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
+    assert (status["phase"], status["reason"], status["attempts"]) == ("Failed", "InvalidParameters", 1)
+    assert status["message"] == sentence
+
+
+async def test_a_template_that_is_none_is_told_at_the_run_with_its_line(fake_lab: Lab) -> None:
+    files = [{"path": "icp.yaml", "template": "\nsize: {{ parameters.sise }}\n"}]
+    fake_lab.apply(algorithm("templated", files=files))
+    async with fake_lab.operator() as op:
+        fake_lab.apply(run(algorithmRef={"name": "templated"}))
+        status = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: condition_of(found, "Accepted"))
+    message = condition_of(status, "Accepted")["message"]
+    assert "files.0.template: line 2: unknown parameter 'sise'; did you mean 'size'?" in message
+
+
+@pytest.mark.parametrize("path", ["../icp.yaml", "/icp.yaml", "a/../../b", ".hidden"])
+def test_the_api_server_refuses_a_path_out_of_its_folder(path: str, fake_lab: Lab) -> None:
+    with pytest.raises(Refusal, match=r"files\[0\]\.path"):
+        fake_lab.apply(algorithm("templated", files=[{"path": path, "template": ""}]))

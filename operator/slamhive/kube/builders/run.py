@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from slamhive.contract.environment import program_variables
+from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
+from slamhive.jobs.requests import RenderRequest
 from slamhive.kube.builders.common import (
     Manifest,
     annotation,
@@ -26,6 +27,7 @@ from slamhive.kube.builders.common import (
     owner_reference,
     passed_on,
     pod_spec,
+    request_text,
     scratch,
     segment,
     variables,
@@ -48,10 +50,13 @@ _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times as fast whe
 
 ALGORITHM = "algorithm"
 MONITOR = "monitor"
+RENDER = "render"
 
 GRACE_SECONDS = 30
 _SPARE_SECONDS = 3600
 _MONITOR_RESOURCES = equal_resources("200m", "64Mi", logs="64Mi")
+_RENDER_MEMORY = "256Mi"
+_RUN = "/slamhive"
 _LOGS = "4Gi"
 _SCRATCH = "2Gi"
 _UNTIL_IT_WATCHES = """
@@ -161,9 +166,9 @@ def run_job(
         "terminationGracePeriodSeconds": GRACE_SECONDS,
         # The monitor ends what takes too long; this ends what killed the monitor, and leaves its figures.
         "activeDeadlineSeconds": math.ceil(seconds(spec["timeout"])) + _SPARE_SECONDS,
-        "initContainers": [_monitor(plan, settings), *companion.init_containers],
+        "initContainers": [*_render(plan, settings), _monitor(plan, settings), *companion.init_containers],
         "containers": [_algorithm(plan, settings), *companion.containers],
-        "volumes": [*_volumes(spec, settings), *companion.volumes],
+        "volumes": [*_volumes(spec, settings), *_render_volumes(plan), *companion.volumes],
     }
     text = yaml.dump(configuration.as_json(), Dumper=_Dumper, sort_keys=False, allow_unicode=True)
     return job(
@@ -172,7 +177,7 @@ def run_job(
         pod,
         labels=_labels(plan),
         owners=[owner_reference(run, controller=True)],
-        annotations={label("configuration"): annotation(text, "the configuration")},
+        annotations={label("configuration"): annotation(text, "the configuration")} | _render_request(plan),
         passed_labels=passed_on(metadata.get("labels"), settings),
         passed_annotations=passed_on(metadata.get("annotations"), settings),
     )
@@ -198,11 +203,12 @@ def _algorithm(plan: _Plan, settings: Settings) -> Manifest:
     variant = segment(plan.variant.folder, "the variant's folder")
     # /tmp is a volume of the pod's own.
     values = program_variables(
-        run="/slamhive",
+        run=_RUN,
         seed=spec["seed"],
         cores=whole_cores(spec["resources"]["cpu"]),
         home="/tmp",  # noqa: S108
         scratch="/tmp",  # noqa: S108
+        settings_files=bool(algorithm.files),
     )
     values |= {"SLAMHIVE_CONTAINER": ALGORITHM, **companion.variables}
     wanted = spec["resources"]
@@ -218,6 +224,7 @@ def _algorithm(plan: _Plan, settings: Settings) -> Manifest:
             mount("data", "/slamhive/dataset", read_only=True, subPath=f"variants/{variant}"),
             mount("results", "/slamhive/output", subPathExpr=f"{plan.folder}/output"),
             *_assets(algorithm),
+            *_settings_files(plan),
             mount("tmp", "/tmp"),  # noqa: S108
             mount("memory", "/dev/shm"),  # noqa: S108
             *companion.mounts,
@@ -234,6 +241,49 @@ def _assets(algorithm: AlgorithmSpec) -> list[Manifest]:
         mount("data", f"/slamhive/assets/{asset.name}", read_only=True, subPath=f"assets/{asset.sha256}")
         for asset in fetched
     ]
+
+
+def _settings_files(plan: _Plan) -> list[Manifest]:
+    """Return where the algorithm sees what was rendered for it."""
+    if not plan.algorithm.files:
+        return []
+    place = f"{plan.folder}/{SETTINGS_FOLDER}"
+    return [mount("results", f"{_RUN}/{SETTINGS_FOLDER}", read_only=True, subPathExpr=place)]
+
+
+def _render(plan: _Plan, settings: Settings) -> list[Manifest]:
+    """Return the container that renders the algorithm's settings files before all others start."""
+    if not plan.algorithm.files:
+        return []
+    body = container(
+        RENDER,
+        settings.image,
+        settings,
+        command=["python3", "-P", "-m", "slamhive.jobs.render"],
+        env=[
+            from_field("POD_UID", "metadata.uid"),
+            *variables({"HOME": "/tmp", "LANG": "C.UTF-8"}),  # noqa: S108
+        ],
+        mounts=[
+            mount("render", f"{_RUN}/request", read_only=True),
+            mount("configuration", f"{_RUN}/configuration", read_only=True),
+            mount("results", f"{_RUN}/run", subPathExpr=plan.folder),
+        ],
+        # It has ended when the algorithm starts, whose own processors it may have.
+        resources=equal_resources(plan.spec["resources"]["cpu"], _RENDER_MEMORY, logs="64Mi"),
+    )
+    return [body]
+
+
+def _render_request(plan: _Plan) -> dict[str, str]:
+    if not plan.algorithm.files:
+        return {}
+    request = RenderRequest(files=plan.algorithm.files, run=_RUN)
+    return {label(RENDER): request_text(request.as_json())}
+
+
+def _render_volumes(plan: _Plan) -> list[Manifest]:
+    return [downward(RENDER, label(RENDER), "request.json")] if plan.algorithm.files else []
 
 
 def _monitor(plan: _Plan, settings: Settings) -> Manifest:

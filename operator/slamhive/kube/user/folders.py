@@ -13,6 +13,7 @@ import shutil
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ LOG = "log.txt"
 TRAJECTORY = "output/trajectory.txt"
 
 _RUN = "run"
-_IN_RUN = ("output", "config.yaml")
+_IN_RUN = ("output", "config.yaml", SETTINGS_FOLDER)
 _DEPTH = 17
 _NAME_BYTES = 255
 _CHUNK = 1 << 20
