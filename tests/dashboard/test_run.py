@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from slamhive.archive import Archive
+from slamhive.dashboard.api_run import MOST_SETTINGS
 from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.sources import Workstation
 from slamhive.dashboard.trajectories import usage_columns
@@ -231,6 +232,31 @@ async def test_only_regular_files_are_listed_and_sent(api: Any) -> None:
     assert answer.headers["content-disposition"].startswith("attachment")
 
 
+async def test_settings_files_are_shown_as_the_program_read_them(home: Path, api: Any) -> None:
+    folder = home / "runs" / "study" / "run-000" / "run" / "files"
+    (folder / "config").mkdir(parents=True)
+    (folder / "config" / "vins.yaml").write_text("%YAML:1.0\n---\nmax_cnt: 150 # <b>é</b>\n")
+    (folder / "large.yaml").write_text("x" * (MOST_SETTINGS + 1))
+    (folder / "leak.yaml").symlink_to("/etc/passwd")
+    (folder / "broken.yaml").write_bytes(b"\xff")
+    os.mkfifo(folder / "pipe")
+    items = (await api.get("/runs/uid-000/settings-files"))["items"]
+    found = {item["path"]: (item["file"], item["text"]) for item in items}
+    assert found == {
+        "broken.yaml": ("run/files/broken.yaml", "\N{REPLACEMENT CHARACTER}"),
+        "config/vins.yaml": ("run/files/config/vins.yaml", "%YAML:1.0\n---\nmax_cnt: 150 # <b>é</b>\n"),
+        "large.yaml": ("run/files/large.yaml", None),
+    }
+
+
+async def test_settings_files_of_a_run_that_wrote_many_are_bounded(home: Path, api: Any) -> None:
+    folder = home / "runs" / "study" / "run-000" / "run" / "files"
+    folder.mkdir()
+    for number in range(50):
+        (folder / f"{number}").write_text("")
+    assert len((await api.get("/runs/uid-000/settings-files"))["items"]) == 16
+
+
 async def test_no_path_leads_out(api: Any) -> None:
     for path in (
         "run/output/leak",
@@ -252,7 +278,7 @@ async def test_no_path_leads_out(api: Any) -> None:
 
 async def test_folders_elsewhere_are_not_read(api: Any) -> None:
     for uid in ("uid-001", "uid-002", "uid-003", "uid-004"):
-        for part in ("files", "trajectory", "usage"):
+        for part in ("files", "settings-files", "trajectory", "usage"):
             answer = await api.get(f"/runs/{uid}/{part}", 404)
             assert "no files" in answer["error"]
         assert (await api.get(f"/runs/{uid}"))["files"] is False

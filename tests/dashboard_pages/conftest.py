@@ -261,6 +261,9 @@ def write_files(home: Path) -> None:
         load = np.stack([t, 1 + np.sin(t) ** 2, 2e8 + 1e6 * t, 1e8 + 1e6 * t], axis=1)
         header = "time_seconds,cpu_cores,memory_bytes,anonymous_bytes"
         np.savetxt(output / "usage.csv", load, delimiter=",", header=header, comments="")
+        files = output.parent / "files" / "config"
+        files.mkdir(parents=True)
+        (files / "vins.yaml").write_text('%YAML:1.0\n---\ntopic: "<b>imu</b>"\n   data: [1.0]\n')
     played = {"dataset": {"startTime": -2.0}, "input": {"pace": "Realtime", "rate": 1.0, "start": 0.0}}
     (output.parent / "config.yaml").write_text(json.dumps(played))
     started = (STARTED + timedelta(minutes=number)).timestamp()

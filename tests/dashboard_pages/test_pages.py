@@ -82,6 +82,18 @@ def test_numbers_that_are_none_have_a_dash(browser: Any, site: str) -> None:
     assert not {"NaN", "null", "undefined", "Infinity"} & set(facts.values())
 
 
+def test_settings_files_stand_on_the_page_of_a_run_as_they_are(browser: Any, site: str) -> None:
+    browser.open(f"{site}/runs/run-000")
+    browser.wait(
+        "[...document.querySelectorAll('summary')].some((one) => one.innerText === 'config/vins.yaml')"
+    )
+    shown = browser.run(
+        "[...document.querySelectorAll('summary')].find((one) => one.innerText === 'config/vins.yaml')"
+        ".parentElement.querySelector('pre').textContent"
+    )
+    assert shown == '%YAML:1.0\n---\ntopic: "<b>imu</b>"\n   data: [1.0]\n'
+
+
 @pytest.mark.parametrize(
     ("path", "sentence", "place"),
     [

@@ -59,10 +59,10 @@ def test_a_hostile_template_ends_with_a_sentence(
 
 def test_one_operation_without_end_is_ended_by_the_kernel(told: dict[str, Any]) -> None:
     """No line is known then: Python is not asked between the steps of one operation."""
-    with pytest.raises(
-        SettingsError, match=r"files\.1\.template \(1\.yaml\): it takes more than 2 s of processor time"
-    ):
-        rendered(told, "", "{{ 7 ** (10 ** 8) }}")
+    two = DOUBLED + DOUBLED.replace("n.x", "m.x").replace("set n ", "set m ")
+    with pytest.raises(SettingsError) as error:
+        rendered(told, "", two + "{{ n.x == m.x }}")
+    assert str(error.value) == f"algorithm 'vins': files.1.template (1.yaml): {TIME} or 64 MiB of memory"
 
 
 def test_a_machine_that_can_not_render_is_a_fault(

@@ -220,6 +220,8 @@ def test_baselines_noise_and_shifts(text: Text) -> None:
         ("{% set l = [1] %}{{ l.append(2) }}", "not allowed in a template"),
         ("{{ '%c' % 55296 }}", "half a character"),
         ("{{ 1 + 'a' }}", "TypeError: unsupported operand"),
+        ("{{ 'abc'|round }}", "TypeError"),
+        ("{{ '%d'|replace }}", "TypeError"),
     ],
 )
 def test_what_a_template_can_not_have_is_a_sentence_with_its_line(

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.dashboard.clocks import clock_of, configuration_of, sensor_times
 from slamhive.dashboard.encoding import Body
-from slamhive.dashboard.problems import BadRequest, Missing
+from slamhive.dashboard.problems import BadRequest, Missing, TooLarge
 from slamhive.dashboard.trajectories import drawn, extrinsic_of, read_poses, usage_columns
 from slamhive.model.base import API_VERSION
 from slamhive.model.errors import suggestion
+from slamhive.model.templates import FILES_LIMIT
 
 if TYPE_CHECKING:
     from slamhive.archive.records import CatalogEntry
@@ -23,6 +25,9 @@ if TYPE_CHECKING:
     from slamhive.model.results import Result, RunRecord
 
 _PARTS = ("usage", "frames", "trajectory")
+_SETTINGS = (f"{SETTINGS_FOLDER}/", f"run/{SETTINGS_FOLDER}/")
+MOST_SETTINGS = 1 << 17
+"""Bytes of a settings file that is shown."""
 
 
 def find(source: Source, uid: str) -> RunRecord:
@@ -114,6 +119,34 @@ def files(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
         {"revision": snapshot.revision, "items": items},
         lambda: {name: [item[name] for item in items] for name in names},
     )
+
+
+def settings_files(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
+    """Return the settings files that were rendered for a run, with their texts as far as they are short."""
+    place = place_of(source, record)
+    found = [
+        (item, path) for item in place.files() if (path := _below_settings(str(item["path"]))) is not None
+    ]
+    items = [
+        {"path": path, "file": item["path"], "size": item["size"], "text": _text(place, item)}
+        for item, path in found[:FILES_LIMIT]
+    ]
+    return Body({"revision": snapshot.revision, "items": items})
+
+
+def _below_settings(path: str) -> str | None:
+    """Return a file's path below the folder of settings files, None where it is elsewhere."""
+    for prefix in _SETTINGS:
+        if path.startswith(prefix):
+            return path.removeprefix(prefix)
+    return None
+
+
+def _text(place: Place, item: dict[str, Any]) -> str | None:
+    try:
+        return place.read(str(item["path"]), MOST_SETTINGS).decode("utf-8", "replace")
+    except (Missing, TooLarge):  # it may have gone or grown since
+        return None
 
 
 @dataclass(frozen=True)

@@ -199,6 +199,13 @@ def _add_files(routes: APIRouter, service: Service) -> None:
             request, _found(service, uid), lambda data, record: api_run.files(data, source, record)
         )
 
+    @routes.get("/runs/{uid}/settings-files", summary="Settings files that were rendered for a run")
+    async def settings_files(request: Request, uid: Name) -> Response:
+        """A text of more than 128 KiB is null: it can be downloaded as a file."""
+        return await service.answer_with(
+            request, _found(service, uid), lambda data, record: api_run.settings_files(data, source, record)
+        )
+
     @routes.get("/runs/{uid}/files/{path:path}", summary="One file of a run")
     async def file(uid: Name, path: Name) -> Response:
         """Links are not followed."""

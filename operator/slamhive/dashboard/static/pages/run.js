@@ -116,6 +116,7 @@ export default function RunPage({ uid }) {
       <${Facts} title="Trajectory" value=${run.trajectory} />
       <${Facts} title="Provenance" value=${run.provenance} />
     </div>
+    <${Settings} base=${base} known=${run.files} />
     <${Files} base=${base} known=${run.files} />
     ${
       run.logTail &&
@@ -346,6 +347,32 @@ function Usage({ base }) {
         <${Notes} notes=${data.notes} />
       `
     }
+  `;
+}
+
+/** @param {{base: string, known: boolean}} props */
+function Settings({ base, known }) {
+  const { data } = useData(known === false ? null : `${base}/settings-files`);
+  if (!data?.items?.length) return null;
+  return html`
+    <h2>Settings files</h2>
+    ${data.items.map(
+      /** @param {{path: string, file: string, size: number, text: string|null}} item */
+      (item) => html`
+        <details key=${item.path}>
+          <summary>${clip(item.path, 100)}</summary>
+          ${
+            item.text === null
+              ? html`
+                <p class="quiet">It has ${bytes(item.size)}: download it below.</p>
+              `
+              : html`
+                <pre class="text" tabindex="0">${item.text}</pre>
+              `
+          }
+        </details>
+      `,
+    )}
   `;
 }
 
