@@ -150,13 +150,20 @@ def test_folders_are_laid_out_as_those_of_this_machine(
 ) -> None:
     names = [f"run-{number}" for number in range(9)]
     kept: list[str] = []
-    filed = fetch(*(volume.put(name, {"output/map/a.ply": b"map"}) for name in names), kept=kept)
+    filed = fetch(
+        *(
+            volume.put(name, {"output/map/a.ply": b"map", "files/config/vins.yaml": b"%YAML"})
+            for name in names
+        ),
+        kept=kept,
+    )
     assert (filed.runs, filed.problems, filed.remarks, volume.conversations) == (9, [], [], 1)
     assert kept == names
     assert files(here(tmp_path, "run-3")) == {
         "run/output/trajectory.txt": POSES,
         "run/output/map/a.ply": b"map",
         "run/config.yaml": b"{}\n",
+        "run/files/config/vins.yaml": b"%YAML",
         "usage.csv": b"1\n",
         "log.txt": b"the last line\n",
     }

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +170,13 @@ def test_templates_count_as_what_the_algorithm_is_and_no_files_change_nothing() 
     )
     # As it was before there were settings files.
     assert algorithm_hash(plain) == "aa6352ae9a2985def6c0e29858e4f0d436e443a9a65a5cecd9d6f1b20b3f5745"
+
+
+def test_jinja_is_loaded_where_there_are_templates_alone() -> None:
+    """The evaluator's image has none, and commands begin sooner without."""
+    code = "import sys; sys.modules['jinja2'] = None; import slamhive.jobs.evaluate, slamhive.model.loading"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 def test_the_document_names_all_that_templates_have() -> None:

@@ -104,6 +104,8 @@ def show_algorithm(name: Name, *, as_json: AsJson = False) -> None:
     out.print(
         f"paces: {', '.join(spec.paces)}; deterministic: {spec.deterministic}; seed: {spec.seed.lower()}"
     )
+    if spec.files:
+        out.print(f"settings files: {escape(', '.join(file.path for file in spec.files))}")
     table = Table("parameter", "default", "allowed", "what it does")
     for key, parameter in sorted(spec.parameters.items()):
         table.add_row(key, json.dumps(parameter.default), _allowed(parameter), escape(parameter.description))

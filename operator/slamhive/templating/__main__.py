@@ -48,7 +48,9 @@ def _bound_time() -> None:
     used = resource.getrusage(resource.RUSAGE_SELF)
     soft = math.ceil(used.ru_utime + used.ru_stime + CPU_SECONDS)
     signal.signal(signal.SIGXCPU, end)
-    resource.setrlimit(resource.RLIMIT_CPU, (soft, soft + 1))
+    _, known = resource.getrlimit(resource.RLIMIT_CPU)
+    hard = soft + 1 if known == resource.RLIM_INFINITY else min(soft + 1, known)
+    resource.setrlimit(resource.RLIMIT_CPU, (min(soft, hard), hard))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
