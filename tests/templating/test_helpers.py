@@ -212,6 +212,7 @@ def test_baselines_noise_and_shifts(text: Text) -> None:
         ("{{ sensors.left.camera }}", "it has several fields, name one of them: width, height"),
         ("{{ camera }}", "are its brackets missing?"),
         ("{{ fail('this rig has no IMU') }}", "this rig has no IMU"),
+        ("{{ fail('a\\x1b[2J\\ud800\\nb') }}", "a\N{REPLACEMENT CHARACTER}[2J\N{REPLACEMENT CHARACTER} b"),
         ("{{ 1 / 0 }}", "division by zero"),
         ("{{ ''.__class__ }}", "not allowed in a template"),
         ("{{ camera.__globals__ }}", "not allowed in a template"),

@@ -81,7 +81,7 @@ class Renderer:
             UnicodeEncodeError: "half a character (a lone surrogate)",
             ZeroDivisionError: "division by zero",
         }
-        told = " ".join(str(error).split())[:500]
+        told = _clean(str(error))
         if type(error) in sentences:
             return sentences[type(error)]
         if isinstance(error, SecurityError):
@@ -89,6 +89,12 @@ class Renderer:
         return (
             told if isinstance(error, HelperProblem | UndefinedError) else f"{type(error).__name__}: {told}"
         )
+
+
+def _clean(sentence: str) -> str:
+    """Return a sentence in one line, without what a terminal or a file in UTF-8 can't show."""
+    line = " ".join(sentence.split())[:500]
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line)
 
 
 def _bounded(chunks: Generator[str, None, None]) -> Iterator[str]:
