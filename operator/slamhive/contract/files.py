@@ -54,6 +54,57 @@ def open_regular(path: str, folder: int | None = None) -> Iterator[int]:
         os.close(descriptor)
 
 
+@contextmanager
+def open_below(root: str | os.PathLike[str], relative: str, *, follow: bool = False) -> Iterator[int]:
+    """Open a file an algorithm wrote somewhere below a folder; no part of the way may be a link.
+
+    Args:
+        root: The folder.
+        relative: The file's path in it.
+        follow: Whether the folder itself may be a link, as where an algorithm can't replace it.
+
+    Yields:
+        Its descriptor.
+
+    Raises:
+        FileNotFoundError: There is nothing.
+        NotRegularError: It is something else than a file, or a part of the way is no folder.
+        OSError: It can't be opened.
+    """
+    *folders, last = relative.split("/")
+    folder = open_folder(root, follow=follow)
+    try:
+        for part in folders:
+            below = open_folder(part, folder)
+            os.close(folder)
+            folder = below
+        with open_regular(last, folder) as descriptor:
+            yield descriptor
+    finally:
+        os.close(folder)
+
+
+def open_folder(path: str | os.PathLike[str], folder: int | None = None, *, follow: bool = False) -> int:
+    """Return the descriptor of a folder, to be closed.
+
+    Args:
+        path: The folder.
+        folder: Descriptor of the folder that a relative path begins at.
+        follow: Whether it may be a link.
+
+    Raises:
+        NotRegularError: It is no folder.
+        OSError: It can't be opened.
+    """
+    flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC | (0 if follow else os.O_NOFOLLOW)
+    try:
+        return os.open(path, flags, dir_fd=folder)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENOTDIR):
+            raise NotRegularError(error.errno, error.strerror, path) from None
+        raise
+
+
 def read_regular(path: str, limit: int) -> bytes:
     """Return what a file an algorithm wrote holds, cut at a limit of bytes; errors as of `open_regular`."""
     with open_regular(path) as descriptor, open(descriptor, "rb", closefd=False) as file:

@@ -9,24 +9,28 @@ from __future__ import annotations
 
 import math
 import operator
-import os
 from array import array
 from dataclasses import dataclass
 from itertools import chain
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
-from slamhive.contract.files import NotRegularError, compression_problem, open_regular
+from slamhive.contract.files import NotRegularError
+from slamhive.contract.lines import (
+    BLOCK_BYTES,
+    LIMIT_BYTES,
+    TextFault,
+    blocks,
+    number,
+    opened_text,
+    shown,
+)
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-LIMIT_BYTES = 512 << 20
+FILE = "trajectory.txt"
+"""In the output folder."""
 TRAJECTORY = "output/trajectory.txt"
 """In the run folder."""
 _MEANING = "expected timestamp tx ty tz qx qy qz qw"
 _COLUMNS = ("time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
-_BLOCK = 128 << 10
-_LONGEST_LINE = 64 << 10
 # As in slamhive_eval: beyond are nanoseconds by mistake, broken programs, and no rotations.
 _LARGEST_STAMP_SECONDS = 1e12
 _LARGEST_METRES = 1e30
@@ -74,14 +78,6 @@ class TrajectoryCheck:
         return {"trajectory": {**described, "sha256": info.sha256, "path": info.path}}
 
 
-class _Fault(Exception):  # noqa: N818 - never seen outside
-    """What is wrong with the file, and in which line."""
-
-    def __init__(self, message: str, line: int | None = None) -> None:
-        place = TRAJECTORY if line is None else f"{TRAJECTORY}, line {line}"
-        super().__init__(f"{place}: {message}")
-
-
 def check_trajectory(output_directory: str, limit: int = LIMIT_BYTES) -> TrajectoryCheck:
     """Check the trajectory an algorithm wrote; whatever is there, this neither fails nor waits.
 
@@ -90,17 +86,11 @@ def check_trajectory(output_directory: str, limit: int = LIMIT_BYTES) -> Traject
         limit: Bytes it may have.
     """
     try:
-        with open_regular(f"{output_directory}/trajectory.txt") as descriptor:
-            size = os.fstat(descriptor).st_size
-            if size > limit:
-                return TrajectoryCheck(problem=f"{TRAJECTORY} is larger than {limit >> 20} MiB")
-            if problem := compression_problem(descriptor, TRAJECTORY):
-                return TrajectoryCheck(problem=problem)
-            with open(descriptor, "rb", closefd=False) as file:
-                return TrajectoryCheck(_read(file, limit))
+        with opened_text(output_directory, FILE, limit) as file:
+            return TrajectoryCheck(_read(file, limit))
     except (FileNotFoundError, NotRegularError):
         return TrajectoryCheck(problem=f"{TRAJECTORY} is missing or not a regular file", missing=True)
-    except _Fault as fault:
+    except TextFault as fault:
         return TrajectoryCheck(problem=str(fault))
     except OSError as error:
         return TrajectoryCheck(problem=f"{TRAJECTORY}: can't be read: {error.strerror or error}")
@@ -110,38 +100,13 @@ def _read(file: IO[bytes], limit: int) -> TrajectoryInfo:
     from hashlib import sha256  # noqa: PLC0415 - 5 MiB of memory that nobody needs while the algorithm runs
 
     digest = sha256()
-    while block := file.read(_BLOCK):
+    while block := file.read(BLOCK_BYTES):
         digest.update(block)
     file.seek(0)
     poses = _Poses()
-    for lines in _blocks(file, limit):
+    for lines in blocks(file, TRAJECTORY, _MEANING, limit):
         poses.add(lines)
     return TrajectoryInfo(poses.count, poses.last - poses.first, digest.hexdigest())
-
-
-def _blocks(text: IO[bytes], limit: int) -> Iterator[list[bytes]]:
-    """Give the text's lines in blocks; lines end as they do on any system."""
-    rest = text.read(3).removeprefix(b"\xef\xbb\xbf")
-    total = line = 0
-    while block := text.read(_BLOCK):
-        total += len(block)
-        if total > limit:
-            raise _Fault(f"is larger than {limit >> 20} MiB")
-        data = rest + block
-        if b"\0" in data:
-            raise _Fault("is no text file (it holds zero bytes)")
-        if b"\r" in data:
-            # A carriage return at the end may be half of a line's end.
-            data, half = (data[:-1], b"\r") if data.endswith(b"\r") else (data, b"")
-            data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") + half
-        *lines, rest = data.split(b"\n")
-        line += len(lines)
-        if len(rest) > _LONGEST_LINE:
-            raise _Fault(f"is longer than {_LONGEST_LINE >> 10} KiB; {_MEANING}", line + 1)
-        yield lines
-    if b"\0" in rest:
-        raise _Fault("is no text file (it holds zero bytes)")
-    yield rest.replace(b"\r", b"\n").split(b"\n")
 
 
 class _Poses:
@@ -156,7 +121,7 @@ class _Poses:
         """Take the next lines.
 
         Raises:
-            _Fault: One of them is wrong.
+            TextFault: One of them is wrong.
         """
         values = _plain_block(lines, self.last if self.count else -math.inf)
         if values is None:
@@ -171,13 +136,14 @@ class _Poses:
     def _one_by_one(self, lines: list[bytes]) -> array[float]:
         values: array[float] = array("d")
         before = self.last if self.count else -math.inf
-        for number, line in enumerate(lines, start=self._line + 1):
-            words = line.partition(b"#")[0].replace(b",", b" ").split()
+        for line_number, line in enumerate(lines, start=self._line + 1):
+            words = words_of(line)
             if words:
-                pose = _pose(words, number)
-                problem = _problem(pose, before)
-                if problem is not None:
-                    raise _Fault(problem, number)
+                try:
+                    pose = parse_pose(words, _MEANING)
+                    check_pose(pose, before)
+                except ValueError as error:
+                    raise TextFault.at(TRAJECTORY, str(error), line_number) from None
                 before = pose[0]
                 values.extend(pose)
         return values
@@ -212,39 +178,54 @@ def _plain_block(lines: list[bytes], before: float) -> array[float] | None:
     return values if sound else None
 
 
-def _pose(words: list[bytes], line: int) -> list[float]:
-    if len(words) != 8:
-        raise _Fault(f"found {len(words)} of 8 values; {_MEANING}", line)
+def words_of(line: bytes) -> list[bytes]:
+    """Return the words of a line, none where it is empty or a comment."""
+    return line.partition(b"#")[0].replace(b",", b" ").split()
+
+
+def parse_pose(words: list[bytes], meaning: str) -> list[float]:
+    """Return the numbers of a line.
+
+    Args:
+        words: Its words: time stamp, tx, ty, tz, qx, qy, qz, qw.
+        meaning: What is expected, in a sentence's words.
+
+    Raises:
+        ValueError: They are no 8 numbers; says so without naming the line.
+    """
+    if len(words) != len(_COLUMNS):
+        raise ValueError(f"found {len(words)} of {len(_COLUMNS)} values; {meaning}")
     pose = []
     for word in words:
-        number = None if b"_" in word else _number(word)
-        if number is None:
-            text = word[:200].decode("utf-8", "replace")
-            shown = text if len(text) <= 30 else text[:30] + "…"
-            raise _Fault(f"{shown!r} is no number; {_MEANING}", line)
-        pose.append(number)
+        found = number(word)
+        if found is None:
+            raise ValueError(f"{shown(word)} is no number; {meaning}")
+        pose.append(found)
     return pose
 
 
-def _number(word: bytes) -> float | None:
-    try:
-        return float(word)
-    except ValueError:
-        return None
+def check_pose(pose: list[float], before: float) -> None:
+    """Check a pose.
 
+    Args:
+        pose: Time stamp in s, tx, ty, tz in m, qx, qy, qz, qw.
+        before: Stamp of the pose before it.
 
-def _problem(pose: list[float], before: float) -> str | None:
+    Raises:
+        ValueError: What is wrong with it, without naming the line.
+    """
     stamp, furthest = pose[0], max(map(abs, pose[1:4]))
     for name, value in zip(_COLUMNS, pose, strict=True):
         if not math.isfinite(value):
-            return f"{name} is {value}; every value must be a finite number (leave out times without a pose)"
+            raise ValueError(
+                f"{name} is {value}; every value must be a finite number (leave out times without a pose)"
+            )
     if abs(stamp) > _LARGEST_STAMP_SECONDS:
-        return f"time stamp {stamp:.10g} is no number of seconds (nanoseconds perhaps?)"
+        raise ValueError(f"time stamp {stamp:.10g} is no number of seconds (nanoseconds perhaps?)")
     if furthest > _LARGEST_METRES:
-        return f"the position {furthest:.3g} m is beyond {_LARGEST_METRES:g} m"
+        raise ValueError(f"the position {furthest:.3g} m is beyond {_LARGEST_METRES:g} m")
     if stamp < before:
         what = f"time stamp {stamp:.9f} s comes before the one above it, {before:.9f} s"
-        return f"{what}; stamps must not decrease"
+        raise ValueError(f"{what}; stamps must not decrease")
     if max(map(abs, pose[4:])) < _SMALLEST_QUATERNION_COMPONENT:
-        return "the quaternion is zero; it must have norm 1 (order qx qy qz qw)"
-    return None
+        raise ValueError("the quaternion is zero; it must have norm 1 (order qx qy qz qw)")

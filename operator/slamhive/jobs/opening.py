@@ -8,7 +8,7 @@ import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from slamhive.contract.files import NotRegularError, open_regular
+from slamhive.contract.files import NotRegularError, open_below
 from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:
@@ -31,27 +31,16 @@ def opened(root: Path, relative: str, limit: int) -> Iterator[int]:
     Raises:
         DataError: it is missing, too large, or something else than a file.
     """
-    parts = relative.split("/")
-    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
-    folder = -1
+    for part in relative.split("/"):
+        _require_name(part, relative)
     try:
-        folder = os.open(root, os.O_RDONLY | os.O_CLOEXEC | os.O_DIRECTORY)
-        for part in parts[:-1]:
-            _require_name(part, relative)
-            below = os.open(part, flags | os.O_DIRECTORY, dir_fd=folder)
-            os.close(folder)
-            folder = below
-        _require_name(parts[-1], relative)
-        with open_regular(parts[-1], folder) as file:
+        with open_below(root, relative, follow=True) as file:
             size = os.fstat(file).st_size
             if size > limit:
                 raise DataError(f"{relative} has {size} bytes, at most {limit} are read")
             yield file
     except OSError as error:
         raise DataError(f"{relative}: {_meaning(error)}") from error
-    finally:
-        if folder >= 0:
-            os.close(folder)
 
 
 def read_bytes(root: Path, relative: str, limit: int) -> bytes:

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines of a text that an algorithm wrote, in blocks, with little memory and faults that name the line."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from typing import IO, TYPE_CHECKING
+
+from slamhive.contract.files import compression_problem, open_below
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+LIMIT_BYTES = 512 << 20
+"""Of a file with poses."""
+BLOCK_BYTES = 128 << 10
+_LONGEST_LINE = 64 << 10
+_SHOWN_CHARACTERS = 30
+
+
+class TextFault(Exception):  # noqa: N818 - never seen outside
+    """What is wrong with a text, in a sentence that names it."""
+
+    @classmethod
+    def at(cls, name: str, message: str, line: int | None = None) -> TextFault:
+        """Return what is wrong with a file, or with a line of it."""
+        return cls(f"{name if line is None else f'{name}, line {line}'}: {message}")
+
+
+def named(relative: str) -> str:
+    """Return what sentences call a file of the output folder."""
+    return f"output/{relative}"
+
+
+@contextmanager
+def opened_text(output_directory: str, relative: str, limit: int = LIMIT_BYTES) -> Iterator[IO[bytes]]:
+    """Open a text that an algorithm wrote.
+
+    Args:
+        output_directory: Where it wrote.
+        relative: The file's path there.
+        limit: Bytes it may have.
+
+    Yields:
+        The file.
+
+    Raises:
+        FileNotFoundError: There is nothing.
+        NotRegularError: It is something else than a file, or a link leads there.
+        TextFault: It is too large, or compressed.
+        OSError: It can't be read.
+    """
+    name = named(relative)
+    with open_below(output_directory, relative) as descriptor:
+        if os.fstat(descriptor).st_size > limit:
+            raise TextFault(f"{name} is larger than {limit >> 20} MiB")
+        if problem := compression_problem(descriptor, name):
+            raise TextFault(problem)
+        with open(descriptor, "rb", closefd=False) as file:
+            yield file
+
+
+def blocks(text: IO[bytes], name: str, meaning: str, limit: int = LIMIT_BYTES) -> Iterator[list[bytes]]:
+    """Give a text's lines in blocks; lines end as they do on any system.
+
+    Args:
+        text: Where it begins.
+        name: What sentences call it.
+        meaning: What a line holds.
+        limit: Bytes it may have.
+
+    Raises:
+        TextFault: It is no text, too large, or a line has no end.
+    """
+    rest = text.read(3).removeprefix(b"\xef\xbb\xbf")
+    total = line = 0
+    while block := text.read(BLOCK_BYTES):
+        total += len(block)
+        if total > limit:
+            raise TextFault.at(name, f"is larger than {limit >> 20} MiB")
+        data = rest + block
+        if b"\0" in data:
+            raise TextFault.at(name, "is no text file (it holds zero bytes)")
+        if b"\r" in data:
+            # A carriage return at the end may be half of a line's end.
+            data, half = (data[:-1], b"\r") if data.endswith(b"\r") else (data, b"")
+            data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") + half
+        *lines, rest = data.split(b"\n")
+        line += len(lines)
+        if len(rest) > _LONGEST_LINE:
+            raise TextFault.at(name, f"is longer than {_LONGEST_LINE >> 10} KiB; {meaning}", line + 1)
+        yield lines
+    if b"\0" in rest:
+        raise TextFault.at(name, "is no text file (it holds zero bytes)")
+    yield rest.replace(b"\r", b"\n").split(b"\n")
+
+
+def number(word: bytes) -> float | None:
+    """Return the number that a word writes, None where it writes none."""
+    try:
+        return None if b"_" in word else float(word)
+    except ValueError:
+        return None
+
+
+def shown(word: bytes) -> str:
+    """Return a word as a sentence shows it."""
+    text = word[:200].decode("utf-8", "replace")
+    return repr(text if len(text) <= _SHOWN_CHARACTERS else text[:_SHOWN_CHARACTERS] + "…")
