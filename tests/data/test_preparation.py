@@ -206,7 +206,11 @@ def test_an_unchanged_recording_is_linked(lidar_entry: Any, tmp_path: Path) -> N
     assert variant.path.read_bytes() == (lidar_entry.root / "recording.bag").read_bytes()
     assert variant.path.samefile(lidar_entry.root / "recording.bag")
     assert not variant.path.is_symlink()
-    assert sorted(path.name for path in variant.folder.iterdir()) == ["recording.bag", "variant.json"]
+    assert sorted(path.name for path in variant.folder.iterdir()) == [
+        "frames.txt",
+        "recording.bag",
+        "variant.json",
+    ]
 
 
 @pytest.mark.parametrize(

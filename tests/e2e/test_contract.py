@@ -175,7 +175,7 @@ def test_a_run_sees_neither_ground_truth_nor_a_token(lab: Lab, probe: tuple[dict
     assert [*lab.data.glob("groundtruth/*")], "there is ground truth to be found"
     assert "found" not in said
     assert "variable" not in said
-    assert "65532\nCapEff:\t0000000000000000\nrecording.bag\nvariant.json\ndone" in said
+    assert "65532\nCapEff:\t0000000000000000\nframes.txt\nrecording.bag\nvariant.json\ndone" in said
     assert pod["spec"]["automountServiceAccountToken"] is False
     assert not [volume for volume in pod["spec"]["volumes"] if "projected" in volume or "secret" in volume]
 

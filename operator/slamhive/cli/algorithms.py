@@ -101,6 +101,10 @@ def show_algorithm(name: Name, *, as_json: AsJson = False) -> None:
             f"{mode.name}: takes {', '.join(mode.needs)}; "
             f"writes {output.poses.lower()} of the {output.frame}, stamped {output.stamp}, {scale}"
         )
+        for what, file in (("trajectory", output.trajectory), ("keyframes", output.keyframes)):
+            if file is not None:
+                told = f"{file.format}, stamps in {file.told.stamps}{', inverted' if file.inverted else ''}"
+                out.print(f"  {what}: output/{escape(file.path)} ({told})")
     out.print(
         f"paces: {', '.join(spec.paces)}; deterministic: {spec.deterministic}; seed: {spec.seed.lower()}"
     )

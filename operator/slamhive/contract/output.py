@@ -10,10 +10,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.contract.metrics import Metrics, frame_counts, keep_values, read_metrics
-from slamhive.contract.trajectory import TrajectoryCheck, check_trajectory
+from slamhive.contract.posefiles import PoseFiles
+from slamhive.contract.trajectory import FILE, TrajectoryCheck, check_trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from slamhive.contract.metrics import Kept
+
+KEYFRAMES = "trajectory.keyframes.txt"
+"""In the output folder: keyframes that a program wrote beside its trajectory, as the contract has poses."""
 
 
 class Output(NamedTuple):
@@ -24,20 +30,26 @@ class Output(NamedTuple):
         kept: What is recorded of it.
         trajectory: Whether trajectory.txt can be used.
         offered: Frames of its recording, None where nobody knows.
+        keyframes: What was wrong with the keyframes beside the trajectory, None if nothing was.
+        fault: What the machine refused while poses were converted, None if nothing: the algorithm is not to
+            blame.
     """
 
     metrics: Metrics
     kept: Kept
     trajectory: TrajectoryCheck
     offered: int | None = None
+    keyframes: str | None = None
+    fault: str | None = None
 
     def metrics_problem(self, reader: str | None) -> str | None:
-        """Return what is to be said of metrics.json.
+        """Return what is to be said of what lies beside the trajectory, metrics.json above all.
 
         Args:
             reader: What was wrong with what it says of the reader, or with all of the file.
         """
-        return "; ".join(filter(None, (reader or self.metrics.note, self.kept.note))) or None
+        said = (reader or self.metrics.note, self.kept.note, self.keyframes)
+        return "; ".join(filter(None, said)) or None
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of summary.json."""
@@ -48,12 +60,23 @@ class Output(NamedTuple):
         }
 
 
-def read_output(output_directory: str, offered: int | None = None) -> Output:
+def read_output(
+    output_directory: str, offered: int | None = None, poses: Mapping[str, Any] | None = None
+) -> Output:
     """Read an output folder; whatever is there, this neither fails nor waits.
 
     Args:
         output_directory: Where the algorithm wrote.
         offered: Frames of its recording, None where nobody knows.
+        poses: Files in which it writes its poses in its own way, as `PoseFiles.as_json` has them: they are
+            converted.
     """
     metrics = read_metrics(output_directory)
-    return Output(metrics, keep_values(metrics.values), check_trajectory(output_directory), offered)
+    found, keyframes, fault = TrajectoryCheck(), None, None
+    if poses is not None:
+        from slamhive.contract.conversion import convert_all  # noqa: PLC0415 - memory that few runs need
+
+        found, keyframes, fault = convert_all(output_directory, PoseFiles.from_json(poses), FILE, KEYFRAMES)
+    if found.problem is None:
+        found = check_trajectory(output_directory)
+    return Output(metrics, keep_values(metrics.values), found, offered, keyframes, fault)

@@ -2,8 +2,9 @@
 """Variants of a dataset: what an algorithm is given, and nothing else.
 
 A variant holds the chosen sensors' topics with their camera_info, and /tf_static; never ground truth. It is a
-folder ``KEY`` of the cache with the recording and ``variant.json``, made once, and whole when it exists. Its
-key hashes the recording, the sensors' calibration, the options that matter and `VERSION`.
+folder ``KEY`` of the cache with the recording, ``frames.txt`` (the stamps of the primary sensor's frames in ns
+of sensor time, a line a frame) and ``variant.json``, made once, and whole when it exists. Its key hashes the
+recording, the sensors' calibration, the options that matter and `VERSION`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.posefiles import FRAMES
 from slamhive.data.checks import check_content
 from slamhive.data.clouds import cloud_filter
 from slamhive.data.entries import recording_sha256
@@ -263,6 +265,9 @@ def _make(request: _Request, aside: Path, progress: Callable[[float], None] | No
         else:
             report = _share(progress, 0.3, 1.0)
             transfer(recording, selection, wish, target=path, target_format=target, progress=report)
+    offset = round(selection.primary.time_offset * 10**9)
+    lines = "".join(f"{stamp + offset}\n" for stamp in selection.stamps.tolist())
+    (aside / FRAMES).write_text(lines, encoding="ascii")
     _describe(request, selection, aside)
     if progress:
         progress(1.0)
@@ -303,6 +308,7 @@ def _describe(request: _Request, selection: Selection, aside: Path) -> None:
         "format": target,
         "recording": FILE_NAMES[target],
         "state": _state(path),
+        "framesState": _changed(aside / FRAMES),
         "sensors": {
             role: view.replace(rate=rates[view.name] or view.rate).as_json() for role, view in views.items()
         },
@@ -334,7 +340,9 @@ def _is_sound(folder: Path) -> bool:
     try:
         description = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
         path = folder / description["recording"]
-        return guess_format(path) is not None and _state(path) == description["state"]
+        # An earlier version wrote no stamps of frames: its variants are made again.
+        unchanged = _changed(folder / FRAMES) == description.get("framesState")
+        return unchanged and guess_format(path) is not None and _state(path) == description["state"]
     except (OSError, ValueError, KeyError, InputError):
         return False
 

@@ -70,6 +70,11 @@ class Selection:
         """Return how many messages of a stream are kept."""
         return int(np.count_nonzero(self.masks[stream.topic]))
 
+    @property
+    def stamps(self) -> npt.NDArray[np.int64]:
+        """Return the header stamps of the primary stream's kept messages, ns, shape (n,)."""
+        return self.scans[self.primary.topic].stamps[self.masks[self.primary.topic]]
+
     def rate(self, stream: Stream) -> float | None:
         """Return the rate of a stream's kept messages in Hz, None for fewer than two."""
         rate = rate_of(self.scans[stream.topic].stamps[self.masks[stream.topic]])

@@ -19,7 +19,8 @@ import numpy as np
 
 from slamhive.analysis.measuring import SEGMENTS, measure, read_estimate
 from slamhive.contract.files import compression_problem
-from slamhive.contract.trajectory import LIMIT_BYTES, TRAJECTORY
+from slamhive.contract.lines import LIMIT_BYTES
+from slamhive.contract.trajectory import TRAJECTORY
 from slamhive.jobs.machine import free_memory, usable_cores
 from slamhive.jobs.opening import opened
 from slamhive.jobs.program import parse

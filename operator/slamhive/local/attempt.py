@@ -23,6 +23,7 @@ import yaml
 from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
 from slamhive.contract.files import read_regular
 from slamhive.contract.metrics import frame_counts, keep_values, read_metrics
+from slamhive.contract.posefiles import FRAMES
 from slamhive.contract.trajectory import check_trajectory
 from slamhive.data.erasing import erase
 from slamhive.engine import AttemptEnd
@@ -257,7 +258,8 @@ class Attempt:
             place_files(render(templates, told, str(self.run), str(folder)), folder)
 
     def _supervisor_spec(self, order: AttemptOrder, variables: Mapping[str, str]) -> SupervisorSpec:
-        program = order.entry.algorithm.spec.local
+        algorithm = order.entry.algorithm.spec
+        program = algorithm.local
         adapter = order.entry.folder / (program.adapter if program else "adapter.py")
         return SupervisorSpec(
             argv=(str(order.environment.python), str(adapter)),
@@ -274,7 +276,10 @@ class Attempt:
             output_limit_bytes=int(quantity(OUTPUT_LIMIT)),
             data_seconds=order.configuration.dataset.duration_seconds,
             frames=order.frames,
-            includes_reader=order.entry.algorithm.spec.includes_reader,
+            includes_reader=algorithm.includes_reader,
+            poses=algorithm.output_of(algorithm.mode(order.configuration.mode)).pose_files(
+                str(order.dataset.resolve() / FRAMES)
+            ),
             parent_pid=os.getpid(),
         )
 

@@ -4,22 +4,18 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
+from slamhive.contract.posefiles import FRAME_INDEX
 from slamhive.model.base import Choice, Image, Model, Name, Resource, Scalar, Sha256, optional
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
+from slamhive.model.posefiles import PoseFile, RelativePath, told_files
 from slamhive.model.ros1 import Ros1
 from slamhive.model.sensors import ROLES, Role, SensorMode
 from slamhive.model.templates import FILES_LIMIT, TEMPLATE_LIMIT, TEMPLATES_LIMIT, read_template
 
-_SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
-RelativePath = Annotated[
-    str,
-    StringConstraints(pattern=rf"^{_SEGMENT}(/{_SEGMENT})*$", max_length=1024),
-    Field(description="A path that stays below its folder: not absolute, no . or .. in it."),
-]
 _BOUND_SEGMENT = r"([^/.:]|\.[^/.:]|\.\.[^/:])[^/:]*"
 AssetName = Annotated[
     str,
@@ -158,6 +154,26 @@ class Output(Model):
     poses: Poses = Field(default=Poses.FRAMES, description="Every frame or keyframes alone.")
     gravity_aligned: bool = Field(default=False, description="Whether the world's z axis points up.")
     scale: bool = Field(default=True, description="Whether the trajectory is metric.")
+    trajectory: PoseFile | None = optional(
+        "File in which the program writes its final estimate; trajectory.txt is made of it. Default: the "
+        "program writes trajectory.txt itself."
+    )
+    keyframes: PoseFile | None = optional(
+        "File in which the program writes its keyframes beside that; trajectory.keyframes.txt is made of it."
+    )
+
+    def pose_files(self, frames: str) -> dict[str, Any] | None:
+        """Return what supervisor and sidecar are told of these files; None where there is nothing to tell.
+
+        Args:
+            frames: Where they find the stamps of the recording's frames.
+        """
+        return told_files(self.trajectory, self.keyframes, frames)
+
+    @property
+    def counts_frames(self) -> bool:
+        """Tell whether a file has frame indices for stamps."""
+        return any(file and file.told.stamps == FRAME_INDEX for file in (self.trajectory, self.keyframes))
 
 
 class OutputChange(Model):
@@ -170,6 +186,10 @@ class OutputChange(Model):
     poses: Poses | None = optional("Every frame or keyframes alone, in this mode.")
     gravity_aligned: bool | None = optional("Whether the world's z axis points up in this mode.")
     scale: bool | None = optional("Whether the trajectory is metric in this mode.")
+    trajectory: PoseFile | None = optional(
+        "File of the final estimate in this mode; the mode has then no keyframes but its own."
+    )
+    keyframes: PoseFile | None = optional("File of the keyframes in this mode.")
 
 
 class Mode(Model):
@@ -288,6 +308,7 @@ class AlgorithmSpec(Model):
             raise ValueError("ros1: needs the pace Realtime among paces")
         if self.ros1 is not None and self.recording != [RecordingFormat.ROSBAG1]:
             raise ValueError("ros1: needs recording: [Rosbag1], which is what is played")
+        self._check_pose_files()
         return self
 
     def _check_files(self) -> None:
@@ -314,6 +335,20 @@ class AlgorithmSpec(Model):
         """Return path and template of each settings file."""
         return [(file.path, file.template) for file in self.files or ()]
 
+    def _check_pose_files(self) -> None:
+        for mode in self.modes:
+            output = self.output_of(mode)
+            if self.ros1 is not None and (output.trajectory or output.keyframes):
+                raise ValueError(
+                    "output.trajectory: a ROS 1 node's poses are those that it publishes; leave out "
+                    "trajectory and keyframes, or ros1"
+                )
+            if output.counts_frames and output.stamp is not PoseStamp.HEADER:
+                raise ValueError(
+                    "output.stamp: a frame index means the header stamp of its frame; expected Header in "
+                    f"the mode {mode.name}, not {output.stamp}"
+                )
+
     def plays(self, pace: str) -> Ros1 | None:
         """Return how a run of a pace is played to as a ROS 1 node, None when it reads by itself."""
         return self.ros1 if pace == Pace.REALTIME else None
@@ -335,7 +370,11 @@ class AlgorithmSpec(Model):
 
     def output_of(self, mode: Mode) -> Output:
         """Return what the poses mean in a mode."""
-        changes = mode.output.model_dump(exclude_none=True) if mode.output else {}
+        if mode.output is None:
+            return self.output
+        changes = {name: value for name, value in mode.output if value is not None}
+        if "trajectory" in changes:
+            changes.setdefault("keyframes", None)
         return self.output.replace(**changes)
 
     def fill(self, parameters: dict[str, Scalar]) -> dict[str, Scalar]:
@@ -371,4 +410,14 @@ class Algorithm(Resource):
     spec: AlgorithmSpec
 
 
-__all__ = ["Algorithm", "AlgorithmSpec", "Mode", "Name", "Output", "Pace", "Parameter", "RecordingFormat"]
+__all__ = [
+    "Algorithm",
+    "AlgorithmSpec",
+    "Mode",
+    "Name",
+    "Output",
+    "Pace",
+    "Parameter",
+    "RecordingFormat",
+    "RelativePath",
+]

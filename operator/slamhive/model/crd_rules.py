@@ -39,7 +39,12 @@ RULES: dict[str, tuple[Rule, ...]] = {
             "!has(self.ros1) || self.recording == ['Rosbag1']",
             "ros1: needs recording: [Rosbag1], which is what is played",
         ),
+        (
+            "!has(self.ros1) || (!has(self.output.trajectory) && !has(self.output.keyframes))",
+            "output.trajectory: a ROS 1 node's poses are those that it publishes",
+        ),
     ),
+    "PoseFile": (("!has(self.columns) || self.format == 'Csv'", "columns: only the format Csv takes it"),),
     "Ros1Poses": (
         (
             "self.type == 'TF' ? has(self.parent) && has(self.frame) : !has(self.parent) && !has(self.frame)",

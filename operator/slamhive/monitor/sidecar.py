@@ -128,7 +128,9 @@ class Sidecar:
     def _summary(self, state: SidecarState) -> dict[str, Any]:
         spec = self._spec
         folder = f"{spec.run_directory}/output"
-        output = read_output(folder, spec.frames)
+        output = read_output(folder, spec.frames, spec.poses)
+        if output.fault is not None and state.stop is None:
+            state.stop = Stop(Reason.SYSTEM_FAULT, output.fault)
         account = state.accounting
         usage, problem = (None, None) if account is None else self._usage(state, account, output)
         if usage is None:

@@ -8,6 +8,8 @@ import math
 from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any, Self
 
+from slamhive.contract.posefiles import PoseFiles
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
@@ -84,6 +86,7 @@ class SupervisorSpec(Specification):
         data_seconds: Length of the recording, for CPU seconds per second of data.
         frames: Frames of the recording, for an algorithm that doesn't count what it was offered.
         includes_reader: The algorithm reads the recording by itself and can't tell what that costs.
+        poses: Files in which it writes its poses in its own way, as `PoseFiles.as_json` has them.
         cgroup: `auto` makes one where it can be made, `none` measures by /proc.
         kill_grace_seconds: Time between SIGTERM and SIGKILL.
         parent_pid: The process whose end ends the run; None for whoever started the supervisor.
@@ -108,6 +111,7 @@ class SupervisorSpec(Specification):
     data_seconds: float | None = None
     frames: int | None = None
     includes_reader: bool = False
+    poses: Mapping[str, Any] | None = None
     cgroup: str = "auto"
     kill_grace_seconds: float = 5.0
     parent_pid: int | None = None
@@ -131,6 +135,7 @@ class SidecarSpec(Specification):
         data_seconds: Length of the recording, for CPU seconds per second of data.
         frames: Frames of the recording, for an algorithm that doesn't count what it was offered.
         includes_reader: The algorithm reads the recording by itself and can't tell what that costs.
+        poses: Files in which it writes its poses in its own way, as `PoseFiles.as_json` has them.
         interval_seconds: Time between two samples.
         kill_grace_seconds: Time between SIGTERM and SIGKILL.
         termination_message: Where the kubelet looks for the container's last word.
@@ -148,6 +153,7 @@ class SidecarSpec(Specification):
     data_seconds: float | None = None
     frames: int | None = None
     includes_reader: bool = False
+    poses: Mapping[str, Any] | None = None
     interval_seconds: float = 0.1
     kill_grace_seconds: float = 5.0
     termination_message: str = TERMINATION_MESSAGE
@@ -184,6 +190,14 @@ def _environment(value: object) -> bool:
         _text(key) and "=" not in key and isinstance(item, str) and "\0" not in item
         for key, item in value.items()
     )
+
+
+def _pose_files(value: object) -> bool:
+    try:
+        PoseFiles.from_json(value)
+    except ValueError:
+        return False
+    return True
 
 
 def _processors(value: object) -> bool:
@@ -233,6 +247,7 @@ _RULES: dict[str, tuple[str, Callable[[object], bool]]] = {
     "data_seconds": _TIME_RULE,
     "frames": ("a whole number, 0 or more, or null", _optional(lambda value: _integer(value, 0))),
     "includes_reader": ("true or false", lambda value: isinstance(value, bool)),
+    "poses": ("a description of files with poses or null", _optional(_pose_files)),
     "cgroup": ("auto or none", lambda value: value in ("auto", "none")),
     "kill_grace_seconds": (
         "a number of seconds, 0 or more",

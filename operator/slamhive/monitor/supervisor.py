@@ -147,7 +147,9 @@ class Supervisor:
         # Before the output is read, which may take a while: what the machine does meanwhile isn't the run's.
         throttled, oom_kills = self._throttled(throttled_before), _machine_oom_kills() - kills_before
         folder = spec.output_directory
-        output = None if folder is None else read_output(folder, spec.frames)
+        output = None if folder is None else read_output(folder, spec.frames, spec.poses)
+        if output is not None and output.fault is not None and self._stop is None:
+            self._stop = Stop(Reason.SYSTEM_FAULT, output.fault)
         usage, problem = self._usage(finished, throttled, Metrics({}) if output is None else output.metrics)
         self._close_files()
         played = played_mean_cores(spec.output_directory, spec.usage_path, started_at)

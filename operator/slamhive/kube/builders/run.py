@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
+from slamhive.contract.posefiles import FRAMES
 from slamhive.jobs.requests import RenderRequest
 from slamhive.kube.builders.common import (
     Manifest,
@@ -57,6 +58,7 @@ _SPARE_SECONDS = 3600
 _MONITOR_RESOURCES = equal_resources("200m", "64Mi", logs="64Mi")
 _RENDER_MEMORY = "256Mi"
 _RUN = "/slamhive"
+_FRAMES = "/slamhive-frames.txt"
 _LOGS = "4Gi"
 _SCRATCH = "2Gi"
 _UNTIL_IT_WATCHES = """
@@ -303,6 +305,11 @@ def _monitor(plan: _Plan, settings: Settings) -> Manifest:
         "intervalSeconds": 0.1,
         "terminationMessage": "/dev/termination-log",
     }
+    output = plan.algorithm.output_of(plan.algorithm.mode(plan.configuration.mode))
+    if files := output.pose_files(_FRAMES):
+        told["poses"] = files
+    variant = segment(plan.variant.folder, "the variant's folder")
+    frames = mount("data", _FRAMES, read_only=True, subPath=f"variants/{variant}/{FRAMES}")
     values = {
         "SLAMHIVE_CONTAINER": MONITOR,
         "SLAMHIVE_SIDECAR": json.dumps(told, separators=(",", ":")),
@@ -322,6 +329,8 @@ def _monitor(plan: _Plan, settings: Settings) -> Manifest:
         mounts=[
             mount("results", "/slamhive-run", subPathExpr=plan.folder),
             mount("configuration", "/slamhive-config", read_only=True),
+            # The file alone: whose recording it is and what it holds is none of the monitor's.
+            *([frames] if output.counts_frames else ()),
         ],
         resources=_MONITOR_RESOURCES,
     )

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files in which a program writes its poses in its own way, as an Algorithm declares them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, StringConstraints, model_validator
+
+from slamhive.contract import posefiles
+from slamhive.model.base import Choice, Model, optional
+
+_SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
+RelativePath = Annotated[
+    str,
+    StringConstraints(pattern=rf"^{_SEGMENT}(/{_SEGMENT})*$", max_length=1024),
+    Field(description="A path that stays below its folder: not absolute, no . or .. in it."),
+]
+ColumnName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+_TAKEN = (
+    *("trajectory.txt", "trajectory.online.txt", "trajectory.keyframes.txt"),
+    *("metrics.json", "segments.csv", "usage.csv"),
+)
+
+
+class PoseFormat(Choice):
+    """How a file holds poses."""
+
+    TUM = posefiles.TUM
+    EUROC = posefiles.EUROC
+    KITTI = posefiles.KITTI
+    CSV = posefiles.CSV
+
+
+class PoseColumns(Model):
+    """Names that the first line of a CSV file has for what a pose consists of."""
+
+    timestamp: ColumnName = Field(default="timestamp", description="Time stamp or frame index.")
+    tx: ColumnName = Field(default="tx", description="Position along x, m.")
+    ty: ColumnName = Field(default="ty", description="Position along y, m.")
+    tz: ColumnName = Field(default="tz", description="Position along z, m.")
+    qx: ColumnName = Field(default="qx", description="x of the rotation's quaternion.")
+    qy: ColumnName = Field(default="qy", description="y of the rotation's quaternion.")
+    qz: ColumnName = Field(default="qz", description="z of the rotation's quaternion.")
+    qw: ColumnName = Field(default="qw", description="w of the rotation's quaternion, its real part.")
+
+
+class PoseFile(Model):
+    """A file in which a program writes its poses: what its numbers mean."""
+
+    path: RelativePath = Field(description="The file in the output folder.")
+    format: PoseFormat = Field(
+        description="Tum: t tx ty tz qx qy qz qw. Euroc: t, tx, ty, tz, qw, qx, qy, qz and more. Kitti: the "
+        "3×4 pose matrix row by row. Csv: a first line that names the columns."
+    )
+    columns: PoseColumns | None = optional(
+        "Csv: the names of its columns, where they are others than timestamp, tx, ty, tz, qx, qy, qz, qw."
+    )
+    inverted: bool = Field(
+        default=False, description="Whether it has the world's pose in the sensor's frame: it is inverted."
+    )
+    stamps: Literal["s", "ns", "frame-index"] | None = optional(
+        "What stamps count: seconds, nanoseconds, or frames of the mode's first sensor from 0 on; default: s "
+        "of Tum and Csv, ns of Euroc, frame-index of Kitti."
+    )
+
+    @model_validator(mode="after")
+    def _readable(self) -> Self:
+        if self.columns is not None and self.format is not PoseFormat.CSV:
+            raise ValueError("columns: only the format Csv takes it")
+        if self.path in _TAKEN:
+            raise ValueError(
+                f"path: {self.path} is the contract's own file; have the program write another, which is "
+                "kept beside it"
+            )
+        if not self.path.isprintable():
+            raise ValueError("path: expected printable characters alone")
+        return self
+
+    @property
+    def told(self) -> posefiles.PoseFile:
+        """Return what supervisor and sidecar are told of it."""
+        columns = None
+        if self.format is PoseFormat.CSV:
+            columns = (self.columns or PoseColumns()).model_dump()
+        stamps = self.stamps or posefiles.USUAL_STAMPS[self.format]
+        return posefiles.PoseFile(self.path, str(self.format), stamps, self.inverted, columns)
+
+
+def told_files(trajectory: PoseFile | None, keyframes: PoseFile | None, frames: str) -> dict[str, Any] | None:
+    """Return what supervisor and sidecar are told of a program's files; None where there is nothing to tell.
+
+    Args:
+        trajectory: The file with the final estimate.
+        keyframes: The file with keyframes.
+        frames: Where they find the stamps of the recording's frames.
+    """
+    if trajectory is None and keyframes is None:
+        return None
+    told, beside = (None if file is None else file.told for file in (trajectory, keyframes))
+    return posefiles.PoseFiles(told, beside, frames).as_json()
