@@ -9,7 +9,7 @@ import subprocess
 import sys
 from contextlib import chdir
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -19,6 +19,8 @@ from executors import algorithm, table
 
 from slamhive.kube.reports import read_report
 from slamhive.local.attempt import Attempt
+from slamhive.model.algorithm import OutputChange
+from slamhive.model.posefiles import told_files
 from slamhive.model.results import Frames
 from slamhive.monitor import SupervisorSpec
 
@@ -29,14 +31,14 @@ if TYPE_CHECKING:
     from slamhive.kube.reports import Report
 
 
-@pytest.mark.parametrize("name", table.LEAVING)
+@pytest.mark.parametrize("name", table.LEAVING | table.WRITING)
 @pytest.mark.parametrize("pod", ["proc"], indirect=True)
 def test_what_an_algorithm_left_is_judged_the_same_here_and_there(
     name: str, pod: Pod, tmp_path: Path
 ) -> None:
-    wanted = table.LEAVING[name]
+    wanted = table.BEHAVIOURS[name]
     attempt = Attempt(tmp_path / "attempt")
-    here, there = _judged(attempt, pod, algorithm.ACTS[name])
+    here, there = _judged(attempt, pod, algorithm.ACTS[name], _told(name, tmp_path / "frames.txt"))
     end, found = attempt.end(), attempt.trajectory()
     assert (attempt.metrics(), there.metrics) == (wanted.metrics, wanted.metrics)
     assert attempt.frames() == there.frames == Frames.model_validate(wanted.frames)
@@ -49,15 +51,27 @@ def test_what_an_algorithm_left_is_judged_the_same_here_and_there(
     assert (found is not None) == (problem is None)
 
 
-def _judged(attempt: Attempt, pod: Pod, leave: Callable[[], object]) -> tuple[dict[str, object], Report]:
+def _told(name: str, frames: Path) -> dict[str, Any] | None:
+    """Return what a monitor is told of the files of a behaviour; write the frames' stamps."""
+    output = table.OWN_FILES.get(table.BEHAVIOURS[name].asked.get("sensors", ""))
+    if output is None:
+        return None
+    frames.write_text("".join(f"{(algorithm.START_SECONDS * 10 + k) * 10**8}\n" for k in range(table.FRAMES)))
+    change = OutputChange.model_validate(output)
+    return told_files(change.trajectory, change.keyframes, str(frames))
+
+
+def _judged(
+    attempt: Attempt, pod: Pod, leave: Callable[[], object], poses: dict[str, Any] | None
+) -> tuple[dict[str, object], Report]:
     """Have the same output judged here and there; return a supervisor's summary and an operator's report."""
     attempt.output.mkdir(parents=True)
     with chdir(attempt.run):
         leave()
-    here = _supervised(attempt)
+    here = _supervised(attempt, poses)
     with chdir(pod.folder):
         leave()
-    sidecar = pod.sidecar()
+    sidecar = pod.sidecar(poses=poses)
     pod.algorithm("sleep", "0.2")
     pod.finished()
     there = read_report(pod.folder.joinpath("message").read_text())
@@ -66,7 +80,7 @@ def _judged(attempt: Attempt, pod: Pod, leave: Callable[[], object]) -> tuple[di
     return here, there
 
 
-def _supervised(attempt: Attempt) -> dict[str, object]:
+def _supervised(attempt: Attempt, poses: dict[str, Any] | None) -> dict[str, object]:
     """Have an output folder judged by the supervisor of a workstation, and return its summary."""
     folder = str(attempt.folder)
     spec = SupervisorSpec(
@@ -78,6 +92,7 @@ def _supervised(attempt: Attempt) -> dict[str, object]:
         summary_path=f"{folder}/summary.json",
         process_path=f"{folder}/process.json",
         output_directory=str(attempt.output),
+        poses=poses,
         cgroup="none",
     )
     path = attempt.folder / "spec.json"

@@ -2,8 +2,8 @@
 """Variants of a dataset: what an algorithm is given, and nothing else.
 
 A variant holds the chosen sensors' topics with their camera_info, and /tf_static; never ground truth. It is a
-folder ``KEY`` of the cache with the recording, ``frames.txt`` (the stamps of the primary sensor's frames in ns
-of sensor time, a line a frame) and ``variant.json``, made once, and whole when it exists. Its key hashes the
+folder ``KEY`` of the cache with the recording, ``frames.txt`` (stamps of the primary sensor's frames in ns of
+sensor time, a line a frame) and ``variant.json``, made once, and whole when it exists. Its key hashes the
 recording, the sensors' calibration, the options that matter and `VERSION`.
 """
 

@@ -64,6 +64,26 @@ def lines(count: int = POSES) -> list[str]:
     return found
 
 
+def rows(form: str, count: int = POSES) -> str:
+    """Return the same poses with other numbers around them."""
+    places = [line.split()[1:3] for line in lines()]
+    found = []
+    for k in range(count):
+        x, y = places[k % POSES]
+        found.append(form.format(k=k, x=x, y=y, ns=(START_SECONDS * 10 + k) * 10**8) + "\n")
+    return "".join(found)
+
+
+KITTI = "1 0 0 {x} 0 1 0 {y} 0 0 1 0"
+EUROC = "{ns},-{x},-{y},0,1,0,0,0,9,9,9"
+"""The world in the sensor's frame: inverted."""
+TABLE = "a,{k},{x},{y},0,0,0,0,1"
+TABLE_NAMES = "remark,frame,px,py,pz,i,j,k,r\n"
+KEYFRAMES = "{ns}.0 {x} {y} 0 0 0 0 1"
+KITTI_FILE, EUROC_FILE, TABLE_FILE = "poses/kitti.txt", "poses.csv", "table.csv"
+KEYFRAMES_FILE = "KeyFrameTrajectory.txt"
+
+
 def elsewhere() -> str:
     """Return poses of another time."""
     return "".join(line.replace("16", "17", 1) for line in lines())
@@ -216,6 +236,50 @@ def vast_trajectory() -> None:
     os.truncate("output/trajectory.txt", (512 << 20) + 1)
 
 
+def kitti(text: str = "") -> None:
+    """Write poses in a file of its own, without stamps."""
+    os.mkdir("output/poses")
+    write(KITTI_FILE, text or rows(KITTI))
+
+
+def turned(row: int) -> str:
+    """Return poses of which one has no rotation."""
+    found = rows(KITTI).splitlines(keepends=True)
+    found[row] = found[row].replace("1 0 0", "1 1 0", 1)
+    return "".join(found)
+
+
+def in_the_way() -> None:
+    kitti()
+    os.mkdir("output/trajectory.txt")
+
+
+def instead_of_kitti(*deed: object) -> None:
+    """Write the contract's own file, and perhaps put something else in place of the one that is declared."""
+    poses()
+    os.mkdir("output/poses")
+    for make, *arguments in filter(None, [deed]):
+        make(*arguments, f"output/{KITTI_FILE}")
+
+
+def folder_is_a_link() -> None:
+    """Lead to a file by a folder that is none."""
+    kitti()
+    os.rename("output/poses", "output/hidden")
+    os.symlink("hidden", "output/poses")
+
+
+def kitti_and_crash() -> None:
+    kitti()
+    sys.exit(4)
+
+
+def table(names: str = TABLE_NAMES, keyframes: str = KEYFRAMES) -> None:
+    write(TABLE_FILE, names + rows(TABLE))
+    if keyframes:
+        write(KEYFRAMES_FILE, rows(keyframes, 12))
+
+
 def compressed(name: str, text: str) -> None:
     import gzip
 
@@ -336,6 +400,22 @@ ACTS = {
     "lost": lambda: trajectory(NO_POSE),
     "elsewhere": lambda: trajectory(elsewhere()),
     "compressed-segments": lambda: (poses(), compressed("segments.csv", "start,end\n")),
+    "kitti": kitti,
+    "kitti-and-crash": kitti_and_crash,
+    "kitti-lost": lambda: kitti(NO_POSE),
+    "kitti-too-many": lambda: kitti(rows(KITTI, POSES + 1)),
+    "kitti-no-rotation": lambda: kitti(turned(50)),
+    "kitti-as-tum": lambda: kitti("".join(lines())),
+    "kitti-in-the-way": in_the_way,
+    "kitti-missing": instead_of_kitti,
+    "kitti-link": lambda: instead_of_kitti(os.symlink, "/etc/passwd"),
+    "kitti-fifo": lambda: instead_of_kitti(os.mkfifo),
+    "kitti-folder-is-a-link": folder_is_a_link,
+    "euroc-inverted": lambda: write(EUROC_FILE, "#timestamp\n" + rows(EUROC)),
+    "euroc-in-seconds": lambda: write(EUROC_FILE, "".join(lines()).replace(" ", ",")),
+    "table-and-keyframes": table,
+    "table-without-keyframes": lambda: table(keyframes=""),
+    "table-without-a-column": lambda: table(TABLE_NAMES.replace("frame", "time")),
     "flood": flood,
     "output-too-large": output_too_large,
     "folder-as-samples": lambda: (poses(), os.mkdir("output/usage.csv")),

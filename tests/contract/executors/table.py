@@ -161,6 +161,45 @@ COUNTED = {"offered": 100, "processed": 99, "dropped": 1}
 SAID = {"framesOffered": 100, "framesProcessed": 99, "framesDropped": 1, "keyframes": 12}
 RIGHTS = "a workstation's program has all rights of the user who runs it, and runs beside its run folder"
 
+EVERY_FRAME = [(1600000000 * 10 + k, line.split()[1:3]) for k, line in enumerate(algorithm.lines())]
+KITTI_POSES = "".join(
+    f"{tenths // 10}.{tenths % 10}00000000 {x} {y} 0 0.0 0.0 0.0 1.0\n" for tenths, (x, y) in EVERY_FRAME
+)
+EUROC_POSES = "".join(
+    f"{tenths // 10}.{tenths % 10}00000000 {float(x)} {float(y)} -0.0 -0.0 -0.0 -0.0 1.0\n"
+    for tenths, (x, y) in EVERY_FRAME
+)
+TABLE_POSES = "".join(
+    f"{tenths // 10}.{tenths % 10}00000000 {x} {y} 0 0 0 0 1\n" for tenths, (x, y) in EVERY_FRAME
+)
+"""What the contract's file holds when the poses of a program's own file were converted."""
+KITTI_MODE, EUROC_MODE, TABLE_MODE = ({"sensors": mode} for mode in ("stereo", "stereo-inertial", "rgbd"))
+OWN_FILES = {
+    "stereo": {"trajectory": {"path": algorithm.KITTI_FILE, "format": "Kitti"}},
+    "stereo-inertial": {
+        "trajectory": {"path": algorithm.EUROC_FILE, "format": "Euroc", "inverted": True},
+    },
+    "rgbd": {
+        "trajectory": {
+            "path": algorithm.TABLE_FILE,
+            "format": "Csv",
+            "stamps": "frame-index",
+            "columns": {
+                "timestamp": "frame",
+                "tx": "px",
+                "ty": "py",
+                "tz": "pz",
+                "qx": "i",
+                "qy": "j",
+                "qz": "k",
+                "qw": "r",
+            },
+        },
+        "keyframes": {"path": algorithm.KEYFRAMES_FILE, "format": "Tum", "stamps": "ns"},
+    },
+}
+"""Modes in which the program writes its poses in its own way; each takes the LiDAR alone."""
+
 ENDING = {
     "well": measured(frames=COUNTED, metrics=SAID),
     "crash-before-configuration": crashed(
@@ -194,6 +233,7 @@ ENDING = {
     "log": endless("DeadlineExceeded", TOO_LONG),
     "memory": failed("OutOfMemory", "it needed more memory than its limit of 128 MiB"),
     "orphans": measured(),
+    "kitti-and-crash": crashed("exit code 4", trajectory=KITTI_POSES, asked=KITTI_MODE),
     "compressed-segments": measured(
         "not evaluated: output/segments.csv is compressed; it must be plain text",
         outcome=None,
@@ -265,6 +305,58 @@ LEAVING = {
 }
 """What programs that end well leave as trajectory and metrics: reading it needs no executor."""
 
+WRITING = {
+    "kitti": measured(trajectory=KITTI_POSES, asked=KITTI_MODE),
+    "kitti-lost": replace(lost("the algorithm wrote no pose", ""), asked=KITTI_MODE),
+    "kitti-too-many": failed(
+        "InvalidTrajectory",
+        "output/poses/kitti.txt, line 101: frame 100 is beyond the recording, which has 100 frames, the "
+        "first of them 0",
+        asked=KITTI_MODE,
+    ),
+    "kitti-no-rotation": failed(
+        "InvalidTrajectory",
+        "output/poses/kitti.txt, line 51: its first three columns are no rotation: their rows must be "
+        "orthonormal to 0.01, and right-handed",
+        asked=KITTI_MODE,
+    ),
+    "kitti-as-tum": failed(
+        "InvalidTrajectory",
+        "output/poses/kitti.txt, line 1: found 8 of 12 values; expected the 3×4 pose matrix row by row, "
+        "perhaps after the frame index",
+        asked=KITTI_MODE,
+    ),
+    "kitti-in-the-way": failed(
+        "InvalidTrajectory", "output/trajectory.txt can't be written: Is a directory", asked=KITTI_MODE
+    ),
+    **{
+        name: failed(
+            "NoTrajectory", "output/poses/kitti.txt is missing or not a regular file", asked=KITTI_MODE
+        )
+        for name in ("kitti-missing", "kitti-link", "kitti-fifo", "kitti-folder-is-a-link")
+    },
+    "euroc-inverted": measured(trajectory=EUROC_POSES, asked=EUROC_MODE),
+    "euroc-in-seconds": failed(
+        "InvalidTrajectory",
+        "output/poses.csv, line 2: time stamp '1600000000.1' is no whole number of nanoseconds (seconds "
+        "perhaps?)",
+        asked=EUROC_MODE,
+    ),
+    "table-and-keyframes": measured(trajectory=TABLE_POSES, asked=TABLE_MODE),
+    "table-without-keyframes": measured(
+        "output/KeyFrameTrajectory.txt is missing or not a regular file",
+        trajectory=TABLE_POSES,
+        asked=TABLE_MODE,
+    ),
+    "table-without-a-column": failed(
+        "InvalidTrajectory",
+        "output/table.csv, line 1: the first line has no column 'frame'; it names remark, time, px, py, pz, "
+        "i, j, k, r",
+        asked=TABLE_MODE,
+    ),
+}
+"""Programs that write their poses in their own way, which is declared."""
+
 LOCKED = {
     "phase": FAILED,
     "reason": "InvalidTrajectory",
@@ -309,7 +401,7 @@ HOSTILE = {
 }
 """Programs that leave what may be in the way of the next attempt."""
 
-BEHAVIOURS = ENDING | LEAVING | HOSTILE
+BEHAVIOURS = ENDING | LEAVING | WRITING | HOSTILE
 AGAIN = ("well", "metrics-nested", "elsewhere", "crash-between-poses")
 """What a second sweep asks for too: a run that succeeded is taken over, one that failed is done again."""
 
@@ -319,7 +411,10 @@ def study(executor: Executor) -> tuple[dict[str, Any], dict[str, Any], dict[str,
     spec = {
         "version": "1",
         **executor.program((HERE / "algorithm.py").read_text(encoding="utf-8")),
-        "modes": [{"name": "lidar", "roles": ["lidar"]}],
+        "modes": [
+            {"name": "lidar", "roles": ["lidar"]},
+            *({"name": mode, "roles": ["lidar"], "output": output} for mode, output in OWN_FILES.items()),
+        ],
         "recording": ["Rosbag1"],
         "parameters": {"behaviour": {"type": "String", "default": "well", "values": [*BEHAVIOURS]}},
         "output": {"frame": "body"},
@@ -336,6 +431,7 @@ def sweep(name: str, behaviours: Iterable[str]) -> dict[str, Any]:
     template = {
         "algorithmRef": {"name": NAME},
         "datasetRef": {"name": "tiny"},
+        "sensors": "lidar",
         "retries": MACHINE_FAULTS,
         "timeout": "5m",
         "resources": {"cpu": "100m", "memory": "128Mi"},
