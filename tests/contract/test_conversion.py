@@ -111,6 +111,7 @@ def test_inverted_poses_of_a_real_run(output: Path) -> None:
     reference = np.loadtxt(real("icra2023/runs/050/traj.txt"))
     inverse = np.linalg.inv(matrices(reference))
     turns = Rotation.from_matrix(inverse[:, :3, :3]).as_quat()
+    turns *= 1.03  # as some programs leave them
     np.savetxt(output / "Tcw.txt", np.column_stack([reference[:, 0], inverse[:, :3, 3], turns]), fmt="%.9f")
     found = converted(output, PoseFile("Tcw.txt", "Tum", "s", inverted=True))
     np.testing.assert_allclose(matrices(found), matrices(reference), atol=1e-7)

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import json
 import multiprocessing
 import os
 import shutil
@@ -12,6 +13,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Reader
 
+from slamhive.contract.posefiles import FRAMES
 from slamhive.data.clouds import cloud_points
 from slamhive.data.entries import DatasetEntry
 from slamhive.data.images import image_pixels
@@ -213,6 +215,30 @@ def test_an_unchanged_recording_is_linked(lidar_entry: Any, tmp_path: Path) -> N
     ]
 
 
+def test_stamps_of_frames_are_sensor_time(lidar_entry: Any, tmp_path: Path) -> None:
+    sensors = lidar_entry.dataset.spec.sensors
+    late = sensors | {"lidar": sensors["lidar"].replace(time_offset=-0.0123)}
+    spec = lidar_entry.dataset.spec.replace(sensors=late)
+    entry = DatasetEntry(lidar_entry.dataset.replace(spec=spec), lidar_entry.root)
+    variant = make(entry, [Role.IMU, Role.LIDAR], tmp_path, frameRate=5)
+    found = stamps(read(variant.path)["/points"])
+    assert len(found) == variant.frames
+    assert (variant.folder / FRAMES).read_text().split() == [str(stamp - 12_300_000) for stamp in found]
+
+
+def test_a_variant_without_stamps_of_frames_is_made_again(lidar_entry: Any, tmp_path: Path) -> None:
+    """As an earlier version left it."""
+    first = make(lidar_entry, [Role.LIDAR], tmp_path)
+    kept = (first.folder / FRAMES).read_bytes()
+    description = json.loads((first.folder / "variant.json").read_text())
+    del description["framesState"]
+    (first.folder / "variant.json").write_text(json.dumps(description))
+    (first.folder / FRAMES).unlink()
+    again = make(lidar_entry, [Role.LIDAR], tmp_path)
+    assert again.key == first.key
+    assert (again.folder / FRAMES).read_bytes() == kept
+
+
 @pytest.mark.parametrize(
     ("start", "duration", "frames"), [(None, "2s", 20), ("1s", None, 70), ("1500ms", "1s", 10)]
 )
@@ -223,6 +249,7 @@ def test_cut(lidar_entry: Any, tmp_path: Path, start: Any, duration: Any, frames
     scans, samples = stamps(found["/points"]), stamps(found["/imu"])
     begin = 1_600_000_000 + {None: 0.0, "1s": 1.0, "1500ms": 1.5}[start]
     assert len(scans) == frames == variant.frames
+    assert (variant.folder / FRAMES).read_text() == "".join(f"{stamp}\n" for stamp in scans)
     assert variant.start_time == pytest.approx(begin, abs=1e-6)
     assert variant.duration_seconds == pytest.approx((frames - 1) / 10)
     # The IMU covers each scan from its first to its last point.

@@ -38,6 +38,7 @@ from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluator
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
+from slamhive.monitor import SidecarSpec
 from slamhive.plan import resolve
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -482,3 +483,27 @@ def test_a_custom_evaluator_writes_nothing_but_its_output() -> None:
     assert [body["name"] for body in (links, theirs, report)] == ["links", "evaluator", "report"]
     assert theirs["image"] == "example.org/eval:1"
     assert "command" not in theirs
+
+
+def told_to_the_monitor(**output: Any) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what a run's monitor is told, and what it has mounted."""
+    declared = algorithm(output={"frame": "lidar"} | output)
+    monitor = built(declared=declared)["spec"]["template"]["spec"]["initContainers"][0]
+    variables = {one["name"]: one.get("value") for one in monitor["env"]}
+    return json.loads(variables["SLAMHIVE_SIDECAR"]), monitor["volumeMounts"]
+
+
+def test_the_monitor_is_told_where_the_program_writes_its_poses() -> None:
+    told, mounts = told_to_the_monitor(trajectory={"path": "Tcw.txt", "format": "Tum", "inverted": True})
+    file = {"path": "Tcw.txt", "format": "Tum", "stamps": "s", "inverted": True}
+    assert told["poses"] == {"trajectory": file}
+    assert SidecarSpec.from_json(json.dumps(told)).poses == told["poses"]
+    assert {mount["name"] for mount in mounts} == {"results", "configuration"}
+
+
+def test_the_monitor_sees_the_stamps_of_frames_where_poses_count_them() -> None:
+    told, mounts = told_to_the_monitor(keyframes={"path": "keys.txt", "format": "Kitti"})
+    (frames,) = [mount for mount in mounts if mount["name"] == "data"]
+    assert (frames["subPath"], frames["readOnly"]) == ("variants/0123abcd/frames.txt", True)
+    assert told["poses"]["frames"] == frames["mountPath"]
+    assert SidecarSpec.from_json(json.dumps(told)).poses == told["poses"]

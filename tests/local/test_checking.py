@@ -4,10 +4,19 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from slamhive.local.checking import Answer, Fit, _compared
+from slamhive.analysis.measuring import Subject, measure
+from slamhive.local.checking import Answer, Declared, Fit, _compared, inverse, readings
+from slamhive.model.algorithm import Output
+from slamhive.model.evaluation import EvaluationSettings
+from slamhive.model.sensors import SensorMode
+from slamhive_eval import read_tum
+
+TRAJECTORIES = Path(__file__).resolve().parents[3] / "shared" / "data" / "trajectories"
 
 
 @pytest.mark.parametrize(
@@ -35,3 +44,21 @@ def test_a_drift_that_hides_what_a_shift_does_can_not_be_told() -> None:
     found = _compared("lidar: stamp Header", Fit(5.0, 1.0), {"+0.05 s": Fit(1.0, 0.1)}, hidden=True)
     assert found.answer is Answer.UNKNOWN
     assert "the drift is too large to tell" in found.text
+
+
+@pytest.mark.parametrize(
+    ("inverted", "answer", "words"),
+    [(False, Answer.HOLDS, "poses not inverted: "), (True, Answer.FAILS, "; the inverse fits better: 0.0")],
+)
+def test_poses_that_are_inverted_are_told_by_the_ground_truth(
+    *, inverted: bool, answer: Answer, words: str
+) -> None:
+    """ORB-SLAM on TUM's fr2/desk, as it wrote its poses and as it keeps them inside."""
+    if not TRAJECTORIES.is_dir():
+        pytest.skip("../shared/data/trajectories is not here")
+    truth, estimate = (read_tum(TRAJECTORIES / f"fr2_desk_{name}.txt") for name in ("groundtruth", "ORB"))
+    estimate = inverse(estimate) if inverted else estimate
+    declared = Declared(SensorMode.RGBD, Output(frame="color"), {"color": np.eye(4)}, 100.0)
+    result = measure(truth, estimate, EvaluationSettings(), Subject(SensorMode.RGBD, np.eye(4)))
+    found = [finding for finding in readings(declared, truth, estimate, result) if words in finding.text]
+    assert [finding.answer for finding in found] == [answer]

@@ -12,11 +12,19 @@ from slamhive.model.algorithm import AlgorithmSpec, Asset, Parameter
 from slamhive.model.dataset import DataFile, DatasetSpec, GroundTruth, Recording
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import RunSelector
+from slamhive.model.posefiles import PoseFile
 from slamhive.model.results import Usage
 from slamhive.model.sensors import Sensor
 from slamhive.model.sweep import Axis, Range
 
 ALGORITHM: dict[str, Any] = {"image": "i", "modes": [{"name": "lidar"}], "output": {"frame": "lidar"}}
+KITTI: dict[str, Any] = {"path": "poses.txt", "format": "Kitti"}
+NODE: dict[str, Any] = ALGORITHM | {
+    "recording": ["Rosbag1"],
+    "paces": ["Realtime"],
+    "realtime": {},
+    "ros1": {"poses": {"topic": "/odometry", "type": "Odometry"}},
+}
 LIDAR: dict[str, Any] = {"type": "Lidar", "topic": "/p"}
 FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
 
@@ -34,6 +42,22 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
         (Asset, {"name": "a:b", "path": "a"}, "pattern"),
         (AlgorithmSpec, ALGORITHM | {"assets": [{"name": "a", "path": "a"}] * 2}, "used once"),
         (AlgorithmSpec, ALGORITHM | {"image": " i"}, "pattern"),
+        (PoseFile, {"path": "../a", "format": "Tum"}, "pattern"),
+        (PoseFile, {"path": "trajectory.txt", "format": "Tum"}, "is the contract's own file"),
+        (PoseFile, {"path": "a", "format": "Tum", "columns": {}}, "only the format Csv takes it"),
+        (PoseFile, {"path": "a", "format": "Csv", "columns": {"x": "a"}}, "Extra inputs"),
+        (PoseFile, {"path": "a", "format": "Tum", "stamps": "ms"}, "'s', 'ns' or 'frame-index'"),
+        (
+            AlgorithmSpec,
+            ALGORITHM | {"output": {"frame": "body", "stamp": "ScanEnd", "trajectory": KITTI}},
+            "a frame index means the header stamp of its frame; expected Header in the mode lidar",
+        ),
+        (AlgorithmSpec, NODE | {"output": {"frame": "body", "keyframes": KITTI}}, "a ROS 1 node's poses are"),
+        (
+            AlgorithmSpec,
+            NODE | {"modes": [{"name": "lidar", "output": {"trajectory": KITTI}}]},
+            "a ROS 1 node's poses are",
+        ),
         (Asset, {"name": "a", "path": "a/../../b"}, "pattern"),
         (DataFile, {"path": "a", "url": "https://x"}, "needs its sha256"),
         (Recording, {}, "either files or synthetic"),
@@ -132,3 +156,19 @@ def test_memory_of_earlier_records_says_what_it_is(
     now = {"kind": "Resident", "workingSetPeakBytes": 9}
     memory = Usage.model_validate(told | {"memory": told["memory"] | now}).memory
     assert (memory.peak_bytes, memory.kind, memory.working_set_peak_bytes) == (7, "Resident", 9)
+
+
+def test_a_mode_that_names_its_trajectory_names_its_keyframes_too() -> None:
+    files = {"trajectory": {"path": "a", "format": "Tum"}, "keyframes": {"path": "b", "format": "Tum"}}
+    modes = [
+        {"name": "lidar"},
+        {"name": "mono", "output": {"trajectory": files["keyframes"], "scale": False}},
+        {"name": "stereo", "output": {"keyframes": KITTI}},
+    ]
+    spec = AlgorithmSpec.model_validate(ALGORITHM | {"modes": modes, "output": {"frame": "body"} | files})
+    outputs = [spec.output_of(mode) for mode in spec.modes]
+    found = [
+        (one.trajectory and one.trajectory.path, one.keyframes and one.keyframes.path) for one in outputs
+    ]
+    assert found == [("a", "b"), ("b", None), ("a", "poses.txt")]
+    assert [one.counts_frames for one in outputs] == [False, False, True]

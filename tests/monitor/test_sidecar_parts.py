@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SPEC = {"container": "algorithm", "runDirectory": "/run"}
+POSES = {"path": "a", "format": "Tum", "stamps": "s"}
 LINE = "{} 1 2 3 0 0 0 1\n"
 LONG = "".join(LINE.format(k / 8) for k in range(20000))
 
@@ -36,6 +37,17 @@ LONG = "".join(LINE.format(k / 8) for k in range(20000))
         ({"timeoutSeconds": 0}, "timeoutSeconds must be a number of seconds above 0 or null, not 0"),
         ({"includesReader": 1}, "includesReader must be true or false, not 1"),
         ({"intervalSeconds": 60}, "intervalSeconds must be a number of seconds from 0.01 to 10, not 60"),
+        (
+            {"poses": {"trajectory": POSES | {"path": "../a"}}},
+            "poses must be a description of files with poses",
+        ),
+        (
+            {"poses": {"trajectory": POSES | {"stamps": "frame-index"}}},
+            "poses must be a description of files",
+        ),
+        ({"poses": {"trajectory": POSES | {"format": "Csv", "columns": {}}}}, "poses must be a description"),
+        ({"poses": {"trajectory": 1}}, "poses must be a description of files with poses or null, not "),
+        ({"poses": {"map": POSES}}, "poses must be a description of files with poses or null, not "),
         ({"colour": 1}, "unknown field colour; known are companions, configuration, container, "),
     ],
 )

@@ -25,6 +25,8 @@ from slamhive.model.results import Outcome, Phase, RunRecord
 from slamhive.model.sensors import SensorMode
 from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec
 from slamhive.plan import Plan, local_uid
+from slamhive_eval import Trajectory
+from slamhive_eval.rotation import conjugate, rotate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +35,9 @@ if TYPE_CHECKING:
 
     from slamhive.local.catalog import AlgorithmEntry
     from slamhive.local.workbench import Workbench
-    from slamhive.model.algorithm import Mode
+    from slamhive.model.algorithm import Mode, Output
+    from slamhive.model.results import Result
+    from slamhive_eval import Relations
 
 _RECORDINGS = {
     SensorMode.LIDAR: "synthetic-lidar",
@@ -162,52 +166,93 @@ def _repeatable(declared: str, mode: Mode, records: list[RunRecord]) -> Finding:
 
 
 def _meaning(bench: Workbench, mode: Mode, record: RunRecord) -> Iterator[Finding]:
-    """Tell whether poses fit the ground truth, and the declared frame and instant better than any other."""
+    """Tell whether poses fit the ground truth, and as declared better than in any other reading of them."""
     algorithm = bench.workshop.algorithm(record.spec["algorithmRef"]["name"]).algorithm
-    output = algorithm.spec.output_of(mode)
     variant = bench.prepare(record.spec, algorithm)
     truth = bench.truth(record.spec["datasetRef"]["name"])
     result = record.results[0] if record.results else None
     if truth is None or result is None:
         yield Finding(Answer.UNKNOWN, f"{mode.name}: {record.message or 'it was not measured'}")
         return
-    poses = truth.poses
     estimate = read_estimate(Path(record.folder or "") / "run" / "output" / "trajectory.txt")
+    if estimate is None or not result.values.get("ate"):
+        yield Finding(Answer.FAILS, f"{mode.name}: {result.outcome}: {result.values.get('message')}")
+        return
     frames: dict[str, npt.NDArray[np.float64]] = {"body": np.eye(4)}
     frames |= {role.value: np.array(view.T_body_sensor) for role, view in variant.sensors.items()}
+    declared = Declared(mode.name, algorithm.spec.output_of(mode), frames, variant.duration_seconds)
+    yield from readings(declared, truth.poses, estimate, result)
 
-    def fit(frame: str, shift: float = 0.0) -> Fit:
+
+@dataclass(frozen=True, eq=False)
+class Declared:
+    """What an Algorithm says of its poses, and what else they could be.
+
+    Attributes:
+        mode: its sensor mode.
+        output: what it declares.
+        frames: T_body_frame of the frames whose poses they could be, (4, 4) each.
+        seconds: length of the recording.
+    """
+
+    mode: SensorMode
+    output: Output
+    frames: Mapping[str, npt.NDArray[np.float64]]
+    seconds: float
+
+
+def readings(
+    declared: Declared, truth: Trajectory | Relations, estimate: Trajectory, result: Result
+) -> Iterator[Finding]:
+    """Compare poses as they are declared with other readings of them: frames, the inverse, moved stamps.
+
+    Args:
+        declared: what is declared.
+        truth: the ground truth of the body.
+        estimate: what the algorithm wrote, converted as declared.
+        result: its evaluation, with an ATE.
+    """
+    mode, output, frames = declared.mode, declared.output, declared.frames
+
+    def fit(frame: str, shift: float = 0.0, poses: Trajectory = estimate) -> Fit:
         settings = EvaluationSettings(association=Association(offset=shift))
-        subject = Subject(mode.name, frames[frame], keyframes=output.poses is Poses.KEYFRAMES)
-        values = measure(poses, estimate, settings, subject).values
+        subject = Subject(mode, frames[frame], keyframes=output.poses is Poses.KEYFRAMES)
+        values = measure(truth, poses, settings, subject).values
         metres, turn = values.get("ate") or {}, values.get("ateRotationDeg") or {}
         return Fit(metres.get("rmse", np.inf), turn.get("rmse", np.inf))
 
-    if not result.values.get("ate"):
-        yield Finding(Answer.FAILS, f"{mode.name}: {result.outcome}: {result.values.get('message')}")
-        return
     length, own = float(result.values["pathLength"]), fit(output.frame)
     share = own.metres / length
     tracked = result.outcome is Outcome.TRACKED and share <= _MAX_SHARE
     why = "" if tracked else f"; {result.values.get('message') or f'more than {_MAX_SHARE:.0%} of the path'}"
     yield Finding(
         Answer.HOLDS if tracked else Answer.FAILS,
-        f"{mode.name}: ATE {own}, {share:.2%} of {length:.1f} m; coverage {result.coverage}{why}",
+        f"{mode}: ATE {own}, {share:.2%} of {length:.1f} m; coverage {result.coverage}{why}",
     )
     others = {
         frame: fit(frame)
         for frame, pose in frames.items()
         if not np.allclose(pose, frames[output.frame], atol=1e-6)
     }
-    # Where poses are bad in every frame, which of them is least so says nothing.
+    # Where poses are bad in every reading, which of them is least so says nothing.
     bad = min(found.metres for found in (own, *others.values())) > _MAX_SHARE * length
-    yield _compared(f"{mode.name}: frame {output.frame}", own, others, hidden=bad)
+    yield _compared(f"{mode}: frame {output.frame}", own, others, hidden=bad)
+    turned_around = fit(output.frame, poses=inverse(estimate))
+    bad = min(own.metres, turned_around.metres) > _MAX_SHARE * length
+    was = "inverted as declared" if output.trajectory and output.trajectory.inverted else "not inverted"
+    yield _compared(f"{mode}: poses {was}", own, {"the inverse": turned_around}, hidden=bad)
     moved = {shift: fit(output.frame, shift) for shift in _SHIFTS_SECONDS}
     nearest = min(moved, key=moved.__getitem__)
     # Drift as large as what a shift does hides it.
-    hidden = own.metres > abs(nearest) * length / variant.duration_seconds
+    hidden = own.metres > abs(nearest) * length / declared.seconds
     named = {f"{shift:+.2f} s": other for shift, other in moved.items()}
-    yield _compared(f"{mode.name}: stamp {output.stamp}", own, named, hidden=hidden)
+    yield _compared(f"{mode}: stamp {output.stamp}", own, named, hidden=hidden)
+
+
+def inverse(estimate: Trajectory) -> Trajectory:
+    """Return the inverse of each pose: the world's in the body's frame, or the other way round."""
+    back = conjugate(estimate.quaternions)
+    return Trajectory(estimate.stamps, -rotate(back, estimate.positions), back)
 
 
 def _compared(what: str, own: Fit, others: Mapping[str, Fit], *, hidden: bool = False) -> Finding:
