@@ -31,12 +31,18 @@ def process(tmp_path_factory: pytest.TempPathFactory, environments: Path, tiny: 
 
 @pytest.fixture(scope="module")
 def behaved(process: Process) -> dict[str, Row]:
-    """What came of all behaviours; ``SLAMHIVE_UPDATE=1`` keeps what came of the first as what is expected."""
+    """What came of all behaviours; ``SLAMHIVE_UPDATE=1`` keeps figures of some as what is expected."""
     found = table.carry_out(process)
     if os.environ.get("SLAMHIVE_UPDATE"):
         kept = {key: value for key, value in found["well"].items() if not key.startswith(NOT_MEASURED)}
         table.MEASURED.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n")
+        others = {name: _beside(found[name]) for name in table.BEHAVIOURS if table.BEHAVIOURS[name].beside}
+        table.BESIDE.write_text(json.dumps(others, indent=1, sort_keys=True) + "\n")
     return found
+
+
+def _beside(row: Row) -> Row:
+    return {name: value for name, value in row.items() if name.startswith("beside.")}
 
 
 def test_the_table_has_all_behaviours() -> None:

@@ -69,8 +69,9 @@ def put_run(pod: Any, number: int, estimate: Path | str) -> dict[str, Any]:
     place.mkdir(parents=True)
     data = estimate.encode() if isinstance(estimate, str) else estimate.read_bytes()
     (place / "trajectory.txt").write_bytes(data)
-    if isinstance(estimate, Path) and estimate.with_name("segments.csv").exists():
-        shutil.copy(estimate.with_name("segments.csv"), place)
+    for name in ("segments.csv", "trajectory.online.txt", "trajectory.keyframes.txt"):
+        if isinstance(estimate, Path) and estimate.with_name(name).exists():
+            shutil.copy(estimate.with_name(name), place)
     return {
         "uid": uid,
         "name": f"run-{number}",
@@ -143,6 +144,9 @@ def test_results_are_those_of_the_workstation(  # noqa: PLR0917 - fixtures
     folder = pod.root / "data" / "datasets" / "walk"
     folder.mkdir()
     truth, estimate, window = prepare_truth(shared, kind, folder)
+    poses = estimate.read_text().splitlines(keepends=True)
+    (folder / "trajectory.online.txt").write_text("".join(poses[: len(poses) // 2]))
+    (folder / "trajectory.keyframes.txt").write_text("".join(poses[::10]) + "1 2 3\n" * (kind == "Kitti"))
     truth |= {"frame": "lidar"} if mode == "mono" else {"T_body_frame": LEVER}
     shutil.copyfile(next(tiny.glob("tiny-*/recording.bag")), folder / "walk.bag")
     dataset, algorithm = dataset_of(truth, gravityAligned=True), algorithm_of(poses="Keyframes")
@@ -179,6 +183,10 @@ def test_results_are_those_of_the_workstation(  # noqa: PLR0917 - fixtures
         assert close or found[key] == value, key
     assert kind == "Relations" or wanted[".values.ate.rmse"] > 0
     assert (".values.segments[1].map" in wanted) == (kind == "Tum")
+    assert wanted[".values.beside.online.coverage"] < wanted[".coverage"]
+    if kind == "Kitti":
+        wrong = f"output/trajectory.keyframes.txt, line {len(poses[::10]) + 1}: found 3 of 8 values"
+        assert wanted[".values.beside.keyframes.message"].startswith(wrong)
 
 
 def on_the_workstation(home: Home, algorithm: Algorithm, dataset: Dataset, folder: Path) -> Any:
@@ -305,6 +313,50 @@ def test_the_longest_map_stands_for_a_run(pod: Any, walked: str) -> None:
     segments.unlink()
     [record] = evaluate(pod, [run])
     assert record["result"]["values"]["ate"]["rmse"] > 1
+
+
+def test_what_lies_beside_a_trajectory_is_measured_as_it_is(pod: Any, walked: str) -> None:
+    run = put_run(pod, 1, walked)
+    folder = Path(pod.root, "results", run["folder"], "output")
+    [alone] = evaluate(pod, [run])
+    assert "beside" not in alone["result"]["values"]
+    shutil.copy(folder / "trajectory.txt", folder / "trajectory.online.txt")
+    (folder / "trajectory.keyframes.txt").write_text("".join(walked.splitlines(keepends=True)[::8]))
+    [record] = evaluate(pod, [run])
+    values = record["result"]["values"]
+    beside = values.pop("beside")
+    assert record["result"] == alone["result"]
+    assert beside["online"]["ate"] == values["ate"]
+    assert beside["online"]["rpe"] == values["rpe"]
+    assert beside["keyframes"]["estimatePoses"] == len(walked.splitlines()[::8])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (lambda path: path.symlink_to("trajectory.txt"), "output/trajectory.online.txt: is no regular file"),
+        (os.mkfifo, "output/trajectory.online.txt: is no regular file"),
+        (
+            lambda path: path.write_text("1 2 3\n"),
+            "output/trajectory.online.txt, line 1: found 3 of 8 values",
+        ),
+        (
+            lambda path: path.write_bytes(b"\x1f\x8b\x08"),
+            "output/trajectory.online.txt is compressed; it must",
+        ),
+        (
+            lambda path: (path.touch(), os.truncate(path, 600 << 20)),
+            "output/trajectory.online.txt is larger than 512 MiB",
+        ),
+    ],
+)
+def test_what_lies_beside_a_trajectory_costs_no_result(pod: Any, walked: str, spoil: Any, why: str) -> None:
+    run = put_run(pod, 1, walked)
+    spoil(Path(pod.root, "results", run["folder"], "output", "trajectory.online.txt"))
+    [record] = evaluate(pod, [run])
+    assert record["result"]["outcome"] == "Tracked"
+    (beside,) = record["result"]["values"]["beside"].values()
+    assert beside["message"].startswith(why)
 
 
 @pytest.mark.parametrize("processes", ["1", "2"])

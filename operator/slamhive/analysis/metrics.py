@@ -37,7 +37,7 @@ _TITLES = {
 }
 _FORMAT = re.compile(r"\.\d{1,2}[efg]")
 _ERRORS = re.compile(
-    r"(ate|rpe\[\d+\]|relations(\.byTime\[\d+\])?\.translation)\.(rmse|mean|median|std|min|max)"
+    r"(beside\.\w+\.)?(ate|rpe\[\d+\]|relations(\.byTime\[\d+\])?\.translation)\.(rmse|mean|median|std|min|max)"
 )
 
 

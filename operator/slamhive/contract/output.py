@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from slamhive.contract.metrics import Kept
 
+ONLINE = "trajectory.online.txt"
+"""In the output folder: each pose as it was first published."""
 KEYFRAMES = "trajectory.keyframes.txt"
 """In the output folder: keyframes that a program wrote beside its trajectory, as the contract has poses."""
 

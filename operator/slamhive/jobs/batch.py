@@ -12,13 +12,15 @@ import signal
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.beside import with_others
 from slamhive.analysis.measuring import SEGMENTS, measure, read_estimate
-from slamhive.contract.files import compression_problem
+from slamhive.contract.files import compression_problem, open_below
 from slamhive.contract.lines import LIMIT_BYTES
 from slamhive.contract.trajectory import TRAJECTORY
 from slamhive.jobs.machine import free_memory, usable_cores
@@ -30,6 +32,7 @@ from slamhive_eval import EvaluationError, Relations, Trajectory, read_relations
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from contextlib import AbstractContextManager
 
     from slamhive.model.evaluation import EvaluationSettings
     from slamhive_eval import Piece
@@ -67,7 +70,10 @@ class Bench:
                 return line | {"error": truth}
             estimate = self._estimate(run)
             pieces = None if estimate is None else self._pieces(run)
-            result = measure(truth, estimate, self.settings, run.subject(), self.evaluation, pieces=pieces)
+            subject = run.subject()
+            result = measure(truth, estimate, self.settings, subject, self.evaluation, pieces=pieces)
+            beside = partial(self._open, run)
+            result = with_others(result, beside, truth, self.settings, subject, pieces=pieces)
             line |= {"result": result.as_json()}
             json.dumps(line, allow_nan=False)
             return line  # noqa: TRY300 - what JSON can't say is an error of this run
@@ -97,6 +103,10 @@ class Bench:
                 return read_estimate(link)
             except EvaluationError as error:
                 raise DataError(str(error).replace(link, path)) from None
+
+    def _open(self, run: RunItem, name: str) -> AbstractContextManager[int]:
+        """Open a file of a run's output folder; errors as of `open_below`."""
+        return open_below(self.results, f"{run.folder}/output/{name}", follow=True)
 
     def _pieces(self, run: RunItem) -> list[Piece] | None:
         """Read what a run says of its restarts and maps; None when it says nothing.

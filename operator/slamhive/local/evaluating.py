@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slamhive.analysis.beside import with_others
 from slamhive.analysis.measuring import SEGMENTS, SETTINGS_KEY, measure, read_estimate, settings_hash
 from slamhive.analysis.subjects import Surroundings, subject_of
-from slamhive.contract.files import compression_problem
+from slamhive.contract.files import compression_problem, open_below
 from slamhive.data.entries import file_sha256
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.sensors import SensorMode
@@ -78,7 +80,9 @@ class Evaluator:
             if estimate is not None and segments.is_file():
                 _require_plain(segments)
                 pieces = read_segments(segments)
-            return measure(truth.poses, estimate, settings, subject, name, pieces=pieces)
+            result = measure(truth.poses, estimate, settings, subject, name, pieces=pieces)
+            beside = partial(open_below, path.parent)
+            return with_others(result, beside, truth.poses, settings, subject, pieces=pieces)
         except EvaluationError as error:
             raise InputError(str(error)) from None
 

@@ -64,11 +64,11 @@ def lines(count: int = POSES) -> list[str]:
     return found
 
 
-def rows(form: str, count: int = POSES) -> str:
+def rows(form: str, count: int = POSES, every: int = 1) -> str:
     """Return the same poses with other numbers around them."""
     places = [line.split()[1:3] for line in lines()]
     found = []
-    for k in range(count):
+    for k in range(0, count, every):
         x, y = places[k % POSES]
         found.append(form.format(k=k, x=x, y=y, ns=(START_SECONDS * 10 + k) * 10**8) + "\n")
     return "".join(found)
@@ -277,7 +277,7 @@ def kitti_and_crash() -> None:
 def table(names: str = TABLE_NAMES, keyframes: str = KEYFRAMES) -> None:
     write(TABLE_FILE, names + rows(TABLE))
     if keyframes:
-        write(KEYFRAMES_FILE, rows(keyframes, 12))
+        write(KEYFRAMES_FILE, rows(keyframes, every=8))
 
 
 def compressed(name: str, text: str) -> None:
@@ -415,6 +415,8 @@ ACTS = {
     "euroc-in-seconds": lambda: write(EUROC_FILE, "".join(lines()).replace(" ", ",")),
     "table-and-keyframes": table,
     "table-without-keyframes": lambda: table(keyframes=""),
+    "online": lambda: (poses(), write("trajectory.online.txt", "".join(lines()[:60]))),
+    "online-is-a-link": lambda: (poses(), os.symlink("/etc/passwd", "output/trajectory.online.txt")),
     "table-without-a-column": lambda: table(TABLE_NAMES.replace("frame", "time")),
     "flood": flood,
     "output-too-large": output_too_large,

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 MEASURED = HERE / "measured.json"
 """Columns of a run with all poses, as they are after an evaluation."""
+BESIDE = HERE / "beside.json"
+"""Columns of what lies beside the trajectory, by the behaviours that leave such."""
 OF_ANY = ("attempts", "evaluation", "alignment", "prepared.")
 """Those of them that runs without a result have too; names or how they begin."""
 OF_REFERENCE = ("keyframes", "pathLength", "referencePoses")
@@ -67,6 +69,7 @@ class Behaviour:
         frames: offered, processed and dropped, as far as the algorithm counted them.
         metrics: the algorithm's own values that are kept.
         outcome: of the evaluation; None where there is none.
+        beside: behaviour whose figures of what lies beside the trajectory are kept; None: there are none.
         asked: other fields of the run's spec.
         differs: differences by the name of an executor.
     """
@@ -78,6 +81,7 @@ class Behaviour:
     frames: Mapping[str, int] = field(default_factory=dict)
     metrics: Mapping[str, Any] = field(default_factory=dict)
     outcome: str | None = None
+    beside: str | None = None
     asked: Mapping[str, Any] = field(default_factory=dict)
     differs: Mapping[str, Difference] = field(default_factory=dict)
 
@@ -96,6 +100,8 @@ class Behaviour:
             row |= {name: known[name] for name in OF_REFERENCE}
             row |= {"coverage": 0.0, "coveredLength": 0.0, "estimatePoses": len(self._stamps()), "poses": 0}
         row |= {"phase": self.phase, "reason": self.reason, "message": self.message, "outcome": self.outcome}
+        if self.beside is not None:
+            row |= json.loads(BESIDE.read_text(encoding="utf-8"))[self.beside]
         row["status"] = self.outcome or self.reason or "NotEvaluated"
         told = {"frames": {"offered": FRAMES} | dict(self.frames), "metrics": self.metrics}
         columns: dict[str, Sequence[Any]] = {}
@@ -342,12 +348,14 @@ WRITING = {
         "perhaps?)",
         asked=EUROC_MODE,
     ),
-    "table-and-keyframes": measured(trajectory=TABLE_POSES, asked=TABLE_MODE),
+    "table-and-keyframes": measured(trajectory=TABLE_POSES, asked=TABLE_MODE, beside="table-and-keyframes"),
     "table-without-keyframes": measured(
         "output/KeyFrameTrajectory.txt is missing or not a regular file",
         trajectory=TABLE_POSES,
         asked=TABLE_MODE,
     ),
+    "online": measured(beside="online"),
+    "online-is-a-link": measured(beside="online-is-a-link"),
     "table-without-a-column": failed(
         "InvalidTrajectory",
         "output/table.csv, line 1: the first line has no column 'frame'; it names remark, time, px, py, pz, "
