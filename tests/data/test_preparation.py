@@ -226,17 +226,35 @@ def test_stamps_of_frames_are_sensor_time(lidar_entry: Any, tmp_path: Path) -> N
     assert (variant.folder / FRAMES).read_text().split() == [str(stamp - 12_300_000) for stamp in found]
 
 
-def test_a_variant_without_stamps_of_frames_is_made_again(lidar_entry: Any, tmp_path: Path) -> None:
-    """As an earlier version left it."""
-    first = make(lidar_entry, [Role.LIDAR], tmp_path)
-    kept = (first.folder / FRAMES).read_bytes()
+@pytest.mark.parametrize(("roles", "options"), [(STEREO, {"frameRate": 2}), (RGBD, {"start": "1s"})])
+def test_a_variant_of_an_earlier_version_gets_the_stamps_of_its_frames(
+    camera_entries: Any, tmp_path: Path, roles: Any, options: Any
+) -> None:
+    """While runs may be reading its recording, which stays."""
+    first = make(camera_entries[1.0], roles, tmp_path, **options)
+    kept, recording = (first.folder / FRAMES).read_bytes(), first.path.stat()
     description = json.loads((first.folder / "variant.json").read_text())
-    del description["framesState"]
+    del description["framesSha256"]
+    (first.folder / "variant.json").unlink()
     (first.folder / "variant.json").write_text(json.dumps(description))
     (first.folder / FRAMES).unlink()
-    again = make(lidar_entry, [Role.LIDAR], tmp_path)
-    assert again.key == first.key
+    again = make(camera_entries[1.0], roles, tmp_path, **options)
+    assert again == first
     assert (again.folder / FRAMES).read_bytes() == kept
+    assert (again.path.stat().st_ino, again.path.stat().st_mtime_ns) == (
+        recording.st_ino,
+        recording.st_mtime_ns,
+    )
+    names = ["frames.txt", "recording.bag", "variant.json"]
+    assert sorted(path.name for path in again.folder.iterdir()) == names
+
+
+def test_stamps_of_frames_that_were_changed_are_made_again(lidar_entry: Any, tmp_path: Path) -> None:
+    first = make(lidar_entry, [Role.LIDAR], tmp_path)
+    kept = (first.folder / FRAMES).read_bytes()
+    (first.folder / FRAMES).chmod(0o644)
+    (first.folder / FRAMES).write_bytes(kept.replace(b"1", b"2", 1))
+    assert (make(lidar_entry, [Role.LIDAR], tmp_path).folder / FRAMES).read_bytes() == kept
 
 
 @pytest.mark.parametrize(

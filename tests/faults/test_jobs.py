@@ -52,9 +52,8 @@ class Pod:
             name = path.relative_to(self.root).as_posix()
             if path.is_file() and not any(part.startswith(".") for part in path.relative_to(self.root).parts):
                 content = path.read_bytes()
-                if path.name == "variant.json":  # it knows when its files were made
-                    times = {"state": None, "framesState": None}
-                    content = json.dumps(json.loads(content) | times).encode()
+                if path.name == "variant.json":  # it knows when its recording was made
+                    content = json.dumps(json.loads(content) | {"state": None}).encode()
                 found[name] = hashlib.sha256(content).hexdigest()
         return found
 

@@ -9,6 +9,7 @@ recording, the sensors' calibration, the options that matter and `VERSION`.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -21,9 +22,9 @@ from slamhive.data.checks import check_content
 from slamhive.data.clouds import cloud_filter
 from slamhive.data.entries import recording_sha256
 from slamhive.data.images import scale_camera
-from slamhive.data.once import evict, in_use, make_once
+from slamhive.data.once import evict, flush, in_use, make_once
 from slamhive.data.posetopics import truth_topic
-from slamhive.data.recordings import guess_format, open_recording, recording_paths
+from slamhive.data.recordings import Recording, guess_format, open_recording, recording_paths
 from slamhive.data.selection import select
 from slamhive.data.streams import streams_of
 from slamhive.data.transfer import transfer
@@ -33,14 +34,17 @@ from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.base import seconds
 from slamhive.model.canonical import digest
 from slamhive.model.configuration import SensorView
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, SystemFault
 from slamhive.model.results import Prepared
-from slamhive.model.sensors import ROLE_TYPES, Role, SensorType
+from slamhive.model.sensors import FOLLOWS, ROLE_TYPES, Role, SensorType
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
+
+    import numpy as np
+    import numpy.typing as npt
 
     from slamhive.data.entries import DatasetEntry
     from slamhive.data.selection import Selection
@@ -186,6 +190,7 @@ def prepare(  # noqa: PLR0917 - progress comes last everywhere
         _make(_Request(entry, sensors, wish, target), aside, progress)
 
     make_once(folder, make, _is_sound)
+    _add_frames(folder)
     return _load(folder, key, source)
 
 
@@ -265,9 +270,7 @@ def _make(request: _Request, aside: Path, progress: Callable[[float], None] | No
         else:
             report = _share(progress, 0.3, 1.0)
             transfer(recording, selection, wish, target=path, target_format=target, progress=report)
-    offset = round(selection.primary.time_offset * 10**9)
-    lines = "".join(f"{stamp + offset}\n" for stamp in selection.stamps.tolist())
-    (aside / FRAMES).write_text(lines, encoding="ascii")
+    (aside / FRAMES).write_bytes(_frames_text(selection.stamps, selection.primary.time_offset))
     _describe(request, selection, aside)
     if progress:
         progress(1.0)
@@ -308,7 +311,7 @@ def _describe(request: _Request, selection: Selection, aside: Path) -> None:
         "format": target,
         "recording": FILE_NAMES[target],
         "state": _state(path),
-        "framesState": _changed(aside / FRAMES),
+        "framesSha256": _sha256(aside / FRAMES),
         "sensors": {
             role: view.replace(rate=rates[view.name] or view.rate).as_json() for role, view in views.items()
         },
@@ -321,6 +324,58 @@ def _describe(request: _Request, selection: Selection, aside: Path) -> None:
         "recordedSeconds": selection.recorded_seconds,
     }
     (aside / DESCRIPTION).write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
+
+
+def _add_frames(folder: Path) -> None:
+    """Add the stamps of frames to a variant of an earlier version; runs may be reading its recording.
+
+    Raises:
+        DataError: The recording can't be read.
+        SystemFault: The disk refuses.
+    """
+    try:
+        description = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
+        if "framesSha256" in description:
+            return
+        path, form = folder / description["recording"], RecordingFormat(description["format"])
+        views = [SensorView.model_validate(view) for view in description["sensors"].values()]
+        roles = [Role(role) for role in description["sensors"]]
+        primary = next(
+            view
+            for role, view in zip(roles, views, strict=True)
+            if role is not Role.IMU and role not in FOLLOWS
+        )
+        with Recording([path], form) as recording:
+            stamps = recording.scan([primary.topic])[primary.topic].stamps
+        _replace(folder / FRAMES, _frames_text(stamps, primary.time_offset))
+        described = description | {"framesSha256": _sha256(folder / FRAMES)}
+        _replace(folder / DESCRIPTION, (json.dumps(described, indent=2) + "\n").encode())
+    except OSError as error:
+        raise SystemFault(f"{folder}: {error.strerror or error}") from error
+
+
+def _replace(path: Path, data: bytes) -> None:
+    """Put a file into a variant that others may be reading."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        aside.write_bytes(data)
+        aside.chmod(0o444)
+        flush(aside)
+        aside.replace(path)
+        flush(path.parent)
+    except BaseException:
+        aside.unlink(missing_ok=True)
+        raise
+
+
+def _frames_text(stamps: npt.NDArray[np.int64], time_offset: float) -> bytes:
+    """Return header stamps (ns) as sensor time, a line a frame."""
+    offset = round(time_offset * 10**9)
+    return "".join(f"{stamp + offset}\n" for stamp in stamps.tolist()).encode()
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _state(path: Path) -> list[int] | str:
@@ -340,9 +395,9 @@ def _is_sound(folder: Path) -> bool:
     try:
         description = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
         path = folder / description["recording"]
-        # An earlier version wrote no stamps of frames: its variants are made again.
-        unchanged = _changed(folder / FRAMES) == description.get("framesState")
-        return unchanged and guess_format(path) is not None and _state(path) == description["state"]
+        frames = description.get("framesSha256")
+        changed = frames is not None and _sha256(folder / FRAMES) != frames
+        return not changed and guess_format(path) is not None and _state(path) == description["state"]
     except (OSError, ValueError, KeyError, InputError):
         return False
 
