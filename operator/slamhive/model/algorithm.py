@@ -9,9 +9,19 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from slamhive.contract.posefiles import FRAME_INDEX
-from slamhive.model.base import Choice, Image, Model, Name, Resource, Scalar, Sha256, optional
+from slamhive.model.base import (
+    Choice,
+    Image,
+    Model,
+    Name,
+    RelativePath,
+    Resource,
+    Scalar,
+    Sha256,
+    optional,
+)
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
-from slamhive.model.posefiles import PoseFile, RelativePath, told_files
+from slamhive.model.posefiles import PoseFile, told_files
 from slamhive.model.ros1 import Ros1
 from slamhive.model.sensors import ROLES, Role, SensorMode
 from slamhive.model.templates import FILES_LIMIT, TEMPLATE_LIMIT, TEMPLATES_LIMIT, read_template

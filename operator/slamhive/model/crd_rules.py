@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
-from slamhive.model.algorithm import TEXT_LIMIT, AssetName, RelativePath, SettingsPath
+from slamhive.model.algorithm import TEXT_LIMIT, AssetName, SettingsPath
 from slamhive.model.base import Sha256, explain
 from slamhive.model.run import MappingRunSpec
 from slamhive.model.sweep import IMMUTABLE, MAX_POINTS
@@ -177,7 +177,6 @@ FROZEN: dict[str, tuple[str, ...] | None] = {
 """Fields of a kind's spec that may not change, None for all of them."""
 
 _MEANINGS = {
-    get_args(RelativePath)[1].pattern: "expected a path below its folder: not absolute, no . or .. in it",
     get_args(AssetName)[1].pattern: "expected a path below its folder, without . or .. or a colon in it",
     get_args(SettingsPath)[1].pattern: (
         "expected a path below its folder: letters, digits, . _ - and /, no part that begins with a dot"

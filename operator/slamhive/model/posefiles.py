@@ -8,14 +8,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, StringConstraints, model_validator
 
 from slamhive.contract import posefiles
-from slamhive.model.base import Choice, Model, optional
+from slamhive.model.base import Choice, Model, RelativePath, optional
 
-_SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
-RelativePath = Annotated[
-    str,
-    StringConstraints(pattern=rf"^{_SEGMENT}(/{_SEGMENT})*$", max_length=1024),
-    Field(description="A path that stays below its folder: not absolute, no . or .. in it."),
-]
 ColumnName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 _TAKEN = (
     *("trajectory.txt", "trajectory.online.txt", "trajectory.keyframes.txt"),
