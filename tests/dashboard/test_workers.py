@@ -236,10 +236,15 @@ async def test_it_holds_no_connection_open(workers: Workers) -> None:
     mine, other = os.pipe()
     task = asyncio.create_task(workers.compute(sleep))
     pid = await process_of(workers)
-    await until(lambda: len([*Path(f"/proc/{pid}/fd").iterdir()]) <= 4)
-    os.close(mine)
-    os.close(other)
-    task.cancel()
+    folder = Path(f"/proc/{pid}/fd")
+    try:
+        if not os.access(folder, os.R_OK):
+            pytest.skip("what is open in a process that is closed to inspection is root's to see")
+        await until(lambda: len([*folder.iterdir()]) <= 4)
+    finally:
+        os.close(mine)
+        os.close(other)
+        task.cancel()
 
 
 async def test_one_that_is_gone_takes_no_other_with_it(workers: Workers) -> None:

@@ -203,7 +203,8 @@ def test_numpy_alone_is_imported() -> None:
         "print(*{name.partition('.')[0] for name in sys.modules} - set(sys.stdlib_module_names))"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert {name for name in out.split() if not name.startswith("_")} == {"numpy", "slamhive_eval"}
+    found = {name for name in out.split() if not name.startswith("_")}
+    assert found - {"sitecustomize"} == {"numpy", "slamhive_eval"}  # that one is a distribution's own
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 101])

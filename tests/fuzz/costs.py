@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import resource
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +32,7 @@ class Meter:
         self._costs: list[Cost] = []
         self._began = 0.0
         self._resident = 0.0
+        self._peak = 0.0
         self.largest = [0.0, 0.0]
         if workers is not None:
             workers.told = self._costs.append
@@ -40,15 +40,20 @@ class Meter:
     def begin(self) -> None:
         """Begin to measure."""
         self._costs.clear()
-        with suppress(OSError):
+        self._peak = 0.0
+        try:
             Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak begins anew
+        except OSError:  # a process that is closed to inspection is so to itself, unless it is root's
+            self._peak = _status("VmHWM")
         self._began = _cpu_seconds()
         self._resident = _status("VmRSS")
 
     def end(self) -> str:
         """Return what was too much since it began; empty where nothing was."""
         cpu = _cpu_seconds() - self._began
-        peaks = [_status("VmHWM"), *(cost.memory / 2**20 for cost in self._costs)]
+        peak = _status("VmHWM")
+        mine = peak if peak > self._peak else _status("VmRSS")
+        peaks = [mine, *(cost.memory / 2**20 for cost in self._costs)]
         return self.judge(cpu, max(peaks) - self._resident)
 
     def judge(self, cpu_seconds: float, mib: float) -> str:

@@ -118,7 +118,8 @@ def keep(home: Path, target: Path) -> None:
 def unpack(packed: Path, home: Path) -> None:
     """Unpack a home into a folder and make that its own."""
     with tarfile.open(packed) as archive:
-        archive.extractall(home, filter="tar")
+        archive.extraction_filter = getattr(tarfile, "tar_filter", None)  # Python 3.11.4 has it
+        archive.extractall(home)  # noqa: S202 - an archive of our own
     replace(home, PLACE, str(home))
 
 
