@@ -13,12 +13,20 @@ from executors.executor import Row, differences, outcomes
 from executors.process import Process
 
 from slamhive.data.erasing import erase
+from slamhive.monitor import identify, make_run_cgroup
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
 NOT_MEASURED = ("frames.", "metrics.", "reused")
+
+
+def has_cgroups() -> bool:
+    """Tell whether runs have a control group of their own on this machine."""
+    owner = identify(os.getpid())
+    group = make_run_cgroup(owner) if owner else None
+    return group is not None and group.remove()
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +59,8 @@ def test_the_table_has_all_behaviours() -> None:
 
 @pytest.mark.parametrize("name", table.expected("process"))
 def test_a_workstation_makes_of_it_what_the_table_says(name: str, behaved: dict[str, Row]) -> None:
+    if name == "forks" and not has_cgroups():
+        pytest.skip("without a control group, which takes root, 400 processes meet any limit first")
     assert differences(behaved[name], table.expected("process")[name]) == []
 
 

@@ -147,7 +147,7 @@ class System:
 
     def supervisors(self) -> list[int]:
         """Return the living supervisors of this home, by what started them: they are closed to inspection."""
-        found, alive = [], {*self.alive()}
+        found, alive = [], {*self.alive(), *(process.pid for process in self._started)}
         for entry in Path("/proc").iterdir():
             with suppress(OSError):
                 if entry.name.isdigit() and b"slamhive.monitor" in (entry / "cmdline").read_bytes():

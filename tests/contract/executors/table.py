@@ -18,7 +18,6 @@ from executors import algorithm
 from executors.executor import BEHAVIOUR, REUSED, Row, outcomes
 
 from slamhive.analysis.flattening import spread
-from slamhive.monitor import identify, make_run_cgroup
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -207,17 +206,6 @@ OWN_FILES = {
 }
 """Modes in which the program writes its poses in its own way; each takes the LiDAR alone."""
 
-NO_GROUP = "without a control group, what processes share counts in each of them"
-TOO_MUCH = {"reason": "OutOfMemory", "message": "it needed more memory than its limit of 128 MiB"}
-
-
-def has_cgroups() -> bool:
-    """Tell whether runs have a control group of their own on this machine, which takes root."""
-    owner = identify(os.getpid())
-    group = make_run_cgroup(owner) if owner else None
-    return group is not None and group.remove()
-
-
 ENDING = {
     "well": measured(frames=COUNTED, metrics=SAID),
     "crash-before-configuration": crashed(
@@ -247,10 +235,7 @@ ENDING = {
     "real-time-signal": crashed("ended by signal 37 (SIGRTMIN+3)"),
     "hang": endless("DeadlineExceeded", TOO_LONG),
     "deaf": endless("DeadlineExceeded", TOO_LONG),
-    "forks": replace(
-        endless("DeadlineExceeded", TOO_LONG),
-        differs={"process": Difference(NO_GROUP, {} if has_cgroups() else TOO_MUCH)},
-    ),
+    "forks": endless("DeadlineExceeded", TOO_LONG),
     "log": endless("DeadlineExceeded", TOO_LONG),
     "memory": failed("OutOfMemory", "it needed more memory than its limit of 128 MiB"),
     "orphans": measured(),
