@@ -131,6 +131,23 @@ def test_matrices_of_all_turns(output: Path, tmp_path: Path, seed: int) -> None:
     np.testing.assert_allclose(matrices(found)[:, :3], wanted, atol=1e-14)
 
 
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_tables_without_a_first_line(output: Path, separator: str) -> None:
+    header = ("n", "timestamp", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "n")
+    rows = [f"1 {7 + k} 1 2 3 0.5 0.5 -0.5 0.5 9" for k in range(2)]
+    (output / "table.csv").write_text(
+        "\n# a, remark; it is\n" + "\n".join(rows).replace(" ", separator) + "\n"
+    )
+    found = converted(output, PoseFile("table.csv", "Csv", "s", columns=SAME_NAMES, header=header))
+    assert found.tolist() == [[7, 1, 2, 3, 0.5, -0.5, 0.5, 0.5], [8, 1, 2, 3, 0.5, -0.5, 0.5, 0.5]]
+
+
+def test_a_first_line_that_was_said_not_to_be_there(output: Path) -> None:
+    (output / "table.csv").write_text(",".join(COLUMNS) + "\n1,1,2,3,0,0,0,1\n")
+    with pytest.raises(TextFault, match=r"line 1: 'timestamp' is no number; expected the columns that its"):
+        converted(output, PoseFile("table.csv", "Csv", "s", columns=SAME_NAMES, header=COLUMNS))
+
+
 @pytest.mark.parametrize(
     ("head", "row", "columns"),
     [

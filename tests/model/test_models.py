@@ -46,6 +46,12 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
         (PoseFile, {"path": "trajectory.txt", "format": "Tum"}, "is the contract's own file"),
         (PoseFile, {"path": "a", "format": "Tum", "columns": {}}, "only the format Csv takes it"),
         (PoseFile, {"path": "a", "format": "Csv", "columns": {"x": "a"}}, "Extra inputs"),
+        (PoseFile, {"path": "a", "format": "Euroc", "header": ["t"] * 8}, "only the format Csv takes it"),
+        (
+            PoseFile,
+            {"path": "a", "format": "Csv", "header": ["t", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]},
+            "header: it has no column 'timestamp'",
+        ),
         (PoseFile, {"path": "a", "format": "Tum", "stamps": "ms"}, "'s', 'ns' or 'frame-index'"),
         (
             AlgorithmSpec,

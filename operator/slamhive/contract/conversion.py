@@ -44,7 +44,7 @@ _MEANINGS = {
     TUM: "expected timestamp tx ty tz qx qy qz qw",
     EUROC: "expected timestamp, tx, ty, tz, qw, qx, qy, qz",
     KITTI: "expected the 3×4 pose matrix row by row, perhaps after the frame index",
-    CSV: "expected the columns that the first line names",
+    CSV: "expected the columns that its header names",
 }
 
 
@@ -237,10 +237,15 @@ class _Rows:
     def _cells(self, line: bytes) -> list[bytes] | None:
         if not line.strip():
             return None
+        remark = line.lstrip().startswith(b"#")
         if self._table is None:
-            self._table = _Table.of(line, self._source.columns or {name: name for name in COLUMNS})
-            return None
-        return None if line.lstrip().startswith(b"#") else self._table.cells(line)
+            if remark and self._source.header is not None:
+                return None
+            columns = self._source.columns or {name: name for name in COLUMNS}
+            self._table = _Table.of(line, columns, self._source.header)
+            if self._source.header is None:
+                return None
+        return None if remark else self._table.cells(line)
 
     def _kitti(self, words: list[bytes]) -> tuple[bytes, list[bytes]]:
         """Return the stamp of a line with a matrix, and the words of its pose."""
@@ -299,11 +304,17 @@ class _Table:
         self._separator = separator
 
     @classmethod
-    def of(cls, line: bytes, columns: Mapping[str, str]) -> _Table:
-        """Read the first line."""
+    def of(cls, line: bytes, columns: Mapping[str, str], header: Sequence[str] | None) -> _Table:
+        """Read the first line.
+
+        Args:
+            line: it.
+            columns: as `PoseFile` has them.
+            header: the names where that line has none.
+        """
         text = line.decode("utf-8", "replace").strip().removeprefix("#").strip()
         separator = next((one for one in _SEPARATORS if one in text), None)
-        names = [_bare(cell) for cell in text.split(separator)]
+        names = header or [_bare(cell) for cell in text.split(separator)]
         return cls(names, [columns[name] for name in COLUMNS], separator.encode() if separator else None)
 
     def cells(self, line: bytes) -> list[bytes]:

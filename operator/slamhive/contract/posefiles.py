@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 TUM, EUROC, KITTI, CSV = FORMATS = ("Tum", "Euroc", "Kitti", "Csv")
 SECONDS, NANOSECONDS, FRAME_INDEX = STAMPS = ("s", "ns", "frame-index")
@@ -29,6 +29,7 @@ class PoseFile:
         stamps: One of STAMPS.
         inverted: Its poses are those of the world in the sensor's frame.
         columns: Of a CSV file, the name in its first line of each of COLUMNS.
+        header: Of a CSV file without such a line, the names that it would have.
     """
 
     path: str
@@ -36,6 +37,7 @@ class PoseFile:
     stamps: str
     inverted: bool = False
     columns: Mapping[str, str] | None = None
+    header: Sequence[str] | None = None
 
     def __post_init__(self) -> None:
         parts = self.path.split("/") if isinstance(self.path, str) else [""]
@@ -50,11 +52,21 @@ class PoseFile:
             and all(isinstance(x, str) for x in names.values())
         ):
             raise ValueError(f"columns of {self.path} must name {', '.join(COLUMNS)}")
+        header = self.header
+        if header is not None and not (
+            isinstance(header, (list, tuple)) and all(isinstance(x, str) for x in header)
+        ):
+            raise ValueError(f"header of {self.path} must be a list of names")
 
     def as_json(self) -> dict[str, Any]:
         """Return it as plain values."""
-        told = {"path": self.path, "format": self.format, "stamps": self.stamps, "inverted": self.inverted}
-        return told if self.columns is None else {**told, "columns": dict(self.columns)}
+        told: dict[str, Any] = {"path": self.path, "format": self.format}
+        told |= {"stamps": self.stamps, "inverted": self.inverted}
+        if self.columns is not None:
+            told["columns"] = dict(self.columns)
+        if self.header is not None:
+            told["header"] = list(self.header)
+        return told
 
 
 @dataclass(frozen=True, slots=True)

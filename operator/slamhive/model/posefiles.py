@@ -45,10 +45,16 @@ class PoseFile(Model):
     path: RelativePath = Field(description="The file in the output folder.")
     format: PoseFormat = Field(
         description="Tum: t tx ty tz qx qy qz qw. Euroc: t, tx, ty, tz, qw, qx, qy, qz and more. Kitti: the "
-        "3×4 pose matrix row by row. Csv: a first line that names the columns."
+        "3×4 pose matrix row by row. Csv: a table with commas, semicolons, tabs or spaces, whose first line "
+        "names the columns."
     )
     columns: PoseColumns | None = optional(
         "Csv: the names of its columns, where they are others than timestamp, tx, ty, tz, qx, qy, qz, qw."
+    )
+    header: list[ColumnName] | None = optional(
+        "Csv: the names of all its columns from the first on, where no first line of the file has them.",
+        min_length=8,
+        max_length=1000,
     )
     inverted: bool = Field(
         default=False, description="Whether it has the world's pose in the sensor's frame: it is inverted."
@@ -62,6 +68,8 @@ class PoseFile(Model):
     def _readable(self) -> Self:
         if self.columns is not None and self.format is not PoseFormat.CSV:
             raise ValueError("columns: only the format Csv takes it")
+        if self.header is not None:
+            self._check_header(self.header)
         if self.path in _TAKEN:
             raise ValueError(
                 f"path: {self.path} is the contract's own file; have the program write another, which is "
@@ -71,6 +79,14 @@ class PoseFile(Model):
             raise ValueError("path: expected printable characters alone")
         return self
 
+    def _check_header(self, header: list[str]) -> None:
+        if self.format is not PoseFormat.CSV:
+            raise ValueError("header: only the format Csv takes it")
+        for name in (self.columns or PoseColumns()).model_dump().values():
+            if header.count(name) != 1:
+                found = "no column" if name not in header else f"{header.count(name)} columns"
+                raise ValueError(f"header: it has {found} {name!r}, of which one is needed")
+
     @property
     def told(self) -> posefiles.PoseFile:
         """Return what supervisor and sidecar are told of it."""
@@ -78,7 +94,8 @@ class PoseFile(Model):
         if self.format is PoseFormat.CSV:
             columns = (self.columns or PoseColumns()).model_dump()
         stamps = self.stamps or posefiles.USUAL_STAMPS[self.format]
-        return posefiles.PoseFile(self.path, str(self.format), stamps, self.inverted, columns)
+        header = None if self.header is None else tuple(self.header)
+        return posefiles.PoseFile(self.path, str(self.format), stamps, self.inverted, columns, header)
 
 
 def told_files(trajectory: PoseFile | None, keyframes: PoseFile | None, frames: str) -> dict[str, Any] | None:
