@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from slamhive.analysis.columns import Column
 from slamhive.analysis.comparing import compare
 from slamhive.analysis.derived import with_derived
+from slamhive.analysis.grouping import aggregate
 from slamhive.analysis.importance import importance
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import nondominated, pareto
@@ -71,6 +72,45 @@ def test_ranks_do_not_depend_on_the_metres_of_a_dataset() -> None:
 def test_equals_share_a_rank_and_are_unsure_of_it() -> None:
     (board,) = leaderboard(frame_of(study({"a": 1.0, "b": 1.0}, spread=0.3))).boards
     assert all(entry.rank_interval.low == 1 and entry.rank_interval.high == 2 for entry in board.entries)
+
+
+def test_keyframes_that_were_lost_are_ranked_last_though_their_run_was_tracked() -> None:
+    metric, outcome = "beside.keyframes.ate.rmse", "beside.keyframes.outcome"
+    lost, partial = {metric: None, outcome: "Lost"}, {metric: 1e-4, outcome: "Partial"}
+    rows = [
+        make_row(name, f"dataset-{d}", 1.0, **more)
+        for d in range(3)
+        for name, more in (
+            ("steady", {metric: 2.0, outcome: "Tracked"}),
+            ("lost", lost),
+            ("partial", partial),
+            ("without", {metric: None, outcome: None}),
+        )
+    ]
+    (board,) = leaderboard(frame_of(rows), metric).boards
+    ratios = {entry.keys["algorithm"]: entry.ratio for entry in board.entries}
+    assert ratios == {
+        "steady": 1.0,
+        "lost": math.inf,
+        "partial": math.inf,
+        "without": pytest.approx(math.nan, nan_ok=True),
+    }
+    found = aggregate(frame_of(rows), [metric])
+    medians = {cell.keys["algorithm"]: cell.figures[metric].censored_median for cell in found.cells}
+    assert medians == {"steady": 2.0, "lost": math.inf, "partial": math.inf, "without": None}
+
+
+def test_equal_final_trajectories_say_nothing_of_the_spread_of_those_beside_them() -> None:
+    rows = [
+        make_row("a", "d", 1.0, **{"trajectory.sha256": "same", "beside.online.ate.rmse": error})
+        for error in (1.0, 3.0)
+    ]
+    (cell,) = aggregate(frame_of(rows), ["ate.rmse", "beside.online.ate.rmse"]).cells
+    final, online = (cell.figures[name].summary for name in ("ate.rmse", "beside.online.ate.rmse"))
+    assert final is not None
+    assert final.std is None
+    assert online is not None
+    assert online.std == pytest.approx(math.sqrt(2))
 
 
 def test_failed_runs_are_ranked_last_and_never_dropped() -> None:

@@ -82,6 +82,21 @@ def test_numbers_that_are_none_have_a_dash(browser: Any, site: str) -> None:
     assert not {"NaN", "null", "undefined", "Infinity"} & set(facts.values())
 
 
+def test_poses_beside_a_trajectory_have_rows_of_their_own(browser: Any, site: str) -> None:
+    browser.open(f"{site}/runs/run-012")
+    rows = browser.run(
+        "[...document.querySelector('table').rows].map((row) =>"
+        " [...row.cells].map((cell) => cell.innerText.trim()))"
+    )
+    found = {row["poses"]: row for row in (dict(zip(rows[0], row, strict=True)) for row in rows[1:])}
+    assert [*found] == ["trajectory", "keyframes", "poses as first published"]
+    assert found["keyframes"]["ATE rmse [m]"] == "0.125"
+    assert found["poses as first published"]["outcome"] == "Partial"
+    assert found["poses as first published"]["remark"] == "the estimate covers 40%"
+    browser.open(f"{site}/runs/run-004")
+    assert "poses" not in browser.run("document.querySelector('table').rows[0].innerText")
+
+
 def test_settings_files_stand_on_the_page_of_a_run_as_they_are(browser: Any, site: str) -> None:
     browser.open(f"{site}/runs/run-000")
     browser.wait(

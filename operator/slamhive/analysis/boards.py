@@ -84,13 +84,14 @@ class Grid:
 class Marks:
     """What each row of a table counts for; fields as in ``Grid``."""
 
+    numbers: Floats
     counted: Mask
     failed: Mask
     coverage: Floats
 
     def of(self, rows: Indices) -> Marks:
         """Return the marks of some rows."""
-        return Marks(self.counted[rows], self.failed[rows], self.coverage[rows])
+        return Marks(self.numbers[rows], self.counted[rows], self.failed[rows], self.coverage[rows])
 
 
 @dataclass(frozen=True)
@@ -132,14 +133,16 @@ def prepare(
     notes += [*pooling_notes(pooled), *disturbance_notes(frame, metrics), *unranked_notes(frame, outcomes)]
     if by_dataset:
         facets = [*facets, "dataset"]
-    marks = Marks(counting(frame, outcomes), worst(frame, metrics[0], outcomes), covered(frame))
+    metric = metrics[0]
+    numbers = np.where(sound(frame, metric, outcomes), frame.column(metric).floats(), np.nan)
+    marks = Marks(numbers, counting(frame, outcomes), worst(frame, metric, outcomes), covered(frame))
     groups = Groups(frame, facets)
     told = [name for name in by if name not in facets]
     grids = []
     for rows, shared in zip(groups.members(), groups.keys, strict=True):
         inside = frame.select(rows)
         for part in _comparable(inside, told):
-            grids.append(_grid(inside.select(part), shared, metrics[0], told, marks.of(rows[part])))  # noqa: PERF401
+            grids.append(_grid(inside.select(part), shared, metric, told, marks.of(rows[part])))  # noqa: PERF401
     grids.sort(key=lambda grid: -len(grid.frame))
     return Prepared(grids, tuple(notes))
 
@@ -163,15 +166,14 @@ def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
 
 def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], marks: Marks) -> Grid:
     competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
-    numbers = np.where(sound(frame, metric), frame.column(metric).floats(), np.nan)
     medians = np.full((competitors.count, datasets.count), np.nan)
     members: dict[tuple[int, int], Indices] = {}
     for rows in Groups(frame, (*by, "dataset")).members():
         place = (int(competitors.of_row[rows[0]]), int(datasets.of_row[rows[0]]))
         members[place] = rows
-        ranked = ranked_errors(numbers[rows], marks.counted[rows], marks.failed[rows])
+        ranked = ranked_errors(marks.numbers[rows], marks.counted[rows], marks.failed[rows])
         if len(ranked):
             medians[place] = median_of_sorted(ranked)
     names = [key["dataset"] for key in datasets.keys]
-    told = (metric, facets, frame, competitors.keys, names, members, numbers)
+    told = (metric, facets, frame, competitors.keys, names, members)
     return Grid(*told, **vars(marks), medians=medians)

@@ -9,6 +9,7 @@ docs/results.md, "What counts", says the same in words.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -76,7 +77,9 @@ CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
 """What the names of settings begin with."""
 
 ERRORS = ("ate.", "rpe[", "relations.", "ateRotationDeg.")
-"""What the names of errors begin with: they rank failed runs last, and equal trajectories have equal ones."""
+"""What the names of errors begin with, which follow from a run's trajectory: equal ones have equal errors."""
+
+_BESIDE = re.compile(r"(beside\.\w+\.)(.+)")
 
 FAILED_OF_ITSELF = frozenset(
     {
@@ -279,16 +282,33 @@ def failing(frame: Frame, outcomes: Outcomes) -> Mask:
     return failed
 
 
+def is_error(metric: str) -> bool:
+    """Tell whether a metric is an error, of a run's trajectory or of one beside it: failed runs rank last."""
+    beside = _BESIDE.fullmatch(metric)
+    return (metric if beside is None else beside[2]).startswith(ERRORS)
+
+
+def falling_short(frame: Frame, metric: str) -> Mask:
+    """Tell which rows' metric is of a trajectory beside the run's own that is no tracked one, (n,)."""
+    beside = _BESIDE.fullmatch(metric)
+    if beside is None:
+        return np.zeros(len(frame), dtype=bool)
+    name = f"{beside[1]}outcome"
+    return frame.column(name).present & ~where_equal(frame, name, Outcome.TRACKED.value)
+
+
 def worst(frame: Frame, metric: str, outcomes: Outcomes) -> Mask:
     """Tell which rows rank behind all numbers of a metric, (n,).
 
-    Those that failed of themselves; and where all evaluated runs count, those that lost their way so that
-    they have no error at all.
+    Those that failed of themselves, or whose trajectory that the metric is of did; and where all evaluated
+    runs count, those that lost their way so that they have no error at all.
     """
-    last = failing(frame, outcomes)
-    if outcomes is Outcomes.ALL and metric.startswith(ERRORS):
+    last, short = failing(frame, outcomes), falling_short(frame, metric)
+    if outcomes is Outcomes.TRACKED:
+        return last | short
+    if is_error(metric):
         without = np.isnan(frame.column(metric).floats()) & frame.column("outcome").present
-        last = last | (without & ~where_equal(frame, "status", Outcome.TRACKED.value))
+        last = last | (without & (short | ~where_equal(frame, "status", Outcome.TRACKED.value)))
     return last
 
 
@@ -317,10 +337,10 @@ def where_equal(frame: Frame, name: str, value: Any) -> Mask:
     return equal
 
 
-def sound(frame: Frame, name: str) -> Mask:
-    """Tell which rows' figure of a name can be believed, (n,)."""
+def sound(frame: Frame, name: str, outcomes: Outcomes = Outcomes.TRACKED) -> Mask:
+    """Tell which rows' figure of a name counts, (n,), where the run itself does."""
     if name not in DISTURBED:
-        return np.ones(len(frame), dtype=bool)
+        return np.ones(len(frame), dtype=bool) if outcomes is Outcomes.ALL else ~falling_short(frame, name)
     return ~(frame.column("disturbed").floats() > 0)
 
 
@@ -456,8 +476,8 @@ class _Material:
         self._metrics = {
             name: (
                 frame.column(name).floats(),
-                self._counted & sound(frame, name),
-                worst(frame, name, outcomes) if name.startswith(ERRORS) else None,
+                self._counted & sound(frame, name, outcomes),
+                worst(frame, name, outcomes) if is_error(name) else None,
             )
             for name in metrics
         }
@@ -492,7 +512,7 @@ class _Material:
         failed = int(np.count_nonzero(worst_[rows]))
         ranked = ranked_errors(numbers, inside, worst_[rows])
         middle = median_of_sorted(ranked) if len(ranked) else None
-        if same and summary is not None:
+        if same and summary is not None and name.startswith(ERRORS):
             # One result, however often it came out: there is no sample that could have a spread.
             mean = summary.median if summary.min == summary.max else summary.mean
             one = replace(summary, mean=mean, std=None)

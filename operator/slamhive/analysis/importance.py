@@ -26,9 +26,9 @@ from slamhive.analysis.grouping import (
     apart,
     counting,
     disturbance_notes,
-    failing,
     sound,
     varying,
+    worst,
 )
 from slamhive.analysis.statistics import rank_correlation
 
@@ -113,7 +113,7 @@ def importance(
     logarithms = np.full(len(frame), np.nan)
     positive = counted & (numbers > 0)
     logarithms[positive] = np.log(numbers[positive])
-    failed = failing(frame, Outcomes.TRACKED)
+    failed = worst(frame, metric, Outcomes.TRACKED)
     subjects: list[Influences] = []
     small = 0
     for rows, keys in zip(groups.members(), groups.keys, strict=True):

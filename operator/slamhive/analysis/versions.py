@@ -29,6 +29,8 @@ from slamhive.analysis.grouping import (
     counting,
     disturbance_notes,
     failing,
+    falling_short,
+    is_error,
     ranked_errors,
     sound,
     tally,
@@ -208,7 +210,7 @@ class Change:
         better, worse, same = self.wins
         count = len(self.settings)
         settings = "1 setting" if count == 1 else f"{count} settings"
-        up, down = ("worse", "better") if self.metric.startswith(ERRORS) else ("higher", "lower")
+        up, down = ("worse", "better") if is_error(self.metric) else ("higher", "lower")
         if same == count:
             return f"after is the same in {same} of {settings}"
         if not math.isfinite(self.ratio):
@@ -266,9 +268,9 @@ class _Material:
         self._subject = [*shared, *(name for name in facets if name != other)]
         self._setting = ["dataset", *(name for name in facets if name == other)]
         self._numbers = self._frame.column(metric).floats()
-        self._counted = counting(self._frame, outcomes) & sound(self._frame, metric)
+        self._counted = counting(self._frame, outcomes) & sound(self._frame, metric, outcomes)
         self._counted &= ~np.isnan(self._numbers)
-        self._failed = failing(self._frame, outcomes)
+        self._failed = failing(self._frame, outcomes) | falling_short(self._frame, metric)
         self._moments = self._latest()
 
     def _latest(self) -> dict[tuple[Any, Any], tuple[float, float]]:

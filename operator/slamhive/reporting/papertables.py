@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis import Metric, Outcomes
-from slamhive.analysis.grouping import ERRORS, aggregate
+from slamhive.analysis.grouping import aggregate, is_error
 from slamhive.model.base import Choice
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.grouping import Cell
 
-SMALL_IS_GOOD = (*ERRORS, "usage.", "frames.dropped")
+SMALL_IS_GOOD = ("usage.", "frames.dropped")
 """What the names of columns begin with whose smallest number is the best."""
 
 LARGE_IS_GOOD = ("coverage", "frames.processed")
@@ -327,6 +327,6 @@ def _costs(place: Place | None, metrics: Sequence[Metric]) -> list[float]:
 
 def _way(column: str) -> int:
     """Return 1 where small is good, -1 where large is, 0 where neither is known."""
-    if column.startswith(SMALL_IS_GOOD):
+    if is_error(column) or column.startswith(SMALL_IS_GOOD):
         return 1
     return -1 if column in LARGE_IS_GOOD else 0

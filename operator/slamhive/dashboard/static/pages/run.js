@@ -202,9 +202,29 @@ function Facts({ title, value, keep = null, folded = false }) {
     `;
 }
 
+/** What a trajectory beside a run's own is called. @type {Record<string, string>} */
+const BESIDE = { keyframes: 'keyframes', online: 'poses as first published' };
+
+/**
+ * The rows of a result: its own, and one for each trajectory that was measured beside it.
+ * @param {any} result
+ * @returns {any[]}
+ */
+const withOthers = ({ beside, ...own }) => [
+  { ...own, of: 'trajectory' },
+  ...Object.entries(beside ?? {}).map(([word, found]) => ({
+    evaluation: own.evaluation,
+    alignment: own.alignment,
+    ...found,
+    of: BESIDE[word] ?? word,
+  })),
+];
+
 /** @param {{results: Api.Run['results']}} props */
 function Results({ results }) {
   if (results.length === 0) return null;
+  const rows = results.flatMap(withOthers);
+  const others = rows.length > results.length;
   /**
    * @param {string} name
    * @param {string} title
@@ -219,6 +239,7 @@ function Results({ results }) {
   /** @type {TableColumn[]} */
   const columns = [
     { name: 'evaluation', title: 'evaluation' },
+    ...(others ? [{ name: 'of', title: 'poses' }] : []),
     { name: 'alignment', title: 'alignment' },
     { name: 'outcome', title: 'outcome', show: (value) => html`<${Status} value=${value} />` },
     { name: 'coverage', title: 'coverage', kind: 'number' },
@@ -227,10 +248,13 @@ function Results({ results }) {
       metre(`ate.${which}`, `ATE ${which} [m]`, (row) => row.ate?.[which]),
     ),
     metre('rpe', 'RPE rmse [m]', (row) => row.rpe?.[0]?.rmse ?? row.rpe?.[0]?.translation?.rmse),
+    ...(rows.some((row) => row.of !== 'trajectory' && row.message)
+      ? [{ name: 'message', title: 'remark', show: (/** @type {unknown} */ text) => clip(cell(text), 200) }]
+      : []),
   ];
   return html`
     <h2>Measured</h2>
-    <${Table} columns=${columns} rows=${results} caption="Results by evaluation" />
+    <${Table} columns=${columns} rows=${rows} caption="Results by evaluation" />
   `;
 }
 
