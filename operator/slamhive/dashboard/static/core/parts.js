@@ -167,6 +167,20 @@ export const Choice = ({ label, value, options, onChange, error, none }) => {
 };
 
 /**
+ * Which runs enter the figures.
+ * @param {{value: string, error?: any, onChange: (value: string) => void}} props
+ */
+export const Outcomes = ({ value, error = null, onChange }) => html`
+  <${Choice}
+    label="Runs"
+    value=${value}
+    options=${[['tracked', 'tracked'], ['all', 'all evaluated']]}
+    error=${error}
+    onChange=${onChange}
+  />
+`;
+
+/**
  * @param {Offered | OfferedGroup} option
  * @returns {option is OfferedGroup}
  */

@@ -9,7 +9,7 @@ import { csvOf, fetchJson, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
 import { clip, headingOf, namedValue } from '../core/format.js';
-import { Choice, Fault, Link, NothingFits, Notes, Tick, useTitle, Waiting } from '../core/parts.js';
+import { Choice, Fault, Link, Notes, NothingFits, Outcomes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
 import { groupTable, GroupTable } from './groups.js';
 import { Heat } from './heat.js';
@@ -249,10 +249,8 @@ function Controls({ columns, set, change, error, field }) {
         ${
           !['scatter', 'parallel', 'pareto'].includes(set.kind) &&
           html`
-            <${Choice}
-              label="Runs"
+            <${Outcomes}
               value=${set.outcomes}
-              options=${[['tracked', 'tracked'], ['all', 'all evaluated']]}
               error=${wrong('outcomes')}
               onChange=${(outcomes) => change({ outcomes })}
             />

@@ -8,7 +8,7 @@ import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
 import { cell, clip, columnTitle, keysText, number, SUBJECT, tellingKeys } from '../core/format.js';
-import { Choice, Fault, Link, Notes, Table, useTitle, Waiting } from '../core/parts.js';
+import { Choice, Fault, Link, Notes, Outcomes, Table, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 import { Common, EACH_RUN, Narrowing } from './common.js';
 import { failureText } from './groups.js';
@@ -159,10 +159,8 @@ export default function Studies() {
                 ${
                   study.settings.includes('outcomes') &&
                   html`
-                    <${Choice}
-                      label="Runs"
+                    <${Outcomes}
                       value=${set.outcomes}
-                      options=${[['tracked', 'tracked'], ['all', 'all evaluated']]}
                       error=${wrong('outcomes')}
                       onChange=${(outcomes) => change({ outcomes })}
                     />
