@@ -19,8 +19,7 @@ import yaml
 from slamhive.kube.builders.sending import sender_job
 from slamhive.kube.errors import NotFound, ServerFault
 from slamhive.kube.user import sending
-from slamhive.kube.user.filing import Filed, Filing, Wanted
-from slamhive.kube.user.folders import RunFolder
+from slamhive.kube.user.run_files import Filed, Filing, RunFolder, Wanted
 from slamhive.model.errors import DataError, SystemFault
 
 if TYPE_CHECKING:
@@ -115,8 +114,8 @@ def volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Volume:
     async def sender(*_: Any) -> AsyncIterator[Volume]:
         yield found
 
-    monkeypatch.setattr("slamhive.kube.user.filing.sender", sender)
-    monkeypatch.setattr("slamhive.kube.user.filing._PAUSE_SECONDS", 0.0)
+    monkeypatch.setattr("slamhive.kube.user.run_files.sender", sender)
+    monkeypatch.setattr("slamhive.kube.user.run_files._PAUSE_SECONDS", 0.0)
     return found
 
 
@@ -293,7 +292,7 @@ def test_a_full_disk_ends_it_in_a_sentence(
     def full(*_: Any) -> int:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("slamhive.kube.user.folders.Incoming.write", full)
+    monkeypatch.setattr("slamhive.kube.user.run_files.Incoming.write", full)
     with pytest.raises(SystemFault, match="No space left"):
         fetch(volume.put("one"))
 

@@ -12,10 +12,10 @@ from kubernetes.aio.client import ApiClient, Configuration
 
 from slamhive.kube.errors import Forbidden
 from slamhive.kube.kinds import Kind, Label
-from slamhive.kube.user import reading
+from slamhive.kube.user import logs
 from slamhive.kube.user.api import UserApi
 from slamhive.kube.user.connecting import Cluster, Target
-from slamhive.kube.user.reading import Part, read_log
+from slamhive.kube.user.logs import Part, read_log
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
@@ -68,7 +68,7 @@ class Server:
 
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
-    monkeypatch.setattr(reading, "_PAUSE_SECONDS", 0.0)
+    monkeypatch.setattr(logs, "_PAUSE_SECONDS", 0.0)
     return Server()
 
 

@@ -13,8 +13,7 @@ import uvicorn
 
 from slamhive.dashboard.app import create_app
 from slamhive.dashboard.connections import Connection, connections
-from slamhive.dashboard.health import Health
-from slamhive.dashboard.serving import _Server, listen
+from slamhive.dashboard.serving import Health, _Server, listen
 from slamhive.dashboard.sources import Workstation
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from slamhive.cli.console import bytes_text, command_name, complain, err, open_a
 from slamhive.cli.exits import FAILED, INTERRUPTED
 from slamhive.kube.kinds import Kind
 from slamhive.kube.user.fetching import Fetched, Fetcher, put_folder, remarks
-from slamhive.kube.user.filing import Filed, Filing, Wanted
-from slamhive.kube.user.looking import find
+from slamhive.kube.user.queries import find
+from slamhive.kube.user.run_files import Filed, Filing, Wanted
 from slamhive.kube.user.submitting import read_catalog
 from slamhive.local.home import Home, lock
 from slamhive.model.errors import InputError

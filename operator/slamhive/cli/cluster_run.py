@@ -19,7 +19,7 @@ from slamhive.cli.results import show_table
 from slamhive.kube.errors import ApiError, NotFound
 from slamhive.kube.kinds import Key, Kind, Object
 from slamhive.kube.records import record_of
-from slamhive.kube.user.looking import has_failed, is_over, is_stuck, name_of, runs_of, status_of, troubles
+from slamhive.kube.user.queries import has_failed, is_over, is_stuck, name_of, runs_of, status_of, troubles
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
 from slamhive.model.sweep import Sweep

@@ -18,8 +18,8 @@ from slamhive.cli.planning import planned, sweeps_of
 from slamhive.kube.kinds import Kind
 from slamhive.kube.user import cancelling
 from slamhive.kube.user.connecting import Cluster, connected, find_target
+from slamhive.kube.user.logs import Part, read_log
 from slamhive.kube.user.manifests import STDIN, Manifest, common_namespace, read_manifests
-from slamhive.kube.user.reading import Part, read_log
 from slamhive.kube.user.submitting import (
     ClusterCatalog,
     Deed,

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from slamhive.analysis.common import Common
     from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.artifacts import Place
+    from slamhive.dashboard.ground_truth import Truth
     from slamhive.dashboard.sources import Snapshot, Source
-    from slamhive.dashboard.truths import Truth
     from slamhive.model.results import Result, RunRecord
     from slamhive.tables.queries import Pairs
     from slamhive_eval import Evaluation

@@ -20,8 +20,8 @@ from slamhive.model.templates import FILES_LIMIT
 if TYPE_CHECKING:
     from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.artifacts import Place
+    from slamhive.dashboard.ground_truth import Truth
     from slamhive.dashboard.sources import Snapshot, Source
-    from slamhive.dashboard.truths import Truth
     from slamhive.model.results import Result, RunRecord
 
 _PARTS = ("usage", "frames", "trajectory")

@@ -13,13 +13,12 @@ from starlette.exceptions import HTTPException
 
 from slamhive import __version__
 from slamhive.dashboard import routes, routes_catalog, routes_studies
-from slamhive.dashboard.docs import docs_page
 from slamhive.dashboard.encoding import encode_json
 from slamhive.dashboard.events import Events
-from slamhive.dashboard.pages import Pages
+from slamhive.dashboard.pages import Pages, docs_page
 from slamhive.dashboard.problems import RETRY_SECONDS, Problem, told
+from slamhive.dashboard.security import Shield
 from slamhive.dashboard.service import Service
-from slamhive.dashboard.shield import Shield
 from slamhive.model.errors import InputError, SystemFault
 
 if TYPE_CHECKING:

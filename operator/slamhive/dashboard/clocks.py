@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Floats
     from slamhive.dashboard.artifacts import Place
-    from slamhive.dashboard.truths import Truth
+    from slamhive.dashboard.ground_truth import Truth
     from slamhive.model.results import RunRecord
     from slamhive_eval import Trajectory
 

@@ -16,6 +16,7 @@ from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.flattening import bound, stack
 from slamhive.analysis.frame import Frame
 from slamhive.dashboard.artifacts import Place
+from slamhive.dashboard.ground_truth import Truths
 from slamhive.dashboard.live import (
     Cluster,
     catalog_entry,
@@ -25,7 +26,6 @@ from slamhive.dashboard.live import (
     sweep_in_short,
 )
 from slamhive.dashboard.sources import ArchiveData, Snapshot
-from slamhive.dashboard.truths import Truths
 from slamhive.dashboard.watching import Follower, open_session
 from slamhive.kube.client import Api
 from slamhive.kube.errors import ApiError, NotFound
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from aiohttp import ClientSession
 
     from slamhive.archive.records import CatalogEntry, SweepRecord
+    from slamhive.dashboard.ground_truth import Truth
     from slamhive.dashboard.live import LiveRun
-    from slamhive.dashboard.truths import Truth
     from slamhive.model.results import RunRecord
 
 _OTHERS = (Kind.ALGORITHM, Kind.DATASET, Kind.EVALUATION, Kind.SWEEP)

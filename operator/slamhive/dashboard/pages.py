@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pages: files of the package, and index.html for whatever the pages themselves make of an address."""
+"""The pages: files of the package, index.html for their addresses, the API's description without scripts."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import gzip
 import hashlib
 import mimetypes
 from dataclasses import dataclass
+from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fastapi import Request, Response
 
@@ -30,6 +31,12 @@ _TYPES = {
 _PACKED = frozenset(_TYPES)
 _NONE_YET = b"""<!doctype html><html lang="en"><meta charset="utf-8"><title>SLAM Hive</title>
 <p>The pages are not part of this installation; the API is at <a href="/api/v1/docs">/api/v1/docs</a>.</p>
+"""
+
+_HEAD = """<!doctype html><html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width"><title>SLAM Hive: API</title></head><body>
+<h1>SLAM Hive: API</h1>
+<p>GET and HEAD only. <a href="/api/v1/openapi.json">openapi.json</a></p>
 """
 
 
@@ -107,3 +114,27 @@ def _load(path: str, content: bytes) -> Page:
 def _suffix(path: str) -> str:
     name = path.rpartition("/")[2]
     return f".{name.rpartition('.')[2].lower()}" if "." in name else ""
+
+
+def docs_page(document: dict[str, Any]) -> str:
+    """Return an OpenAPI document as HTML."""
+    parts = [_HEAD]
+    for path, operations in document["paths"].items():
+        operation = operations.get("get", {})
+        parts.append(f"<h2><code>{escape(path)}</code></h2><p>{escape(operation.get('summary', ''))}. ")
+        parts.append(f"{escape(operation.get('description', ''))}</p>")
+        if operation.get("parameters"):
+            parts.append("<dl>")
+            parts += [_parameter(parameter) for parameter in operation["parameters"]]
+            parts.append("</dl>")
+    return "".join([*parts, "</body></html>\n"])
+
+
+def _parameter(parameter: dict[str, Any]) -> str:
+    schema = parameter.get("schema", {})
+    told = [parameter.get("description") or ""]
+    if parameter.get("required"):
+        told.append("Needed.")
+    if schema.get("default") is not None:
+        told.append(f"Default: {schema['default']}.")
+    return f"<dt><code>{escape(parameter['name'])}</code></dt><dd>{escape(' '.join(told).strip())}</dd>"

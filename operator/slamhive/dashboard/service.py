@@ -20,7 +20,7 @@ from starlette.responses import StreamingResponse
 from slamhive import __version__
 from slamhive.dashboard.encoding import TYPES, Body, Format, Table, choose_format, encode, encode_blocks
 from slamhive.dashboard.problems import Problem, TooCostly, Unavailable
-from slamhive.dashboard.shield import HEAD
+from slamhive.dashboard.security import HEAD
 from slamhive.dashboard.totals import StoredSweeps, Totals
 from slamhive.dashboard.workers import Limits, Workers
 

@@ -20,8 +20,8 @@ from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect, file_of, reading, require_version
 from slamhive.dashboard.artifacts import Place
+from slamhive.dashboard.ground_truth import Truths
 from slamhive.dashboard.problems import Unavailable
-from slamhive.dashboard.truths import Truths
 from slamhive.data import slamhive1
 from slamhive.model.errors import SlamHiveError
 from slamhive.tables import snapshots
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.derived import SweepVersion
     from slamhive.archive.records import CatalogEntry, SweepRecord
-    from slamhive.dashboard.truths import Truth
+    from slamhive.dashboard.ground_truth import Truth
     from slamhive.model.results import RunRecord
 
 _IMPORTED = frozenset({"traj.txt", "profiling.csv", "config.yaml"})

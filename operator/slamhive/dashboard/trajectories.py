@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.columns import Floats, Indices
     from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.artifacts import Place
-    from slamhive.dashboard.truths import Truth
+    from slamhive.dashboard.ground_truth import Truth
     from slamhive.model.results import Result, RunRecord
 
     Matrix = npt.NDArray[np.float64]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from slamhive.kube.errors import NotFound
 from slamhive.kube.kinds import Key, Kind, Object
 from slamhive.kube.status import holds, phase_of
-from slamhive.kube.user.looking import find, is_over, name_of, runs_of, status_of
+from slamhive.kube.user.queries import find, is_over, name_of, runs_of, status_of
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from slamhive.kube.kinds import Kind, Object
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.records import record_of, with_evaluations
 from slamhive.kube.status import phase_of
-from slamhive.kube.user.filing import Wanted
-from slamhive.kube.user.looking import is_over, name_of, owner_uid, runs_of, status_of
+from slamhive.kube.user.queries import is_over, name_of, owner_uid, runs_of, status_of
+from slamhive.kube.user.run_files import Wanted
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.sweep import Sweep
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from slamhive.archive import Archive
     from slamhive.kube.user.connecting import Cluster
-    from slamhive.kube.user.folders import RunFolder
+    from slamhive.kube.user.run_files import RunFolder
     from slamhive.kube.user.submitting import ClusterCatalog
     from slamhive.model.results import RunRecord
 

@@ -16,13 +16,13 @@ from slamhive.kube.errors import ApiError, Forbidden, NotFound
 from slamhive.kube.kinds import Key, Kind, Object
 from slamhive.kube.transport import Request
 from slamhive.kube.user.connecting import ClusterError
-from slamhive.kube.user.looking import name_of, status_of
+from slamhive.kube.user.queries import name_of, status_of
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 
+    from slamhive.kube.user.api import Session
     from slamhive.kube.user.connecting import Cluster
-    from slamhive.kube.user.executing import Session
 
 
 _LOOK_SECONDS = 0.5

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 from slamhive.kube.errors import AlreadyExists, Conflict, Invalid, NotFound
 from slamhive.kube.kinds import Kind, Object
 from slamhive.kube.reconciling.catalogue import parse
-from slamhive.kube.user.comparing import Difference, bounded, compare
-from slamhive.kube.user.manifests import Manifest, entry_of
+from slamhive.kube.user.manifests import Difference, Manifest, bounded, compare, entry_of
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.base import Choice
 from slamhive.model.dataset import Dataset

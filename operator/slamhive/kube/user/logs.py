@@ -12,7 +12,7 @@ from slamhive.kube.builders.common import label_value
 from slamhive.kube.errors import ApiError, Forbidden, NotFound
 from slamhive.kube.kinds import Kind, Label, Object, Role
 from slamhive.kube.status import phase_of
-from slamhive.kube.user.looking import find, name_of, status_of
+from slamhive.kube.user.queries import find, name_of, status_of
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 

@@ -14,8 +14,8 @@ from slamhive.archive import Archive
 from slamhive.cli.main import app
 from slamhive.dashboard import serving
 from slamhive.dashboard.app import create_app
+from slamhive.dashboard.security import Shield
 from slamhive.dashboard.serving import allowed_hosts
-from slamhive.dashboard.shield import Shield
 from slamhive.dashboard.sources import Workstation
 from slamhive.model.errors import SystemFault
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.dashboard.truths import Truths
+from slamhive.dashboard.ground_truth import Truths
 
 if TYPE_CHECKING:
     from pathlib import Path
