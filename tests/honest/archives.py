@@ -231,6 +231,8 @@ def _provenance(
         if random.random() >= missing:
             name = spec.get(kind, {}).get("name")
             found[key] = f"{key}-{name}-{random.choice(kinds['versions'])}"
+    if random.random() < 0.3:
+        found["imageID"] = f"sha256:{random.choice(kinds['versions'])}"
     if random.random() >= missing:
         content = json.dumps([spec, found], sort_keys=True)
         found["contentHash"] = hashlib.sha256(content.encode()).hexdigest()

@@ -236,11 +236,16 @@ def _changed(tables: dict[str, list[Row]], run: Row, kind: str, keys: Sequence[s
             for other in tables["runs"]
             if _place(other) == _place(run)
             and other[kind] == run[kind]
+            and (key != "environment" or _from_image(other) == _from_image(run))
             and other["provenance"].get(key) is not None
         ]
         if max(like, key=lateness)["provenance"][key] != mine:
             return True
     return False
+
+
+def _from_image(run: Row) -> bool:
+    return run["provenance"].get("imageID") is not None
 
 
 def _edited(tables: dict[str, list[Row]], run: Row) -> bool:

@@ -103,7 +103,7 @@ def test_packages_that_do_not_exist_are_asked_for_once(run_acts: Callable, home,
     requirements = home.path / "algorithms/actor/requirements.txt"
     requirements.write_text("--no-index\nno-such-package==1\n")
     told: list[str] = []
-    bench.environments._notify = told.append
+    bench.programs.environments._notify = told.append
     _, notes = run_acts(["good", "slow"])
     for record in notes.records:
         assert (record.phase, record.reason) == (Phase.FAILED, Reason.ALGORITHM_UNAVAILABLE)

@@ -38,7 +38,10 @@ SWEEP_EDITED = "sweep edited"
 NOT_EVALUATED = "NotEvaluated"
 
 _PLACE = ("cluster", "namespace")
-_ALGORITHM = ("provenance.algorithmHash", "provenance.environment")
+_ENVIRONMENT = "provenance.environment"
+_IMAGE = "provenance.imageID"
+"""There where it ran from an image: a process and a container of an algorithm don't supersede each other."""
+_ALGORITHM = ("provenance.algorithmHash", _ENVIRONMENT)
 _DATASET = ("provenance.datasetSha256", "provenance.preparation")
 _DIGITS = 8
 
@@ -156,10 +159,13 @@ def _superseded(frame: Frame, sweeps: Sequence[SweepVersion]) -> Column:
     order = _latest_last(frame)
     words = np.full(len(frame), -1, dtype=np.int32)
     reasons = (ALGORITHM_CHANGED, DATASET_CHANGED, SWEEP_EDITED)
+    images, _ = _codes(frame, _IMAGE)
+    executor = (np.minimum(images, 0), [_IMAGE])
     for reason, owner, names in ((0, "algorithm", _ALGORITHM), (1, "dataset", _DATASET)):
         names_of = _codes(frame, owner)
-        group = _crossed([*place, names_of], len(frame))
         for name in names:
+            parts = [*place, names_of, *([executor] if name == _ENVIRONMENT else [])]
+            group = _crossed(parts, len(frame))
             codes, values = _codes(frame, name)
             if len(values) > 1:
                 known = np.where(names_of[0] < 0, -1, codes)  # a missing name is nobody else's

@@ -16,8 +16,8 @@ from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
 from slamhive.cli.vocabulary import train
 from slamhive.local.catalog import link_algorithm, load_workshop
-from slamhive.local.environments import availability
 from slamhive.local.home import Home
+from slamhive.local.programs import unavailable
 from slamhive.model.algorithm import ParameterType
 from slamhive.model.errors import InputError
 from slamhive.model.loading import parse
@@ -40,7 +40,7 @@ def list_algorithms(*, as_json: AsJson = False) -> None:
     Example: slamhive algorithm list
     """
     workshop = load_workshop(Home.from_environment())
-    rows = [(entry.algorithm, availability(entry)) for _, entry in sorted(workshop.algorithm_entries.items())]
+    rows = [(entry.algorithm, unavailable(entry)) for _, entry in sorted(workshop.algorithm_entries.items())]
     if as_json:
         typer.echo(json.dumps([_summary(algorithm, problem) for algorithm, problem in rows], indent=2))
         return
@@ -114,7 +114,7 @@ def show_algorithm(name: Name, *, as_json: AsJson = False) -> None:
     for key, parameter in sorted(spec.parameters.items()):
         table.add_row(key, json.dumps(parameter.default), _allowed(parameter), escape(parameter.description))
     out.print(table)
-    problem = availability(entry)
+    problem = unavailable(entry)
     if problem:
         out.print(f"[yellow]unavailable here: {escape(problem)}[/]")
 

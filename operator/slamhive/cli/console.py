@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from slamhive.archive import Archive
     from slamhive.local.catalog import Workshop
+    from slamhive.local.engines import ContainerChoice
     from slamhive.local.home import Home
     from slamhive.local.workbench import Workbench
 
@@ -38,14 +39,16 @@ def command_name() -> str:
     return "slamhive" if shutil.which("slamhive") else sys.argv[0]
 
 
-def open_workbench(home: Home, workshop: Workshop | None = None) -> Workbench:
+def open_workbench(
+    home: Home, workshop: Workshop | None = None, container: ContainerChoice | None = None
+) -> Workbench:
     """Return a workbench on a home with its archive open."""
     # Readers of recordings: a second of imports that only some commands need.
     from slamhive.local.catalog import load_workshop
     from slamhive.local.workbench import Workbench
 
     home.folder(".")
-    return Workbench(home, workshop or load_workshop(home), open_archive(home), remark)
+    return Workbench(home, workshop or load_workshop(home), open_archive(home), remark, container)
 
 
 def open_archive(home: Home) -> Archive:

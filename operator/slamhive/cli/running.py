@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import signal
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,10 +22,12 @@ from slamhive.cli.progress import Display
 from slamhive.cli.results import show_table
 from slamhive.engine import PointState, Verdict
 from slamhive.local.catalog import bundled, load_workshop, read_files
-from slamhive.local.environments import availability
+from slamhive.local.engines import ContainerChoice, find_engine
 from slamhive.local.evaluations import bring_up_to_date, evaluate_again
 from slamhive.local.home import Home
+from slamhive.local.programs import unavailable
 from slamhive.local.runner import Job, Runner
+from slamhive.local.unavailable import Unavailable
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluation
@@ -64,6 +67,14 @@ def run(
     watch: Annotated[
         bool, typer.Option("--watch", help="Stay, and run what is new whenever a file changes.")
     ] = False,
+    container: Annotated[
+        ContainerChoice | None,
+        typer.Option(
+            "--container",
+            help="Run all algorithms that have an image in containers of this engine, or none; default: "
+            "those that have nothing else, by the engine that answers.",
+        ),
+    ] = None,
     on: Annotated[
         On, typer.Option("--on", help="This machine, or the cluster of a kubeconfig.")
     ] = On.WORKSTATION,
@@ -78,19 +89,26 @@ def run(
     Example: slamhive run sweep.yaml -j 2
     """
     if on is On.CLUSTER:
-        if rerun or retry_failed or watch:
-            raise InputError("--on cluster: --rerun, --retry-failed and --watch are for this machine alone")
+        if rerun or retry_failed or watch or container is not None:
+            raise InputError(
+                "--on cluster: --rerun, --retry-failed, --watch and --container are for this machine alone"
+            )
         with cluster_client():
             from slamhive.cli import cluster_run, cluster_work
         place = cluster_work.Place(context, namespace)
         raise typer.Exit(cluster_run.run_on_cluster(files, place, parallelism))
     if namespace is not None or context is not None:
         raise InputError("--namespace and --context say where on a cluster: they need --on cluster")
+    if container is not None and container is not ContainerChoice.NONE:
+        try:
+            find_engine(container)
+        except Unavailable as error:
+            raise InputError(f"--container {container}: {error}") from None
     forbid_inspection()  # the programs that it runs have its user, and it keeps their figures
     home = Home.from_environment()
     with home.exclusive():
         seen = _state(files)
-        code = _run_files(files, home, parallelism, rerun=rerun, retry_failed=retry_failed)
+        code = _run_files(files, home, _How(parallelism, rerun, retry_failed, container))
         while watch and code != INTERRUPTED:
             remark("watching; Ctrl-C ends")
             try:
@@ -98,7 +116,7 @@ def run(
             except KeyboardInterrupt:
                 break
             try:
-                code = _run_files(files, home, parallelism, rerun=False, retry_failed=False)
+                code = _run_files(files, home, _How(parallelism, container=container))
             except InputError as error:
                 complain(str(error))
     raise typer.Exit(code)
@@ -171,7 +189,7 @@ def demo(
     home = Home.from_environment()
     sweep = bundled("examples") / "demo.yaml"
     with home.exclusive():
-        code = _run_files([sweep], home, parallelism, rerun=False, retry_failed=False)
+        code = _run_files([sweep], home, _How(parallelism))
     if code != INTERRUPTED:
         name = command_name()
         lines = (
@@ -187,21 +205,40 @@ def demo(
     raise typer.Exit(code)
 
 
-def _run_files(
-    files: Sequence[Path], home: Home, parallelism: int | None, *, rerun: bool, retry_failed: bool
-) -> int:
+@dataclass(frozen=True)
+class _How:
+    """Options of a command that runs sweeps.
+
+    Attributes:
+        parallelism: runs at the same time at most.
+        rerun: whether finished runs are done again.
+        retry_failed: whether failed ones are.
+        container: what runs images.
+    """
+
+    parallelism: int | None
+    rerun: bool = False
+    retry_failed: bool = False
+    container: ContainerChoice | None = None
+
+
+def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     workshop = load_workshop(home)
     objects = read_files(files, workshop)
     evaluations = [item for item in objects if isinstance(item, Evaluation)]
     sweeps = sweeps_of(objects)
     if not sweeps and not evaluations:
         raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
-    jobs = [_job(sweep, workshop) for sweep in sweeps]
-    bench = open_workbench(home, workshop)
+    plans = [_plan(sweep, workshop, how.container) for sweep in sweeps]
+    jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in zip(sweeps, plans, strict=True)]
+    bench = open_workbench(home, workshop, how.container)
     with bench.archive:
         interrupted, faults = False, False
         if jobs:
-            interrupted = _drive(jobs, bench, parallelism, rerun=rerun, retry_failed=retry_failed)
+            # Before the display, as engines draw their own progress.
+            names = sorted({name for points in plans for name in points.algorithm_names()})
+            bench.programs.fetch([workshop.algorithm(name) for name in names])
+            interrupted = _drive(jobs, bench, how)
         for job in [] if interrupted else jobs:
             for problem in bring_up_to_date(bench, job.uid, job.sweep.spec.evaluation):
                 remark(problem.sentence)
@@ -221,11 +258,11 @@ def _run_files(
     return FAILED if failed or faults else 0
 
 
-def _drive(
-    jobs: Sequence[Job], bench: Workbench, parallelism: int | None, *, rerun: bool, retry_failed: bool
-) -> bool:
+def _drive(jobs: Sequence[Job], bench: Workbench, how: _How) -> bool:
     with Display() as display:
-        runner = Runner(bench, display, parallelism=parallelism, rerun=rerun, retry_failed=retry_failed)
+        runner = Runner(
+            bench, display, parallelism=how.parallelism, rerun=how.rerun, retry_failed=how.retry_failed
+        )
         before: dict[int, Any] = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
 
         def interrupt(_number: int, _frame: Any) -> None:
@@ -243,17 +280,17 @@ def _drive(
                 signal.signal(number, handler)
 
 
-def _job(sweep: Sweep, workshop: Workshop) -> Job:
+def _plan(sweep: Sweep, workshop: Workshop, container: ContainerChoice | None) -> Plan:
     points = planned(sweep, workshop, strict=True)
     problems = plan_problems(points)
     if problems:
         raise InputError("\n".join(f"{sweep.kind} {sweep.name}: {problem}" for problem in problems))
     for name in points.algorithm_names():
-        reason = availability(workshop.algorithm(name))
+        reason = unavailable(workshop.algorithm(name), container)
         if reason:
             err.print(f"[yellow]{escape(name)} can't run here: {escape(reason)}[/]")
     _tell_of_idle(sweep, points)
-    return Job(sweep, local_uid(sweep), points)
+    return points
 
 
 def _tell_of_idle(sweep: Sweep, points: Plan) -> None:

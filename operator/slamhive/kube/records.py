@@ -108,14 +108,3 @@ def _owner(run: Mapping[str, Any]) -> str | None:
     """Return the UID of the Sweep that made a run."""
     owners = run["metadata"].get("ownerReferences") or ()
     return next((owner["uid"] for owner in owners if owner.get("kind") == Kind.SWEEP), None)
-
-
-def image_digest(image_id: str) -> str:
-    """Return the part of an imageID that names the image's content."""
-    return image_id.rpartition("@")[2] if "@" in image_id else image_id
-
-
-def pinned_digest(image: str) -> str | None:
-    """Return the digest that an image's name carries, if it does."""
-    name, at, digest = image.rpartition("@")
-    return digest if at and name and digest.startswith("sha256:") else None

@@ -20,8 +20,14 @@ if TYPE_CHECKING:
 _HASHES = ".hashes"
 
 
-def place_assets(entry: AlgorithmEntry, target: Path, cache: Path) -> None:
+def place_assets(entry: AlgorithmEntry, target: Path, cache: Path, *, fetched_alone: bool = False) -> None:
     """Lay an algorithm's assets into a run folder's ``assets``.
+
+    Args:
+        entry: the algorithm.
+        target: the folder.
+        cache: where fetched files are kept.
+        fetched_alone: leave out those beside the Algorithm, which an image has.
 
     Raises:
         DataError: a file is missing or isn't the one that was named.
@@ -29,6 +35,8 @@ def place_assets(entry: AlgorithmEntry, target: Path, cache: Path) -> None:
     """
     target.mkdir(exist_ok=True)
     for asset in entry.algorithm.spec.assets:
+        if fetched_alone and asset.url is None:
+            continue
         source = entry.folder / asset.path if asset.path else _fetched(asset, cache)
         if not source.is_file():
             raise DataError(f"assets: {asset.name}: {source} is not there")

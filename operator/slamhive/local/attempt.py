@@ -15,20 +15,17 @@ import json
 import os
 import stat
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
+from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.contract.files import read_regular
 from slamhive.contract.metrics import frame_counts, keep_values, read_metrics
 from slamhive.contract.posefiles import FRAMES
 from slamhive.contract.trajectory import check_trajectory
 from slamhive.data.erasing import erase
 from slamhive.engine import AttemptEnd
-from slamhive.local.assets import place_assets
-from slamhive.local.catalog import bundled
 from slamhive.local.playing import Player
 from slamhive.local.supervision import Supervised
 from slamhive.model.base import quantity, seconds
@@ -43,39 +40,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from slamhive.local.catalog import AlgorithmEntry
-    from slamhive.local.environments import Environment
-    from slamhive.model.configuration import RunConfiguration
+    from slamhive.local.prepared import AttemptOrder, Prepared
 
 _OBJECT_LIMIT = 4 * 2**20
-_PASSED_ON = ("LD_LIBRARY_PATH", "SSL_CERT_FILE", "TZ")
-
-
-@dataclass(frozen=True)
-class AttemptOrder:
-    """What an attempt runs.
-
-    Attributes:
-        uid: the run's identity.
-        content_hash: what makes this attempt's result what it is.
-        configuration: the unified configuration.
-        entry: the algorithm with its folder.
-        environment: its virtual environment.
-        dataset: folder of the prepared recording.
-        frames: how many it has.
-        spec: the run's resolved spec, for resources and timeout.
-        cpus: logical processors it is pinned to.
-    """
-
-    uid: str
-    content_hash: str
-    configuration: RunConfiguration
-    entry: AlgorithmEntry
-    environment: Environment
-    dataset: Path
-    frames: int
-    spec: Mapping[str, Any]
-    cpus: tuple[int, ...]
 
 
 class Attempt:
@@ -91,6 +58,7 @@ class Attempt:
         self.output = self.run / "output"
         self._program = Supervised(folder)
         self._player = Player(folder)
+        self._prepared: Prepared | None = None
         self._stopping = False
         self._offered: int | None = None
 
@@ -117,6 +85,7 @@ class Attempt:
             with suppress(ValueError):
                 end_orphans(self._player.record)
             self._lay_out(order)
+            self._prepared = order.program
             self._offered = order.frames
             variables = self._player.start(order.entry.algorithm.spec, order.configuration, order.cpus)
             ticket = {"uid": order.uid, "contentHash": order.content_hash}
@@ -130,6 +99,8 @@ class Attempt:
     def wait(self) -> None:
         """Wait until the program and all its descendants are gone."""
         self._program.wait()
+        if self._prepared is not None and self._program.summary() is None:
+            self._prepared.abandon(self.folder)
         self._player.stop()
         self._player.wait()
 
@@ -242,10 +213,8 @@ class Attempt:
         # Nothing of an earlier attempt may pass for a result of this one.
         if self.folder.exists() and not erase(self.folder):
             raise SystemFault(f"{self.folder}: what an earlier attempt left can't be removed")
-        for folder in (self.output, self.folder / "home", self.folder / "tmp"):
-            folder.mkdir(parents=True)
+        self.output.mkdir(parents=True)
         (self.run / "dataset").symlink_to(order.dataset.resolve())
-        place_assets(order.entry, self.run / "assets", self.folder.parents[2] / "assets")
         text = yaml.safe_dump(order.configuration.as_json(), sort_keys=False, allow_unicode=True)
         config = self.run / "config.yaml"
         config.write_text(text)
@@ -253,18 +222,15 @@ class Attempt:
         config.chmod(stat.S_IRUSR | stat.S_IRGRP | stat.S_IROTH)
         templates = order.entry.algorithm.spec.templates
         if templates:
-            folder = self.run / SETTINGS_FOLDER
-            told = order.configuration.as_json()
-            place_files(render(templates, told, str(self.run), str(folder)), folder)
+            told, run = order.configuration.as_json(), order.program.run_folder(self.run)
+            rendered = render(templates, told, run, f"{run}/{SETTINGS_FOLDER}")
+            place_files(rendered, self.run / SETTINGS_FOLDER)
+        order.program.lay_out(order, self.folder)
 
     def _supervisor_spec(self, order: AttemptOrder, variables: Mapping[str, str]) -> SupervisorSpec:
         algorithm = order.entry.algorithm.spec
-        program = algorithm.local
-        adapter = order.entry.folder / (program.adapter if program else "adapter.py")
         return SupervisorSpec(
-            argv=(str(order.environment.python), str(adapter)),
-            cwd=str(self.run),
-            env=self._variables(order) | dict(variables),
+            **order.program.supervision(order, self.folder, variables),
             log_path=str(self.folder / "log.txt"),
             usage_path=str(self.folder / "usage.csv"),
             summary_path=str(self.folder / "summary.json"),
@@ -282,23 +248,6 @@ class Attempt:
             ),
             parent_pid=os.getpid(),
         )
-
-    def _variables(self, order: AttemptOrder) -> dict[str, str]:
-        own = program_variables(
-            run=str(self.run),
-            seed=order.configuration.seed,
-            cores=len(order.cpus),
-            home=str(self.folder / "home"),
-            scratch=str(self.folder / "tmp"),
-            settings_files=bool(order.entry.algorithm.spec.files),
-        )
-        passed_on = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
-        return {
-            **passed_on,
-            **own,
-            "PATH": f"{order.environment.path / 'bin'}:/usr/local/bin:/usr/bin:/bin",
-            "PYTHONPATH": f"{order.entry.folder.parent}:{bundled('algorithms')}",
-        }
 
 
 def end_left_behind(runs: Path) -> None:

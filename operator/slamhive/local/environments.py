@@ -12,18 +12,22 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.environment import program_variables
+from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
+from slamhive.local.unavailable import Unavailable
 from slamhive.model.errors import SlamHiveError, SystemFault
 from slamhive.playback.ros import find_ros, what_it_takes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from slamhive.local.catalog import AlgorithmEntry
+    from slamhive.local.prepared import AttemptOrder
     from slamhive.model.algorithm import LocalProgram
 
 _MARKER = ".complete"
@@ -41,18 +45,13 @@ _PASSED_ON = re.compile(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TZ|TMPDIR|LD_LIBRARY_PATH|XDG_(CONFIG|CACHE)_(HOME|DIRS)|PIP_\w+"
     r"|(HTTPS?|ALL|NO)_PROXY|(https?|all|no)_proxy|SSL_CERT_(FILE|DIR)|(REQUESTS|CURL)_CA_BUNDLE"
 )
+_TO_PROGRAMS = ("LD_LIBRARY_PATH", "SSL_CERT_FILE", "TZ")
 _CLAUSE = re.compile(r"^\s*(>=|<=|==|!=|<|>)\s*([0-9]+)\.([0-9]+)\s*$")
-
-
-class Unavailable(SlamHiveError):  # noqa: N818 - a state that the user is told of
-    """An algorithm can't run on this machine; the message says what it would take."""
-
-    reason = "AlgorithmUnavailable"
 
 
 @dataclass(frozen=True)
 class Environment:
-    """A virtual environment that is ready."""
+    """A virtual environment that is ready: an algorithm as a process of this machine."""
 
     path: Path
     digest: str
@@ -61,6 +60,53 @@ class Environment:
     def python(self) -> Path:
         """Return its interpreter."""
         return self.path / "bin" / "python"
+
+    def run_folder(self, run: Path) -> str:
+        """Return where the run folder is."""
+        return str(run)
+
+    def lay_out(self, order: AttemptOrder, folder: Path) -> None:
+        """Lay out folders of the program's own, and the files that its Algorithm names.
+
+        Raises:
+            DataError: a file is missing or isn't the one that was named.
+            SystemFault: one can't be fetched right now.
+        """
+        for name in ("home", "tmp"):
+            (folder / name).mkdir()
+        place_assets(order.entry, folder / "run" / "assets", folder.parents[2] / "assets")
+
+    def supervision(
+        self, order: AttemptOrder, folder: Path, variables: Mapping[str, str]
+    ) -> Mapping[str, Any]:
+        """Return how the adapter is started with its interpreter."""
+        program = order.entry.algorithm.spec.local
+        adapter = order.entry.folder / (program.adapter if program else "adapter.py")
+        return {
+            "argv": (str(self.python), str(adapter)),
+            "cwd": str(folder / "run"),
+            "env": self._variables(order, folder) | dict(variables),
+        }
+
+    def abandon(self, folder: Path) -> None:
+        """Do nothing: processes are found by their record."""
+
+    def _variables(self, order: AttemptOrder, folder: Path) -> dict[str, str]:
+        own = program_variables(
+            run=self.run_folder(folder / "run"),
+            seed=order.configuration.seed,
+            cores=len(order.cpus),
+            home=str(folder / "home"),
+            scratch=str(folder / "tmp"),
+            settings_files=bool(order.entry.algorithm.spec.files),
+        )
+        passed_on = {name: os.environ[name] for name in _TO_PROGRAMS if name in os.environ}
+        return {
+            **passed_on,
+            **own,
+            "PATH": f"{self.path / 'bin'}:/usr/local/bin:/usr/bin:/bin",
+            "PYTHONPATH": f"{order.entry.folder.parent}:{bundled('algorithms')}",
+        }
 
 
 class Environments:

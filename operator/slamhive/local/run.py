@@ -27,10 +27,11 @@ from slamhive.engine import (
     decide_run,
     taken_over,
 )
-from slamhive.local.attempt import Attempt, AttemptOrder
+from slamhive.local.attempt import Attempt
 from slamhive.local.configuring import configured
-from slamhive.local.environments import Unavailable
 from slamhive.local.evaluating import Evaluator
+from slamhive.local.prepared import AttemptOrder
+from slamhive.local.unavailable import ImageMissing, Unavailable
 from slamhive.model.errors import InputError, SettingsError, SlamHiveError, sentence
 from slamhive.model.results import (
     NOT_EVALUATED,
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
 
     from slamhive.data.preparation import Variant
     from slamhive.local.catalog import AlgorithmEntry
-    from slamhive.local.environments import Environment
+    from slamhive.local.prepared import Prepared
     from slamhive.local.workbench import Workbench
     from slamhive.model.configuration import RunConfiguration
     from slamhive.model.evaluation import EvaluationSettings
@@ -110,7 +111,7 @@ class RunOrder:
 class _Progress:
     """What has been found out about a run so far."""
 
-    environment: Environment | None = None
+    program: Prepared | None = None
     variant: Variant | None = None
     variant_state: VariantState = VariantState.ABSENT
     variant_problem: tuple[Reason, str] | None = None
@@ -222,7 +223,9 @@ class RunDriver:
         progress.provenance = known = bench.circumstances(order.point.spec_hash)
         program = bench.program(self._spec["algorithmRef"]["name"])
         progress.provenance = known.replace(
-            algorithm_hash=program.algorithm_hash, environment=program.environment
+            algorithm_hash=program.algorithm_hash,
+            environment=program.environment,
+            image_id=program.image_id,
         )
         progress.provenance = bench.provenance(self._spec, order.point.spec_hash, program)
         hashed = progress.provenance.content_hash or ""
@@ -285,7 +288,7 @@ class RunDriver:
     def _prepare(self) -> None:
         progress, bench = self._progress, self._bench
         try:
-            progress.environment = bench.environments.get(self._algorithm)
+            progress.program = bench.programs.get(self._algorithm)
             if progress.provenance.content_hash is None:
                 # The disk may have refused before: no run is made without saying of what, nor one that is
                 # there already. What is wrong with the data stays so; who prepares or measures says it.
@@ -301,14 +304,14 @@ class RunDriver:
 
     def _start(self) -> None:
         progress = self._progress
-        if progress.variant is None or progress.environment is None:
+        if progress.variant is None or progress.program is None:
             raise RuntimeError("an attempt was started before its recording was prepared")
         order = AttemptOrder(
             uid=self._order.uid,
             content_hash=progress.provenance.content_hash or "",
             configuration=self._configuration(progress.variant),
             entry=self._algorithm,
-            environment=progress.environment,
+            program=progress.program,
             dataset=progress.variant.folder,
             frames=progress.variant.frames,
             spec=self._spec,
@@ -419,6 +422,8 @@ def _joined(*sentences: str | None) -> str | None:
 def _problem(error: Exception) -> tuple[Reason, str]:
     if isinstance(error, Unavailable):
         return Reason.ALGORITHM_UNAVAILABLE, str(error)
+    if isinstance(error, ImageMissing):
+        return Reason.IMAGE_PULL_FAILED, str(error)
     if isinstance(error, SettingsError):
         return Reason.INVALID_PARAMETERS, str(error)
     if isinstance(error, InputError):

@@ -161,6 +161,7 @@ class Runner:
         # First of all: what a killed slamhive left running would disturb what is measured now.
         end_left_behind(self._bench.home.path / "runs")
         sweep_stale_cgroups()
+        self._bench.programs.containers.remove_left_behind()
         self._bench.tidy()
         for job in jobs:
             self._resume(job)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Context that the runs of a workstation share: catalog, datasets, environments and archive."""
+"""Context that the runs of a workstation share: catalog, datasets, programs and archive."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slamhive.data.groundtruth import ground_truth
 from slamhive.data.preparation import evict_variants, prepare
 from slamhive.data.store import DatasetEntry, dataset_sha256, materialise
 from slamhive.data.version import VERSION
-from slamhive.local.environments import Environments
+from slamhive.local.programs import Programs
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError
 from slamhive.model.results import Provenance
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from slamhive.data.groundtruth import GroundTruthPoses
     from slamhive.data.preparation import Variant
     from slamhive.local.catalog import Workshop
+    from slamhive.local.engines import ContainerChoice
     from slamhive.local.home import Home
     from slamhive.model.algorithm import Algorithm
 
@@ -36,10 +37,17 @@ _VARIANTS_LIMIT = "100Gi"
 
 
 class Program(NamedTuple):
-    """What an algorithm is: the hash of its Algorithm, and the digest of its environment and adapter."""
+    """What an algorithm is.
+
+    Attributes:
+        algorithm_hash: hash of its Algorithm.
+        environment: digest of its environment and adapter, or of its image.
+        image_id: identity of its image, None where it runs as a process.
+    """
 
     algorithm_hash: str
     environment: str
+    image_id: str | None = None
 
 
 class Workbench:
@@ -50,6 +58,7 @@ class Workbench:
         workshop: algorithms and datasets by name.
         archive: where finished runs go.
         notify: told in a sentence of what takes long.
+        container: what the user says of containers; None: they are for algorithms that have nothing else.
     """
 
     def __init__(
@@ -58,11 +67,12 @@ class Workbench:
         workshop: Workshop,
         archive: Archive,
         notify: Callable[[str], None] = lambda _: None,
+        container: ContainerChoice | None = None,
     ) -> None:
         self.home = home
         self.workshop = workshop
         self.archive = archive
-        self.environments = Environments(home.folder("environments"), notify)
+        self.programs = Programs(home, container, notify)
         self._notify = notify
         self._datasets: dict[str, DatasetEntry] = {}
         self._checksums: dict[str, str] = {}
@@ -127,7 +137,8 @@ class Workbench:
             SlamHiveError: it isn't known, or can't be run here.
         """
         entry = self.workshop.algorithm(name)
-        return Program(algorithm_hash(entry.algorithm.spec), self.environments.digest(entry))
+        hashed = algorithm_hash(entry.algorithm.spec)
+        return Program(hashed, self.programs.digest(entry), self.programs.image_id(entry))
 
     def provenance(self, spec: dict[str, Any], spec_hash: str, program: Program) -> Provenance:
         """Return what makes a run's result what it is.
@@ -146,6 +157,7 @@ class Workbench:
             content_hash=hashed,
             algorithm_hash=program.algorithm_hash,
             environment=program.environment,
+            image_id=program.image_id,
             dataset_sha256=checksum,
             preparation=str(VERSION),
         )

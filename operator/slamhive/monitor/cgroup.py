@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from slamhive.monitor.hierarchy import (
     directory_processes,
+    hierarchies_of,
     own_hierarchies,
     read_stat,
     unified_parents,
@@ -217,6 +218,31 @@ def _make_v2(name: str, trees: Sequence[Hierarchy]) -> RunCgroup | None:
             return CgroupV2(directory)
         except OSError:
             _remove([directory])
+    return None
+
+
+def cgroup_of(process: int) -> RunCgroup | None:
+    """Return the cgroup that another program made for a process, as of a container; it is not ours to remove.
+
+    Args:
+        process: A process that is in it.
+
+    Returns:
+        The group, None where the process is gone, where there is no account of CPU and memory, or where we
+        are in the same group.
+    """
+    try:
+        trees, ours = hierarchies_of(process), {tree.directory for tree in own_hierarchies()}
+    except OSError:
+        return None
+    found = {controller: tree.directory for tree in trees for controller in tree.controllers}
+    if {"cpuacct", "memory"} <= found.keys() and not ours & {found["cpuacct"], found["memory"]}:
+        with suppress(OSError):
+            return CgroupV1(found)
+    for tree in trees:
+        if tree.version == 2 and tree.directory not in ours:
+            with suppress(OSError):
+                return CgroupV2(tree.directory)
     return None
 
 

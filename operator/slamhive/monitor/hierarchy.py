@@ -33,8 +33,17 @@ class Hierarchy:
 
 def own_hierarchies() -> list[Hierarchy]:
     """Return the cgroup trees we are in, as /proc/self tells."""
+    return hierarchies_of("self")
+
+
+def hierarchies_of(process: int | str) -> list[Hierarchy]:
+    """Return the cgroup trees that a process is in, each where we see it.
+
+    Raises:
+        OSError: The process is gone.
+    """
     paths: dict[str, str] = {}
-    for line in read_file("/proc/self/cgroup").decode().splitlines():
+    for line in read_file(f"/proc/{process}/cgroup").decode().splitlines():
         _, controllers, path = line.split(":", 2)
         for controller in controllers.split(","):
             paths[controller] = path

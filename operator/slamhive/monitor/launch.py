@@ -11,6 +11,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.monitor.processes import allow_inspection, set_parent_death_signal
+from slamhive.monitor.summary import Reason
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -22,7 +23,16 @@ _OOM_SCORE = b"800"
 
 
 class LaunchError(Exception):
-    """An algorithm could not be started; the message says why."""
+    """An algorithm could not be started; the message says why.
+
+    Attributes:
+        reason: Whose fault that is.
+    """
+
+    def __init__(self, message: str, reason: Reason = Reason.ALGORITHM_FAILED) -> None:
+        """Take the message."""
+        super().__init__(message)
+        self.reason = reason
 
 
 class Launched(NamedTuple):

@@ -88,6 +88,8 @@ class SupervisorSpec(Specification):
         includes_reader: The algorithm reads the recording by itself and can't tell what that costs.
         poses: Files in which it writes its poses in its own way, as `PoseFiles.as_json` has them.
         cgroup: `auto` makes one where it can be made, `none` measures by /proc.
+        contained: The container that is started in place of a process, as `ContainedSpec.as_json` has it;
+            `argv` is then what it runs, for messages alone.
         kill_grace_seconds: Time between SIGTERM and SIGKILL.
         parent_pid: The process whose end ends the run; None for whoever started the supervisor.
     """
@@ -113,8 +115,42 @@ class SupervisorSpec(Specification):
     includes_reader: bool = False
     poses: Mapping[str, Any] | None = None
     cgroup: str = "auto"
+    contained: Mapping[str, Any] | None = None
     kill_grace_seconds: float = 5.0
     parent_pid: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContainedSpec:
+    """A container that a container engine has created and not started.
+
+    Attributes:
+        engine: The engine's command, with what stands before its first word.
+        identity: The container's id.
+        pid_path: Where the engine writes the pid of its first process; None: it has to be asked.
+    """
+
+    engine: tuple[str, ...]
+    identity: str
+    pid_path: str | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields by their names in JSON."""
+        return {"engine": list(self.engine), "identity": self.identity, "pidPath": self.pid_path}
+
+    @classmethod
+    def from_json(cls, value: Any) -> ContainedSpec:
+        """Read the fields.
+
+        Raises:
+            ValueError: It is no such object.
+        """
+        if not isinstance(value, dict) or value.keys() != {"engine", "identity", "pidPath"}:
+            raise ValueError("a container has engine, identity and pidPath")
+        engine, pid_path = _tuple(value["engine"]), value["pidPath"]
+        if not (_texts(engine) and _text(value["identity"]) and (pid_path is None or _path(pid_path))):
+            raise ValueError("a container has a command, an id and an absolute path or null")
+        return cls(engine=engine, identity=value["identity"], pid_path=pid_path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,6 +236,14 @@ def _pose_files(value: object) -> bool:
     return True
 
 
+def _contained(value: object) -> bool:
+    try:
+        ContainedSpec.from_json(value)
+    except ValueError:
+        return False
+    return True
+
+
 def _processors(value: object) -> bool:
     return isinstance(value, tuple) and all(_integer(item, 0) for item in value)
 
@@ -248,6 +292,7 @@ _RULES: dict[str, tuple[str, Callable[[object], bool]]] = {
     "frames": ("a whole number, 0 or more, or null", _optional(lambda value: _integer(value, 0))),
     "includes_reader": ("true or false", lambda value: isinstance(value, bool)),
     "poses": ("a description of files with poses or null", _optional(_pose_files)),
+    "contained": ("a container that was created or null", _optional(_contained)),
     "cgroup": ("auto or none", lambda value: value in ("auto", "none")),
     "kill_grace_seconds": (
         "a number of seconds, 0 or more",

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The supervisor of one run: starts the algorithm, samples it, holds it to its limits, ends all of it.
 
-It is the reaper of every descendant, so "no children left" is exact: a daemon that forked twice comes back
-to it. It ends when its parent does. What it finds out goes to usage.csv while the run runs, and as the very
-last thing to summary.json; a run folder without summary.json is a run that did not finish.
+What it supervises is a `Program`: processes of its own or a container. It is the reaper of every descendant,
+so "no children left" is exact: a daemon that forked twice comes back to it. It ends when its parent does.
+What it finds out goes to usage.csv while the run runs, and as the very last thing to summary.json; a run
+folder without summary.json is a run that did not finish.
 """
 
 from __future__ import annotations
@@ -19,37 +20,25 @@ from typing import TYPE_CHECKING
 from slamhive.contract.metrics import Metrics
 from slamhive.contract.output import read_output
 from slamhive.monitor.accounting import Accounting, Contention, SampleTimes
-from slamhive.monitor.cgroup import make_run_cgroup
 from slamhive.monitor.files import OutputPipe, UsageTable
 from slamhive.monitor.hierarchy import host_throttled
 from slamhive.monitor.interference import Interference
-from slamhive.monitor.launch import LaunchError, launch
+from slamhive.monitor.launch import LaunchError
 from slamhive.monitor.log import BoundedLog
 from slamhive.monitor.metrics import reader_report
-from slamhive.monitor.orphans import TOKEN, ProcessRecord, write_atomically
+from slamhive.monitor.orphans import write_atomically
 from slamhive.monitor.outcome import Ending, Stop, judge, out_of_memory
 from slamhive.monitor.output import OutputMeter
 from slamhive.monitor.playing import played_mean_cores
-from slamhive.monitor.proc import ProcSource
-from slamhive.monitor.processes import (
-    ProcessIdentity,
-    become_subreaper,
-    boot_id,
-    children,
-    descendants,
-    end_processes,
-    identify,
-    pid_namespace,
-    read_file,
-    set_parent_death_signal,
-)
+from slamhive.monitor.processes import become_subreaper, identify, read_file, set_parent_death_signal
+from slamhive.monitor.program import OwnProcesses
 from slamhive.monitor.reader import ReaderClock
-from slamhive.monitor.resident import largest_ended
-from slamhive.monitor.sources import Source, field
+from slamhive.monitor.sources import field
 from slamhive.monitor.summary import Reason, Summary
 
 if TYPE_CHECKING:
     from slamhive.monitor.accounting import Usage
+    from slamhive.monitor.program import Program
     from slamhive.monitor.spec import SupervisorSpec
 
 # The kernel tells of our parent's end by this signal. It comes too when only the thread that started us
@@ -70,8 +59,6 @@ class Supervisor:
         self._notes: list[str] = []
         self._stop: Stop | None = None
         self._kill_at: float | None = None
-        self._status: int | None = None
-        self._algorithm: int | None = None
         self._poll = select.poll()
         self._reader = ReaderClock()
 
@@ -83,21 +70,16 @@ class Supervisor:
         """
         self._prepare()
         spec = self._spec
-        self._cgroup = make_run_cgroup(self._me) if spec.cgroup == "auto" else None
+        self._program = self._make_program()
         try:
-            limited = self._cgroup is not None and self._cgroup.limit(
-                spec.memory_limit_bytes, spec.task_limit
-            )
-            self._polled_limit = None if limited else spec.memory_limit_bytes
-            self._source: Source = ProcSource() if self._cgroup is None else self._cgroup.source
+            self._polled_limit = None if self._program.limits_memory else spec.memory_limit_bytes
             self._log = BoundedLog(spec.log_path, spec.log_limit_bytes)
             self._table = UsageTable(spec.usage_path)
             self._output = OutputMeter(spec.output_directory, spec.output_limit_bytes, spec.output_file_limit)
             summary = self._supervise()
         finally:
             self._end_tree()
-            if self._cgroup is not None and not self._cgroup.remove():
-                self._notes.append("a cgroup of the run could not be removed")
+            self._note(self._program.close())
         # Written when nothing of the run lives any more: who finds a summary may trust that the output is
         # final.
         summary = replace(summary, notes=tuple(self._notes))
@@ -127,6 +109,17 @@ class Supervisor:
             raise ProcessLookupError(0, "no process table is mounted", "/proc")
         self._me = me
 
+    def _make_program(self) -> Program:
+        if self._spec.contained is None:
+            return OwnProcesses(self._spec, self._me)
+        from slamhive.monitor.contained import Contained  # noqa: PLC0415 - 20 ms that others needn't wait for
+
+        return Contained(self._spec, self._me, self._poll)
+
+    def _note(self, problem: str | None) -> None:
+        if problem is not None and problem not in self._notes:
+            self._notes.append(problem)
+
     def _supervise(self) -> Summary:
         spec = self._spec
         throttled_before, kills_before = host_throttled(), _machine_oom_kills()
@@ -135,12 +128,12 @@ class Supervisor:
         self._follow_signals(self._start)
         if self._stop is None:
             try:
-                self._launch()
+                self._start = self._program.start((self._out.writer, self._err.writer))
             except LaunchError as error:
-                self._stop = Stop(Reason.ALGORITHM_FAILED, str(error))
+                self._stop = Stop(error.reason, str(error))
         started_at = time.time() - (time.monotonic() - self._start)
         self._accounting = Accounting(self._start)
-        self._contention = Contention(spec.cpus, self._source, self._start)
+        self._contention = Contention(spec.cpus, self._program.source, self._start)
         if self._stop is None:
             self._watch()
         finished, left = self._finish()
@@ -155,11 +148,15 @@ class Supervisor:
         played = played_mean_cores(spec.output_directory, spec.usage_path, started_at)
         if played is not None:
             usage = replace(usage, cpu=replace(usage.cpu, mean_cores=played))
+        last_line = self._err.last_line() or self._out.last_line()
+        never_ran = self._program.explain(last_line)
+        if never_ran is not None and self._stop is None:
+            self._stop = Stop(Reason.ALGORITHM_FAILED, never_ran)
         ending = Ending(
-            status=self._status,
+            status=self._program.status,
             stop=self._stop,
-            last_line=self._err.last_line() or self._out.last_line(),
-            group_oom_kills=self._cgroup.oom_kills() if self._cgroup else 0,
+            last_line=last_line,
+            group_oom_kills=self._program.oom_kills(),
             machine_oom_kills=oom_kills,
             memory_limit=spec.memory_limit_bytes,
         )
@@ -174,33 +171,19 @@ class Supervisor:
             output=output,
         )
 
-    def _launch(self) -> None:
-        groups = tuple(self._cgroup.directories) if self._cgroup else ()
-        record = ProcessRecord(boot_id(), pid_namespace(), self._me, None, groups)
-        # Before the algorithm starts: were we killed in between, the next slamhive finds by it what we left.
-        record.write(self._spec.process_path)
-        environment = {**self._spec.env, TOKEN: record.token}
-        started = launch(self._spec, environment, (self._out.writer, self._err.writer), groups)
-        self._algorithm, self._start = started.pid, started.start
-        # A cgroup counts from the algorithm on; /proc counts our child's time before it became the algorithm
-        # too.
-        if isinstance(self._source, ProcSource):
-            self._source.leave_out(started.cpu)
-        replace(record, algorithm=identify(self._algorithm)).write(self._spec.process_path)
-
     def _watch(self) -> None:
         """Sample and keep the limits until the algorithm's first process has ended, or must be killed."""
         timeout = self._spec.timeout_seconds
         times = SampleTimes(self._start, self._spec.interval_seconds)
         deadline = None if timeout is None else self._start + timeout
-        self._reap()
-        while self._status is None:
+        self._program.reap()
+        while not self._program.ended:
             due = min(moment for moment in (times.due, deadline, self._kill_at) if moment is not None)
             self._sleep(due - time.monotonic())
             now = time.monotonic()
-            self._reap()
+            self._program.reap()
             self._follow_signals(now)
-            if self._status is not None or (self._kill_at is not None and now >= self._kill_at):
+            if self._program.ended or (self._kill_at is not None and now >= self._kill_at):
                 return
             if deadline is not None and now >= deadline:
                 deadline = None
@@ -221,15 +204,6 @@ class Supervisor:
         self._out.drain()
         self._err.drain()
 
-    def _reap(self) -> None:
-        with suppress(ChildProcessError):
-            while True:
-                pid, status = os.waitpid(-1, os.WNOHANG)
-                if pid == 0:
-                    return
-                if pid == self._algorithm:
-                    self._status = status
-
     def _follow_signals(self, now: float) -> None:
         """Follow signals: the first asks the run to stop, a second doesn't wait for it."""
         signals, self._signals = self._signals, []
@@ -249,62 +223,45 @@ class Supervisor:
             self._kill_at = now
         elif self._kill_at is None:
             self._kill_at = now + self._spec.kill_grace_seconds
-            for pid in descendants([self._me.pid]):
-                # A stopped process takes a signal only when it is continued.
-                for number in (signal.SIGTERM, signal.SIGCONT):
-                    with suppress(OSError):
-                        os.kill(pid, number)
+            self._program.ask_to_end()
 
     def _sample(self, now: float) -> None:
         self._interference.look(now)
-        sample = self._source.read()
+        sample = self._program.source.read()
         self._table.add(sample.time - self._start, self._accounting.add(sample), sample)
         self._drain()
         limit = self._spec.memory_limit_bytes
         too_much = self._polled_limit is not None and sample.working_set > self._polled_limit
-        if too_much or (self._cgroup is not None and self._cgroup.oom_kills() > 0):
+        if too_much or self._program.oom_kills() > 0:
             self._end(out_of_memory(limit), now)
         tasks = self._spec.task_limit
         # A cgroup bounds this by itself; a fork bomb has to be killed at once, as it only grows while it is
         # asked to end.
-        if self._cgroup is None and tasks is not None and len(self._source.processes()) > tasks:
+        source = self._program.source
+        if not self._program.limits_tasks and tasks is not None and len(source.processes()) > tasks:
             message = f"it had more than {tasks} processes at the same time"
             self._end(Stop(Reason.ALGORITHM_FAILED, message, at_once=True), now)
         if self._contention.due(now):
             self._contention.add(now, sample.cpu)
             self._table.flush()
-            self._reader.look(self._source.processes())
-            problem = self._output.problem(now, self._source.processes())
+            self._reader.look(source.processes())
+            problem = self._output.problem(now, source.processes())
             if problem is not None:
                 self._end(problem, now)
 
     def _finish(self) -> tuple[float, int]:
         """End what is left; return when the first process ended and how many outlived it."""
-        if self._status is None:
+        if not self._program.ended:
             self._end_tree()
             return time.monotonic(), 0
         finished = time.monotonic()
-        left = len(descendants([self._me.pid]))
+        left = self._program.left()
         self._end_tree()
         return finished, left
 
     def _end_tree(self) -> None:
-        """End all of the run; done when the kernel says that we have no children."""
-        deadline = time.monotonic() + _END_SECONDS
-        # Exact, as we are the subreaper: every orphan of the run is our child. No name and no session has to
-        # be guessed.
-        while children(self._me.pid):
-            if time.monotonic() > deadline:
-                self._notes.append("processes of the run could not be ended")
-                return
-            if self._cgroup is not None:
-                self._cgroup.kill()
-            end_processes(self._living, max(deadline - time.monotonic(), 0.0))
-            self._reap()
-
-    def _living(self) -> list[ProcessIdentity]:
-        self._reap()
-        return [found for found in map(identify, descendants([self._me.pid])) if found is not None]
+        """End all of the run."""
+        self._note(self._program.end(time.monotonic() + _END_SECONDS, self._drain))
 
     def _throttled(self, before: float | None) -> float | None:
         """Return for how long the run was held back, s: by its own limit or by one around the supervisor.
@@ -312,7 +269,7 @@ class Supervisor:
         Args:
             before: what ``host_throttled`` said when the run began.
         """
-        own = self._cgroup.throttled() if self._cgroup else None
+        own = self._program.throttled()
         now = host_throttled()
         if before is None or now is None:
             return own
@@ -327,7 +284,8 @@ class Supervisor:
         spec = self._spec
         # Read when all has ended, so that no CPU time is missing, but stamped with the end of the first
         # process: waiting for stragglers is no wall time of the run.
-        sample = self._source.read()._replace(time=finished)
+        source = self._program.source
+        sample = source.read()._replace(time=finished)
         cores = self._accounting.add(sample, final=True)
         self._table.add(finished - self._start, cores, sample)
         self._contention.add(finished, sample.cpu)
@@ -341,14 +299,14 @@ class Supervisor:
         if reader.suspicion is not None:
             self._interference.note(reader.suspicion)
         usage = self._accounting.usage(
-            self._source.name,
+            source.name,
             data_seconds=spec.data_seconds,
             reader_cpu_seconds=reader.cpu_seconds,
             includes_reader=reader.included,
             throttled_seconds=throttled,
             contended_seconds=self._contention.seconds,
-            kernel_peak=self._source.kernel_peak(),
-            largest_process=largest_ended(),
+            kernel_peak=source.kernel_peak(),
+            largest_process=self._program.largest_ended(),
             suspicions=self._interference.notes,
         )
         return usage, reader.note

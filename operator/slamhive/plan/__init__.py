@@ -7,6 +7,7 @@ from slamhive.plan.configuration import run_configuration, whole_cores
 from slamhive.plan.effects import Effect, option_problems, recording_fields
 from slamhive.plan.expansion import Plan, Point
 from slamhive.plan.hashes import algorithm_hash, content_hash, local_uid, run_name, spec_hash
+from slamhive.plan.images import image_digest, pinned_digest
 from slamhive.plan.resolution import resolve
 
 __all__ = [
@@ -17,8 +18,10 @@ __all__ = [
     "Point",
     "algorithm_hash",
     "content_hash",
+    "image_digest",
     "local_uid",
     "option_problems",
+    "pinned_digest",
     "plan_problems",
     "recording_fields",
     "resolve",

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.kinds import Key, Kind, Label
 from slamhive.kube.reconciling.sweep_runs import SAME_AS
-from slamhive.kube.records import image_digest, pinned_digest, record_of
+from slamhive.kube.records import record_of
 from slamhive.model.results import Phase
 from slamhive.model.status import AlgorithmStatus, MappingRunStatus
 from slamhive.model.sweep import CachePolicy
-from slamhive.plan import content_hash
+from slamhive.plan import content_hash, image_digest, pinned_digest
 
 if TYPE_CHECKING:
     from slamhive.kube.operator import Operator

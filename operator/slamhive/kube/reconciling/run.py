@@ -36,7 +36,6 @@ from slamhive.kube.reconciling.run_status import (
     usage_suspect,
 )
 from slamhive.kube.reconciling.variants import Wanted
-from slamhive.kube.records import image_digest
 from slamhive.kube.status import (
     condition,
     holds,
@@ -51,7 +50,7 @@ from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase, Reason
 from slamhive.model.sensors import SensorMode
 from slamhive.model.status import AlgorithmStatus, MappingRunStatus
-from slamhive.plan import option_problems, resolve, spec_hash
+from slamhive.plan import image_digest, option_problems, resolve, spec_hash
 
 if TYPE_CHECKING:
     from slamhive.engine import Decision

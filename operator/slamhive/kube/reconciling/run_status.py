@@ -13,12 +13,11 @@ from slamhive import __version__
 from slamhive.engine import taken_over
 from slamhive.kube.kinds import Key, Kind
 from slamhive.kube.reconciling.sweep_runs import asked_of
-from slamhive.kube.records import image_digest
 from slamhive.kube.status import display, iso, result_field
 from slamhive.model.results import Prepared, Provenance, TrajectoryInfo, Usage
 from slamhive.model.sensors import SensorMode
 from slamhive.model.status import MOST_RESULTS, MappingRunStatus, ResultEntry
-from slamhive.plan import recording_fields
+from slamhive.plan import image_digest, recording_fields
 
 if TYPE_CHECKING:
     from collections.abc import Collection
