@@ -12,7 +12,7 @@ NPM := cd $(JAVASCRIPT) && PATH="$(CURDIR)/$(BIN):$$PATH" npm
 WORKERS ?= 3
 # Which tests; all when empty.
 TESTS ?=
-THE_REST := cluster or helm or image or ros or slow
+THE_REST := cluster or container or helm or image or ros or slow
 pytest = $(BIN)/python -m pytest -n $(WORKERS) $(1) $(TESTS)
 # Otherwise pytest would compile all tests anew in each worker, each time.
 unexport PYTHONDONTWRITEBYTECODE

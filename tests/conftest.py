@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 from collections import defaultdict
 from pathlib import Path
 from random import Random, SystemRandom
@@ -20,16 +21,20 @@ from hypothesis import settings as hypothesis_settings
 from xdist.scheduler import LoadScopeScheduling
 
 from slamhive.data.store import materialise
+from slamhive.local.engines import ContainerChoice, Engine, find_engine
 from slamhive.local.home import Home
+from slamhive.local.unavailable import Unavailable
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 
 TESTS = Path(__file__).parent
 ACTOR = TESTS / "actor"
-NEEDS = {"node_cluster": "node", "ros": "ros", "helm": "helm"}
+NEEDS = {"node_cluster": "node", "ros": "ros", "helm": "helm", "podman": "container"}
 """Markers of the tests that ask for a fixture."""
-LONG = ("slow", "image", "ros")
+LONG = ("slow", "image", "ros", "container")
 """Markers of tests that may take longer than a minute."""
+CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm")
+"""Images that tests run in containers of a workstation, as images/build calls them."""
 CLUSTERS = frozenset({"control_plane", "node_cluster"})
 """Fixtures of real clusters: what uses one may take as long."""
 ON_NODE = ("tests/e2e/", "tests/helm/test_cluster.py", "tests/cluster/test_local.py")
@@ -45,6 +50,7 @@ SLOWEST = (
     "docs/test_documents.py",
     "dashboard_pages/test_pages.py",
     "system/test_running.py",
+    "contract/test_container.py",
     "contract/test_process.py",
     "honest/test_honest.py",
     "monitor/test_ending.py",
@@ -190,6 +196,23 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tiny").mkdir()
     shutil.copyfile(ACTOR / "tiny.yaml", folder / "tiny" / "dataset.yaml")
     return folder
+
+
+@pytest.fixture(scope="session")
+def podman() -> Engine:
+    """Podman, with the images that tests run in containers of a workstation."""
+    if os.geteuid() != 0:
+        pytest.skip("containers are tested as root")
+    try:
+        found = find_engine(ContainerChoice.PODMAN)
+    except Unavailable as error:
+        pytest.skip(f"{error} (make test-packages)")
+    # What is up to date is not built again.
+    build = [TESTS.parent / "images" / "build", "--tool", "buildah", *CONTAINER_IMAGES]
+    built = subprocess.run(build, capture_output=True, text=True, check=False, timeout=800)
+    if built.returncode:
+        pytest.skip(f"the images can't be built: {built.stderr.strip()[-500:]}")
+    return found
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 """Command that prints what an executor makes of the table of behaviours, to be compared by `diff`.
 
     .venv/bin/python tests/contract/show.py process
+    .venv/bin/python tests/contract/show.py container
     .venv/bin/python tests/contract/show.py cluster --namespace lab
 
 `cluster` is the one of $KUBECONFIG, with SLAM Hive in the namespace; what is made there is deleted again.
@@ -20,6 +21,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "cluster"), str(HERE.parent / "e2e")]
 
 from executors import table  # noqa: E402
+from executors.container import InContainers  # noqa: E402
 from executors.process import TINY, Process  # noqa: E402
 
 from slamhive.data.erasing import erase  # noqa: E402
@@ -32,6 +34,16 @@ if TYPE_CHECKING:
 
 def process(_: str) -> dict[str, Row]:
     """Return what a workstation makes of the table."""
+    return workstation(Process)
+
+
+def container(_: str) -> dict[str, Row]:
+    """Return what it makes of the table in containers."""
+    return workstation(InContainers)
+
+
+def workstation(kind: type[Process]) -> dict[str, Row]:
+    """Return what an executor on a home of its own makes of the table."""
     folder = Path(tempfile.mkdtemp())
     try:
         (dataset,) = load_file(TINY)
@@ -39,7 +51,7 @@ def process(_: str) -> dict[str, Row]:
         environments.mkdir()
         datasets.mkdir()
         materialise(dataset, datasets, datasets)
-        return table.carry_out(Process.at(folder / "home", environments, datasets))
+        return table.carry_out(kind.at(folder / "home", environments, datasets))
     finally:
         erase(folder)
 
@@ -60,7 +72,7 @@ def cluster(namespace: str) -> dict[str, Row]:
         return table.carry_out(made)
 
 
-EXECUTORS = {"process": process, "cluster": cluster}
+EXECUTORS = {"process": process, "container": container, "cluster": cluster}
 
 
 def main() -> None:

@@ -153,7 +153,7 @@ class Containers:
             if engine is None:
                 continue
             try:
-                left = engine.labelled(f"{HOME_LABEL}={self._identity()}")
+                left = engine.labelled(f"{HOME_LABEL}={self.identity()}")
             except EngineError as error:
                 raise SystemFault(f"{name}: containers of earlier runs can't be listed: {error}") from None
             for identity in left:
@@ -162,9 +162,9 @@ class Containers:
     def _label(self, engine: Engine) -> str:
         # Before the first container: by this file the next slamhive knows whom to ask.
         (self._home.folder("containers") / engine.name).touch()
-        return self._identity()
+        return self.identity()
 
-    def _identity(self) -> str:
+    def identity(self) -> str:
         """Return what tells this home from all others, a copy of it elsewhere included."""
         path = self._home.folder("containers") / "identity"
         with self._lock:

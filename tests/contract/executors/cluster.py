@@ -22,6 +22,14 @@ SECONDS = 900.0
 TOGETHER = 5
 
 
+def in_image(image: str, text: str) -> dict[str, Any]:
+    """Return the fields of an Algorithm's spec that say how Python text is run in an image with python3."""
+    # A word of a command has at most 4 KiB.
+    parts = [text[begin : begin + 4000] for begin in range(0, len(text), 4000)]
+    join = "import sys; exec(''.join(sys.argv[1:]))"
+    return {"image": image, "command": ["python3", "-ISc", join, *parts]}
+
+
 class OnCluster:
     """Runs sweeps in a namespace in which SLAM Hive is installed.
 
@@ -39,10 +47,7 @@ class OnCluster:
         self._image = image
 
     def program(self, text: str) -> dict[str, Any]:
-        # A word of a command has at most 4 KiB.
-        parts = [text[begin : begin + 4000] for begin in range(0, len(text), 4000)]
-        join = "import sys; exec(''.join(sys.argv[1:]))"
-        return {"image": self._image, "command": ["python3", "-ISc", join, *parts]}
+        return in_image(self._image, text)
 
     def delete(self, *objects: Mapping[str, Any]) -> None:
         """Delete what was made for these objects, the last one first, and the dataset."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import yaml
 
@@ -21,6 +21,7 @@ from slamhive.plan import Plan, local_uid
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from slamhive.local.engines import ContainerChoice
     from slamhive.model.results import Phase, RunRecord
 
 TINY = Path(__file__).parents[2] / "actor" / "tiny.yaml"
@@ -34,6 +35,7 @@ class Process:
     """
 
     name = "process"
+    container: ClassVar[ContainerChoice | None] = None
 
     def __init__(self, home: Home) -> None:
         self.home = home
@@ -41,7 +43,7 @@ class Process:
         self._folder.mkdir()
 
     @classmethod
-    def at(cls, folder: Path, environments: Path, datasets: Path) -> Process:
+    def at(cls, folder: Path, environments: Path, datasets: Path) -> Self:
         """Make one on a home of its own.
 
         Args:
@@ -75,7 +77,9 @@ class Process:
         asked = Sweep.model_validate({key: sweep[key] for key in ("metadata", "spec")})
         with Archive.open(self.home.archive_url) as archive:
             job = Job(asked, local_uid(asked), Plan(asked, workshop))
-            runner = Runner(Workbench(self.home, workshop, archive), Silent(), rerun=rerun)
+            runner = Runner(
+                Workbench(self.home, workshop, archive, container=self.container), Silent(), rerun=rerun
+            )
             assert not runner.run([job])
         return self.home.archive_url
 

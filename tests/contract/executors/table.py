@@ -220,12 +220,13 @@ ENDING = {
     "exit-137": crashed(
         "exit code 137",
         trajectory=ALL_POSES,
-        differs={
-            "cluster": Difference(
+        differs=dict.fromkeys(
+            ("cluster", "container"),
+            Difference(
                 "a container runtime tells of a signal as an exit code, its number and 128",
                 {"message": "ended by signal 9 (SIGKILL)"},
-            )
-        },
+            ),
+        ),
     ),
     "exit-255": crashed("exit code 255", trajectory=ALL_POSES),
     "segfault": crashed("ended by signal 11 (SIGSEGV)"),
@@ -375,12 +376,13 @@ LOCKED = {
 }
 HOSTILE = {
     "folder-as-samples": measured(
-        differs={
-            "process": Difference(
+        differs=dict.fromkeys(
+            ("process", "container"),
+            Difference(
                 "a workstation puts the samples beside the trajectory",
                 {"message": "usage.csv could not be put into RUN/run/output: Is a directory"},
-            )
-        }
+            ),
+        )
     ),
     "output-is-a-link": without(),
     "removes-its-folder": without(),
