@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import os
+from collections import Counter, defaultdict
+from random import Random
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from slamhive.archive import Archive
 
@@ -26,6 +28,17 @@ class Point(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.moment} {self.verb} {self.resource} #{self.number}"
+
+
+def chosen(points: Sequence[Point], seed: int) -> list[Point]:
+    """Return a point of each verb, resource and moment, drawn by a seed; all in the profile `thorough`."""
+    if os.environ.get("SLAMHIVE_EXAMPLES") == "thorough":
+        return [*points]
+    kinds: dict[tuple[str, str, str], list[Point]] = defaultdict(list)
+    for point in points:
+        kinds[point.verb, point.resource, point.moment].append(point)
+    chance = Random(seed)
+    return [chance.choice(kinds[kind]) for kind in sorted(kinds)]
 
 
 class Killed(BaseException):
