@@ -16,7 +16,16 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 HERE = Path(__file__).parent
-IMPORTED = ("slamhive.cli.running", "slamhive.local.workbench", "slamhive.archive", "slamhive.data.transfer")
+IMPORTED = (
+    "slamhive.cli.running",
+    "slamhive.local.workbench",
+    "slamhive.archive",
+    "slamhive.data.transfer",
+    "slamhive.jobs.prepare",
+    "slamhive.jobs.evaluate",
+    "rosbags.typesys.stores.ros1_noetic",
+    "rosbags.typesys.stores.ros2_humble",
+)
 """Modules that commands under faults need."""
 KINDS = ("ENOSPC", "EIO", "EROFS", "EDQUOT", "short")
 _ALLOWED = {
