@@ -39,6 +39,9 @@ CLUSTERS = frozenset({"control_plane", "node_cluster"})
 """Fixtures of real clusters: what uses one may take as long."""
 ON_NODE = ("tests/e2e/", "tests/helm/test_cluster.py", "tests/cluster/test_local.py")
 
+SINGLE = ("tests/shows/",)
+"""Long tests that have nothing in common."""
+
 SLOWEST = (
     "e2e/",
     "kube/faults/",
@@ -92,10 +95,12 @@ hypothesis_settings.load_profile(PROFILE)
 
 
 class Sharing(LoadScopeScheduling):
-    """What workers side by side share out: whole files, and all that needs a node together."""
+    """What workers side by side share out: whole files, single tests that share nothing, all that needs a node."""
 
     def _split_scope(self, nodeid: str) -> str:
         path = nodeid.partition("::")[0]
+        if path.startswith(SINGLE):
+            return nodeid
         return "node" if path.startswith(ON_NODE) else path
 
 

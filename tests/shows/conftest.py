@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole commands with real algorithms, in one home."""
+"""Whole commands with real algorithms, each in a home of its own."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(scope="session")
-def home(tmp_path_factory: pytest.TempPathFactory, environments: Path) -> Path:
+@pytest.fixture
+def home(tmp_path: Path, environments: Path) -> Path:
     """A home of real algorithms."""
-    folder = tmp_path_factory.mktemp("shows")
+    folder = tmp_path / "home"
+    folder.mkdir()
     (folder / "environments").symlink_to(environments)
     return folder
 

@@ -122,7 +122,8 @@ def load_built(instance: Instance, name: str) -> None:
         raise ClusterError("loading images takes buildah: apt-get install buildah")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "image.tar"
-        command = ["buildah", "push", "-q", name, f"oci-archive:{path}:{full_name(name)}"]
+        # Unlike an OCI archive, it has its layers as they are: compressing them takes longer than all else.
+        command = ["buildah", "push", "-q", name, f"docker-archive:{path}:{full_name(name)}"]
         result = subprocess.run(command, capture_output=True, text=True, check=False)
         if result.returncode:
             raise ClusterError(f"cannot export the image {name}: {result.stderr.strip()[-500:]}")

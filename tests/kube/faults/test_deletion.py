@@ -89,7 +89,7 @@ async def deleted_at(point: Point, instance: Instance) -> list[str] | None:
 async def test_nothing_is_left_whenever_a_sweep_is_deleted(
     arena: Arena, name: str, request: pytest.FixtureRequest
 ) -> None:
-    """Before a call of each kind, drawn by the order's seed; before each single one by `make fuzz-cluster`."""
+    """Before a call of each kind, drawn by the order's seed; before each by `make fuzz-cluster`."""
     every = await arena.play(SWEPT[name], undisturbed)
     points = chosen(every, request.config.option.order_seed)
     room = asyncio.Semaphore(AT_ONCE)
