@@ -17,7 +17,7 @@ import numpy as np
 from slamhive.data.entries import DatasetEntry
 from slamhive.data.preparation import prepare
 from slamhive.data.rosmessages import BagWriter
-from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.algorithm import DataFormat
 from slamhive.model.dataset import Dataset
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Camera, Role
@@ -84,7 +84,7 @@ def main() -> None:
                 copy(bag, folder / "copy", durable=durable)
                 times[what].append(time.perf_counter() - begin)
             begin = time.perf_counter()
-            prepare(entry, roles, options, [RecordingFormat.ROSBAG1], cache / str(number))
+            prepare(entry, roles, options, [DataFormat.ROSBAG1], cache / str(number))
             times["preparation to half resolution and half rate"].append(time.perf_counter() - begin)
         about = f"stereo-inertial bag of {size:.0f} MB, best of {ROUNDS}"
         for what, seconds in times.items():

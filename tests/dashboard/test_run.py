@@ -17,7 +17,7 @@ from slamhive.dashboard.api_run import MOST_SETTINGS
 from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.sources import Workstation
 from slamhive.dashboard.trajectories import usage_columns
-from slamhive.model.algorithm import Pace, RecordingFormat
+from slamhive.model.algorithm import DataFormat, Pace
 from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
 from slamhive.model.results import Outcome, Result
 from slamhive.model.run import MappingRun
@@ -183,7 +183,7 @@ async def test_load_in_real_time_lies_where_the_player_played(home: Path, api: A
         mode=SensorMode.LIDAR,
         dataset=DatasetView(
             name="dataset-0",
-            recording=RecordingPlace(format=RecordingFormat.ROSBAG1, path="dataset/recording.bag"),
+            recording=RecordingPlace(format=DataFormat.ROSBAG1, path="dataset/recording.bag"),
             start_time=13.0,
         ),
         sensors={},

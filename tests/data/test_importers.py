@@ -19,7 +19,7 @@ from slamhive.data.groundtruth import ground_truth
 from slamhive.data.inspection import inspect
 from slamhive.data.preparation import prepare
 from slamhive.data.suggestion import suggest_dataset
-from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.algorithm import DataFormat
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.loading import load_file, parse, to_object
 from slamhive.model.run import InputOptions
@@ -78,7 +78,7 @@ def test_the_whole_intel_log(shared: Path, tmp_path: Path) -> None:
     dataset = import_carmen(source / "intel.clf.bz2", tmp_path / "intel", "intel", source / "intel.relations")
     entry = DatasetEntry(dataset, tmp_path / "intel")
     truth = ground_truth(entry)
-    variant = prepare(entry, [Role.LIDAR], InputOptions(), [RecordingFormat.ROSBAG1], tmp_path / "cache")
+    variant = prepare(entry, [Role.LIDAR], InputOptions(), [DataFormat.ROSBAG1], tmp_path / "cache")
     assert variant.frames == 13_631
     with AnyReader([variant.path]) as reader:
         assert set(reader.topics) == {"/points", "/tf_static"}

@@ -18,13 +18,13 @@ from slamhive.data.clouds import cloud_points
 from slamhive.data.entries import DatasetEntry
 from slamhive.data.images import image_pixels
 from slamhive.data.preparation import evict_variants, prepare
-from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.algorithm import DataFormat
 from slamhive.model.dataset import DataFile, Recording
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Role
 
-BAG1, BAG2, MCAP = RecordingFormat.ROSBAG1, RecordingFormat.ROSBAG2, RecordingFormat.MCAP
+BAG1, BAG2, MCAP = DataFormat.ROSBAG1, DataFormat.ROSBAG2, DataFormat.MCAP
 STEREO, RGBD = (Role.LEFT, Role.RIGHT), (Role.COLOR, Role.DEPTH)
 
 

@@ -10,14 +10,14 @@ from slamhive.data.carmen import POINT
 from slamhive.data.inspection import inspect
 from slamhive.data.preparation import prepare
 from slamhive.data.recordings import Recording, guess_format, open_recording
-from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.algorithm import DataFormat, RecordingFormat
 from slamhive.model.errors import DataError
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Role
 
 
 def prepared(entry: Any, cache: Path, *roles: Role) -> None:
-    prepare(entry, roles or (Role.CAMERA,), InputOptions(), [RecordingFormat.ROSBAG1], cache)
+    prepare(entry, roles or (Role.CAMERA,), InputOptions(), [DataFormat.ROSBAG1], cache)
 
 
 @pytest.mark.parametrize(

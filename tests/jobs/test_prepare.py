@@ -23,7 +23,7 @@ from slamhive.data.once import in_use
 from slamhive.data.preparation import prepare
 from slamhive.data.store import materialise
 from slamhive.kube.reports import read_description
-from slamhive.model.algorithm import RecordingFormat
+from slamhive.model.algorithm import DataFormat
 from slamhive.model.loading import load_file
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Role
@@ -77,7 +77,7 @@ def test_it_makes_what_the_workstation_makes(pod: Any, synthetic: Any, tiny: Pat
     dataset = load_file(ACTOR / "tiny.yaml")[0]
     entry = materialise(dataset, tiny, tiny)  # type: ignore[arg-type]
     options = InputOptions.model_validate(synthetic["input"])
-    variant = prepare(entry, [Role.LIDAR], options, [RecordingFormat.ROSBAG1], tmp_path / "own")
+    variant = prepare(entry, [Role.LIDAR], options, [DataFormat.ROSBAG1], tmp_path / "own")
     assert (found.key, found.frames, found.frame_rate) == (variant.key, variant.frames, variant.frame_rate)
     assert (found.start_time, found.duration_seconds) == (variant.start_time, variant.duration_seconds)
     assert found.sensors == variant.sensors

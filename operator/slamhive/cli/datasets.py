@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 import yaml
@@ -20,10 +20,10 @@ from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
 from slamhive.local.catalog import load_workshop
 from slamhive.local.home import Home
-from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.base import explain
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
+from slamhive.model.formats import DataFormat, holds, misfit
 from slamhive.model.run import InputOptions, LidarInput
 from slamhive.model.sensors import ROLES, SensorMode
 
@@ -33,10 +33,17 @@ if TYPE_CHECKING:
     from slamhive.data.inspection import DatasetReport, SensorReport
     from slamhive.model.dataset import DatasetSpec
 
-app = typer.Typer(no_args_is_help=True, help="Datasets: list, add, check and prepare them.")
+app = typer.Typer(no_args_is_help=True, help="Datasets: list, add, check, prepare and export them.")
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+FrameRate = Annotated[float | None, typer.Option("--frame-rate", min=0.001, help="Hz.")]
+Resolution = Annotated[float | None, typer.Option("--resolution", min=0.01, max=1, help="Scale of images.")]
+Start = Annotated[str | None, typer.Option("--start", help="Time to leave out, such as 10s.")]
+Length = Annotated[str | None, typer.Option("--duration", help="Length to keep, such as 1m.")]
+MaxRange = Annotated[float | None, typer.Option("--max-range", min=0.01, help="LiDAR range in m.")]
+Rings = Annotated[int | None, typer.Option("--rings", min=1, help="LiDAR rings to keep.")]
 
 _MANIFESTS = {".yaml", ".yml"}
 _CARMEN = {".clf", ".log", ".bz2", ".gz"}
@@ -143,19 +150,13 @@ def prepare_variant(
     name: Name,
     *,
     sensors: Annotated[SensorMode, typer.Option("--sensors", help="Sensor mode to prepare for.")],
-    frame_rate: Annotated[float | None, typer.Option("--frame-rate", min=0.001, help="Hz.")] = None,
-    resolution: Annotated[
-        float | None, typer.Option("--resolution", min=0.01, max=1, help="Scale of images.")
-    ] = None,
-    start: Annotated[str | None, typer.Option("--start", help="Time to leave out, such as 10s.")] = None,
-    duration: Annotated[str | None, typer.Option("--duration", help="Length to keep, such as 1m.")] = None,
-    max_range: Annotated[
-        float | None, typer.Option("--max-range", min=0.01, help="LiDAR range in m.")
-    ] = None,
-    rings: Annotated[int | None, typer.Option("--rings", min=1, help="LiDAR rings to keep.")] = None,
-    recording: Annotated[
-        RecordingFormat | None, typer.Option("--format", help="Format; default: as recorded.")
-    ] = None,
+    frame_rate: FrameRate = None,
+    resolution: Resolution = None,
+    start: Start = None,
+    duration: Length = None,
+    max_range: MaxRange = None,
+    rings: Rings = None,
+    form: Annotated[DataFormat | None, typer.Option("--format", help="Format; default: as recorded.")] = None,
 ) -> None:
     """Make the variant of a dataset that a run would get, and say where it is.
 
@@ -163,31 +164,76 @@ def prepare_variant(
     """
     from slamhive.data.preparation import prepare
 
+    options = _input(frame_rate, resolution, start, duration, max_range, rings)
     bench = open_workbench(Home.from_environment())
     with bench.archive:
         entry = bench.dataset(name)
-        options = _options(
-            {
-                "frameRate": frame_rate,
-                "resolution": resolution,
-                "start": start,
-                "duration": duration,
-                "lidar": LidarInput(max_range=max_range, rings=rings),
-            }
-        )
         with _progress() as progress:
             task = progress.add_task(f"preparing {name}", total=1.0)
             variant = prepare(
                 entry,
                 ROLES[sensors],
                 options,
-                [recording or entry.dataset.spec.recording.format],
+                [form or DataFormat(entry.dataset.spec.recording.format)],
                 bench.home.folder("variants"),
                 lambda share: progress.update(task, completed=share),
             )
-    rate = f"{variant.frame_rate:.4g} Hz" if variant.frame_rate else "one frame"
-    remark(f"{variant.frames} frames, {rate}, {variant.duration_seconds:.1f} s, scale {variant.resolution:g}")
+    _remark_frames(variant.frames, variant.frame_rate, variant.duration_seconds, variant.resolution)
     out.print(str(variant.path), soft_wrap=True)
+
+
+@app.command("export")
+def export(
+    name: Name,
+    *,
+    form: Annotated[DataFormat, typer.Option("--format", help="Form: a bag, or a folder of files.")],
+    folder: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to make.")],
+    sensors: Annotated[
+        SensorMode | None, typer.Option("--sensors", help="Sensor mode; default: all that the form holds.")
+    ] = None,
+    frame_rate: FrameRate = None,
+    resolution: Resolution = None,
+    start: Start = None,
+    duration: Length = None,
+    max_range: MaxRange = None,
+    rings: Rings = None,
+    ground_truth: Annotated[
+        bool, typer.Option("--ground-truth", help="Write groundtruth.txt beside it, in TUM format.")
+    ] = False,
+) -> None:
+    """Write a dataset in the form that a program takes: what a run would be given.
+
+    Example: slamhive dataset export synthetic-camera --format Euroc -o hall --ground-truth
+    """
+    from slamhive.data.exporting import all_roles, export_dataset, require_new
+
+    options = _input(frame_rate, resolution, start, duration, max_range, rings)
+    if sensors is not None and not holds(form, ROLES[sensors]):
+        raise InputError(f"--sensors: {misfit([form], ROLES[sensors], f'the mode {sensors}')}")
+    require_new(folder)
+    bench = open_workbench(Home.from_environment())
+    with bench.archive:
+        entry = bench.dataset(name)
+        truth = bench.truth(name) if ground_truth else None
+        if ground_truth and truth is None:
+            raise InputError(f"--ground-truth: dataset {name} has none; leave it out")
+        with _progress() as progress:
+            task = progress.add_task(f"exporting {name}", total=1.0)
+            made = export_dataset(
+                entry,
+                ROLES[sensors] if sensors else all_roles(entry, form),
+                options,
+                form,
+                folder,
+                truth=truth,
+                cache=bench.home.folder("truths"),
+                progress=lambda share: progress.update(task, completed=share),
+            )
+    chosen = made.selection
+    seconds = (chosen.last - chosen.first) / 1e9
+    remark(f"{form} with {listing([str(role) for role in made.views])}")
+    _remark_frames(chosen.frames(chosen.primary), chosen.rate(chosen.primary), seconds, options.resolution)
+    out.print(str(folder), soft_wrap=True)
 
 
 @app.command("check")
@@ -281,8 +327,27 @@ def _within_reach(source: Path) -> Path:
     return link
 
 
-def _options(given: dict[str, Any]) -> InputOptions:
+def _remark_frames(frames: int, rate: float | None, seconds: float, resolution: float) -> None:
+    told = f"{rate:.4g} Hz" if rate else "one frame"
+    remark(f"{frames} frames, {told}, {seconds:.1f} s, scale {resolution:g}")
+
+
+def _input(  # noqa: PLR0917 - one for each option
+    frame_rate: float | None,
+    resolution: float | None,
+    start: str | None,
+    duration: str | None,
+    max_range: float | None,
+    rings: int | None,
+) -> InputOptions:
     """Return input options from those of the command line, absent ones left to their defaults."""
+    given = {
+        "frameRate": frame_rate,
+        "resolution": resolution,
+        "start": start,
+        "duration": duration,
+        "lidar": LidarInput(max_range=max_range, rings=rings),
+    }
     try:
         return InputOptions.model_validate({key: value for key, value in given.items() if value is not None})
     except ValidationError as error:

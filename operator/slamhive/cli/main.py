@@ -75,7 +75,7 @@ COMMANDS = {
         "cluster", "fetch", "Copy finished runs of a cluster into the archive here, for slamhive results."
     ),
     "results": _Command("results", "app", "Finished runs: lists, tables, files."),
-    "dataset": _Command("datasets", "app", "Datasets: list, add, check and prepare them."),
+    "dataset": _Command("datasets", "app", "Datasets: list, add, check, prepare and export them."),
     "algorithm": _Command("algorithms", "app", "Algorithms: list, add and check them."),
     "import": _Command("importing", "app", "Bring results of other systems into the archive."),
     "archive": _Command(

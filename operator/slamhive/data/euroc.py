@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
 
-_ENCODINGS = {("uint8", 2): "mono8", ("uint16", 2): "mono16", ("uint8", 3): "bgr8"}
+_ENCODINGS = {("uint8", 2): "mono8", ("uint16", 2): "mono16", ("uint8", 3): "bgr8", ("uint16", 3): "bgr16"}
 _DISTORTIONS = {"radial-tangential": "RadialTangential", "equidistant": "Equidistant", "none": "None"}
 _TRUTHS = (
     "state_groundtruth_estimate0/data.csv",
@@ -123,7 +123,7 @@ def _camera(folder: Path, role: str) -> _Camera:
         )
     fx, fy, cx, cy = _numbers(known, "intrinsics", 4, path)
     width, height = (int(number) for number in _numbers(known, "resolution", 2, path))
-    coefficients = _numbers(known, "distortion_coefficients", 4, path) if distortion != "none" else []
+    coefficients = _coefficients(known, path) if distortion != "none" else []
     camera = Camera.model_validate(
         {
             "width": width,
@@ -134,7 +134,7 @@ def _camera(folder: Path, role: str) -> _Camera:
             "cx": cx,
             "cy": cy,
             "distortion": _DISTORTIONS[distortion],
-            "coefficients": [*coefficients, 0.0] if distortion == "radial-tangential" else coefficients,
+            "coefficients": _with_k3(coefficients) if distortion == "radial-tangential" else coefficients[:4],
         }
     )
     return _Camera(role, folder, _pose(known, path), float(known.get("rate_hz", 20)), camera, frames)
@@ -186,6 +186,18 @@ def _pose(known: dict[str, Any], path: Path) -> Array:
     pose = values.reshape(4, 4)
     pose[3] = 0.0, 0.0, 0.0, 1.0
     return pose
+
+
+def _coefficients(known: dict[str, Any], path: Path) -> list[float]:
+    """Return all coefficients: EuRoC's own files have four, others may have those of more terms."""
+    values = known.get("distortion_coefficients")
+    return _numbers(
+        known, "distortion_coefficients", max(4, len(values) if isinstance(values, list) else 0), path
+    )
+
+
+def _with_k3(coefficients: list[float]) -> list[float]:
+    return [*coefficients, 0.0] if len(coefficients) == 4 else coefficients
 
 
 def _numbers(known: dict[str, Any], key: str, count: int, path: Path) -> list[float]:

@@ -31,7 +31,7 @@ ENCODINGS: dict[str, tuple[str, int]] = {
     "bgr16": ("u2", 3),
     "32FC1": ("f4", 1),
 }
-"""Pixel type and channels of the encodings that can be scaled."""
+"""Pixel type and channels of the encodings that are read."""
 
 
 def scaled_size(width: int, height: int, scale: float) -> tuple[int, int]:
@@ -144,7 +144,7 @@ def image_pixels(message: Any, where: str) -> npt.NDArray[Any]:
     if message.encoding not in ENCODINGS:
         kind = "raw Bayer data" if message.encoding.startswith("bayer") else "of an unknown encoding"
         raise DataError(
-            f"{where}: images are {kind} ({message.encoding!r}) and can't be scaled; allowed: "
+            f"{where}: images are {kind} ({message.encoding!r}) and can't be read; allowed: "
             f"{', '.join(ENCODINGS)}"
         )
     letter, channels = ENCODINGS[message.encoding]
@@ -167,6 +167,18 @@ def scale_compressed(message: Any, scale: float, *, depth: bool, where: str) -> 
     Raises:
         DataError: It can't be decoded.
     """
+    scaled = resize(compressed_pixels(message, where), scale, nearest=depth)
+    encoded = cv2.imencode(".png", scaled, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+    described = message.format.split(";")[0] + "; png compressed" if ";" in message.format else "png"
+    return replace(message, format=described, data=encoded.reshape(-1))
+
+
+def compressed_pixels(message: Any, where: str) -> npt.NDArray[Any]:
+    """Return the pixels of a sensor_msgs/CompressedImage, (height, width[, channels]), colours as BGR.
+
+    Raises:
+        DataError: It can't be decoded.
+    """
     pixels = None
     if "compressedDepth" not in message.format and message.data.size:
         pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED)
@@ -174,7 +186,4 @@ def scale_compressed(message: Any, scale: float, *, depth: bool, where: str) -> 
         raise DataError(
             f"{where}: a compressed image ({message.format!r}) can't be decoded; allowed: JPEG and PNG"
         )
-    scaled = resize(pixels, scale, nearest=depth)
-    encoded = cv2.imencode(".png", scaled, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
-    described = message.format.split(";")[0] + "; png compressed" if ";" in message.format else "png"
-    return replace(message, format=described, data=encoded.reshape(-1))
+    return pixels

@@ -13,7 +13,9 @@ import fcntl
 import os
 import shutil
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 from slamhive.model.errors import SystemFault
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+_FLUSHERS = 8
+_FEW = 32
 GRACE_SECONDS = 600.0
 """A folder asked for this recently is not evicted: its user may be about to take the lock."""
 
@@ -123,9 +127,7 @@ def _make(folder: Path, make: Callable[[Path], None]) -> None:
     aside.mkdir()
     try:
         make(aside)
-        for path in sorted(aside.rglob("*"), reverse=True):
-            _settle(path)
-        flush(aside)
+        settle(aside, read_only=True)
         aside.replace(folder)
         flush(folder.parent)
     except BaseException:
@@ -133,14 +135,33 @@ def _make(folder: Path, make: Callable[[Path], None]) -> None:
         raise
 
 
-def _settle(path: Path) -> None:
-    """Bring a file to disk and make it read-only; a linked one is someone else's and stays as it is."""
+def settle(folder: Path, *, read_only: bool) -> None:
+    """Bring all of a folder to disk.
+
+    Args:
+        folder: The folder.
+        read_only: Whether its files become read-only.
+
+    Raises:
+        OSError: The disk refuses.
+    """
+    paths = sorted(folder.rglob("*"), reverse=True)
+    # Alone each waits for the disk's journal; together, thousands of images take an eighth of the time.
+    with ThreadPoolExecutor(_FLUSHERS if len(paths) > _FEW else 1) as pool:
+        for _ in pool.map(partial(_settle, read_only=read_only), paths):
+            pass
+    flush(folder)
+
+
+def _settle(path: Path, *, read_only: bool) -> None:
+    """Bring a file to disk; a linked one is someone else's and stays as it is."""
     if path.is_symlink():
         return
     if path.is_file():
         if path.stat().st_nlink > 1:
             return
-        path.chmod(0o444)
+        if read_only:
+            path.chmod(0o444)
     flush(path)
 
 

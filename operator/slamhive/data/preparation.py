@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Variants of a dataset: what an algorithm is given, and nothing else.
 
-A variant holds the chosen sensors' topics with their camera_info, and /tf_static; never ground truth. It is a
-folder ``KEY`` of the cache with the recording, ``frames.txt`` (stamps of the primary sensor's frames in ns of
-sensor time, a line a frame) and ``variant.json``, made once, and whole when it exists. Its key hashes the
-recording, the sensors' calibration, the options that matter and `VERSION`.
+A variant holds the chosen sensors' topics with their camera_info, and /tf_static, or the same data as a
+folder of files (`folders`); never ground truth. It is a folder ``KEY`` of the cache with the recording,
+``frames.txt`` (stamps of the primary sensor's frames in ns of sensor time, a line a frame) and
+``variant.json``, made once, and whole when it exists. Its key hashes the recording, the sensors' calibration,
+the options that matter and `VERSION`.
 """
 
 from __future__ import annotations
@@ -12,43 +13,31 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.posefiles import FRAMES
-from slamhive.data.checks import check_content
-from slamhive.data.clouds import cloud_filter
 from slamhive.data.entries import recording_sha256
-from slamhive.data.images import scale_camera
+from slamhive.data.making import frames_text, make_recording, order_of
 from slamhive.data.once import evict, flush, in_use, make_once
-from slamhive.data.posetopics import truth_topic
-from slamhive.data.recordings import Recording, guess_format, open_recording, recording_paths
-from slamhive.data.selection import select
-from slamhive.data.streams import streams_of
-from slamhive.data.transfer import transfer
+from slamhive.data.recordings import Recording, guess_format
 from slamhive.data.version import VERSION
 from slamhive.data.writing import FILE_NAMES
-from slamhive.model.algorithm import RecordingFormat
-from slamhive.model.base import seconds
 from slamhive.model.canonical import digest
 from slamhive.model.configuration import SensorView
 from slamhive.model.errors import InputError, SystemFault
+from slamhive.model.formats import DataFormat, RecordingFormat
 from slamhive.model.results import Prepared
-from slamhive.model.sensors import FOLLOWS, ROLE_TYPES, Role, SensorType
+from slamhive.model.sensors import FOLLOWS, Role
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-    import numpy as np
-    import numpy.typing as npt
-
     from slamhive.data.entries import DatasetEntry
-    from slamhive.data.selection import Selection
-    from slamhive.model.run import InputOptions, LidarInput
+    from slamhive.data.making import Made, Order
+    from slamhive.model.run import InputOptions
 
 DESCRIPTION = "variant.json"
 PRIMARY = (Role.CAMERA, Role.LEFT, Role.COLOR, Role.LIDAR)
@@ -60,7 +49,7 @@ class Variant:
     """A prepared recording.
 
     Attributes:
-        path: The recording: a file, or a folder for Rosbag2.
+        path: The recording: a file, or a folder for Rosbag2 and for folders of files.
         format: How it is stored.
         sensors: The sensors by role as they are after preparation.
         start_time: Sensor time of the first frame of the primary sensor, s.
@@ -76,7 +65,7 @@ class Variant:
     """
 
     path: Path
-    format: RecordingFormat
+    format: DataFormat
     sensors: dict[Role, SensorView]
     start_time: float
     duration_seconds: float
@@ -114,35 +103,11 @@ class Variant:
         return in_use(self.folder)
 
 
-@dataclass(frozen=True)
-class Wish:
-    """The options that matter for the sensors chosen, in plain numbers.
-
-    Attributes:
-        frame_rate: Hz; None: as recorded.
-        resolution: Scale of images.
-        start: Seconds left out at the beginning.
-        duration: Seconds kept; None: all.
-        lidar: What is kept of scans.
-    """
-
-    frame_rate: float | None
-    resolution: float
-    start: float
-    duration: float | None
-    lidar: LidarInput | None
-
-    @property
-    def is_idle(self) -> bool:
-        """Tell whether messages stay as they are."""
-        return self == Wish(None, 1.0, 0.0, None, None)
-
-
 def prepare(  # noqa: PLR0917 - progress comes last everywhere
     entry: DatasetEntry,
     roles: Sequence[Role],
     options: InputOptions,
-    formats: Sequence[RecordingFormat],
+    formats: Sequence[DataFormat],
     cache: Path,
     progress: Callable[[float], None] | None = None,
 ) -> Variant:
@@ -165,10 +130,10 @@ def prepare(  # noqa: PLR0917 - progress comes last everywhere
         SystemFault: The disk refuses.
     """
     spec = entry.dataset.spec
-    sensors = {role: _sensor_for(entry, role, options) for role in roles}
-    wish = _wish(options, sensors)
-    _views(sensors, wish)  # what the options ask of the sensors is refused before anything is made
-    target = spec.recording.format if spec.recording.format in formats else formats[0]
+    recorded = DataFormat(spec.recording.format)
+    target = DataFormat(recorded if recorded in formats else formats[0])
+    order = order_of(entry, roles, options, target)
+    sensors, wish = order.sensors, order.wish
     source = recording_sha256(entry, cache / ".hashes")
     key = digest(
         {
@@ -187,7 +152,7 @@ def prepare(  # noqa: PLR0917 - progress comes last everywhere
     folder = cache / key[:32]
 
     def make(aside: Path) -> None:
-        _make(_Request(entry, sensors, wish, target), aside, progress)
+        _describe(order, aside / FILE_NAMES[target], aside, make_recording(order, aside, progress))
 
     make_once(folder, make, _is_sound)
     _add_frames(folder)
@@ -207,118 +172,20 @@ def evict_variants(cache: Path, limit_bytes: int) -> list[str]:
     return evict(cache, limit_bytes) if cache.is_dir() else []
 
 
-def _sensor_for(entry: DatasetEntry, role: Role, options: InputOptions) -> SensorView:
-    name = entry.dataset.spec.sensor_for(role, options.remap)
-    sensor = entry.dataset.spec.sensors[name]
-    expected = ROLE_TYPES[role]
-    if sensor.type is not expected:
-        raise InputError(
-            f"input.remap.{role}: sensor {name!r} is of type {sensor.type}, only {expected} is allowed"
-        )
-    return SensorView.model_validate(sensor.as_json() | {"name": name})
-
-
-def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> Wish:
-    types = {sensor.type for sensor in sensors.values()}
-    cameras = types & {SensorType.CAMERA, SensorType.DEPTH_CAMERA}
-    lidar = options.lidar if SensorType.LIDAR in types else None
-    return Wish(
-        frame_rate=options.frame_rate,
-        resolution=options.resolution if cameras else 1.0,
-        start=seconds(options.start) if options.start else 0.0,
-        duration=seconds(options.duration) if options.duration else None,
-        lidar=lidar if lidar and lidar.as_json() else None,
-    )
-
-
-def _views(sensors: dict[Role, SensorView], wish: Wish) -> dict[Role, SensorView]:
-    """Return the sensors as the options leave them; rates follow from the frames kept."""
-    views = {}
-    for role, sensor in sensors.items():
-        view = sensor
-        if sensor.type is SensorType.LIDAR:
-            view = sensor.replace(lidar=cloud_filter(wish.lidar, sensor.lidar, sensor.name)[1])
-        elif sensor.camera is not None and wish.resolution != 1.0:
-            view = sensor.replace(camera=scale_camera(sensor.camera, wish.resolution))
-        views[role] = view
-    return views
-
-
-@dataclass(frozen=True)
-class _Request:
-    """What a variant is made from."""
-
-    entry: DatasetEntry
-    sensors: dict[Role, SensorView]
-    wish: Wish
-    target: RecordingFormat
-
-
-def _make(request: _Request, aside: Path, progress: Callable[[float], None] | None) -> None:
-    """Fill the folder of a variant."""
-    entry, wish, target = request.entry, request.wish, request.target
-    path = aside / FILE_NAMES[target]
-    truth = entry.dataset.spec.ground_truth
-    with open_recording(entry.dataset, entry.root) as recording:
-        streams = streams_of(recording, request.sensors, truth_topic(truth.topic) if truth else None)
-        check_content(recording, {view.name: view for view in request.sensors.values()})
-        selection = select(recording, streams, wish, _share(progress, 0.0, 0.3))
-        original = recording_paths(entry.dataset, entry.root)
-        whole = {stream.topic for stream in streams} == set(recording.topics)
-        if whole and wish.is_idle and target is recording.format and len(original) == 1:
-            _link(original[0], path)
-        else:
-            report = _share(progress, 0.3, 1.0)
-            transfer(recording, selection, wish, target=path, target_format=target, progress=report)
-    (aside / FRAMES).write_bytes(_frames_text(selection.stamps, selection.primary.time_offset))
-    _describe(request, selection, aside)
-    if progress:
-        progress(1.0)
-
-
-def _share(
-    progress: Callable[[float], None] | None, low: float, high: float
-) -> Callable[[float], None] | None:
-    if progress is None:
-        return None
-    return lambda share: progress(low + (high - low) * min(share, 1.0))
-
-
-def _link(original: Path, path: Path) -> None:
-    """Put a recording into the variant so that nothing leads to what lies beside it, as a symlink would.
-
-    Only a read-only file is linked: an algorithm must not be able to write into someone's data.
-    """
-    original = original.resolve()
-    if original.is_dir():
-        shutil.copytree(original, path)
-        return
-    if not original.stat().st_mode & 0o222:
-        with suppress(OSError):  # another file system, or one without hard links
-            os.link(original, path)
-            return
-    shutil.copyfile(original, path)
-
-
-def _describe(request: _Request, selection: Selection, aside: Path) -> None:
-    wish, target = request.wish, request.target
-    views = _views(request.sensors, wish)
-    rates = {stream.sensor: selection.rate(stream) for stream in selection.streams if stream.sensor}
+def _describe(order: Order, path: Path, aside: Path, made: Made) -> None:
+    selection = made.selection
     primary = selection.primary
     offset = primary.time_offset
-    path = aside / FILE_NAMES[target]
     description: dict[str, Any] = {
-        "format": target,
-        "recording": FILE_NAMES[target],
+        "format": order.target,
+        "recording": path.name,
         "state": _state(path),
         "framesSha256": _sha256(aside / FRAMES),
-        "sensors": {
-            role: view.replace(rate=rates[view.name] or view.rate).as_json() for role, view in views.items()
-        },
+        "sensors": {role: view.as_json() for role, view in made.views.items()},
         "startTime": selection.first / 10**9 + offset,
         "durationSeconds": (selection.last - selection.first) / 10**9,
-        "frameRate": rates[primary.sensor or ""],
-        "resolution": wish.resolution,
+        "frameRate": selection.rate(primary),
+        "resolution": order.wish.resolution,
         "frames": selection.frames(primary),
         "recordedFrameRate": selection.recorded_rate,
         "recordedSeconds": selection.recorded_seconds,
@@ -347,7 +214,7 @@ def _add_frames(folder: Path) -> None:
         )
         with Recording([path], form) as recording:
             stamps = recording.scan([primary.topic])[primary.topic].stamps
-        _replace(folder / FRAMES, _frames_text(stamps, primary.time_offset))
+        _replace(folder / FRAMES, frames_text(stamps, primary.time_offset))
         described = description | {"framesSha256": _sha256(folder / FRAMES)}
         _replace(folder / DESCRIPTION, (json.dumps(described, indent=2) + "\n").encode())
     except OSError as error:
@@ -366,12 +233,6 @@ def _replace(path: Path, data: bytes) -> None:
     except BaseException:
         aside.unlink(missing_ok=True)
         raise
-
-
-def _frames_text(stamps: npt.NDArray[np.int64], time_offset: float) -> bytes:
-    """Return header stamps (ns) as sensor time, a line a frame."""
-    offset = round(time_offset * 10**9)
-    return "".join(f"{stamp + offset}\n" for stamp in stamps.tolist()).encode()
 
 
 def _sha256(path: Path) -> str:
@@ -397,7 +258,8 @@ def _is_sound(folder: Path) -> bool:
         path = folder / description["recording"]
         frames = description.get("framesSha256")
         changed = frames is not None and _sha256(folder / FRAMES) != frames
-        return not changed and guess_format(path) is not None and _state(path) == description["state"]
+        there = path.is_dir() if DataFormat(description["format"]).is_folder else bool(guess_format(path))
+        return not changed and there and _state(path) == description["state"]
     except (OSError, ValueError, KeyError, InputError):
         return False
 
@@ -406,7 +268,7 @@ def _load(folder: Path, key: str, source: str) -> Variant:
     known = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
     return Variant(
         path=folder / known["recording"],
-        format=RecordingFormat(known["format"]),
+        format=DataFormat(known["format"]),
         sensors={Role(role): SensorView.model_validate(view) for role, view in known["sensors"].items()},
         start_time=known["startTime"],
         duration_seconds=known["durationSeconds"],

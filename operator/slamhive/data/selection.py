@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -150,6 +150,54 @@ def select(
     return Selection(
         streams, masks, scans, primary, int(kept[0]), int(kept[-1]), (int(joined.min()), int(joined.max()))
     )
+
+
+def complete_frames(selection: Selection) -> Selection:
+    """Leave only frames that all cameras and LiDARs have: frame k of one is then frame k of all.
+
+    Other topics than those of sensors go, and so do frames that are stamped as the one before them.
+
+    Raises:
+        DataError: No frame is complete.
+    """
+    streams = [stream for stream in selection.streams if stream.sensor is not None]
+    framed = [stream for stream in streams if stream.kind is not Kind.INERTIAL]
+    index = {stream.topic: _distinct(selection, stream) for stream in framed}
+    stamps = {topic: selection.scans[topic].stamps[kept] for topic, kept in index.items()}
+    primary = selection.primary
+    leading = stamps[primary.topic]
+    whole = np.ones(len(leading), dtype=np.bool_)
+    pairs = {}
+    for stream in framed:
+        if stream.topic == primary.topic:
+            continue
+        limit = max(_half_period(selection.scans[one.topic].stamps) for one in (primary, stream))
+        pairs[stream.topic] = partners(leading, stamps[stream.topic], limit)
+        whole &= pairs[stream.topic] >= 0
+        if not whole.any():
+            raise DataError(
+                f"sensors.{stream.sensor}: no message of {stream.topic} is within {limit / 1e6:.0f} ms of a "
+                f"whole frame of {primary.topic}; frames of a folder need all of its sensors"
+            )
+    chosen = {primary.topic: index[primary.topic][whole]}
+    chosen |= {topic: index[topic][pair[whole]] for topic, pair in pairs.items()}
+    masks = {topic: _mask(len(selection.masks[topic]), kept) for topic, kept in chosen.items()}
+    kept = leading[whole]
+    return replace(
+        selection,
+        streams=streams,
+        masks={stream.topic: selection.masks[stream.topic] for stream in streams} | masks,
+        scans={stream.topic: selection.scans[stream.topic] for stream in streams},
+        first=int(kept[0]),
+        last=int(kept[-1]),
+    )
+
+
+def _distinct(selection: Selection, stream: Stream) -> npt.NDArray[np.intp]:
+    """Return which messages of a stream are kept, of those with one stamp the first."""
+    kept = np.flatnonzero(selection.masks[stream.topic])
+    _, first = np.unique(selection.scans[stream.topic].stamps[kept], return_index=True)
+    return kept[first]
 
 
 _FOREVER = 2**62

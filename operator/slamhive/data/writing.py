@@ -16,8 +16,8 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slamhive.data.recordings import TF_TYPES
-from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.errors import SystemFault
+from slamhive.model.formats import DataFormat, RecordingFormat
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,11 +30,14 @@ if TYPE_CHECKING:
     from slamhive.data.recordings import Recording
 
 FILE_NAMES = {
-    RecordingFormat.ROSBAG1: "recording.bag",
-    RecordingFormat.ROSBAG2: "recording",
-    RecordingFormat.MCAP: "recording.mcap",
+    DataFormat.ROSBAG1: "recording.bag",
+    DataFormat.ROSBAG2: "recording",
+    DataFormat.MCAP: "recording.mcap",
+    DataFormat.EUROC: "recording",
+    DataFormat.TUM: "recording",
+    DataFormat.KITTI: "recording",
 }
-"""What a recording is called: Rosbag2 is a folder, the others are files."""
+"""What a recording is called: Rosbag1 and Mcap are files, the others are folders."""
 
 
 class RecordingWriter:

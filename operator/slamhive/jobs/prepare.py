@@ -158,7 +158,8 @@ def _describe(
         size_bytes=sum(path.stat().st_size for path in files),
         ground_truth=None if truth is None else "relations" if truth.is_relations else "poses",
         T_body_frame=None if truth is None else truth.T_body_frame.tolist(),
-        extrinsics={name: sensor.T_body_sensor for name, sensor in spec.sensors.items()},
+        extrinsics={name: sensor.T_body_sensor for name, sensor in spec.sensors.items()}
+        | {view.name: view.T_body_sensor for view in variant.sensors.values()},
         gravity_aligned=spec.has_level_truth,
         attributes=dict(spec.attributes),
         preparation_version=VERSION,

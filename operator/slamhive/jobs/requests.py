@@ -8,10 +8,11 @@ from typing import Any
 from pydantic import Field
 
 from slamhive.analysis.subjects import SubjectItem
-from slamhive.model.algorithm import RecordingFormat, RelativePath, SettingsFile
+from slamhive.model.algorithm import RelativePath, SettingsFile
 from slamhive.model.base import Model, Name, Sha256
 from slamhive.model.dataset import Dataset
 from slamhive.model.evaluation import EvaluationSettings
+from slamhive.model.formats import DataFormat
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Role
 
@@ -30,7 +31,7 @@ class PrepareRequest(Model):
     dataset: Dataset
     roles: list[Role] = Field(min_length=1)
     input: InputOptions = Field(default_factory=InputOptions)
-    formats: list[RecordingFormat] = Field(min_length=1)
+    formats: list[DataFormat] = Field(min_length=1)
     assets: list[FetchedAsset] = Field(default_factory=list)
 
 

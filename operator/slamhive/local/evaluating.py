@@ -66,7 +66,8 @@ class Evaluator:
         given = Surroundings(
             truth_frame=truth.T_body_frame,
             by_role={role: sensor.T_body_sensor for role, sensor in variant.sensors.items()},
-            by_name={sensor: found.T_body_sensor for sensor, found in dataset.sensors.items()},
+            by_name={sensor: found.T_body_sensor for sensor, found in dataset.sensors.items()}
+            | {view.name: view.T_body_sensor for view in variant.sensors.values()},
             remap=spec["input"].get("remap"),
             gravity_aligned=dataset.has_level_truth,
             window=(variant.start_time, variant.start_time + variant.duration_seconds),

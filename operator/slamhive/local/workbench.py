@@ -208,6 +208,6 @@ class Workbench:
             self.dataset(spec["datasetRef"]["name"]),
             mode.needs,
             InputOptions.model_validate(spec["input"]),
-            algorithm.spec.recording,
+            algorithm.spec.formats(mode),
             self.home.folder("variants"),
         )

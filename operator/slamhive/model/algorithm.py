@@ -21,6 +21,7 @@ from slamhive.model.base import (
     optional,
 )
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
+from slamhive.model.formats import DataFormat, RecordingFormat, fitting_formats, misfit
 from slamhive.model.posefiles import PoseFile, told_files
 from slamhive.model.ros1 import Ros1
 from slamhive.model.sensors import ROLES, Role, SensorMode
@@ -50,14 +51,6 @@ class Pace(Choice):
 
     LOCKSTEP = "Lockstep"
     REALTIME = "Realtime"
-
-
-class RecordingFormat(Choice):
-    """How a recording is stored."""
-
-    ROSBAG1 = "Rosbag1"
-    ROSBAG2 = "Rosbag2"
-    MCAP = "Mcap"
 
 
 class ParameterType(Choice):
@@ -281,8 +274,8 @@ class AlgorithmSpec(Model):
     )
     local: LocalProgram | None = optional("How to run it without a container.")
     modes: list[Mode] = Field(min_length=1, description="Sensor modes.")
-    recording: list[RecordingFormat] = Field(
-        default_factory=lambda: [RecordingFormat.ROSBAG1], min_length=1, description="Formats it reads."
+    recording: list[DataFormat] = Field(
+        default_factory=lambda: [DataFormat.ROSBAG1], min_length=1, description="Formats it reads."
     )
     parameters: dict[str, Parameter] = Field(default_factory=dict, description="Parameters by name.")
     assets: list[Asset] = Field(default_factory=list, description="Files it needs.")
@@ -316,9 +309,12 @@ class AlgorithmSpec(Model):
             raise ValueError("realtime: needed for the pace Realtime (queue and drop policy)")
         if self.ros1 is not None and Pace.REALTIME not in self.paces:
             raise ValueError("ros1: needs the pace Realtime among paces")
-        if self.ros1 is not None and self.recording != [RecordingFormat.ROSBAG1]:
+        if self.ros1 is not None and self.recording != [DataFormat.ROSBAG1]:
             raise ValueError("ros1: needs recording: [Rosbag1], which is what is played")
         self._check_pose_files()
+        for mode in self.modes:
+            if not self.formats(mode):
+                raise ValueError(f"recording: {misfit(self.recording, mode.needs, f'the mode {mode.name}')}")
         return self
 
     def _check_files(self) -> None:
@@ -358,6 +354,10 @@ class AlgorithmSpec(Model):
                     "output.stamp: a frame index means the header stamp of its frame; expected Header in "
                     f"the mode {mode.name}, not {output.stamp}"
                 )
+
+    def formats(self, mode: Mode) -> list[DataFormat]:
+        """Return the formats that it reads and that hold a mode's sensors, the preferred first."""
+        return fitting_formats(self.recording, mode.needs)
 
     def plays(self, pace: str) -> Ros1 | None:
         """Return how a run of a pace is played to as a ROS 1 node, None when it reads by itself."""
@@ -423,6 +423,7 @@ class Algorithm(Resource):
 __all__ = [
     "Algorithm",
     "AlgorithmSpec",
+    "DataFormat",
     "Mode",
     "Name",
     "Output",

@@ -7,16 +7,20 @@ from typing import Literal
 
 from pydantic import Field
 
-from slamhive.model.algorithm import Pace, RecordingFormat
+from slamhive.model.algorithm import Pace
 from slamhive.model.base import API_VERSION, Model, Scalar
+from slamhive.model.formats import DataFormat
 from slamhive.model.sensors import Role, Sensor, SensorMode
 
 
 class RecordingPlace(Model):
     """The prepared recording, relative to the run folder."""
 
-    format: RecordingFormat
+    format: DataFormat
     path: str
+    files: dict[str, str] | None = Field(
+        default=None, description="In a folder of files, where each sensor's are, relative to path."
+    )
 
 
 class DatasetView(Model):
@@ -38,7 +42,7 @@ class SensorView(Sensor):
 class PreparedRecording(Model):
     """What preparation tells of a variant, as far as an algorithm is to know it."""
 
-    format: RecordingFormat
+    format: DataFormat
     recording: str = Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=128, description="Name of its file or folder."
     )

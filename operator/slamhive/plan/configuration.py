@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.model.base import quantity
 from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
+from slamhive.model.formats import folder_files
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,7 +42,7 @@ def run_configuration(
         mode=spec["sensors"],
         dataset=DatasetView(
             name=dataset.name,
-            recording=RecordingPlace(format=recording.format, path=f"dataset/{recording.recording}"),
+            recording=recording_place(recording, f"dataset/{recording.recording}"),
             start_time=recording.start_time,
             duration_seconds=recording.duration_seconds,
             gravity_aligned=declared.has_level_truth,
@@ -58,3 +59,17 @@ def run_configuration(
         seed=spec["seed"],
         cores=cores,
     )
+
+
+def recording_place(recording: PreparedRecording, path: str) -> RecordingPlace:
+    """Return where a prepared recording is, and in a folder of files, where the data of each sensor are.
+
+    Args:
+        recording: the recording.
+        path: its path as the algorithm sees it.
+    """
+    encodings = {
+        role: view.camera.encoding if view.camera else None for role, view in recording.sensors.items()
+    }
+    files = folder_files(recording.format, encodings)
+    return RecordingPlace(format=recording.format, path=path, files=files or None)

@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from slamhive.kube.settings import Settings
-    from slamhive.model.algorithm import Algorithm, Asset, RecordingFormat
+    from slamhive.model.algorithm import Algorithm, Asset
     from slamhive.model.dataset import Dataset
+    from slamhive.model.formats import DataFormat
     from slamhive.model.sensors import Role
 
 PREPARE = "prepare"
@@ -47,7 +48,7 @@ def variant_name(
     dataset: Dataset,
     roles: Iterable[Role],
     options: InputOptions,
-    formats: Iterable[RecordingFormat],
+    formats: Iterable[DataFormat],
     assets: Iterable[Asset],
 ) -> str:
     """Return the name of a variant: equal wishes have equal names.
@@ -82,11 +83,12 @@ def variant_request(dataset: Dataset, algorithm: Algorithm, spec: Mapping[str, A
         algorithm: its Algorithm.
         spec: its resolved spec.
     """
+    mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
     return PrepareRequest(
         dataset=dataset.replace(metadata=ObjectMeta(name=dataset.name)),
-        roles=list(algorithm.spec.mode(SensorMode(spec["sensors"])).needs),
+        roles=list(mode.needs),
         input=InputOptions.model_validate(_input(InputOptions.model_validate(spec["input"]))),
-        formats=list(algorithm.spec.recording),
+        formats=algorithm.spec.formats(mode),
         assets=[FetchedAsset.model_validate(asset) for asset in _fetched(algorithm.spec.assets)],
     )
 

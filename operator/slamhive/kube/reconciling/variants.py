@@ -58,8 +58,9 @@ class Wanted:
     def by(cls, spec: dict[str, Any], algorithm: Algorithm, dataset: Dataset) -> Wanted:
         """Return the variant for a run's resolved spec."""
         options = InputOptions.model_validate(spec["input"])
-        roles = algorithm.spec.mode(SensorMode(spec["sensors"])).needs
-        name = variant_name(dataset, roles, options, algorithm.spec.recording, algorithm.spec.assets)
+        mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
+        formats = algorithm.spec.formats(mode)
+        name = variant_name(dataset, mode.needs, options, formats, algorithm.spec.assets)
         return cls(name, algorithm, dataset, spec)
 
 
