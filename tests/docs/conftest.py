@@ -95,6 +95,8 @@ def desk(furnished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
     monkeypatch.chdir(folder)
     monkeypatch.setenv("SLAMHIVE_HOME", str(home))
     monkeypatch.delenv("SLAMHIVE_ARCHIVE", raising=False)
+    # What the stand-ins write fits this recording alone.
+    monkeypatch.setattr("slamhive.conformance.recordings.recording_for", lambda _: "synthetic-lidar")
     return folder
 
 

@@ -209,7 +209,7 @@ def run(line: str, slamhive: Callable[..., int], capsys: pytest.CaptureFixture[s
         pytest.skip("the published runs are not here (../shared/data/icra2023)")
     capsys.readouterr()
     code, printed = slamhive(*rest), capsys.readouterr()
-    assert code == 0, f"{line}\n{printed.err}"
+    assert code == 0, f"{line}\n{printed.out}{printed.err}"
     stated = re.search(r"# (\d+)$", line)
     assert stated is None or printed.out.strip() == stated.group(1), line
 

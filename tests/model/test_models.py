@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from slamhive.model.algorithm import AlgorithmSpec, Asset, Parameter
+from slamhive.model.algorithm import AlgorithmSpec, Asset, LocalProgram, Parameter
 from slamhive.model.dataset import DataFile, DatasetSpec, GroundTruth, Recording
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import RunSelector
@@ -33,6 +33,9 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
     ("model", "fields", "message"),
     [
         (AlgorithmSpec, ALGORITHM | {"image": None}, "give an image, or local"),
+        (LocalProgram, {"command": ["a"], "adapter": "b.py"}, "a program of its own has no adapter"),
+        (LocalProgram, {"command": ["/bin/sh"]}, "'/bin/sh' is no path below the folder of this file"),
+        (LocalProgram, {"command": []}, "at least 1 item"),
         (AlgorithmSpec, ALGORITHM | {"modes": [{"name": "lidar"}] * 2}, "each mode may be named once"),
         (AlgorithmSpec, ALGORITHM | {"paces": ["Realtime"]}, "realtime: needed"),
         (Asset, {"name": "a"}, "either path or url"),
@@ -178,3 +181,8 @@ def test_a_mode_that_names_its_trajectory_names_its_keyframes_too() -> None:
     ]
     assert found == [("a", "b"), ("b", None), ("a", "poses.txt")]
     assert [one.counts_frames for one in outputs] == [False, False, True]
+
+
+def test_a_command_may_come_back_with_the_defaults_of_an_api_server() -> None:
+    given = {"command": ["odometry"], "adapter": "adapter.py", "requirements": "requirements.txt"}
+    assert LocalProgram.model_validate(given).files == ["odometry"]

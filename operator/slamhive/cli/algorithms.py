@@ -11,13 +11,14 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from slamhive.cli.checking import check
 from slamhive.cli.console import command_name, listing, open_workbench, out, remark
-from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
 from slamhive.cli.vocabulary import train
 from slamhive.local.catalog import link_algorithm, load_workshop
 from slamhive.local.home import Home
 from slamhive.local.programs import unavailable
+from slamhive.local.starting import Kind, start_algorithm
 from slamhive.model.algorithm import ParameterType
 from slamhive.model.errors import InputError
 from slamhive.model.loading import parse
@@ -119,25 +120,28 @@ def show_algorithm(name: Name, *, as_json: AsJson = False) -> None:
         out.print(f"[yellow]unavailable here: {escape(problem)}[/]")
 
 
-@app.command("check")
-def check(name: Name) -> None:
-    """Check what an algorithm declares, by running it on a generated recording.
+@app.command("new")
+def new_algorithm(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the algorithm and of its folder.")],
+    *,
+    kind: Annotated[
+        Kind, typer.Option("--from", help="A Python program, a ROS 1 node, or a program in C.")
+    ] = Kind.LIDAR_PYTHON,
+) -> None:
+    """Make a folder to start an algorithm from, which runs as it is, and make it known by its name.
 
-    Example: slamhive algorithm check kiss-icp
+    Example: slamhive algorithm new my-slam --from lidar-python
     """
-    from slamhive.local.checking import Answer, check_algorithm
-
-    colours = {Answer.HOLDS: "green", Answer.FAILS: "red", Answer.UNKNOWN: "yellow"}
     home = Home.from_environment()
-    with home.exclusive():
-        bench = open_workbench(home)
-        with bench.archive:
-            findings = check_algorithm(bench, name)
-    for finding in findings:
-        word = f"{finding.answer.value:10}"
-        out.print(f"[{colours[finding.answer]}]{word}[/] {escape(finding.text)}")
-    if any(finding.answer is Answer.FAILS for finding in findings):
-        raise typer.Exit(FAILED)
+    folder, left = start_algorithm(name, kind, home, load_workshop(home), Path.cwd())
+    out.print(f"made {folder}, known now as {name}", soft_wrap=True, markup=False)
+    command = command_name()
+    steps = [left, f"{command} algorithm check {name}", f"edit {name}/, beginning with README.md"]
+    for number, step in enumerate(filter(None, steps)):
+        out.print(f"{'Next:' if number == 0 else '     '}  {step}", soft_wrap=True, markup=False)
+
+
+app.command("check")(check)
 
 
 @app.command("render")

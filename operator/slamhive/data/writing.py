@@ -85,6 +85,11 @@ class RecordingWriter:
         with _storing(self._target):
             self._writer.write(self._connection(connection), time, translate(raw))
 
+    def announce(self, connection: Connection) -> None:
+        """Have the recording name a connection of the source, whether a message of it follows or not."""
+        with _storing(self._target):
+            self._connection(connection)
+
     def __enter__(self) -> Self:
         with _storing(self._target):
             self._writer.open()

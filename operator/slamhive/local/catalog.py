@@ -122,8 +122,13 @@ def load_workshop(home: Home | None = None) -> Workshop:
     return workshop
 
 
-def link_algorithm(folder: Path, home: Home) -> str:
+def link_algorithm(folder: Path, home: Home, *, built: bool = True) -> str:
     """Link an algorithm's folder into the home, and return the algorithm's name.
+
+    Args:
+        folder: the folder.
+        home: the home.
+        built: whether its own program has to be there yet.
 
     Raises:
         InputError: it is no such folder, lacks a file, or another folder has that name.
@@ -135,7 +140,7 @@ def link_algorithm(folder: Path, home: Home) -> str:
     if len(algorithms) != 1:
         raise InputError(f"{manifest}: {len(algorithms)} Algorithms in it, expected one")
     spec = algorithms[0].spec
-    wanted = [spec.local.adapter, spec.local.requirements] if spec.local else []
+    wanted = spec.local.files if spec.local and (built or spec.local.command is None) else []
     wanted += [asset.path for asset in spec.assets if asset.path]
     for name in wanted:
         if not (folder / name).is_file():

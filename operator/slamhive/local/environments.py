@@ -12,6 +12,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.environment import program_variables
@@ -19,12 +20,12 @@ from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
 from slamhive.local.unavailable import Unavailable
+from slamhive.model.base import RELATIVE_PATH
 from slamhive.model.errors import SlamHiveError, SystemFault
 from slamhive.playback.ros import find_ros, what_it_takes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
 
     from slamhive.local.catalog import AlgorithmEntry
     from slamhive.local.prepared import AttemptOrder
@@ -79,11 +80,14 @@ class Environment:
     def supervision(
         self, order: AttemptOrder, folder: Path, variables: Mapping[str, str]
     ) -> Mapping[str, Any]:
-        """Return how the adapter is started with its interpreter."""
-        program = order.entry.algorithm.spec.local
-        adapter = order.entry.folder / (program.adapter if program else "adapter.py")
+        """Return how the adapter is started with its interpreter, or the program of its own."""
+        program, own = order.entry.algorithm.spec.local, order.entry.folder
+        if program is not None and program.command is not None:
+            argv = (str(own / program.command[0]), *program.command[1:])
+        else:
+            argv = (str(self.python), str(own / (program.adapter if program else "adapter.py")))
         return {
-            "argv": (str(self.python), str(adapter)),
+            "argv": argv,
             "cwd": str(folder / "run"),
             "env": self._variables(order, folder) | dict(variables),
         }
@@ -126,6 +130,8 @@ class Environments:
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return what tells apart environments and adapters: equal digests run the same program."""
         program = _program(entry)
+        if program.command is not None:
+            return _digest_of_command(entry, program.command)
         python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
         parts = [f"{python.version[0]}.{python.version[1]}", platform.machine(), *python.beside]
         parts.extend(_sha256(entry.folder / name) for name in (program.requirements, program.adapter))
@@ -148,6 +154,9 @@ class Environments:
             SystemFault: the packages can't be installed right now.
         """
         program = _program(entry)
+        if program.command is not None:
+            _check_command(entry, program)
+            return Environment(entry.folder, self.digest(entry))
         python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
         requirements = entry.folder / program.requirements
         key = hashlib.sha256(
@@ -161,7 +170,7 @@ class Environments:
                     self._make(entry.name, path, python, requirements, held)
         environment = Environment(path, self.digest(entry))
         if (entry.name, path) not in self._usable:
-            _check_libraries(entry, program, environment)
+            _check_libraries(entry, program, environment.python)
             self._usable.add((entry.name, path))
         return environment
 
@@ -216,7 +225,10 @@ class Interpreter:
 def availability(entry: AlgorithmEntry) -> str | None:
     """Say why an algorithm can't run on this machine, as far as that shows without installing it."""
     try:
-        interpreter(_program(entry), ros=entry.algorithm.spec.ros1 is not None)
+        program = _program(entry)
+        interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        if program.command is not None:
+            _check_command(entry, program)
     except Unavailable as error:
         return str(error)
     return None
@@ -301,7 +313,27 @@ def _program(entry: AlgorithmEntry) -> LocalProgram:
     return program
 
 
-def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, environment: Environment) -> None:
+def _digest_of_command(entry: AlgorithmEntry, command: list[str]) -> str:
+    """Return the digest of a program that needs no Python: of it, and of files beside it that it is given."""
+    paths = [word for word in command[1:] if re.match(RELATIVE_PATH, word)]
+    given = [path for path in paths if (entry.folder / path).is_file()]
+    assets = [asset.path for asset in entry.algorithm.spec.assets if asset.path]
+    ros = find_ros() if entry.algorithm.spec.ros1 is not None else None
+    parts = ["command", platform.machine(), *([f"ros1 {ros.release}"] if ros else ())]
+    parts += [_sha256(entry.folder / name) for name in (command[0], *given, *assets)]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _check_command(entry: AlgorithmEntry, program: LocalProgram) -> None:
+    path = entry.folder / (program.command or [""])[0]
+    if not path.is_file():
+        raise Unavailable(f"{path} is not there: build it first")
+    if not os.access(path, os.X_OK):
+        raise Unavailable(f"{path} is no program: chmod +x makes it one")
+    _check_libraries(entry, program, Path(sys.executable))
+
+
+def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, python: Path) -> None:
     if not program.libraries:
         return
     code = (
@@ -311,7 +343,7 @@ def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, environment: 
         "    except OSError: print(name)\n"
     )
     result = subprocess.run(
-        [str(environment.python), "-I", "-c", code, *program.libraries],
+        [str(python), "-I", "-c", code, *program.libraries],
         capture_output=True,
         text=True,
         check=False,

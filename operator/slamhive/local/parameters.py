@@ -43,6 +43,8 @@ def parameter_uses(entry: AlgorithmEntry) -> Uses:
     why = None
     if spec.local is None:
         why = "what its image reads isn't known here"
+    elif spec.local.command is not None:
+        why = "what its program reads by itself isn't known here"
     elif _WHOLE.search(text):
         why = "its adapter takes all parameters by whatever name they have"
     return Uses(sorted(left), why)
@@ -51,7 +53,7 @@ def parameter_uses(entry: AlgorithmEntry) -> Uses:
 def _programs(entry: AlgorithmEntry) -> list[str]:
     """Return the text of the Python programs in an algorithm's folder."""
     local = entry.algorithm.spec.local
-    paths = [] if local is None else [entry.folder / local.adapter]
+    paths = [] if local is None or local.command else [entry.folder / local.adapter]
     paths += sorted(entry.folder.rglob("*.py"))[:_FILES]
     texts = []
     for path in dict.fromkeys(paths):

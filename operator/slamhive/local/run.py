@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from slamhive.analysis.measuring import intended_evaluations
 from slamhive.engine import (
+    AttemptEnd,
     AttemptState,
     Decision,
     Evaluate,
@@ -148,6 +149,10 @@ class RunDriver:
         """End the run; its thread comes back soon after."""
         self._cancelled.set()
         self._attempt.stop()
+
+    def attempt_end(self) -> AttemptEnd | None:
+        """Return how the last attempt ended, None where there was none."""
+        return self._attempt.end() if self._progress.attempt_state is AttemptState.ENDED else None
 
     def drive(self) -> RunRecord:
         """Execute the run until it finishes, and return its record.

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from slamhive.contract.posefiles import FRAME_INDEX
 from slamhive.model.base import (
+    RELATIVE_PATH,
     Choice,
     Image,
     Model,
@@ -244,6 +246,9 @@ class SettingsFile(Model):
 class LocalProgram(Model):
     """How an algorithm runs on a workstation without a container."""
 
+    command: list[str] | None = optional(
+        "Program in this folder, with its arguments, where it needs no adapter and no Python.", min_length=1
+    )
     adapter: RelativePath = Field(default="adapter.py", description="Python program in this folder.")
     requirements: RelativePath = Field(
         default="requirements.txt", description="Python packages of its virtual environment."
@@ -252,6 +257,30 @@ class LocalProgram(Model):
     machines: list[str] = Field(default_factory=list, description="Machines, as in uname -m; empty: any.")
     system_packages: list[str] = Field(default_factory=list, description="Debian packages that it links to.")
     libraries: list[str] = Field(default_factory=list, description="Shared libraries that must be loadable.")
+
+    @model_validator(mode="after")
+    def _one_program(self) -> Self:
+        if self.command is None:
+            return self
+        fields = type(self).model_fields
+        # An API server fills in defaults: what is equal to one may not have been given.
+        given = [
+            name
+            for name in ("adapter", "python", "requirements")
+            if getattr(self, name) != fields[name].default
+        ]
+        if given:
+            raise ValueError(f"command: a program of its own has no {', '.join(given)}; leave it out")
+        if not re.match(RELATIVE_PATH, self.command[0]):
+            raise ValueError(
+                f"command: {self.command[0]!r} is no path below the folder of this file, which it must be"
+            )
+        return self
+
+    @property
+    def files(self) -> list[str]:
+        """Return the files that have to be there."""
+        return [self.adapter, self.requirements] if self.command is None else [self.command[0]]
 
 
 class RealtimePolicy(Model):

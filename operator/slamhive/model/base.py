@@ -22,12 +22,12 @@ QUANTITY_PATTERN = r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$"
 _NAME = r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$"
 _IMAGE = r"^\S+$"
 _SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
-_RELATIVE_PATH = rf"^{_SEGMENT}(/{_SEGMENT})*$"
+RELATIVE_PATH = rf"^{_SEGMENT}(/{_SEGMENT})*$"
 _MEANINGS = {
     _IMAGE: "expected the name of an image, without blanks",
     _DURATION: "expected a duration such as 90s, 1h30m or 250ms",
     QUANTITY_PATTERN: "expected a quantity such as 2, 500m or 4Gi",
-    _RELATIVE_PATH: "expected a path below its folder: not absolute, no . or .. in it",
+    RELATIVE_PATH: "expected a path below its folder: not absolute, no . or .. in it",
     _NAME: "expected a name of lower-case letters, digits, - and .",
 }
 _UNIT_SECONDS = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 0.001}
@@ -71,7 +71,7 @@ NAME_LIMIT = 63
 """Longest name of an object of ours: it must fit into a label."""
 RelativePath = Annotated[
     str,
-    StringConstraints(pattern=_RELATIVE_PATH, max_length=1024),
+    StringConstraints(pattern=RELATIVE_PATH, max_length=1024),
     Field(description="A path that stays below its folder: not absolute, no . or .. in it."),
 ]
 Image = Annotated[str, StringConstraints(pattern=_IMAGE)]

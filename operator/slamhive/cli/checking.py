@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive algorithm check``: what an algorithm does in each of its modes, in each executor there is."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from itertools import groupby
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from slamhive.cli import tables
+from slamhive.cli.console import err, out, remark
+from slamhive.cli.exits import FAILED, INTERRUPTED
+from slamhive.cli.tables import Format
+from slamhive.local.catalog import AlgorithmEntry, load_workshop
+from slamhive.local.home import Home
+from slamhive.model.base import Choice, seconds
+from slamhive.model.errors import InputError
+from slamhive_eval.csv_writing import write_csv
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.conformance.executors import Executor
+    from slamhive.conformance.findings import Finding
+    from slamhive.conformance.workstation import Bench
+
+_COLOURS = {"pass": "green", "warning": "yellow", "fail": "red", "skipped": "dim"}
+
+
+class Place(Choice):
+    """Where an algorithm is checked."""
+
+    PROCESS = "process"
+    CONTAINER = "container"
+    CLUSTER = "cluster"
+    ALL = "all"
+
+
+_TIMEOUT = "5m"
+_WIDTH = 160
+"""Characters of a line where there is no terminal."""
+
+
+class _Watcher:
+    """Shows how far a check is: a bar on a terminal, a line a finding where lines are asked for."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._task = progress.add_task("", total=None)
+        self._done = -1
+
+    def begin(self, steps: int) -> None:
+        """So many starts are to come."""
+        self._progress.update(self._task, total=steps)
+
+    def step(self, what: str) -> None:
+        """One of them begins."""
+        self._done += 1
+        self._progress.update(self._task, completed=self._done, description=escape(what))
+
+    def found(self, finding: Finding) -> None:
+        """Something was found: the table says it in the end."""
+
+
+def check(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")],
+    *,
+    image: Annotated[
+        str | None, typer.Option("--image", metavar="REF", help="Another image than the Algorithm names.")
+    ] = None,
+    dataset: Annotated[
+        str | None,
+        typer.Option("--dataset", metavar="DATASET", help="Default: a short generated one for each mode."),
+    ] = None,
+    on: Annotated[
+        Place, typer.Option("--on", help="Where it is started; all: wherever that can be done here.")
+    ] = Place.ALL,
+    timeout: Annotated[
+        str, typer.Option("--timeout", metavar="DURATION", help="How long one start may take.")
+    ] = _TIMEOUT,
+    form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
+) -> None:
+    """Check what an algorithm does and declares, by starting it on short recordings, sound ones and others.
+
+    Nothing of it goes into the archive. The exit code is 1 where something fails.
+
+    Example: slamhive algorithm check kiss-icp
+    """
+    limit = _seconds(timeout)
+    from slamhive.conformance.checking import Asked, check_algorithm
+    from slamhive.conformance.workstation import bench_for_checks
+
+    home = Home.from_environment()
+    workshop = load_workshop(home)
+    entry = workshop.algorithm(name)
+    if dataset is not None:
+        workshop.dataset(dataset)
+    if image is not None:
+        if on is Place.PROCESS:
+            raise InputError("--image: a process has no image; leave it out, or --on process")
+        spec = entry.algorithm.spec.replace(image=image)
+        workshop.algorithm_entries[name] = AlgorithmEntry(entry.algorithm.replace(spec=spec), entry.folder)
+    before = signal.signal(signal.SIGTERM, _interrupt)  # what was started ends, and what was made goes
+    try:
+        with home.exclusive(), bench_for_checks(home, workshop, remark) as bench, _bars() as progress:
+            executors = _executors(bench, name, dataset, on, image)
+            findings = check_algorithm(bench, executors, Asked(name, dataset, limit), _Watcher(progress))
+    except KeyboardInterrupt:
+        remark("interrupted; what was started has ended, and what was made is removed")
+        raise typer.Exit(INTERRUPTED) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    show(findings, form)
+    if any(finding.answer == "fail" for finding in findings):
+        raise typer.Exit(FAILED)
+
+
+def _interrupt(_number: int, _frame: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def _seconds(text: str) -> float:
+    from pydantic import TypeAdapter, ValidationError
+
+    from slamhive.model.base import Duration
+
+    try:
+        found = seconds(TypeAdapter(Duration).validate_python(text))
+    except ValidationError:
+        found = 0.0
+    if found < 1:
+        raise InputError(f"--timeout {text}: expected a duration of at least 1s, such as 90s or 10m")
+    return found
+
+
+def _executors(
+    bench: Bench,
+    name: str,
+    dataset: str | None,
+    on: Place,
+    image: str | None,
+) -> list[Executor]:
+    """Return what can start the algorithm here, of what is asked for; the others are told of.
+
+    Raises:
+        InputError: nothing can.
+    """
+    from slamhive.conformance.workstation import Process
+
+    found: list[Executor] = []
+    reasons: list[str] = []
+    if on in {Place.PROCESS, Place.ALL} and image is None:
+        process = Process(bench, name, dataset)
+        reason = process.unavailable()
+        if reason is None:
+            found.append(process)
+        else:
+            reasons.append(f"process: {reason}")
+    if not found:
+        raise InputError(f"{name} can't be started here: {'; '.join(reasons)}")
+    for reason in reasons:
+        remark(reason)
+    return found
+
+
+def _bars() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=err, refresh_per_second=4, disable=not err.is_terminal, transient=True)
+
+
+def show(findings: Sequence[Finding], form: Format) -> None:
+    """Print findings as a table, and under it what helps."""
+    rows = [finding.as_json() for finding in findings]
+    headings = ("executor", "mode", "check", "did", "found", "answer", "help")
+    if form is Format.JSON:
+        tables.write_json(sys.stdout, rows)
+        return
+    lines = [[row[key] for key in headings] for row in rows]
+    if form is Format.MARKDOWN:
+        tables.write_markdown(sys.stdout, headings, lines)
+        return
+    if form is Format.CSV:
+        write_csv(sys.stdout, headings, lines)
+        return
+    width = out.width if out.is_terminal else _WIDTH
+    console = Console(file=out.file, force_terminal=out.is_terminal, width=width, highlight=False)
+    for (executor, mode), group in groupby(findings, key=lambda one: (one.executor, one.mode)):
+        console.print(_table(f"{executor}, {mode}" if executor else "", list(group)))
+    for finding in findings:
+        if finding.help and finding.answer in {"fail", "warning"}:
+            where = ", ".join(filter(None, (finding.executor, finding.mode, finding.check)))
+            colour = _COLOURS[finding.answer]
+            out.print(f"[{colour}]{finding.answer}[/] {where}: {escape(finding.help)}", soft_wrap=True)
+    counts = [(word, sum(one.answer == word for one in findings)) for word in _COLOURS]
+    out.print(", ".join(f"{count} {word}" for word, count in counts if count))
+
+
+def _table(title: str, findings: Sequence[Finding]) -> Table:
+    """Return the table of one mode in one executor; what was done is said once."""
+    table = Table(title=title, title_justify="left", box=SIMPLE, header_style="bold")
+    for heading in ("answer", "check", "what was done", "what was found"):
+        table.add_column(heading, overflow="fold", ratio=2 if heading == "what was found" else None)
+    before = None
+    for finding in findings:
+        did = "" if finding.did == before else escape(finding.did)
+        before = finding.did
+        answer = f"[{_COLOURS[finding.answer]}]{finding.answer}[/]"
+        table.add_row(answer, finding.check, did, escape(finding.found))
+    return table

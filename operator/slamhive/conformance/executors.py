@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Port of what starts an algorithm for a check: a process here, a container, a cluster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from slamhive.conformance.damaging import Damage
+    from slamhive.model.algorithm import Mode
+    from slamhive.model.results import RunRecord
+    from slamhive_eval import Trajectory
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start of the algorithm.
+
+    Attributes:
+        mode: the sensor mode.
+        number: of equal starts, which this is.
+        timeout: how long it may take, s.
+        damage: what its recording lacks; None: nothing.
+        stop_after: when it is told to end, s after its start; None: it ends by itself.
+    """
+
+    mode: Mode
+    timeout: float
+    number: int = 0
+    damage: Damage | None = None
+    stop_after: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """What came of a start.
+
+    Attributes:
+        record: the run, as it would be recorded.
+        text: the trajectory as it was written, empty where there is none.
+        trajectory: the same, read; None where it has no pose or can't be read.
+        exit_code: of the program, None where a signal ended it or nobody knows.
+        signal: that ended it.
+        settings: settings files that were rendered, with whether the program opened them; None: that can't be
+            told.
+        stop_seconds: from being told to end until it had ended.
+    """
+
+    record: RunRecord
+    text: bytes = b""
+    trajectory: Trajectory | None = None
+    exit_code: int | None = None
+    signal: int | None = None
+    settings: dict[str, bool | None] = field(default_factory=dict)
+    stop_seconds: float | None = None
+
+
+class Executor(Protocol):
+    """What starts an algorithm and tells what came of it."""
+
+    @property
+    def name(self) -> str:
+        """Return what users call it."""
+
+    def objection(self, start: Start) -> str | None:
+        """Say why something can't be started like this here, None where it can."""
+
+    def run(self, start: Start) -> Ended:
+        """Start the algorithm and wait for its end, which is certain to come.
+
+        Raises:
+            SlamHiveError: it can't be started here at all.
+        """

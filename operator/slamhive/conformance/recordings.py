@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Short generated recordings on which algorithms are checked, and sweeps of one run that ask for a start."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from slamhive.model.base import ObjectMeta
+from slamhive.model.dataset import Dataset
+from slamhive.model.sensors import Role, SensorMode
+from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec
+
+if TYPE_CHECKING:
+    from slamhive.conformance.executors import Start
+    from slamhive.model.algorithm import Mode
+    from slamhive.plan import Catalog
+
+_LIDAR, _STEREO, _RGBD = "check-lidar", "check-stereo", "check-rgbd"
+
+
+def _generated(name: str, seed: int, sensors: list[str], **more: object) -> Dataset:
+    synthetic = {"seed": seed, "sensors": sensors, **more}
+    return Dataset.model_validate(
+        {
+            "apiVersion": "slamhive.io/v1alpha1",
+            "kind": "Dataset",
+            "metadata": {"name": name},
+            "spec": {
+                "description": "A short generated recording on which algorithms are checked",
+                "recording": {"synthetic": synthetic},
+                "gravityAligned": True,
+            },
+        }
+    )
+
+
+RECORDINGS = (
+    _generated(
+        _LIDAR, 31, ["Lidar", "Imu"], durationSeconds=14, loops=0.4, lidar={"rings": 16, "columns": 360}
+    ),
+    _generated(_STEREO, 37, ["Stereo", "Imu"], durationSeconds=14, loops=0.35),
+    _generated(_RGBD, 41, ["Rgbd", "Imu"], durationSeconds=14, loops=0.35),
+)
+"""Made once and kept among the generated datasets; in no catalog but that of a check."""
+
+
+def recording_for(mode: Mode) -> str:
+    """Return which of them has the sensors of a mode."""
+    if Role.LIDAR in mode.needs:
+        return _LIDAR
+    return _RGBD if Role.DEPTH in mode.needs or Role.COLOR in mode.needs else _STEREO
+
+
+def asked_of(algorithm: str, start: Start, dataset: str | None, catalog: Catalog) -> Sweep:
+    """Return the sweep of one run that asks for a start.
+
+    Args:
+        algorithm: name of the algorithm.
+        start: the start.
+        dataset: a dataset by name; None: the generated one for its mode.
+        catalog: what names refer to.
+    """
+    mode: SensorMode = start.mode.name
+    template = {
+        "algorithmRef": {"name": algorithm},
+        "datasetRef": {"name": dataset or recording_for(start.mode)},
+        "sensors": mode.value,
+        "timeout": f"{max(1, math.ceil(start.timeout))}s",
+        "retries": 0,
+    }
+    spec = catalog.algorithms[algorithm].spec
+    if dataset is None and spec.plays(spec.paces[0]):
+        template["input"] = {"duration": "9s"}  # by the clock: as short as tells something
+    metadata = ObjectMeta(name=f"check-{algorithm}-{mode.value}"[:60].rstrip("-."))
+    return Sweep(metadata=metadata, spec=SweepSpec(template=RunTemplate(spec=template)))
