@@ -167,9 +167,11 @@ def test_noise_stays_when_the_light_goes(studio: Any, noise: float, light: float
     assert (shoot(noise) - clean).std() == pytest.approx(expected, rel=0.12)
 
 
+@pytest.mark.parametrize("mounted", ["Askew", "Euroc"])
 @pytest.mark.parametrize("sensor", ["Lidar", "Imu", "Stereo", "Rgbd"])
-def test_calibration_is_valid_and_has_no_right_angles(sensor: str) -> None:
-    for role, entry in rig.sensors(SyntheticRecording(sensors=(sensor,))).items():
+def test_calibration_is_valid_and_has_no_right_angles(sensor: str, mounted: str) -> None:
+    spec = SyntheticRecording.model_validate({"sensors": [sensor], "rig": mounted})
+    for role, entry in rig.sensors(spec).items():
         stated = {key: value for key, value in entry.items() if key != "name"}
         Sensor.model_validate(stated)
         assert entry["name"] == role
@@ -177,3 +179,22 @@ def test_calibration_is_valid_and_has_no_right_angles(sensor: str) -> None:
         np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
         assert np.linalg.norm(T[:3, 3]) > 0.05
         assert (np.abs(T[:3, :3]) > 1e-3).all()
+
+
+@pytest.mark.parametrize(
+    ("mounted", "angles"),
+    [
+        (None, {"left": 109.2, "right": 108.3, "color": 111.4}),
+        ("Askew", {"left": 109.2, "right": 108.3, "color": 111.4}),
+        ("Euroc", {"left": 89.1, "right": 88.6, "color": 85.2}),
+    ],
+)
+def test_the_rig_decides_how_imu_and_cameras_are_turned_against_each_other(
+    mounted: str | None, angles: dict[str, float]
+) -> None:
+    spec = SyntheticRecording.model_validate({"sensors": ["Stereo", "Rgbd", "Imu"], "rig": mounted})
+    poses = {role: np.array(entry["T_body_sensor"]) for role, entry in rig.sensors(spec).items()}
+    for role, angle in angles.items():
+        turned = poses["imu"][:3, :3].T @ poses[role][:3, :3]
+        assert np.degrees(np.arccos((np.trace(turned) - 1.0) / 2.0)) == pytest.approx(angle, abs=0.1)
+    assert np.linalg.norm((np.linalg.inv(poses["imu"]) @ poses["left"])[:3, 3]) < 0.5

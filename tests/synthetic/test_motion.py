@@ -65,15 +65,18 @@ def test_quaternions_turn_as_their_rotations_do() -> None:
     np.testing.assert_allclose(rotation[:, 2, 1], 2 * (y * z + x * w), atol=1e-12)
 
 
-def test_integrating_the_imu_gives_the_ground_truth() -> None:
+@pytest.mark.parametrize("given", [{}, {"rig": "Euroc"}], ids=str)
+def test_integrating_the_imu_gives_the_ground_truth(given: dict[str, object]) -> None:
     rate = 2000.0
-    spec = SPEC.model_copy(update={"noise": 1.0, "imu": SPEC.imu.model_copy(update={"rate": rate})})
+    spec = SyntheticRecording.model_validate(SPEC.model_dump() | given)
+    spec = spec.model_copy(update={"imu": SPEC.imu.model_copy(update={"rate": rate})})
+    mounting = rig.imu_pose(spec)
     t = np.arange(0.0, 12.0, 1.0 / rate)
     trajectory = Trajectory(spec)
     samples = sample_imu(spec.model_copy(update={"noise": 0.0}), trajectory, t)
     truth = trajectory.at(t)
-    attitude = truth.rotation[0] @ rig.IMU_POSE[:3, :3]
-    position = truth.position[0] + truth.rotation[0] @ rig.IMU_POSE[:3, 3]
+    attitude = truth.rotation[0] @ mounting[:3, :3]
+    position = truth.position[0] + truth.rotation[0] @ mounting[:3, 3]
     velocity = np.zeros(3)
     gyro = (samples.angular_rate[1:] + samples.angular_rate[:-1]) / 2.0
     force = (samples.specific_force[1:] + samples.specific_force[:-1]) / 2.0
@@ -83,8 +86,8 @@ def test_integrating_the_imu_gives_the_ground_truth() -> None:
         position = position + velocity / rate + acceleration / (2.0 * rate**2)
         velocity = velocity + acceleration / rate
         attitude = attitude @ half @ half
-    expected = truth.position[-1] + truth.rotation[-1] @ rig.IMU_POSE[:3, 3]
-    np.testing.assert_allclose(attitude, truth.rotation[-1] @ rig.IMU_POSE[:3, :3], atol=1e-5)
+    expected = truth.position[-1] + truth.rotation[-1] @ mounting[:3, 3]
+    np.testing.assert_allclose(attitude, truth.rotation[-1] @ mounting[:3, :3], atol=1e-5)
     np.testing.assert_allclose(position, expected, atol=1e-3)
 
 
@@ -106,7 +109,7 @@ def test_imu_noise_has_the_stated_densities() -> None:
 def test_at_rest_the_imu_feels_gravity_upwards() -> None:
     trajectory = Trajectory(SPEC)
     samples = sample_imu(SPEC.model_copy(update={"noise": 0.0}), trajectory, np.array([1.0]))
-    to_world = trajectory.at([1.0]).rotation[0] @ rig.IMU_POSE[:3, :3]
+    to_world = trajectory.at([1.0]).rotation[0] @ rig.imu_pose(SPEC)[:3, :3]
     np.testing.assert_allclose(to_world @ samples.specific_force[0], [0.0, 0.0, rig.GRAVITY], atol=1e-12)
 
 

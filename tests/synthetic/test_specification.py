@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from slamhive.data.synthetic.inertial import sample_imu
+from slamhive.data.synthetic.trajectory import Trajectory
 from slamhive.model.synthetic import NOMINAL_LAP_METRES, SyntheticRecording
 
 
@@ -25,6 +28,7 @@ def test_outside_names_are_camel_case_and_survive_a_round_trip() -> None:
         ({"camera": {"rate": 30.0, "exposureSeconds": 0.05}}, "0.0333"),
         ({"lidar": {"minRange": 4.0, "maxRange": 3.0}}, "maxRange"),
         ({"noise": float("nan")}, "noise"),
+        ({"rig": "Flat"}, "'Askew' or 'Euroc'"),
     ],
 )
 def test_wrong_input_is_refused_with_a_word_on_what_is_wrong(given: dict[str, object], word: str) -> None:
@@ -63,3 +67,25 @@ def test_every_knob_is_documented() -> None:
     parts = [schema, *schema["$defs"].values()]
     knobs = {name: knob for part in parts for name, knob in part.get("properties", {}).items()}
     assert [name for name, knob in knobs.items() if not knob.get("description")] == []
+
+
+def test_options_that_are_not_given_are_no_part_of_a_manifest() -> None:
+    """Manifests of earlier versions, and what is made of them, stay what they were."""
+    given = {"seed": 4, "sensors": ["Imu"], "durationSeconds": 30.0}
+    assert not {"rig"} & set(SyntheticRecording.model_validate(given).as_json())
+
+
+def test_what_is_generated_by_default_stays_what_it_was() -> None:
+    """Kept figures of one sample; results of all earlier versions stand on them."""
+    spec = SyntheticRecording(seed=5, sensors=("Imu",), loops=0.15, duration_seconds=7.0)
+    trajectory = Trajectory(spec)
+    samples = sample_imu(spec, trajectory, np.arange(0.0, 7.0, 0.005))
+    np.testing.assert_allclose(
+        samples.specific_force[777], [-14.71535651, -2.087056, 11.87377008], rtol=0, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        samples.angular_rate[777], [-0.05202802, -0.04289644, 0.13315942], rtol=0, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        trajectory.at([3.885]).position, [[3.38980034, 2.99442285, 1.21607525]], rtol=0, atol=1e-8
+    )

@@ -32,6 +32,13 @@ class SyntheticSensor(Choice):
     RGBD = "Rgbd"
 
 
+class SyntheticRig(Choice):
+    """How the sensors are mounted. Cameras and lidar are the same on all, the IMU isn't."""
+
+    ASKEW = "Askew"
+    EUROC = "Euroc"
+
+
 class _Model(Model):
     """A part of the specification; what stands below a field describes it."""
 
@@ -112,6 +119,9 @@ class SyntheticRecording(_Model):
     """Scale of the light; noise of the image sensor doesn't shrink with it."""
     noise: Annotated[float, Field(ge=0.0, le=20.0)] = 1.0
     """Scale of all sensor noise and of IMU biases; 0 gives perfect sensors."""
+    rig: SyntheticRig | None = None
+    """How the IMU is mounted. Askew, or null: turned by 109 degrees against the left camera. Euroc: by 89
+    degrees, about the optical axis, as EuRoC's. The released VINS-Mono fails between 90 and 120 degrees."""
     lidar: SyntheticLidar = SyntheticLidar()
     """The lidar, when it is among the sensors."""
     imu: SyntheticImu = SyntheticImu()

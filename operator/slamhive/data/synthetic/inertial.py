@@ -54,7 +54,8 @@ def sample_imu(spec: SyntheticRecording, trajectory: Trajectory, t: Array) -> In
         t: `(n,)`, evenly spaced at the IMU's rate, s since the start of the recording.
     """
     motion = trajectory.at(t)
-    lever, axes = rig.IMU_POSE[:3, 3], rig.IMU_POSE[:3, :3]
+    mounting = rig.imu_pose(spec)
+    lever, axes = mounting[:3, 3], mounting[:3, :3]
     omega, alpha = motion.angular_rate, motion.angular_acceleration
     relative = np.cross(alpha, lever) + np.cross(omega, np.cross(omega, lever))
     upward = motion.acceleration + np.array([0.0, 0.0, rig.GRAVITY])

@@ -14,7 +14,7 @@ import numpy as np
 
 from slamhive.data.synthetic.optics import Lens, scale_matrix
 from slamhive.data.synthetic.trajectory import rotation_from_euler
-from slamhive.model.synthetic import SyntheticSensor
+from slamhive.model.synthetic import SyntheticRig, SyntheticSensor
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -66,7 +66,13 @@ def pose(degrees: tuple[float, float, float], position: tuple[float, float, floa
 
 
 LIDAR_POSE = pose((1.3, -2.1, 5.2), (0.09, 0.04, 0.31))
-IMU_POSE = pose((-2.4, 1.7, 11.3), (-0.06, 0.05, 0.07))
+
+
+def imu_pose(spec: SyntheticRecording) -> Array:
+    """Give T_body_imu `(4, 4)` of a specification's rig."""
+    if spec.rig is SyntheticRig.EUROC:
+        return np.asarray(_LEFT_POSE @ _IMU_IN_LEFT)
+    return pose((-2.4, 1.7, 11.3), (-0.06, 0.05, 0.07))
 
 
 def cameras(spec: SyntheticRecording) -> dict[str, Camera]:
@@ -94,6 +100,11 @@ def _mount(degrees: tuple[float, float, float], position: tuple[float, float, fl
     return result
 
 
+_LEFT_POSE = _mount((-1.6, 4.1, 33.7), (0.21, 0.08, 0.11))
+# T_left_imu: the sign is the one with which the other cameras are turned by less than 90 degrees too.
+_IMU_IN_LEFT = np.linalg.inv(pose((0.2, -1.5, -89.1), (-0.02, 0.06, 0.01)))
+
+
 def _lens(
     camera: SyntheticCamera, focal: float, centre: tuple[float, float], coefficients: tuple[float, ...]
 ) -> Lens:
@@ -112,11 +123,10 @@ def _camera(role: str, mounting: Array, lens: Lens) -> Camera:
 
 def _stereo(spec: SyntheticCamera) -> dict[str, Camera]:
     """Make the stereo pair: 0.12 m apart, turned against each other by a fraction of a degree."""
-    left_pose = _mount((-1.6, 4.1, 33.7), (0.21, 0.08, 0.11))
     turn = np.eye(4)
     turn[:3, :3] = rotation_from_euler(np.radians([[0.35, -0.8, 0.5]]))[0]
     turn[:3, 3] = 0.12, 0.0013, -0.0008
-    right_pose = left_pose @ turn
+    right_pose = _LEFT_POSE @ turn
     left = _lens(spec, 0.645, (0.507, 0.491), (-0.21, 0.07, 5e-4, -3e-4))
     right = _lens(spec, 0.649, (0.496, 0.503), (-0.20, 0.06, -4e-4, 5e-4))
     to_right = np.linalg.inv(turn)
@@ -126,7 +136,7 @@ def _stereo(spec: SyntheticCamera) -> dict[str, Camera]:
         to_right[:3, :3], to_right[:3, 3:], flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
     )  # fmt: skip
     return {
-        "left": Camera("left", left_pose, left, np.asarray(r1, np.float64), np.asarray(p1, np.float64)),
+        "left": Camera("left", _LEFT_POSE, left, np.asarray(r1, np.float64), np.asarray(p1, np.float64)),
         "right": Camera("right", right_pose, right, np.asarray(r2, np.float64), np.asarray(p2, np.float64)),
     }
 
@@ -152,7 +162,7 @@ def sensors(spec: SyntheticRecording) -> dict[str, dict[str, Any]]:
         # An estimator divides by these: even a perfect IMU is stated with a little noise.
         scale = max(spec.noise, 0.01)
         result["imu"] = _entry(
-            "imu", "Imu", "/imu", rate=spec.imu.rate, mounting=IMU_POSE, stamp="Sample"
+            "imu", "Imu", "/imu", rate=spec.imu.rate, mounting=imu_pose(spec), stamp="Sample"
         ) | {
             "imu": {
                 "accelerometerNoise": ACCELEROMETER_NOISE * scale,
