@@ -29,6 +29,10 @@ def test_outside_names_are_camel_case_and_survive_a_round_trip() -> None:
         ({"lidar": {"minRange": 4.0, "maxRange": 3.0}}, "maxRange"),
         ({"noise": float("nan")}, "noise"),
         ({"rig": "Flat"}, "'Askew' or 'Euroc'"),
+        ({"vibration": {"minFrequency": 6.0, "maxFrequency": 4.0}}, "maxFrequency 4.0 must not be less"),
+        ({"vibration": {"amplitudeMetres": 0.5}}, "amplitudeMetres"),
+        ({"vibration": {}, "imu": {"rate": 19.9}}, "rate"),
+        ({"vibration": {"maxFrequency": 20.0}, "imu": {"rate": 50.0}}, "a quarter of imu.rate 50"),
     ],
 )
 def test_wrong_input_is_refused_with_a_word_on_what_is_wrong(given: dict[str, object], word: str) -> None:
@@ -60,6 +64,8 @@ def test_attributes_are_what_can_be_plotted() -> None:
         "exposureSeconds": 0.0,
         "lengthMetres": 60.6,
     }
+    shaken = SyntheticRecording.model_validate({"vibration": {"amplitudeMetres": 0.003}})
+    assert shaken.attributes()["vibrationMetres"] == 0.003
 
 
 def test_every_knob_is_documented() -> None:
@@ -72,7 +78,7 @@ def test_every_knob_is_documented() -> None:
 def test_options_that_are_not_given_are_no_part_of_a_manifest() -> None:
     """Manifests of earlier versions, and what is made of them, stay what they were."""
     given = {"seed": 4, "sensors": ["Imu"], "durationSeconds": 30.0}
-    assert not {"rig"} & set(SyntheticRecording.model_validate(given).as_json())
+    assert not {"rig", "vibration"} & set(SyntheticRecording.model_validate(given).as_json())
 
 
 def test_what_is_generated_by_default_stays_what_it_was() -> None:

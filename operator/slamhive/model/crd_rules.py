@@ -98,7 +98,14 @@ RULES: dict[str, tuple[Rule, ...]] = {
             "exposureSeconds: at most the time of a frame, 1 / rate, is possible",
         ),
     ),
+    "SyntheticVibration": (
+        ("self.minFrequency <= self.maxFrequency", "maxFrequency: must not be less than minFrequency"),
+    ),
     "SyntheticRecording": (
+        (
+            "!has(self.vibration) || self.vibration.maxFrequency * 4.0 <= self.imu.rate",
+            "vibration: maxFrequency must be at most a quarter of imu.rate",
+        ),
         (
             "!has(self.speed) || !has(self.durationSeconds)",
             "speed: excludes durationSeconds; with loops, one gives the other",

@@ -97,6 +97,27 @@ class SyntheticCamera(_Model):
         return self
 
 
+class SyntheticVibration(_Model):
+    """What engines, wheels or steps add to the path while the platform moves: in each coordinate sines."""
+
+    amplitude_metres: Annotated[float, Field(ge=0.0, le=0.02)] = 0.002
+    """Standard deviation of the displacement along each axis of the world, m."""
+    amplitude_degrees: Annotated[float, Field(ge=0.0, le=2.0)] = 0.1
+    """Standard deviation of roll, pitch and yaw that it adds, degrees."""
+    min_frequency: Annotated[float, Field(ge=0.5, le=20.0)] = 2.5
+    """Lowest frequency, Hz."""
+    max_frequency: Annotated[float, Field(ge=0.5, le=20.0)] = 5.0
+    """Highest frequency, Hz."""
+
+    @model_validator(mode="after")
+    def _band_is_not_reversed(self) -> Self:
+        if self.max_frequency < self.min_frequency:
+            raise ValueError(
+                f"maxFrequency {self.max_frequency} must not be less than minFrequency {self.min_frequency}"
+            )
+        return self
+
+
 class SyntheticRecording(_Model):
     """A platform driving laps in a textured room: everything that makes one such recording."""
 
@@ -119,6 +140,9 @@ class SyntheticRecording(_Model):
     """Scale of the light; noise of the image sensor doesn't shrink with it."""
     noise: Annotated[float, Field(ge=0.0, le=20.0)] = 1.0
     """Scale of all sensor noise and of IMU biases; 0 gives perfect sensors."""
+    vibration: SyntheticVibration | None = None
+    """Vibration of the platform, seen alike by ground truth and all sensors. Null: none. An acceleration that
+    changes between frames is what visual-inertial algorithms start from."""
     rig: SyntheticRig | None = None
     """How the IMU is mounted. Askew, or null: turned by 109 degrees against the left camera. Euroc: by 89
     degrees, about the optical axis, as EuRoC's. The released VINS-Mono fails between 90 and 120 degrees."""
@@ -146,6 +170,15 @@ class SyntheticRecording(_Model):
             raise ValueError("sensors names one of them twice")
         return self
 
+    @model_validator(mode="after")
+    def _vibration_can_be_measured(self) -> Self:
+        if self.vibration is not None and self.vibration.max_frequency * 4.0 > self.imu.rate:
+            raise ValueError(
+                f"vibration: maxFrequency {self.vibration.max_frequency:g} is more than a quarter of "
+                f"imu.rate {self.imu.rate:g}: samples would be too far apart to follow it"
+            )
+        return self
+
     @property
     def moving_seconds(self) -> float:
         """Time between the two rests, s."""
@@ -165,7 +198,8 @@ class SyntheticRecording(_Model):
 
     def attributes(self) -> dict[str, float]:
         """Give the Dataset's free attributes that follow from this specification."""
-        return {
+        shaken = {} if self.vibration is None else {"vibrationMetres": self.vibration.amplitude_metres}
+        return shaken | {
             "loops": self.loops,
             "speed": round(self.mean_speed, 3),
             "motion": self.motion,

@@ -2,8 +2,9 @@
 """The platform's motion, known exactly at every instant.
 
 Each channel (x, y, z, roll, pitch, yaw) is a line plus a few sines of the progress, and progress is a C4
-polynomial ramp of time. Poses, rates and accelerations are therefore closed formulas: ground truth and IMU
-need neither interpolation nor numerical differentiation.
+polynomial ramp of time. A vibration adds sines of time, which swell and fade as the speed does. Poses, rates
+and accelerations are therefore closed formulas: ground truth and IMU need neither interpolation nor numerical
+differentiation.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from slamhive.model.synthetic import REST_SECONDS
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from slamhive.model.synthetic import SyntheticRecording
+    from slamhive.model.synthetic import SyntheticRecording, SyntheticVibration
 
     Array = npt.NDArray[np.float64]
 
@@ -74,13 +75,59 @@ class Channel:
         return value, self.slope + (cosine * self.frequency).sum(1), -(sine * self.frequency**2).sum(1)
 
 
+class Vibration:
+    """What engines or steps add to the six coordinates: sines of time, from the rest to the rest.
+
+    Args:
+        spec: The specification.
+        asked: Its vibration.
+    """
+
+    SINES = 6
+
+    def __init__(self, spec: SyntheticRecording, asked: SyntheticVibration) -> None:
+        self._moving, self._ramp = spec.moving_seconds, _ramp_seconds(spec)
+        rng = stream(spec.seed, "vibration")
+        shape = (6, self.SINES)
+        edges = np.linspace(asked.min_frequency, asked.max_frequency, self.SINES + 1)
+        # One frequency in each part of the band, so that none of the six coordinates has all at one end.
+        self._frequency = 2.0 * np.pi * rng.uniform(edges[:-1], edges[1:], shape)
+        self._phase = rng.uniform(0.0, 2.0 * np.pi, shape)
+        deviation = np.repeat([asked.amplitude_metres, np.radians(asked.amplitude_degrees)], 3)
+        # A sine has 1/√2 of its amplitude as standard deviation.
+        self._amplitude = (deviation * np.sqrt(2.0 / self.SINES))[:, None]
+
+    def derivatives(self, t: Array) -> tuple[Array, Array, Array]:
+        """Give value, first and second derivative by time of the six coordinates, each `(n, 6)`."""
+        value, slope, bend = self._sines(t)
+        late = t - REST_SECONDS > self._moving / 2.0
+        since = np.clip(t - REST_SECONDS, 0.0, self._moving)
+        u = np.minimum(np.where(late, self._moving - since, since) / self._ramp, 1.0)[:, None]
+        inward = np.where(late, -1.0, 1.0)[:, None] / self._ramp
+        swell = (_STEP * u**_POWERS).sum(1, keepdims=True)
+        first = (_STEP * _POWERS * u ** (_POWERS - 1.0)).sum(1, keepdims=True) * inward
+        second = (_STEP * _POWERS * (_POWERS - 1.0) * u ** (_POWERS - 2.0)).sum(1, keepdims=True) * inward**2
+        return (
+            swell * value,
+            first * value + swell * slope,
+            second * value + 2.0 * first * slope + swell * bend,
+        )
+
+    def _sines(self, t: Array) -> tuple[Array, Array, Array]:
+        angle = self._frequency * t[:, None, None] + self._phase
+        sine, cosine = self._amplitude * np.sin(angle), self._amplitude * np.cos(angle)
+        value, slope = sine.sum(2), (cosine * self._frequency).sum(2)
+        return value, slope, -(sine * self._frequency**2).sum(2)
+
+
 class Trajectory:
     """The motion that a specification asks for."""
 
     def __init__(self, spec: SyntheticRecording) -> None:
         self._moving = spec.moving_seconds
-        self._ramp = min(RAMP_SECONDS, self._moving / 2.0)
+        self._ramp = _ramp_seconds(spec)
         self._channels = _channels(spec)
+        self._vibration = Vibration(spec, spec.vibration) if spec.vibration else None
 
     def progress(self, t: Array) -> tuple[Array, Array, Array]:
         """Give the share of the way done and its first two derivatives by time.
@@ -108,12 +155,18 @@ class Trajectory:
         Args:
             t: `(n,)`, s since the start of the recording.
         """
-        s, rate, acceleration = self.progress(np.atleast_1d(np.asarray(t, dtype=np.float64)))
+        t = np.atleast_1d(np.asarray(t, dtype=np.float64))
+        s, rate, acceleration = self.progress(t)
         value, first, second = (
             np.stack(x, 1) for x in zip(*(c.derivatives(s) for c in self._channels), strict=True)
         )
         velocity = first * rate[:, None]
         accel = second * rate[:, None] ** 2 + first * acceleration[:, None]
+        if self._vibration is not None:
+            value, velocity, accel = (
+                path + shaken
+                for path, shaken in zip((value, velocity, accel), self._vibration.derivatives(t), strict=True)
+            )
         omega, alpha = _body_rates(value[:, 3:], velocity[:, 3:], accel[:, 3:])
         return Motion(
             position=value[:, :3],
@@ -128,6 +181,10 @@ class Trajectory:
         """Measure the body's path between two instants, m."""
         points = self.at(np.arange(start, end, 0.002)).position
         return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def _ramp_seconds(spec: SyntheticRecording) -> float:
+    return min(RAMP_SECONDS, spec.moving_seconds / 2.0)
 
 
 def rotation_from_euler(angles: Array) -> Array:
