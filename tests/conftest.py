@@ -95,7 +95,7 @@ hypothesis_settings.load_profile(PROFILE)
 
 
 class Sharing(LoadScopeScheduling):
-    """What workers side by side share out: whole files, single tests that share nothing, all that needs a node."""
+    """What workers share out: whole files, single tests that share nothing, all that needs a node."""
 
     def _split_scope(self, nodeid: str) -> str:
         path = nodeid.partition("::")[0]
