@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from slamhive.model.results import Phase, RunRecord
 
 NODE = Path(__file__).parent / "node.py"
+KEYFRAMES = {"topic": "/actor/keyframes", "type": "Path"}
 PATIENCE = {"deaf": {"ready": "5s"}, "stubborn": {"end": "1s"}}
 
 
@@ -53,7 +54,7 @@ def node_spec(act: str, **ros1: Any) -> dict[str, Any]:
             "output": {"frame": "lidar"},
             "paces": ["Realtime"],
             "realtime": {"queue": 1},
-            "ros1": {"poses": poses} | PATIENCE.get(act, {}) | ros1,
+            "ros1": {"poses": poses, "keyframes": KEYFRAMES} | PATIENCE.get(act, {}) | ros1,
         },
     }
 

@@ -25,6 +25,7 @@ kinds = {
     "TF": TFMessage,
 }
 path = PathMessage()
+keyframes = PathMessage()
 scans = 0
 
 
@@ -65,12 +66,19 @@ def take(scan: PointCloud2) -> None:
         time.sleep(0.25)
     if act != "silent":
         publisher.publish(message_of(scan))
+    if act == "Odometry" and scans % 10 == 1:
+        keyframes.poses.append(PoseStamped(header=scan.header))
+        keyframes.poses[-1].pose.orientation.w = 1.0
+        for item in keyframes.poses:
+            item.pose.position.x = float(len(keyframes.poses))
+        optimised.publish(keyframes)
 
 
 rospy.init_node("actor", disable_signals=act == "stubborn")
 publisher = rospy.Publisher(
     "/tf" if act == "TF" else "/actor/poses", kinds.get(act, Odometry), queue_size=100
 )
+optimised = rospy.Publisher("/actor/keyframes", PathMessage, queue_size=100)
 if act == "stubborn":
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)

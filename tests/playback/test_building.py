@@ -112,6 +112,29 @@ def test_which_frame_a_pose_belongs_to(sensor: str, pose: str, match: str) -> No
     assert found.frames.match == match
 
 
+@pytest.mark.parametrize(
+    ("stamped", "means", "recorded", "moved", "match"),
+    [
+        ("ScanStart", "ScanMid", 20.0, 0.025, "At"),
+        ("ScanStart", "ScanMid", None, 0.1, "At"),  # the scans' rate, which is 5 Hz
+        ("ScanEnd", "ScanMid", 10.0, -0.05, "After"),
+        ("ScanMid", "ScanMid", 10.0, 0.0, "After"),
+    ],
+)
+def test_messages_that_are_stamped_with_another_instant_than_their_poses_mean(
+    stamped: str, means: str, recorded: float | None, moved: float, match: str
+) -> None:
+    poses = POSES | {"stamp": stamped}
+    told = configuration()
+    told = told.replace(input=told.input.replace(recorded_frame_rate=recorded))
+    found = request(spec(output={"frame": "lidar", "stamp": means}, poses=poses, keyframes=poses), told)
+    assert found is not None
+    assert found.poses.moved == pytest.approx(moved)
+    assert found.keyframes == found.poses
+    assert found.frames.match == match
+    assert PlayRequest.from_json(found.to_json()) == found
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"poses": {}, "frames": {}}', "null"])
 def test_what_is_no_request(text: str) -> None:
     with pytest.raises(ValueError, match=r"."):
@@ -128,6 +151,11 @@ def test_what_is_no_request(text: str) -> None:
         ({"ros1": {"poses": POSES | {"topic": "odometry"}}}, "pattern"),
         ({"ros1": {"poses": POSES, "topics": {"radar": "/r"}}}, "topics: its keys are roles"),
         ({"ros1": {}}, "poses"),
+        (
+            {"ros1": {"poses": POSES | {"stamp": "ScanStart"}}},
+            "output.stamp: where ros1.poses.stamp .* expected ScanStart, ScanMid or ScanEnd",
+        ),
+        ({"ros1": {"poses": POSES, "keyframes": POSES | {"type": "TF"}}}, "parent: TF needs"),
     ],
 )
 def test_bad_manifests(change: dict[str, Any], message: str) -> None:

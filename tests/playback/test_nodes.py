@@ -52,6 +52,14 @@ def test_of_a_path_the_last_is_the_estimate_and_what_came_first_is_kept(
     np.testing.assert_array_equal(online[:, 3], np.arange(1, len(online) + 1))
 
 
+def test_keyframes_are_kept_beside_the_poses(play: Callable[..., RunRecord]) -> None:
+    folder = output(play("Odometry"))
+    poses, keyframes = (np.loadtxt(folder / name) for name in ("trajectory.txt", "trajectory.keyframes.txt"))
+    np.testing.assert_array_equal(keyframes[:, 0], poses[::10, 0])
+    assert (keyframes[:, 1] == len(keyframes)).all()
+    assert not (output(play("Path")) / "trajectory.keyframes.txt").exists()
+
+
 def test_what_the_node_writes_itself_is_the_estimate(play: Callable[..., RunRecord]) -> None:
     folder = output(play("final"))
     assert (np.loadtxt(folder / "trajectory.txt")[:, 1] == 9).all()

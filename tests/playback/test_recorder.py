@@ -73,6 +73,14 @@ def test_numbers() -> None:
     assert made.online().splitlines()[0].split()[1] == "0.000000000"
 
 
+def test_stamps_that_are_moved_leave_frames_and_latencies_as_they_are() -> None:
+    made = Recorder(FrameSource("/points", 0.1, time_offset=0.5), 0.05)
+    made.frame(0, 1000 * MS)
+    made.poses([pose(0)], 1010 * MS)
+    assert made.final().split()[0] == "0.550000000"
+    assert made.table().splitlines()[1].split(",")[0] == "0.500000000"
+
+
 def test_keyframes_say_nothing_of_drops() -> None:
     made = recorder(every=False)
     made.poses([pose(0)], 1010 * MS)

@@ -45,6 +45,7 @@ def configured(
         start_time=variant.start_time,
         duration_seconds=variant.duration_seconds,
         frame_rate=variant.frame_rate,
+        recorded_frame_rate=variant.recorded_frame_rate,
         resolution=variant.resolution,
     )
     return run_configuration(run, spec, dataset, recording, cores)

@@ -371,12 +371,19 @@ class AlgorithmSpec(Model):
         return [(file.path, file.template) for file in self.files or ()]
 
     def _check_pose_files(self) -> None:
+        sources = [self.ros1.poses, self.ros1.keyframes] if self.ros1 is not None else []
+        moved = any(source and source.stamp for source in sources)
         for mode in self.modes:
             output = self.output_of(mode)
+            if moved and output.stamp not in (PoseStamp.SCAN_START, PoseStamp.SCAN_MID, PoseStamp.SCAN_END):
+                raise ValueError(
+                    "output.stamp: where ros1.poses.stamp says how messages are stamped, expected ScanStart, "
+                    f"ScanMid or ScanEnd in the mode {mode.name}, not {output.stamp}"
+                )
             if self.ros1 is not None and (output.trajectory or output.keyframes):
                 raise ValueError(
                     "output.trajectory: a ROS 1 node's poses are those that it publishes; leave out "
-                    "trajectory and keyframes, or ros1"
+                    "trajectory and keyframes (ros1.keyframes has theirs), or ros1"
                 )
             if output.counts_frames and output.stamp is not PoseStamp.HEADER:
                 raise ValueError(

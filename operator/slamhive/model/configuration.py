@@ -50,6 +50,7 @@ class PreparedRecording(Model):
     start_time: float
     duration_seconds: float = Field(ge=0)
     frame_rate: float | None = None
+    recorded_frame_rate: float | None = Field(default=None, gt=0)
     resolution: float = 1.0
 
 
@@ -58,6 +59,7 @@ class InputView(Model):
 
     pace: Pace
     frame_rate: float | None = None
+    recorded_frame_rate: float | None = None
     resolution: float = 1.0
     start: float = 0.0
     duration: float | None = None

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from slamhive.model.base import Choice, Duration, Model
+from slamhive.model.base import Choice, Duration, Model, optional
 from slamhive.model.sensors import Role
 
 _WORD = r"[A-Za-z][A-Za-z0-9_]*"
@@ -34,6 +34,11 @@ class Ros1Poses(Model):
     )
     parent: RosFrame | None = Field(default=None, description="TF: the frame of the algorithm's world.")
     frame: RosFrame | None = Field(default=None, description="TF: the frame whose pose is taken.")
+    stamp: Literal["ScanStart", "ScanMid", "ScanEnd"] | None = Field(
+        default=None,
+        description="The instant of a scan that its messages are stamped with, where that isn't "
+        "output.stamp: their stamps are moved from the one to the other.",
+    )
 
     @model_validator(mode="after")
     def _frames_for_transforms(self) -> Self:
@@ -53,6 +58,10 @@ class Ros1(Model):
         default_factory=dict,
         description="Topic on which it takes a role's messages, such as lidar: /velodyne_points; default: "
         "the recording's own, as config.yaml names it.",
+    )
+    keyframes: Ros1Poses | None = optional(
+        "Where the poses of its keyframes come from, beside the others: trajectory.keyframes.txt is made of "
+        "them."
     )
     ready: Duration = Field(
         default="2m", description="Time that it may take to subscribe to its sensors' topics."

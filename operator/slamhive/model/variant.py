@@ -22,7 +22,6 @@ class VariantDescription(PreparedRecording):
 
     folder: FolderName = Field(description="Its folder below variants/.")
     frames: int = Field(ge=0, le=2**53)
-    recorded_frame_rate: float | None = Field(default=None, gt=0)
     recorded_seconds: float | None = Field(default=None, ge=0)
     key: str = Field(max_length=128)
     source_sha256: str = Field(max_length=64)

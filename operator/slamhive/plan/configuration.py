@@ -52,6 +52,7 @@ def run_configuration(
         input=InputView(
             pace=options["pace"],
             frame_rate=recording.frame_rate,
+            recorded_frame_rate=recording.recorded_frame_rate,
             resolution=recording.resolution,
             rate=options.get("rate") or 1.0,
             duration=recording.duration_seconds,

@@ -13,7 +13,7 @@ from slamhive.playback.protocol import FrameSource, PlayRequest, PoseSource
 if TYPE_CHECKING:
     from slamhive.model.algorithm import AlgorithmSpec, Output
     from slamhive.model.configuration import RunConfiguration, SensorView
-    from slamhive.model.ros1 import Ros1
+    from slamhive.model.ros1 import Ros1, Ros1Poses
 
 _WHEN = {
     Stamp.SCAN_START: 0.0,
@@ -63,16 +63,15 @@ def play_request(
         algorithm=mark,
         topics=topics,
         remap=_calibrations(configuration, ros),
-        poses=PoseSource(
-            topic=ros.poses.topic, type=ros.poses.type, parent=ros.poses.parent, frame=ros.poses.frame
-        ),
+        poses=_source(ros.poses, configuration, first, output),
         frames=FrameSource(
             topic=topics[first.topic],
             period=1.0 / (first.rate or _USUAL_RATE),
-            match=_match(first, output),
+            match=_match(first, ros.poses.stamp or output.stamp),
             time_offset=first.time_offset,
             every=output.poses is Poses.FRAMES,
         ),
+        keyframes=_source(ros.keyframes, configuration, first, output) if ros.keyframes is not None else None,
         rate=configuration.input.rate,
         data_seconds=configuration.dataset.duration_seconds,
         port=port,
@@ -97,10 +96,28 @@ def _sibling(topic: str) -> str:
     return f"{topic.rpartition('/')[0]}/camera_info"
 
 
-def _match(sensor: SensorView, output: Output) -> str:
+def _source(
+    poses: Ros1Poses, configuration: RunConfiguration, first: SensorView, output: Output
+) -> PoseSource:
+    """Return where poses come from, and how far the stamps of their messages are to be moved."""
+    moved = 0.0
+    if poses.stamp is not None:
+        # A scan lasts as long as it did when it was recorded, however many are left out.
+        rate = configuration.input.recorded_frame_rate or first.rate or _USUAL_RATE
+        moved = (_POSE_WHEN[output.stamp] - _POSE_WHEN[PoseStamp(poses.stamp)]) / rate
+    return PoseSource(
+        topic=poses.topic,
+        type=poses.type,
+        parent=poses.parent,
+        frame=poses.frame,
+        moved=moved,
+    )
+
+
+def _match(sensor: SensorView, stamp: str) -> str:
     """Return which frame a pose belongs to: poses may be stamped with another instant of a scan."""
     frame = _WHEN.get(sensor.stamp) if sensor.type is SensorType.LIDAR else None
-    pose = _POSE_WHEN.get(output.stamp)
+    pose = _POSE_WHEN.get(PoseStamp(stamp))
     if frame is None or pose is None or frame == pose:
         return "At"
     return "After" if pose > frame else "Before"

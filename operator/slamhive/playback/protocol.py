@@ -29,12 +29,14 @@ class PoseSource:
         type: PoseStamped, PoseWithCovarianceStamped, Odometry, Path or TF.
         parent: Of TF: the frame of the world.
         frame: Of TF: the frame whose pose is taken.
+        moved: To add to stamps beside the sensor's offset, so that they name the instant that poses mean, s.
     """
 
     topic: str
     type: str
     parent: str | None = None
     frame: str | None = None
+    moved: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class PlayRequest:
         remap: More topics to rename, such as a camera's calibration.
         poses: Where poses come from.
         frames: What counts as a frame.
+        keyframes: Where the poses of keyframes come from, beside the others.
         rate: Speed of playing.
         data_seconds: Length of the recording.
         port: Of the ROS master; 0 for any that is free.
@@ -87,6 +90,7 @@ class PlayRequest:
     topics: dict[str, str]
     poses: PoseSource
     frames: FrameSource
+    keyframes: PoseSource | None = None
     remap: dict[str, str] = field(default_factory=dict)
     rate: float = 1.0
     data_seconds: float | None = None
@@ -110,6 +114,8 @@ class PlayRequest:
         try:
             values: dict[str, Any] = json.loads(text)
             parts = {"poses": PoseSource(**values["poses"]), "frames": FrameSource(**values["frames"])}
+            if values.get("keyframes") is not None:
+                parts["keyframes"] = PoseSource(**values["keyframes"])
             return cls(**{**values, **parts})
         except (TypeError, KeyError) as error:
             raise ValueError(f"no request for the player: {error}") from None

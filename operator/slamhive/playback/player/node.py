@@ -18,7 +18,7 @@ from slamhive.playback.player.programs import BAG_NODE, PLAYER_NODE
 from slamhive.playback.protocol import PlayError
 
 if TYPE_CHECKING:
-    from slamhive.playback.player.recorder import Recorder
+    from slamhive.playback.player.recorder import Recorder, Track
     from slamhive.playback.protocol import FrameSource, PoseSource
 
 _TYPES = {
@@ -47,12 +47,22 @@ class Ears:
     def __init__(self, poses: PoseSource, frames: FrameSource, recorder: Recorder) -> None:
         rospy.init_node(PLAYER_NODE[1:], disable_signals=True, disable_rosout=True)
         self._recorder = recorder
-        self._read = reader(poses)
-        self._poses = self._hear(poses.topic, _TYPES[poses.type], self._pose)
-        if poses.type == "TF" and poses.topic != "/tf_static":
-            self._hear("/tf_static", TFMessage, self._pose)
+        self._poses = self.hear_poses(poses, recorder)
         # Frames are not decoded: their headers lie at the beginning.
         self._frames = self._hear(frames.topic, rospy.AnyMsg, self._frame)
+
+    def hear_poses(self, source: PoseSource, track: Track) -> Any:
+        """Have the poses of a source taken by a track, and return the subscription."""
+        read = reader(source)
+
+        def take(message: Any) -> None:
+            arrival = time.time_ns()
+            track.poses(read(message), arrival)
+
+        subscription = self._hear(source.topic, _TYPES[source.type], take)
+        if source.type == "TF" and source.topic != "/tf_static":
+            self._hear("/tf_static", TFMessage, take)
+        return subscription
 
     def _hear(self, topic: str, kind: Any, call: Any) -> Any:
         return rospy.Subscriber(topic, kind, call, buff_size=_BUFFER_BYTES, tcp_nodelay=True)
@@ -66,10 +76,6 @@ class Ears:
     def has_poses(self) -> bool:
         """Whether somebody publishes poses."""
         return bool(self._poses.get_num_connections())
-
-    def _pose(self, message: Any) -> None:
-        arrival = time.time_ns()
-        self._recorder.poses(self._read(message), arrival)
 
     def _frame(self, message: Any) -> None:
         arrival = time.time_ns()

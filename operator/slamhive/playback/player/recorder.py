@@ -31,26 +31,24 @@ class Heard(NamedTuple):
     arrival: int
 
 
-class Recorder:
-    """Takes frames and poses from the threads that hear them.
+class Track:
+    """Poses of one source by their stamps, taken from the thread that hears them.
+
+    Attributes:
+        broken: Number of those that were none.
+        latest: Wall clock at which the last one came, ns.
 
     Args:
-        frames: What counts as a frame.
+        offset: To add to stamps, s.
     """
 
-    def __init__(self, frames: FrameSource) -> None:
-        self._source = frames
+    def __init__(self, offset: float) -> None:
+        self._offset = round(offset * NANOSECONDS)
         self._lock = threading.Lock()
-        self._frames: dict[int, int] = {}
         self._first: dict[int, Heard] = {}
         self._last: dict[int, Pose] = {}
         self.broken = 0
         self.latest: int | None = None
-
-    def frame(self, stamp: int, arrival: int) -> None:
-        """Take a frame by its header's stamp and the wall clock of its arrival, both ns."""
-        with self._lock:
-            self._frames.setdefault(stamp, arrival)
 
     def poses(self, found: Iterable[Pose], arrival: int) -> None:
         """Take the poses of a message that arrived at a wall clock in ns; a stamp may come again."""
@@ -78,16 +76,40 @@ class Recorder:
         with self._lock:
             return self._text(heard.pose for heard in self._first.values())
 
+    def heard(self) -> list[Heard]:
+        """Return for each stamp the pose that it was first given, in the order in which they came."""
+        with self._lock:
+            return sorted(self._first.values(), key=lambda heard: heard.arrival)
+
     def _text(self, poses: Iterable[Pose]) -> str:
-        offset = round(self._source.time_offset * NANOSECONDS)
-        return "".join(pose.line(offset) for pose in sorted(poses))
+        return "".join(pose.line(self._offset) for pose in sorted(poses))
+
+
+class Recorder(Track):
+    """Takes frames and the poses that belong to them.
+
+    Args:
+        frames: What counts as a frame.
+        moved: To add to the stamps of poses beside the sensor's offset, s.
+    """
+
+    def __init__(self, frames: FrameSource, moved: float = 0.0) -> None:
+        super().__init__(frames.time_offset + moved)
+        self._source = frames
+        self._frames: dict[int, int] = {}
+
+    def frame(self, stamp: int, arrival: int) -> None:
+        """Take a frame by its header's stamp and the wall clock of its arrival, both ns."""
+        with self._lock:
+            self._frames.setdefault(stamp, arrival)
 
     def latencies(self) -> list[tuple[int, int, int]]:
         """Return for each frame with a pose its stamp, its arrival and that of its first pose, ns."""
+        poses = self.heard()
         with self._lock:
             stamps = sorted(self._frames)
             first: dict[int, int] = {}
-            for heard in sorted(self._first.values(), key=lambda heard: heard.arrival):
+            for heard in poses:
                 frame = self._frame_of(heard.pose.stamp, stamps)
                 if frame is not None:
                     first.setdefault(frame, heard.arrival)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.playback.player.processes import Algorithm
 from slamhive.playback.player.programs import Master, Program, play_bag
-from slamhive.playback.player.recorder import Recorder, merge_metrics, write_atomically
+from slamhive.playback.player.recorder import Recorder, Track, merge_metrics, write_atomically
 from slamhive.playback.protocol import MASTER_FILE, READY_FILE, REPORT_FILE, PlayError
 
 if TYPE_CHECKING:
@@ -40,7 +40,9 @@ class Session:
         self._folder = Path(request.folder)
         self._output = Path(request.output)
         self._algorithm = Algorithm(request.algorithm)
-        self._recorder = Recorder(request.frames)
+        self._recorder = Recorder(request.frames, request.poses.moved)
+        known = request.keyframes
+        self._keyframes = Track(request.frames.time_offset + known.moved) if known is not None else None
         self._report: dict[str, Any] = {}
         self._numbers: dict[str, Any] = {}
         self._master: Master | None = None
@@ -75,6 +77,8 @@ class Session:
         from slamhive.playback.player.node import Ears, release_bag  # noqa: PLC0415
 
         ears = Ears(request.poses, request.frames, self._recorder)
+        if request.keyframes is not None and self._keyframes is not None:
+            ears.hear_poses(request.keyframes, self._keyframes)
         self._master.set_simulated_time()
         self._bag = play_bag(self._folder, request.recording, request.rate, request.topics | request.remap)
         write_atomically(self._folder / MASTER_FILE, json.dumps({"uri": self._master.uri}) + "\n")
@@ -148,7 +152,7 @@ class Session:
         limit = max(_SETTLE_LIMIT_SECONDS, (request.data_seconds or 0.0) / request.rate)
         begin = time.time()
         while not self._stopped() and self._algorithm.lives():
-            now, last = time.time(), (self._recorder.latest or 0) / 1e9
+            now, last = time.time(), (self._latest() or 0) / 1e9
             if now > max(last, begin) + quiet or now > begin + limit:
                 return True
             time.sleep(_LOOK_SECONDS)
@@ -156,7 +160,12 @@ class Session:
 
     def _last_word(self) -> float:
         """Return when the algorithm was done: with its last pose, or when nothing more was played to it."""
-        return (self._recorder.latest or time.time_ns()) / 1e9
+        return (self._latest() or time.time_ns()) / 1e9
+
+    def _latest(self) -> int | None:
+        """Return when the last pose came, that of a keyframe included."""
+        tracks = (self._recorder, self._keyframes)
+        return max((track.latest for track in tracks if track and track.latest is not None), default=None)
 
     def _write(self) -> None:
         """Write what was heard. The algorithm still runs, so that whoever watches it finds all at its end."""
@@ -164,6 +173,8 @@ class Session:
         if self._silent:  # a node that publishes poses, but tracked nothing
             write_atomically(output / "trajectory.txt", "# the node published no pose\n")
             merge_metrics(output / "metrics.json", recorder.metrics() | self._numbers)
+        if self._keyframes is not None and self._keyframes.count:
+            write_atomically(output / "trajectory.keyframes.txt", self._keyframes.final())
         if not recorder.count:
             return
         final, online = recorder.final(), recorder.online()
