@@ -12,12 +12,20 @@ import pytest
 
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.loading import load_file
+from slamhive.model.templates import read_template
 
 ALGORITHMS = Path(__file__).parents[2] / "images" / "algorithms"
 FOLDERS = sorted(path.parent for path in ALGORITHMS.glob("*/algorithm.yaml"))
 EVALIO = ("ct-icp", "liosam-odometry", "loam", "mad-icp")
 
-each = pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+OWN_IMAGE = [
+    folder for folder in FOLDERS if "slamhive.io/image: own" in (folder / "algorithm.yaml").read_text()
+]
+"""Folders of those for which a lab brings its image: what runs is none of ours."""
+WITH_ADAPTER = [folder for folder in FOLDERS if folder not in OWN_IMAGE]
+
+each = pytest.mark.parametrize("folder", WITH_ADAPTER, ids=lambda folder: folder.name)
+each_own = pytest.mark.parametrize("folder", OWN_IMAGE, ids=lambda folder: folder.name)
 
 
 def declared(folder: Path) -> Algorithm:
@@ -56,6 +64,27 @@ def test_files_are_there(folder: Path) -> None:
 @each
 def test_parameters_are_those_that_the_adapter_uses(folder: Path) -> None:
     assert parameters_used(folder) == set(declared(folder).spec.parameters)
+
+
+@each_own
+def test_parameters_of_an_own_image_are_those_that_its_templates_use(folder: Path) -> None:
+    spec = declared(folder).spec
+    used: set[str] = set()
+    for _, template in spec.templates:
+        found = read_template(template, spec.parameters)
+        assert not found.takes_all
+        used |= found.parameters
+    assert used == set(spec.parameters)
+
+
+@each_own
+def test_an_own_image_is_asked_for_and_its_page_says_what_is_in_it(folder: Path) -> None:
+    algorithm = declared(folder)
+    assert algorithm.spec.description.endswith("needs an image of yours")
+    page = (ALGORITHMS.parents[1] / "docs" / "algorithms" / f"{folder.name}.md").read_text()
+    assert str(algorithm.spec.image) in page
+    missing = [name for name in algorithm.spec.parameters if f"`{name}`" not in page]
+    assert missing == []
 
 
 @each

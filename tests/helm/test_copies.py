@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[2]
 CRDS = ROOT / "helm" / "slamhive-crds"
 CATALOG = ROOT / "helm" / "slamhive" / "files" / "catalog"
+OWN = {"slamhive.io/image": "own"}
 LICENCE = "# SPDX-License-Identifier: Apache-2.0\n"
 
 
@@ -72,6 +73,7 @@ def catalog(helm: Any, *words: str) -> list[dict[str, Any]]:
 def test_the_catalog_is_the_tree_s(helm: Any, read: Read) -> None:
     rendered = {(one["kind"], one["metadata"]["name"]): one for one in catalog(helm)}
     files = [read(path) for path in sources().values() if path.parent.name != "crds"]
+    files = [one for one in files if OWN.items() - one["metadata"].get("labels", {}).items()]
     assert {(one["kind"], one["metadata"]["name"]) for one in files} == {*rendered}
     for one in files:
         found = rendered[one["kind"], one["metadata"]["name"]]
@@ -96,3 +98,11 @@ def test_the_catalog_can_be_chosen(helm: Any) -> None:
     images = {one["spec"]["image"] for one in chosen if one["kind"] == "Algorithm"}
     assert all(image.startswith("registry.example.org/team/slamhive/") for image in images)
     assert not [one for one in helm.objects() if one["kind"] in {"Algorithm", "Dataset"}]
+
+
+def test_an_image_of_one_s_own_is_asked_for_by_name(helm: Any) -> None:
+    words = ("--set", "catalog.algorithms={vins-mono},catalog.datasets={synthetic-lidar}")
+    images = [one["spec"].get("image") for one in catalog(helm, *words)]
+    assert images == ["localhost/vins-mono:noetic", None]
+    words += ("--set", "catalog.imageRegistry=registry.example.org/team")
+    assert catalog(helm, *words)[0]["spec"]["image"] == "registry.example.org/team/vins-mono:noetic"
