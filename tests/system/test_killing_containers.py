@@ -20,6 +20,7 @@ from slamhive.model.results import Phase
 if TYPE_CHECKING:
     import subprocess
     from collections.abc import Callable
+    from pathlib import Path
 
     from slamhive.local.engines import Engine
 
@@ -78,12 +79,14 @@ def ended(system: Any) -> dict[str, str]:
 def wait_for_step(system: Any, process: subprocess.Popen[str], name: str, more: int) -> None:
     """Wait until so many runs more have come to a step, or the command has ended."""
 
-    def come() -> int:
-        return len({*system.home.path.glob(f"runs/s/*/{name}")})
+    def come() -> set[Path]:
+        return {*system.home.path.glob(f"runs/s/*/{name}")}
 
-    wanted = come() + more
+    before = come()
+    since: set[Path] = set()
     deadline = time.monotonic() + 120
-    while come() < wanted and process.poll() is None:
+    while len(since) < more and process.poll() is None:
+        since |= come() - before
         assert time.monotonic() < deadline, system.printed(process)[1]
         time.sleep(0.003)
 
