@@ -93,6 +93,34 @@ def test_it_makes_what_the_workstation_makes(pod: Any, synthetic: Any, tiny: Pat
     assert written.quaternions.tolist() == truth.poses.quaternions.tolist()  # type: ignore[union-attr]
 
 
+def test_folders_are_made_as_on_a_workstation(pod: Any, synthetic: Any, tiny: Path, tmp_path: Path) -> None:
+    asked = synthetic | {"formats": ["Kitti"], "input": {"frameRate": 5, "duration": "4s"}}
+    ended = pod.run("prepare", request=asked)
+    assert ended.code == 0, ended.message
+    found = read_description(ended.message)
+    assert found is not None
+    assert (found.format, found.recording, found.frames) == ("Kitti", "recording", 20)
+    entry = materialise(load_file(ACTOR / "tiny.yaml")[0], tiny, tiny)  # type: ignore[arg-type]
+    options = InputOptions.model_validate(asked["input"])
+    variant = prepare(entry, [Role.LIDAR], options, [DataFormat.KITTI], tmp_path / "own")
+    assert found.key == variant.key
+    folder = pod.root / "data" / "variants" / found.folder
+    mine, theirs = (
+        {path.relative_to(place): path.read_bytes() for path in place.rglob("*") if path.is_file()}
+        for place in (variant.path, folder / found.recording)
+    )
+    assert mine == theirs
+    assert len(mine) == 22
+    assert (folder / "frames.txt").read_bytes() == (variant.folder / "frames.txt").read_bytes()
+    assert not (folder / found.recording / "velodyne" / "000000.bin").stat().st_mode & 0o222
+
+
+def test_a_form_that_can_not_hold_the_sensors_is_refused(pod: Any, synthetic: Any) -> None:
+    reason, sentence = pod.run("prepare", request=synthetic | {"formats": ["Euroc"]}).error
+    assert reason == "PreparationFailed"
+    assert "Euroc can't hold these sensors of tiny (sensors lidar); Euroc holds mono" in sentence
+
+
 def test_what_it_makes_is_read_only_and_nobody_else_s(pod: Any, filed: Any) -> None:
     found = read_description(pod.run("prepare", request=filed).message)
     assert found is not None

@@ -31,6 +31,7 @@ from slamhive.kube.builders import (
     variant_name,
 )
 from slamhive.kube.builders.common import passed_on
+from slamhive.kube.builders.variant import variant_request
 from slamhive.kube.settings import Settings
 from slamhive.model.algorithm import TEXT_LIMIT, Algorithm
 from slamhive.model.dataset import Dataset
@@ -507,3 +508,29 @@ def test_the_monitor_sees_the_stamps_of_frames_where_poses_count_them() -> None:
     assert (frames["subPath"], frames["readOnly"]) == ("variants/0123abcd/frames.txt", True)
     assert told["poses"]["frames"] == frames["mountPath"]
     assert SidecarSpec.from_json(json.dumps(told)).poses == told["poses"]
+
+
+def test_a_mode_is_prepared_in_the_forms_that_hold_it() -> None:
+    both = algorithm(recording=["Euroc", "Kitti"], modes=[{"name": "lidar"}, {"name": "mono"}])
+    camera = {
+        "type": "Camera",
+        "topic": "/cam",
+        "camera": {"width": 4, "height": 3, "fx": 4, "fy": 4, "cx": 2, "cy": 1},
+    }
+    data = dataset(sensors={"lidar": SENSOR, "camera": camera})
+    asked = {
+        mode: variant_request(data, both, spec_of(both, data, sensors=mode)) for mode in ("lidar", "mono")
+    }
+    assert [str(form) for form in asked["lidar"].formats] == ["Kitti"]
+    assert [str(form) for form in asked["mono"].formats] == ["Euroc", "Kitti"]
+
+
+def test_a_pod_is_told_where_in_a_folder_things_are() -> None:
+    described = DESCRIPTION | {"format": "Kitti", "recording": "recording"}
+    declared, data = algorithm(recording=["Kitti"]), dataset()
+    told = configuration("r", spec_of(declared, data), data, described).as_json()
+    assert told["dataset"]["recording"] == {
+        "format": "Kitti",
+        "path": "dataset/recording",
+        "files": {"lidar": "velodyne", "times": "times.txt", "calibration": "calib.txt"},
+    }

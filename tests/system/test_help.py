@@ -46,7 +46,7 @@ def test_the_commands_are_those_promised() -> None:
         *("demo", "run", "plan", "validate", "import slam-hive", "dashboard", "report", "paper-table"),
         *("submit", "status", "logs", "cancel", "fetch"),
         *(f"results {name}" for name in ("list", "show", "table", "export")),
-        *(f"dataset {name}" for name in ("list", "show", "add", "make", "prepare", "check")),
+        *(f"dataset {name}" for name in ("list", "show", "add", "make", "prepare", "export", "check")),
         *(f"algorithm {name}" for name in ("list", "show", "check")),
     }
     assert promised <= names

@@ -205,7 +205,7 @@ LENGTHS: dict[str, int] = {
     "Axis.path": 512,
     "AlgorithmSpec.paces": 2,
     "AlgorithmSpec.modes": 7,
-    "AlgorithmSpec.recording": 4,
+    "AlgorithmSpec.recording": 6,
     "AlgorithmSpec.parameters": 1000,
     "Axis.points": 10_000,
     "DatasetSpec.sensors": _SMALL,
