@@ -133,6 +133,28 @@ def test_what_fails_leaves_nothing(camera_entries: Any, tmp_path: Path, monkeypa
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("form", [EUROC, DataFormat.MCAP])
+def test_an_interrupted_export_leaves_nothing(camera_entries: Any, tmp_path: Path, form: DataFormat) -> None:
+    seen = []
+
+    def interrupt(share: float) -> None:
+        seen.extend(tmp_path.iterdir())
+        if share > 0.3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export_dataset(
+            camera_entries[1.0],
+            STEREO,
+            InputOptions(resolution=0.5),
+            form,
+            tmp_path / "out",
+            progress=interrupt,
+        )
+    assert {path.name[:5] for path in seen} == {".out."}
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("form", "roles"),
     [

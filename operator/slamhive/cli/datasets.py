@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -211,6 +212,8 @@ def export(
     if sensors is not None and not holds(form, ROLES[sensors]):
         raise InputError(f"--sensors: {misfit([form], ROLES[sensors], f'the mode {sensors}')}")
     require_new(folder)
+    # Ended like this it would leave the half of a folder behind.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     bench = open_workbench(Home.from_environment())
     with bench.archive:
         entry = bench.dataset(name)
