@@ -18,7 +18,7 @@ pytest = $(BIN)/python -m pytest -n $(WORKERS) $(1) $(TESTS)
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-cluster test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench fuzz fuzz-api fuzz-cluster honest audit install crds clean help
+.PHONY: demo test test-cluster test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench fuzz fuzz-api fuzz-cluster coverage honest audit install crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -34,6 +34,7 @@ help:
 	@echo 'make fuzz    ten minutes of broken files for all readers, then many made-up inputs for all else'
 	@echo 'make fuzz-api   five minutes of made-up questions for the API, over 80,000 runs'
 	@echo 'make fuzz-cluster   the operator killed, and sweeps deleted, at each single side effect on a real control plane'
+	@echo 'make coverage   which modules make test covers by less than 80 %, lines and branches'
 	@echo 'make honest  every view of results beside their definition, over 5,000 made-up archives'
 	@echo 'make bench   speed and memory, beside the limits'
 
@@ -111,6 +112,14 @@ fuzz-api: $(STAMP)
 # make test-cluster takes one side effect of each kind.
 fuzz-cluster: $(STAMP) test-packages cluster-build
 	SLAMHIVE_EXAMPLES=thorough $(BIN)/python -m pytest -s tests/kube/faults/test_kills.py tests/kube/faults/test_deletion.py
+
+# Slower than make test; what fails under it is no fault of the code.
+coverage: $(STAMP)
+	rm -rf build/coverage && mkdir -p build/coverage
+	-$(BIN)/python -m coverage run -m pytest -q -n $(WORKERS) -m 'not ($(THE_REST))' $(TESTS)
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage json --quiet -o build/coverage/report.json
+	$(BIN)/python tests/coverage/modules.py build/coverage/report.json
 
 honest: $(STAMP)
 	$(BIN)/python tests/honest/check.py --archives 5000
