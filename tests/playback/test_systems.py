@@ -12,6 +12,7 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from slamhive.archive import Archive
@@ -131,6 +132,11 @@ def output(record: RunRecord) -> Path:
     return Path(record.folder or "") / "run" / "output"
 
 
+def frames_of(record: RunRecord) -> Path:
+    """Return the file with the stamps of the frames that were played, in ns."""
+    return Path(record.folder or "") / "run" / "dataset" / "frames.txt"
+
+
 def measured(record: RunRecord) -> dict[str, Any]:
     """Return what a run was measured to be, after making sure that it was."""
     assert record.phase == "Succeeded", f"{record.message}\n{record.log_tail}"
@@ -152,9 +158,10 @@ def test_vins_fusion(play: Play, mode: str) -> None:
     exact(values)
     assert record.frames is not None
     # It uses every second image, and has no pose for its first window.
-    assert values["poses"] == record.frames.processed == pytest.approx(record.frames.offered / 2, abs=8)
-    rows = (output(record) / "vio.csv").read_text().splitlines()
-    assert len(rows) == values["poses"]
+    assert 20 < record.frames.processed <= record.frames.offered / 2
+    rows = np.loadtxt(output(record) / "vio.csv", delimiter=",", usecols=range(8))
+    poses = np.loadtxt(output(record) / "trajectory.txt")
+    np.testing.assert_allclose(rows[:, 0] / 1e9, poses[:, 0], atol=1e-6)
 
 
 def test_loops_of_vins_fusion_are_keyframes_beside_its_odometry(play: Play) -> None:
@@ -172,7 +179,7 @@ def test_loops_of_vins_fusion_are_keyframes_beside_its_odometry(play: Play) -> N
     exact(values)
     keyframes = values["beside"]["keyframes"]
     exact(keyframes)
-    assert keyframes["poses"] == pytest.approx(values["poses"] / 3, abs=2)
+    assert 5 < keyframes["poses"] <= values["poses"] / 3 + 1
 
 
 def test_vins_mono_on_a_rig_that_it_can_be_run_on(play: Play) -> None:
@@ -181,8 +188,8 @@ def test_vins_mono_on_a_rig_that_it_can_be_run_on(play: Play) -> None:
     values = measured(record)
     exact(values)
     exact(values["beside"]["keyframes"])
-    rows = (output(record) / "vins_result_no_loop.csv").read_text().splitlines()
-    assert len(rows) == values["poses"] == pytest.approx(7 * 5 - 10, abs=3)
+    poses = np.loadtxt(output(record) / "trajectory.txt")
+    assert np.diff(poses[:, 0]).min() > 0.19
 
 
 def test_vins_mono_without_loops_has_no_keyframes(play: Play) -> None:
@@ -199,8 +206,9 @@ def test_positions_of_lio_sam_are_those_of_mid_scan(play: Play, rate: float | No
     assert values["ate"]["rmse"] < 1e-5
     assert 0.01 < values["ateRotationDeg"]["rmse"] < 2  # its rotations are those of the scan's start
     assert values["beside"]["keyframes"]["ate"]["rmse"] < 1e-5
-    assert record.frames is not None
-    assert record.frames.dropped == 2
+    # The last two scans stay in its queue.
+    poses, scans = (np.loadtxt(path) for path in (output(record) / "trajectory.txt", frames_of(record)))
+    assert poses[-1, 0] == pytest.approx(scans[-3] / 1e9 + 0.05, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Support that the stand-ins of LIO-SAM share: parameters below lio_sam, by type as roscpp takes them."""
+"""Support that the stand-ins of LIO-SAM share: parameters below lio_sam, by type as roscpp takes them.
+
+Their queues are longer than the real ones', so that no scan is lost on a busy machine.
+"""
 
 from __future__ import annotations
 

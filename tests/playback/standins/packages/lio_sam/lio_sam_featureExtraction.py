@@ -6,6 +6,6 @@ from lio_sam_support import parameters
 from std_msgs.msg import Header
 
 parameters("lio_sam_featureExtraction")
-publisher = rospy.Publisher("lio_sam/feature/cloud_info", Header, queue_size=5)
-rospy.Subscriber("lio_sam/deskew/cloud_info", Header, publisher.publish, queue_size=5)
+publisher = rospy.Publisher("lio_sam/feature/cloud_info", Header, queue_size=100)
+rospy.Subscriber("lio_sam/deskew/cloud_info", Header, publisher.publish, queue_size=100)
 rospy.spin()

@@ -70,7 +70,7 @@ def go_on() -> None:
         publisher.publish(scans.popleft().header)
 
 
-publisher = rospy.Publisher("lio_sam/deskew/cloud_info", Header, queue_size=1)
+publisher = rospy.Publisher("lio_sam/deskew/cloud_info", Header, queue_size=100)
 rospy.Subscriber(told["imuTopic"], Imu, hear, queue_size=2000)
-rospy.Subscriber(told["pointCloudTopic"], PointCloud2, take, queue_size=5, buff_size=1 << 24)
+rospy.Subscriber(told["pointCloudTopic"], PointCloud2, take, queue_size=100, buff_size=1 << 24)
 rospy.spin()

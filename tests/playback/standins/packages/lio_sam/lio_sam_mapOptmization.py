@@ -46,8 +46,8 @@ def take(header: Header) -> None:
         keyframes.publish(path)
 
 
-odometry = rospy.Publisher("lio_sam/mapping/odometry", Odometry, queue_size=1)
-incremental = rospy.Publisher("lio_sam/mapping/odometry_incremental", Odometry, queue_size=1)
-keyframes = rospy.Publisher("lio_sam/mapping/path", Path, queue_size=1)
-rospy.Subscriber("lio_sam/feature/cloud_info", Header, take, queue_size=1)
+odometry = rospy.Publisher("lio_sam/mapping/odometry", Odometry, queue_size=100)
+incremental = rospy.Publisher("lio_sam/mapping/odometry_incremental", Odometry, queue_size=100)
+keyframes = rospy.Publisher("lio_sam/mapping/path", Path, queue_size=100)
+rospy.Subscriber("lio_sam/feature/cloud_info", Header, take, queue_size=100)
 rospy.spin()
