@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import signal
 import sys
+from contextlib import ExitStack
 from itertools import groupby
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from rich.box import SIMPLE
@@ -16,18 +17,20 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from slamhive.cli import tables
+from slamhive.cli.cluster import Context, Namespace
 from slamhive.cli.console import err, out, remark
 from slamhive.cli.exits import FAILED, INTERRUPTED
 from slamhive.cli.tables import Format
 from slamhive.local.catalog import AlgorithmEntry, load_workshop
 from slamhive.local.home import Home
 from slamhive.model.base import Choice, seconds
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, SlamHiveError
 from slamhive_eval.csv_writing import write_csv
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from slamhive.conformance.cluster import OnCluster
     from slamhive.conformance.executors import Executor
     from slamhive.conformance.findings import Finding
     from slamhive.conformance.workstation import Bench
@@ -87,6 +90,8 @@ def check(
         str, typer.Option("--timeout", metavar="DURATION", help="How long one start may take.")
     ] = _TIMEOUT,
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
+    namespace: Namespace = None,
+    context: Context = None,
 ) -> None:
     """Check what an algorithm does and declares, by starting it on short recordings, sound ones and others.
 
@@ -110,9 +115,12 @@ def check(
         workshop.algorithm_entries[name] = AlgorithmEntry(entry.algorithm.replace(spec=spec), entry.folder)
     before = signal.signal(signal.SIGTERM, _interrupt)  # what was started ends, and what was made goes
     try:
-        with home.exclusive(), bench_for_checks(home, workshop, remark) as bench, _bars() as progress:
-            executors = _executors(bench, name, dataset, on, image)
-            findings = check_algorithm(bench, executors, Asked(name, dataset, limit), _Watcher(progress))
+        with ExitStack() as stack:
+            stack.enter_context(home.exclusive())
+            bench = stack.enter_context(bench_for_checks(home, workshop, remark))
+            executors = _executors(_Wish(bench, name, dataset, on, image, context, namespace), stack)
+            with _bars() as progress:
+                findings = check_algorithm(bench, executors, Asked(name, dataset, limit), _Watcher(progress))
     except KeyboardInterrupt:
         remark("interrupted; what was started has ended, and what was made is removed")
         raise typer.Exit(INTERRUPTED) from None
@@ -141,13 +149,19 @@ def _seconds(text: str) -> float:
     return found
 
 
-def _executors(
-    bench: Bench,
-    name: str,
-    dataset: str | None,
-    on: Place,
-    image: str | None,
-) -> list[Executor]:
+class _Wish(NamedTuple):
+    """What is asked of executors."""
+
+    bench: Bench
+    name: str
+    dataset: str | None
+    on: Place
+    image: str | None
+    context: str | None
+    namespace: str | None
+
+
+def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
     """Return what can start the algorithm here, of what is asked for; the others are told of.
 
     Raises:
@@ -157,18 +171,44 @@ def _executors(
 
     found: list[Executor] = []
     reasons: list[str] = []
-    if on in {Place.PROCESS, Place.ALL} and image is None:
-        process = Process(bench, name, dataset)
+    if wish.on in {Place.PROCESS, Place.ALL} and wish.image is None:
+        process = Process(wish.bench, wish.name, wish.dataset)
         reason = process.unavailable()
         if reason is None:
             found.append(process)
         else:
             reasons.append(f"process: {reason}")
+    if wish.on is Place.CONTAINER:
+        raise InputError("--on container: a workstation starts no containers in this version")
+    if wish.on in {Place.CLUSTER, Place.ALL}:
+        there = _on_cluster(wish)
+        if isinstance(there, str):
+            reasons += [f"cluster: {there}"] if there else []
+        else:
+            found.append(stack.enter_context(there))
     if not found:
-        raise InputError(f"{name} can't be started here: {'; '.join(reasons)}")
+        raise InputError(f"{wish.name} can't be started here: {'; '.join(reasons) or 'see --on'}")
     for reason in reasons:
         remark(reason)
     return found
+
+
+def _on_cluster(wish: _Wish) -> OnCluster | str:
+    """Return the cluster as an executor, or why there is none; empty where none was to be expected."""
+    from slamhive.cli.cluster import cluster_client
+
+    try:
+        with cluster_client():
+            from slamhive.cli.cluster_work import Place as Namespaced
+            from slamhive.conformance.cluster import OnCluster
+            from slamhive.kube.user.connecting import find_target
+        find_target(wish.context, wish.namespace)
+    except SlamHiveError as error:
+        asked = wish.on is Place.CLUSTER or wish.context is not None or wish.namespace is not None
+        return str(error) if asked else ""
+    place = Namespaced(wish.context, wish.namespace)
+    executor = OnCluster(wish.bench, wish.name, wish.dataset, place.connect)
+    return executor.unavailable() or executor
 
 
 def _bars() -> Progress:

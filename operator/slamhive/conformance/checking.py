@@ -167,6 +167,9 @@ class _Examination:
         if truth is None or result is None:
             yield skipped("accuracy", record.message or "the dataset has no ground truth")
             return
+        if ended.absent:
+            yield skipped("accuracy", f"its trajectory is not here: {ended.absent}")
+            return
         if ended.trajectory is None:
             how = "a short recording may be too little for it: try one of yours by --dataset"
             yield failed("accuracy", f"{result.outcome}: it wrote no pose", how)

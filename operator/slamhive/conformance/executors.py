@@ -6,11 +6,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
+from slamhive_eval import EvaluationError, read_tum
+
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from slamhive.conformance.damaging import Damage
     from slamhive.model.algorithm import Mode
     from slamhive.model.results import RunRecord
     from slamhive_eval import Trajectory
+
+_MOST_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,7 @@ class Ended:
         settings: settings files that were rendered, with whether the program opened them; None: that can't be
             told.
         stop_seconds: from being told to end until it had ended.
+        absent: why its trajectory can't be looked at, empty where it can.
     """
 
     record: RunRecord
@@ -54,6 +61,18 @@ class Ended:
     signal: int | None = None
     settings: dict[str, bool | None] = field(default_factory=dict)
     stop_seconds: float | None = None
+    absent: str = ""
+
+
+def read_poses(path: Path) -> tuple[bytes, Trajectory | None]:
+    """Return a trajectory as it was written, and read; nothing of one that is too long, or has no pose."""
+    if not path.is_file() or path.stat().st_size > _MOST_BYTES:
+        return b"", None
+    text = path.read_bytes()
+    try:
+        return text, read_tum(path)
+    except EvaluationError:  # written without a pose
+        return text, None
 
 
 class Executor(Protocol):

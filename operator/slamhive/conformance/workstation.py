@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.archive import Archive
 from slamhive.conformance.damaging import Damage, damaged
-from slamhive.conformance.executors import Ended, Start
+from slamhive.conformance.executors import Ended, Start, read_poses
 from slamhive.conformance.recordings import RECORDINGS, asked_of
 from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.data.erasing import erase
@@ -26,7 +26,6 @@ from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.results import Phase
 from slamhive.monitor.orphans import ProcessRecord
 from slamhive.plan import Plan, whole_cores
-from slamhive_eval import EvaluationError, read_tum
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -41,7 +40,6 @@ _FOLDER = "check"
 _SHARED = ("environments", "datasets", "variants", "truths", "assets")
 """Folders that are caches: what is made once for a check serves runs too, and the other way round."""
 _LOOK_SECONDS = 0.02
-_MOST_BYTES = 64 << 20
 
 
 class Bench(Workbench):
@@ -193,14 +191,9 @@ def _runs(folder: Path) -> bool:
 def _ended(record: RunRecord, driver: RunDriver, folder: Path, took: float | None) -> Ended:
     """Return what came of a start; its folder may be removed then."""
     end = driver.attempt_end()
-    text = b""
-    path = folder / "run" / "output" / "trajectory.txt"
-    if record.trajectory is not None and path.stat().st_size <= _MOST_BYTES:
-        text = path.read_bytes()
-    try:
-        trajectory = read_tum(path) if text else None
-    except EvaluationError:  # written without a pose
-        trajectory = None
+    text, trajectory = b"", None
+    if record.trajectory is not None:
+        text, trajectory = read_poses(folder / "run" / "output" / "trajectory.txt")
     return Ended(
         record=record,
         text=text,
