@@ -186,6 +186,8 @@ def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
             reasons += [f"cluster: {there}"] if there else []
         else:
             found.append(stack.enter_context(there))
+            if wish.on is Place.ALL:
+                remark("also on the cluster of the kubeconfig; --on process leaves it out")
     if not found:
         raise InputError(f"{wish.name} can't be started here: {'; '.join(reasons) or 'see --on'}")
     for reason in reasons:

@@ -51,6 +51,10 @@ class Bench(Workbench):
 
     damage: Damage | None = None
 
+    def another(self, **options: Any) -> Bench:
+        """Return a bench for another executor of this machine, in the same home."""
+        return Bench(self.home, self.workshop, self.archive, self.tell, **options)
+
     def prepare(self, spec: dict[str, Any], algorithm: Algorithm) -> Variant:
         """Return the variant that a run's spec asks for, as damaged as is asked for."""
         variant = super().prepare(spec, algorithm)
@@ -93,17 +97,17 @@ def _remove(place: Path) -> None:
 
 
 class Process:
-    """Starts as processes of this machine.
+    """Starts on this machine by the code that runs sweeps: as processes, unless the bench says otherwise.
 
     Args:
-        bench: what they share.
+        bench: what they share; one for each executor.
         name: the algorithm.
         dataset: a dataset by name; None: the generated one for each mode.
+        label: what users call it.
     """
 
-    name = "process"
-
-    def __init__(self, bench: Bench, name: str, dataset: str | None = None) -> None:
+    def __init__(self, bench: Bench, name: str, dataset: str | None = None, label: str = "process") -> None:
+        self.name = label
         self._bench = bench
         self._algorithm = name
         self._dataset = dataset
