@@ -18,9 +18,9 @@ from slamhive.conformance.recordings import RECORDINGS, asked_of
 from slamhive.kube.errors import ApiError, NotFound
 from slamhive.kube.kinds import Kind, Object
 from slamhive.kube.user.fetching import Fetcher, put_folder
-from slamhive.kube.user.filing import Filing
-from slamhive.kube.user.looking import is_over, is_stuck, runs_of
 from slamhive.kube.user.manifests import entry_of
+from slamhive.kube.user.queries import is_over, is_stuck, runs_of
+from slamhive.kube.user.run_files import Filing
 from slamhive.kube.user.submitting import read_catalog, send
 from slamhive.model.base import ObjectMeta
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault

@@ -18,7 +18,7 @@ from slamhive.conformance.damaging import Damage
 from slamhive.conformance.executors import Start
 from slamhive.conformance.workstation import bench_for_checks
 from slamhive.kube.user.connecting import connected, find_target
-from slamhive.kube.user.filing import Filed
+from slamhive.kube.user.run_files import Filed
 from slamhive.local.catalog import AlgorithmEntry, load_workshop
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.errors import InputError, SystemFault
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from testcluster.lab import Lab
 
     from slamhive.kube.user.connecting import Cluster
-    from slamhive.kube.user.filing import Filing, Wanted
+    from slamhive.kube.user.run_files import Filing, Wanted
     from slamhive.local.home import Home
 
 
