@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from slamhive.conformance.cluster import OnCluster
     from slamhive.conformance.executors import Executor
     from slamhive.conformance.findings import Finding
-    from slamhive.conformance.workstation import Bench
+    from slamhive.conformance.workstation import Bench, Process
 
 _COLOURS = {"pass": "green", "warning": "yellow", "fail": "red", "skipped": "dim"}
 
@@ -178,8 +178,12 @@ def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
             found.append(process)
         else:
             reasons.append(f"process: {reason}")
-    if wish.on is Place.CONTAINER:
-        raise InputError("--on container: a workstation starts no containers in this version")
+    if wish.on in {Place.CONTAINER, Place.ALL}:
+        contained = _contained(wish)
+        if isinstance(contained, str):
+            reasons.append(f"container: {contained}")
+        else:
+            found.append(contained)
     if wish.on in {Place.CLUSTER, Place.ALL}:
         there = _on_cluster(wish)
         if isinstance(there, str):
@@ -193,6 +197,21 @@ def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
     for reason in reasons:
         remark(reason)
     return found
+
+
+def _contained(wish: _Wish) -> Process | str:
+    """Return this machine's containers as an executor, or why they can't be."""
+    from slamhive.conformance.workstation import Process
+    from slamhive.local.unavailable import ImageMissing
+
+    asked = wish.on is Place.CONTAINER or wish.image is not None
+    has_another = wish.bench.workshop.algorithm(wish.name).algorithm.spec.local is not None
+    try:
+        return Process.contained(wish.bench, wish.name, wish.dataset, pull=asked or not has_another)
+    except ImageMissing as error:
+        return str(error) if asked or not has_another else f"{error}; --on container pulls it"
+    except SlamHiveError as error:
+        return str(error)
 
 
 def _on_cluster(wish: _Wish) -> OnCluster | str:

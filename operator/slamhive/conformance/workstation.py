@@ -17,9 +17,11 @@ from slamhive.data.erasing import erase
 from slamhive.local.attempt import end_left_behind
 from slamhive.local.catalog import Workshop
 from slamhive.local.cores import CorePool
+from slamhive.local.engines import ContainerChoice, find_engine
 from slamhive.local.environments import availability
 from slamhive.local.home import Home
 from slamhive.local.run import RunDriver, RunOrder
+from slamhive.local.unavailable import Unavailable
 from slamhive.local.workbench import Workbench
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import EvaluationSettings
@@ -113,8 +115,31 @@ class Process:
         self._dataset = dataset
         self._cores = CorePool()
 
+    @classmethod
+    def contained(cls, bench: Bench, name: str, dataset: str | None = None, *, pull: bool) -> Process:
+        """Return what starts an algorithm's image as containers of this machine.
+
+        Args:
+            bench: of the check; containers get one of their own.
+            name: the algorithm.
+            dataset: a dataset by name; None: the generated one for each mode.
+            pull: whether an image that isn't here is pulled.
+
+        Raises:
+            Unavailable: no engine can be used, or there is no image.
+            ImageMissing: the image isn't here, or can't be pulled.
+        """
+        entry = bench.workshop.algorithm(name)
+        if entry.algorithm.spec.image is None:
+            raise Unavailable("names no image (spec.image), which a container needs")
+        own = bench.another(container=ContainerChoice(find_engine().name))
+        if not pull:
+            own.programs.containers.image_id(entry)
+        own.programs.get(entry)
+        return cls(own, name, dataset, "container")
+
     def unavailable(self) -> str | None:
-        """Say why nothing can be started here, None where it can."""
+        """Say why nothing can be started as a process here, None where it can."""
         return availability(self._bench.workshop.algorithm(self._algorithm))
 
     def objection(self, start: Start) -> str | None:
