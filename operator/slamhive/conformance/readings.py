@@ -172,30 +172,27 @@ def _fit(
 def _together(
     declared: Declared, best: Fit, limit: float, estimate: Trajectory, truth: Trajectory | Relations
 ) -> Iterator[Finding]:
-    """Look for a reading that differs in several ways at once, where none alone is good."""
-    if best.metres <= limit:
-        return
+    """Look for a reading that differs in several ways at once and is better than any that differs in one."""
     found = {}
     for poses, words in ((estimate, ""), (inverse(estimate), "the inverse, ")):
         for frame, (shift, name) in product(declared.frames, {0.0: "", **declared.shifts}.items()):
             fit = _fit(declared, truth, poses, frame, shift)
             found[f"{words}frame {frame}{', stamps ' + name if name else ''}"] = fit
     name = min(found, key=found.__getitem__)
-    if found[name].metres <= limit:
+    if found[name].metres <= limit and found[name].clearly_better(best):
         text = f"no single change fits, several together do: {name}: {found[name]}"
         yield Finding(Answer.FAIL, "frame and stamp", text, f"the poses are {name}: write or declare that")
 
 
 def misread_stamps(declared: Declared, truth: Trajectory | Relations, estimate: Trajectory) -> Finding:
-    """Say what the stamps of poses are that meet no ground truth: frame indices, ns, time since the start."""
+    """Say what the stamps of poses are that meet no ground truth: frame indices, or time since the start."""
     stamps, frames = estimate.stamps, declared.stamps
     begin, end = float(frames[0]), float(frames[-1])
     indices = stamps.astype(np.int64)
     readings_of: dict[str, Array] = {}
     if np.array_equal(indices, stamps) and indices.min() >= 0 and indices.max() < len(frames):
         readings_of["frame indices"] = frames[indices]
-    for name, unit in (("nanoseconds", 1e9), ("microseconds", 1e6), ("milliseconds", 1e3)):
-        readings_of[name] = stamps / unit
+    # Other units than seconds are refused when the trajectory is read.
     readings_of["seconds since the first frame"] = stamps + begin
     found: dict[str, Fit] = {}
     for name, times in readings_of.items():
@@ -215,10 +212,9 @@ def misread_stamps(declared: Declared, truth: Trajectory | Relations, estimate: 
         how = "write the sensor time of each frame: header stamp + timeOffset, in s"
         return Finding(Answer.FAIL, "stamp", f"{told}: no ground truth is near them", how)
     best = min(fitting, key=found.__getitem__)
-    declarable = {"frame indices": "frame-index", "nanoseconds": "ns"}
     how = "write sensor time in s"
-    if best in declarable:
-        how = f"declare output.trajectory with stamps: {declarable[best]}, or {how}"
+    if best == "frame indices":
+        how = f"declare output.trajectory with stamps: frame-index, or {how}"
     return Finding(Answer.FAIL, "stamp", f"{told}: as {best} they fit, {found[best]}", how)
 
 
