@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from slamhive.conformance.checking import Asked, check_algorithm
-from slamhive.conformance.workstation import Process, bench_for_checks
+from slamhive.conformance.workstation import OnWorkstation, bench_for_checks
 from slamhive.local import attempt
 from slamhive.local.catalog import load_workshop
 from slamhive.model.loading import load_file
@@ -93,7 +93,7 @@ def check(home: Home, workshop_of: Callable[[Home], Workshop]) -> Callable[..., 
     def run(breaks: set[str], notes: Notes | None = None, **spec: Any) -> dict[str, Finding]:
         behaving(home, breaks, **spec)
         with bench_for_checks(home, workshop_of(home)) as bench:
-            executors = [Process(bench, NAME, "tiny")]
+            executors = [OnWorkstation(bench, NAME, "tiny")]
             found = check_algorithm(bench, executors, Asked(NAME, "tiny", 60.0), notes or Notes())
         assert len({finding.check for finding in found}) == len(found)
         return {finding.check: finding for finding in found}

@@ -13,7 +13,7 @@ from slamhive.conformance import rows, workstation
 from slamhive.conformance.damaging import Damage
 from slamhive.conformance.executors import Start
 from slamhive.conformance.findings import Answer
-from slamhive.conformance.workstation import Process, bench_for_checks
+from slamhive.conformance.workstation import OnWorkstation, bench_for_checks
 from slamhive.model.sensors import Role
 from slamhive.monitor.orphans import ProcessRecord
 
@@ -71,7 +71,7 @@ def test_what_waits_for_a_topic_that_is_not_there_fails(
     with bench_for_checks(home, workshop_of(home)) as bench:
         (mode,) = bench.workshop.algorithm(NAME).algorithm.spec.modes
         start = Start(mode, timeout=1.0, damage=Damage(Role.LIDAR))
-        found = rows.refusal("without lidar", Process(bench, NAME, "tiny").run(start), start.timeout)
+        found = rows.refusal("without lidar", OnWorkstation(bench, NAME, "tiny").run(start), start.timeout)
     assert found.answer is Answer.FAIL
     assert found.found == "it still waited after 1 s"
     assert found.help.startswith("don't wait for ever")
@@ -117,7 +117,7 @@ def test_what_is_told_to_end_has_to_and_what_it_wrote_stays(  # noqa: PLR0917
     monkeypatch.setattr(workstation, "_runs", lambda folder: (folder / "run/output/begun").exists())
     with bench_for_checks(home, workshop_of(home)) as bench:
         (mode,) = bench.workshop.algorithm(NAME).algorithm.spec.modes
-        ended = Process(bench, NAME, "tiny").run(Start(mode, timeout=60.0, stop_after=0.0))
+        ended = OnWorkstation(bench, NAME, "tiny").run(Start(mode, timeout=60.0, stop_after=0.0))
     found = rows.stopped(ended)
     assert found is not None
     assert found.answer is answer
@@ -143,7 +143,7 @@ def test_a_check_that_is_interrupted_ends_what_it_started_and_removes_what_it_ma
     with bench_for_checks(home, workshop_of(home)) as bench:
         (mode,) = bench.workshop.algorithm(NAME).algorithm.spec.modes
         with pytest.raises(KeyboardInterrupt):
-            Process(bench, NAME, "tiny").run(Start(mode, timeout=60.0, stop_after=0.0))
+            OnWorkstation(bench, NAME, "tiny").run(Start(mode, timeout=60.0, stop_after=0.0))
     assert not (home.path / "check").exists()
     for pid in processes:
         with pytest.raises(ProcessLookupError):

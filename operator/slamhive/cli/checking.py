@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from slamhive.conformance.cluster import OnCluster
     from slamhive.conformance.executors import Executor
     from slamhive.conformance.findings import Finding
-    from slamhive.conformance.workstation import Bench, Process
+    from slamhive.conformance.workstation import Bench, OnWorkstation
 
 _COLOURS = {"pass": "green", "warning": "yellow", "fail": "red", "skipped": "dim"}
 
@@ -167,12 +167,12 @@ def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
     Raises:
         InputError: nothing can.
     """
-    from slamhive.conformance.workstation import Process
+    from slamhive.conformance.workstation import OnWorkstation
 
     found: list[Executor] = []
     reasons: list[str] = []
     if wish.on in {Place.PROCESS, Place.ALL} and wish.image is None:
-        process = Process(wish.bench, wish.name, wish.dataset)
+        process = OnWorkstation(wish.bench, wish.name, wish.dataset)
         reason = process.unavailable()
         if reason is None:
             found.append(process)
@@ -199,15 +199,15 @@ def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
     return found
 
 
-def _contained(wish: _Wish) -> Process | str:
+def _contained(wish: _Wish) -> OnWorkstation | str:
     """Return this machine's containers as an executor, or why they can't be."""
-    from slamhive.conformance.workstation import Process
+    from slamhive.conformance.workstation import OnWorkstation
     from slamhive.local.unavailable import ImageMissing
 
     asked = wish.on is Place.CONTAINER or wish.image is not None
     has_another = wish.bench.workshop.algorithm(wish.name).algorithm.spec.local is not None
     try:
-        return Process.contained(wish.bench, wish.name, wish.dataset, pull=asked or not has_another)
+        return OnWorkstation.contained(wish.bench, wish.name, wish.dataset, pull=asked or not has_another)
     except ImageMissing as error:
         return str(error) if asked or not has_another else f"{error}; --on container pulls it"
     except SlamHiveError as error:

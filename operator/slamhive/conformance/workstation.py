@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.archive import Archive
@@ -98,25 +99,28 @@ def _remove(place: Path) -> None:
         raise InputError(f"SLAMHIVE_HOME: {place}: what an earlier check left can't be removed")
 
 
-class Process:
+class OnWorkstation:
     """Starts on this machine by the code that runs sweeps: as processes, unless the bench says otherwise.
 
     Args:
         bench: what they share; one for each executor.
         name: the algorithm.
         dataset: a dataset by name; None: the generated one for each mode.
-        label: what users call it.
+        contained: whether the bench runs it as containers.
     """
 
-    def __init__(self, bench: Bench, name: str, dataset: str | None = None, label: str = "process") -> None:
-        self.name = label
+    def __init__(
+        self, bench: Bench, name: str, dataset: str | None = None, *, contained: bool = False
+    ) -> None:
+        self.name = "container" if contained else "process"
+        self._contained = contained
         self._bench = bench
         self._algorithm = name
         self._dataset = dataset
         self._cores = CorePool()
 
     @classmethod
-    def contained(cls, bench: Bench, name: str, dataset: str | None = None, *, pull: bool) -> Process:
+    def contained(cls, bench: Bench, name: str, dataset: str | None = None, *, pull: bool) -> OnWorkstation:
         """Return what starts an algorithm's image as containers of this machine.
 
         Args:
@@ -136,7 +140,7 @@ class Process:
         if not pull:
             own.programs.containers.image_id(entry)
         own.programs.get(entry)
-        return cls(own, name, dataset, "container")
+        return cls(own, name, dataset, contained=True)
 
     def unavailable(self) -> str | None:
         """Say why nothing can be started as a process here, None where it can."""
@@ -206,7 +210,11 @@ class Process:
             thread.join()
             raise
         took = None if told is None else time.monotonic() - told
-        return _ended(records[0], driver, folder, took)
+        ended = _ended(records[0], driver, folder, took)
+        if self._contained:
+            # They are mounted read-only, where the kernel notes no reading.
+            return replace(ended, settings=dict.fromkeys(ended.settings))
+        return ended
 
 
 def _runs(folder: Path) -> bool:
