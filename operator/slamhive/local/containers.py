@@ -120,7 +120,7 @@ class Containers:
             name if pinned_digest(name) else self._image(find_engine(self._choice), name, pull=False).identity
         )
 
-    def get(self, entry: AlgorithmEntry) -> ContainerProgram:
+    def get(self, entry: AlgorithmEntry, pace: str) -> ContainerProgram:
         """Return an algorithm's image, pulled when it isn't there, with the engine that runs it.
 
         Raises:
@@ -128,6 +128,12 @@ class Containers:
             ImageMissing: the image can't be pulled.
         """
         engine, spec = find_engine(self._choice), entry.algorithm.spec
+        if spec.plays(pace) is not None:
+            instead = "; without --container it runs as a process" if spec.local is not None else ""
+            raise Unavailable(
+                "is played to in real time as a ROS 1 node, which on a workstation isn't done in containers"
+                + instead
+            )
         image = self._image(engine, spec.image or "", pull=True)
         if not spec.command and not image.program:
             raise Unavailable(f"image {spec.image!r} has no program of its own: spec.command must name one")

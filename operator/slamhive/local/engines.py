@@ -13,7 +13,7 @@ import os
 import re
 import shutil
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -201,7 +201,7 @@ def _docker(info: dict[str, Any]) -> Engine | str:
         return f"docker is installed but can't be used: {_cleaned(str(errors[0]))}{_hint(str(errors[0]))}"
     if "host" in info:  # podman's own command by the name of docker
         found = _podman(info)
-        return Engine("docker", ("docker", *found.command[1:])) if isinstance(found, Engine) else found
+        return replace(found, command=("docker", *found.command[1:])) if isinstance(found, Engine) else found
     rootless = any("rootless" in str(one) for one in info.get("SecurityOptions") or ())
     able = {"memory": info["MemoryLimit"], "cpuset": info["CPUSet"], "pids": info["PidsLimit"]}
     missing = [name for name, has in able.items() if not has]

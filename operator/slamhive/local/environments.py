@@ -145,8 +145,8 @@ class Environments:
         )
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
-    def get(self, entry: AlgorithmEntry) -> Environment:
-        """Return an algorithm's environment, made when it isn't there.
+    def get(self, entry: AlgorithmEntry, pace: str = "") -> Environment:  # noqa: ARG002
+        """Return an algorithm's environment, the same for all paces, made when it isn't there.
 
         Raises:
             Unavailable: this machine can't run the algorithm, or its packages can't be had; that is found out

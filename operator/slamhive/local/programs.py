@@ -18,6 +18,7 @@ from slamhive.local.containers import Containers
 from slamhive.local.engines import ContainerChoice
 from slamhive.local.environments import Environments, availability
 from slamhive.local.unavailable import Unavailable
+from slamhive.model.algorithm import Pace
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -41,8 +42,8 @@ class Executor(Protocol):
             SlamHiveError: it can't be found out.
         """
 
-    def get(self, entry: AlgorithmEntry) -> Prepared:
-        """Return an algorithm's program, ready to be started.
+    def get(self, entry: AlgorithmEntry, pace: str) -> Prepared:
+        """Return an algorithm's program, ready to be started for runs of a pace.
 
         Raises:
             SlamHiveError: it can't run here.
@@ -80,15 +81,15 @@ class Programs:
         """Return the identity of the image that runs, None where none does."""
         return self.containers.image_id(entry) if self.executor(entry) == CONTAINER else None
 
-    def get(self, entry: AlgorithmEntry) -> Prepared:
-        """Return an algorithm's program, ready to be started.
+    def get(self, entry: AlgorithmEntry, pace: str = Pace.LOCKSTEP) -> Prepared:
+        """Return an algorithm's program, ready to be started for runs of a pace.
 
         Raises:
             Unavailable: this machine can't run it.
             ImageMissing: its image can't be had.
             SystemFault: it can't be made ready right now.
         """
-        return self._of(entry).get(entry)
+        return self._of(entry).get(entry, pace)
 
     def fetch(self, entries: Iterable[AlgorithmEntry]) -> None:
         """Pull the images that aren't there; what can't be pulled is told of by the runs that need it."""

@@ -293,7 +293,7 @@ class RunDriver:
     def _prepare(self) -> None:
         progress, bench = self._progress, self._bench
         try:
-            progress.program = bench.programs.get(self._algorithm)
+            progress.program = bench.programs.get(self._algorithm, self._spec["input"]["pace"])
             if progress.provenance.content_hash is None:
                 # The disk may have refused before: no run is made without saying of what, nor one that is
                 # there already. What is wrong with the data stays so; who prepares or measures says it.

@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Algorithms in containers: images that can't be used, what a program sees and costs, docker's commands."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+from slamhive.archive import Archive
+from slamhive.local import engines
+from slamhive.local.catalog import Workshop
+from slamhive.local.containers import Containers
+from slamhive.local.engines import ContainerChoice
+from slamhive.local.runner import Job, Runner
+from slamhive.local.workbench import Workbench
+from slamhive.model.loading import load_file
+from slamhive.model.results import Phase, Reason
+from slamhive.model.sweep import Sweep
+from slamhive.plan import Plan, local_uid
+
+sys.path.append(str(Path(__file__).parent))
+
+from registry import Registry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from slamhive.local.engines import Engine
+    from slamhive.local.home import Home
+    from slamhive.model.results import RunRecord
+
+pytestmark = pytest.mark.usefixtures("podman")
+
+SHELL = "slamhive/shell-algorithm:1.0.0"
+POSES = """i=0
+while [ $i -lt 100 ]; do
+    echo "160000000$((i / 10)).$((i % 10)) $i 0 0 0 0 0 1"
+    i=$((i + 1))
+done > /slamhive/output/trajectory.txt
+"""
+
+
+class Silent:
+    """A watcher that shows nothing."""
+
+    def phase(self, job: Job, index: int, phase: Phase) -> None:
+        pass
+
+    def finished(self, job: Job, record: RunRecord) -> None:
+        pass
+
+    def tick(self, jobs: Sequence[Job]) -> None:
+        pass
+
+
+class Boxes:
+    """A home in which algorithms of an image run."""
+
+    def __init__(self, home: Home) -> None:
+        self.home = home
+        self.told: list[str] = []
+        self.choice: ContainerChoice | None = None
+
+    def __call__(self, *algorithms: dict[str, Any], rerun: bool = True, **template: Any) -> list[RunRecord]:
+        """Run algorithms in one sweep, and return their records in this order."""
+        workshop = Workshop()
+        folder = self.home.path / "boxes"
+        folder.mkdir(exist_ok=True)
+        workshop.add(load_file(self.home.path / "tiny.yaml"), self.home.path)
+        for number, fields in enumerate(algorithms):
+            base = {"modes": [{"name": "lidar", "roles": ["lidar"]}], "output": {"frame": "lidar"}}
+            header = {"apiVersion": "slamhive.io/v1alpha1", "kind": "Algorithm"}
+            made = header | {"metadata": {"name": f"box{number}"}, "spec": base | fields}
+            (folder / "algorithm.yaml").write_text(yaml.safe_dump(made))
+            workshop.add(load_file(folder / "algorithm.yaml"), folder)
+        names = [f"box{number}" for number in range(len(algorithms))]
+        spec = {"algorithmRef": {"name": "box0"}, "datasetRef": {"name": "tiny"}} | template
+        spec |= {"resources": {"cpu": "1", "memory": "128Mi"}, "retries": 0}
+        matrix = [{"path": "algorithm", "values": names}]
+        sweep = Sweep.model_validate(
+            {"metadata": {"name": "boxes"}, "spec": {"template": {"spec": spec}, "matrix": matrix}}
+        )
+        with Archive.open(self.home.archive_url) as archive:
+            job = Job(sweep, local_uid(sweep), Plan(sweep, workshop))
+            bench = Workbench(self.home, workshop, archive, self.told.append, self.choice)
+            assert not Runner(bench, Silent(), rerun=rerun).run([job])
+            found = {
+                record.spec["algorithmRef"]["name"]: record for record in archive.runs({"sweep": "boxes"})
+            }
+        return [found[name] for name in names]
+
+
+@pytest.fixture
+def boxes(home: Home, podman: Engine) -> Iterator[Boxes]:
+    """A home, of which no container stays."""
+    yield Boxes(home)
+    assert podman.labelled(f"io.slamhive.home={Containers(home).identity()}") == []
+
+
+def shell(script: str, image: str = SHELL, **fields: Any) -> dict[str, Any]:
+    return {"image": image, "command": ["sh", "-c", script], **fields}
+
+
+@pytest.fixture(scope="module")
+def bare(podman: Engine, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """An image with no shell, and with programs that lack an interpreter or are for root alone."""
+    folder = tmp_path_factory.mktemp("bare")
+    (folder / "script").write_text("#!/bin/sh\nexit 0\n")
+    (folder / "secret").write_text("#!/bin/sh\nexit 0\n")
+    (folder / "script").chmod(0o755)
+    (folder / "secret").chmod(0o700)
+    (folder / "Dockerfile").write_text("FROM scratch\nCOPY script secret /\n")
+    name = f"localhost/slamhive-bare-{folder.name}:1"
+    build = ["buildah", "bud", "--isolation", "chroot", "-q", "-t", name, str(folder)]
+    subprocess.run(build, check=True, capture_output=True, timeout=120)
+    yield name
+    podman.call("rmi", "--force", name)
+
+
+def test_an_image_that_can_not_be_used_is_one_sentence_and_others_go_on(boxes: Boxes, bare: str) -> None:
+    """Those that write nothing or too little, too."""
+    cases: list[tuple[dict[str, Any], str | None, str]] = [
+        (shell(POSES), None, ""),
+        (
+            shell("", image="localhost/nobody/has-this:7"),
+            "ImagePullFailed",
+            "image 'localhost/nobody/has-this:7': ",
+        ),
+        ({"image": bare}, "AlgorithmUnavailable", "has no program of its own: spec.command must name one"),
+        (
+            shell("true", image=bare),
+            "AlgorithmFailed",
+            "cannot start sh: No such file or directory; it, or the",
+        ),
+        (
+            {"image": bare, "command": ["/script"]},
+            "AlgorithmFailed",
+            "the interpreter that its first line names",
+        ),
+        ({"image": bare, "command": ["/secret"]}, "AlgorithmFailed", "doesn't let user 65532 run it"),
+        (shell("echo x > /root/x"), "AlgorithmFailed", "cannot create /root/x: "),
+        (shell("true"), "NoTrajectory", "output/trajectory.txt is missing"),
+        (shell(f"{POSES}chmod 0 /slamhive/output/trajectory.txt"), None, ""),
+        (shell("exit 126"), "AlgorithmFailed", "exit code 126"),
+        (shell("kill -9 $$$$"), "AlgorithmFailed", "ended by signal 9 (SIGKILL)"),
+    ]
+    records = boxes(*(algorithm for algorithm, _, _ in cases))
+    for record, (_, reason, message) in zip(records, cases, strict=True):
+        assert (record.reason.value if record.reason else None) == reason, record.message
+        assert message in (record.message or "")
+        assert "\n" not in (record.message or "")
+
+
+PROBE = """
+id -u; id -g
+grep -E 'CapEff|NoNewPrivs|Seccomp:' /proc/self/status | tr -d '\\t'
+ls / /slamhive /slamhive/dataset
+for place in / /slamhive /slamhive/dataset /usr /run; do
+    (echo x > $place/probe) 2>/dev/null && echo "wrote $place"
+done
+for place in /tmp /dev/shm; do (echo x > $place/probe) && echo "scratch $place"; done
+ls /sys/class/net
+nproc
+env | grep -c -i proxy
+cat /slamhive/config.yaml | head -1
+echo "pid $$$$"
+env | grep ^SLAMHIVE_ | sort
+exit 9
+"""
+
+
+def test_a_program_sees_what_it_sees_in_a_pod_and_no_more(
+    boxes: Boxes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HTTP_PROXY", "http://secret")
+    (record,) = boxes(shell(PROBE), seed=7)
+    said = (Path(record.folder or "") / "log.txt").read_text().splitlines()
+    assert said[:2] == ["65532", "65532"]
+    assert "CapEff:0000000000000000" in said
+    assert "NoNewPrivs:1" in said
+    assert "Seccomp:2" in said
+    assert not [line for line in said if line.startswith("wrote")]
+    assert [line for line in said if line.startswith("scratch")] == ["scratch /tmp", "scratch /dev/shm"]
+    assert "lo" in said
+    assert "eth0" not in said
+    assert {"config.yaml", "dataset", "output", "recording.bag", "frames.txt"} <= {*said}
+    assert "groundtruth.txt" not in said
+    assert said[said.index("apiVersion: slamhive.io/v1alpha1") - 2 :][:2] == ["1", "0"]
+    (pid,) = [line for line in said if line.startswith("pid ")]
+    assert int(pid.split()[1]) > 1
+    assert said[-3:] == ["SLAMHIVE_CONTAINER=algorithm", "SLAMHIVE_RUN=/slamhive", "SLAMHIVE_SEED=7"]
+
+
+def test_a_run_says_of_which_image_it_is_and_an_equal_one_is_not_made_again(boxes: Boxes) -> None:
+    (first,) = boxes(shell(POSES))
+    image = str(first.provenance.image_id)
+    assert image.startswith("sha256:")
+    assert first.provenance.environment == image
+    assert first.usage is not None
+    assert first.usage.source.startswith("cgroup")
+    assert first.usage.wall_seconds > 0
+    (again,) = boxes(shell(POSES), rerun=False)
+    assert again.started == first.started
+    pinned = shell(POSES, image=f"{SHELL.rpartition(':')[0]}@{_digest()}")
+    (by_digest,) = boxes(pinned)
+    assert by_digest.phase is Phase.SUCCEEDED
+    assert by_digest.provenance.environment == _digest()
+
+
+def _digest() -> str:
+    listed = subprocess.run(
+        ["podman", "image", "inspect", "--format", "{{.Digest}}", SHELL],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return listed.stdout.strip()
+
+
+def test_usage_is_the_kernels_own_account(boxes: Boxes) -> None:
+    """As the program itself reads it of its control group, as its last act."""
+    script = f"""{POSES}i=0; while [ $i -lt 300000 ]; do i=$((i + 1)); done
+cat /sys/fs/cgroup/cpuacct/cpuacct.usage /sys/fs/cgroup/cpu.stat 2>/dev/null"""
+    (record,) = boxes(shell(script))
+    assert record.usage is not None
+    lines = (Path(record.folder or "") / "log.txt").read_text().split()
+    told = int(lines[lines.index("usage_usec") + 1]) / 1e6 if "usage_usec" in lines else int(lines[0]) / 1e9
+    # Less by what the runtime used before there was an algorithm, more by the last words.
+    assert record.usage.cpu.total_seconds == pytest.approx(told - 0.02, abs=0.03)
+    assert record.usage.cpu.total_seconds > 0.1
+
+
+def test_a_recording_that_others_can_not_read_is_named(boxes: Boxes) -> None:
+    boxes(shell(POSES))
+    (bag,) = boxes.home.path.glob("variants/*/recording.bag")
+    bag.chmod(0o600)
+    (record,) = boxes(shell(POSES))
+    assert record.reason is Reason.PREPARATION_FAILED
+    assert "can't be read by user 65532" in (record.message or "")
+    assert "chmod o+rX" in (record.message or "")
+
+
+def test_a_ros_1_node_is_told_to_be_unavailable(boxes: Boxes) -> None:
+    ros = {
+        "paces": ["Realtime"],
+        "realtime": {"queue": 1, "drop": "Oldest"},
+        "ros1": {"poses": {"topic": "/odometry", "type": "Odometry"}},
+    }
+    (record,) = boxes(shell(POSES, **ros), input={"pace": "Realtime"})
+    assert record.reason is Reason.ALGORITHM_UNAVAILABLE
+    assert "ROS 1 node" in (record.message or "")
+
+
+@pytest.fixture
+def registry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry]:
+    """A registry with an image, to which podman may speak without TLS."""
+    layout = tmp_path / "layout"
+    subprocess.run(
+        ["buildah", "push", "-q", f"docker.io/{SHELL}", f"oci:{layout}:1"], check=True, timeout=300
+    )
+    (manifest,) = json.loads((layout / "index.json").read_text())["manifests"]
+    served = Registry(layout, manifest["digest"])
+    settings = tmp_path / "registries.conf"
+    settings.write_text(f'[[registry]]\nlocation = "localhost:{served.server_port}"\ninsecure = true\n')
+    monkeypatch.setenv("CONTAINERS_REGISTRIES_CONF", str(settings))
+    yield served
+    served.shutdown()
+    served.server_close()
+
+
+def test_an_image_is_pulled_once_for_all_runs(boxes: Boxes, registry: Registry, podman: Engine) -> None:
+    name = f"localhost:{registry.server_port}/lab/shell:1"
+    unknown = f"localhost:{registry.server_port}/lab/shell:2"
+    try:
+        records = boxes(shell(POSES, image=name), shell(f"{POSES}true", image=name), shell("", image=unknown))
+    finally:
+        podman.call("rmi", "--force", name)
+    assert [record.phase for record in records] == [Phase.SUCCEEDED, Phase.SUCCEEDED, Phase.FAILED]
+    assert [line for line in boxes.told if "pulling" in line and name in line] == [
+        f"pulling the image {name} (once)"
+    ]
+    assert records[2].reason is Reason.IMAGE_PULL_FAILED
+    assert "manifest unknown" in (records[2].message or "")
+    assert len([path for path in registry.asked if path.endswith("manifests/1")]) == 1
+
+
+@pytest.fixture
+def docker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, podman: Engine) -> None:
+    """A docker with a daemon, as far as its commands go: they are podman's."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    told = json.dumps({"ID": "a", "MemoryLimit": True, "CPUSet": True, "PidsLimit": True})
+    program = folder / "docker"
+    program.write_text(f"""#!/bin/sh\n[ "$1" = info ] && echo '{told}' && exit\nexec podman "$@"\n""")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}:/usr/sbin:/usr/bin:/sbin:/bin")
+    engines._asked.cache_clear()
+
+
+@pytest.mark.usefixtures("docker")
+def test_docker_is_told_nothing_that_it_does_not_know(boxes: Boxes) -> None:
+    boxes.choice = ContainerChoice.DOCKER
+    good, bad, wrong = boxes(
+        shell(f"{POSES}sleep 0.5"), shell("exit 3"), {"image": SHELL, "command": ["/no"]}
+    )
+    assert good.phase is Phase.SUCCEEDED, good.message
+    assert good.usage is not None
+    assert good.usage.source.startswith("cgroup")
+    assert bad.message == "exit code 3"
+    assert "cannot start /no: No such file or directory" in (wrong.message or "")
+    supervised = json.loads((Path(good.folder or "") / "supervisor.json").read_text())
+    assert supervised["contained"]["engine"] == ["docker"]
+    assert supervised["contained"]["pidPath"] is None

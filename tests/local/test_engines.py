@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Container engines as they answer: which is used, and what is said of one that can't be."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.local.engines import ContainerChoice, Engine, EngineError, find_engine
+from slamhive.local.unavailable import Unavailable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+CONTROLLERS = ["cpuset", "cpu", "cpuacct", "memory", "pids"]
+DOCKER = {"ID": "a", "MemoryLimit": True, "CPUSet": True, "PidsLimit": True, "CgroupVersion": "2"}
+
+
+def of_podman(**changes: Any) -> str:
+    """Return what podman says of itself."""
+    host = {
+        "cgroupControllers": CONTROLLERS,
+        "cgroupVersion": "v2",
+        "ociRuntime": {"name": "crun"},
+        "security": {"rootless": False},
+        "serviceIsRemote": False,
+    }
+    return json.dumps({"host": host | changes})
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Install programs that print something and end, and nothing else."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.setenv("PATH", str(folder))
+
+    def install(name: str, out: str = "", err: str = "", code: int = 0) -> None:
+        (folder / f"{name}.out").write_text(out)
+        (folder / f"{name}.err").write_text(err)
+        program = folder / name
+        program.write_text(f"#!/bin/sh\n/bin/cat {program}.out\n/bin/cat {program}.err >&2\nexit {code}\n")
+        program.chmod(0o755)
+
+    return install
+
+
+def why(choice: ContainerChoice | None = None) -> str:
+    with pytest.raises(Unavailable) as found:
+        find_engine(choice)
+    return str(found.value)
+
+
+def test_without_any_engine_it_says_what_to_install(installed: Callable[..., None]) -> None:
+    assert "podman or docker isn't installed: apt-get install podman" in why()
+
+
+def test_podman_goes_before_docker(installed: Callable[..., None]) -> None:
+    installed("podman", of_podman())
+    installed("docker", json.dumps(DOCKER))
+    assert find_engine() == Engine("podman", ("podman",))
+    assert find_engine(ContainerChoice.DOCKER) == Engine("docker", ("docker",))
+
+
+def test_an_engine_that_is_there_and_does_not_answer_is_passed_over(installed: Callable[..., None]) -> None:
+    installed("podman", err="Error: cannot clone: Operation not permitted\n", code=125)
+    installed("docker", json.dumps(DOCKER))
+    assert find_engine().name == "docker"
+    told = why(ContainerChoice.PODMAN)
+    assert "podman is installed but can't be used: cannot clone: Operation not permitted" in told
+    assert "run slamhive as root" in told
+
+
+NO_DAEMON = (
+    "Cannot connect to the Docker daemon at unix:///var/run/docker.sock. Is the docker daemon running?"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "printed", "sentences"),
+    [
+        ("docker", {"out": json.dumps({"ServerErrors": [NO_DAEMON]})}, ["Cannot connect", "systemctl start"]),
+        ("docker", {"err": f"ERROR: {NO_DAEMON}\n", "code": 1}, ["Cannot connect", "systemctl start docker"]),
+        ("docker", {"err": "permission denied while trying to connect", "code": 1}, ["usermod -aG docker"]),
+        ("docker", {"out": json.dumps(DOCKER | {"CPUSet": False})}, ["no control of cpuset"]),
+        ("docker", {"out": "[]"}, ["doesn't say what it can do"]),
+        ("podman", {"out": "hello"}, ["doesn't say what it can do"]),
+        ("podman", {"out": of_podman(serviceIsRemote=True)}, ["on another machine"]),
+        ("podman", {"out": of_podman(cgroupVersion="v1")}, ["apt-get install runc"]),
+        (
+            "podman",
+            {"out": of_podman(cgroupVersion="v1", cgroupControllers=[], security={"rootless": True})},
+            ["no control of cpuset, memory, pids", "control groups of version 2, or run slamhive as root"],
+        ),
+        (
+            "podman",
+            {"out": of_podman(cgroupControllers=["memory", "pids"], security={"rootless": True})},
+            ["no control of cpuset here", "Delegate=cpu cpuset memory pids"],
+        ),
+        (
+            "podman",
+            {"err": 'Error: exec: "newuidmap": executable file not found in $PATH', "code": 125},
+            ["uidmap", "--add-subuids"],
+        ),
+    ],
+)
+def test_what_an_engine_lacks_is_said_with_what_helps(
+    installed: Callable[..., None], name: str, printed: dict[str, Any], sentences: list[str]
+) -> None:
+    installed(name, **printed)
+    told = why()
+    assert all(sentence in told for sentence in sentences), told
+    assert "\n" not in told
+
+
+def test_limits_with_version_1_of_control_groups_take_runc(installed: Callable[..., None]) -> None:
+    installed("podman", of_podman(cgroupVersion="v1"))
+    installed("runc")
+    assert find_engine().command == ("podman", "--runtime", "runc")
+
+
+def test_podman_by_the_name_of_docker_is_podman(installed: Callable[..., None]) -> None:
+    installed("docker", of_podman(security={"rootless": True}))
+    assert find_engine() == Engine("podman", ("docker",), rootless=True)
+
+
+def test_turned_off_is_said_so(installed: Callable[..., None]) -> None:
+    installed("podman", of_podman())
+    assert "--container none" in why(ContainerChoice.NONE)
+
+
+def test_a_long_or_wild_message_is_cut_and_printable(installed: Callable[..., None]) -> None:
+    installed("podman", of_podman())
+    engine = find_engine()
+    installed("podman", err="Error: \x1b[31m" + "x" * 5000 + "\n", code=1)
+    with pytest.raises(EngineError) as found:
+        engine.call("ps")
+    assert len(str(found.value)) <= 400
+    assert str(found.value).isprintable()
