@@ -65,6 +65,7 @@ class OnCluster:
             [Path(sys.executable).with_name("slamhive"), "fetch", name, "--namespace", lab.namespace],
             env={name: value for name, value in lab.cluster.environment.items() if name != "SLAMHIVE_ARCHIVE"}
             | home,
+            stdout=2,  # what show.py prints is the table alone
             check=True,
             timeout=300,
         )
