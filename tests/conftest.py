@@ -37,18 +37,17 @@ CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm")
 """Images that tests run in containers of a workstation, as images/build calls them."""
 CLUSTERS = frozenset({"control_plane", "node_cluster"})
 """Fixtures of real clusters: what uses one may take as long."""
-ON_NODE = ("tests/e2e/", "tests/helm/test_cluster.py", "tests/cluster/test_local.py")
-
 SINGLE = ("tests/shows/",)
 """Long tests that have nothing in common."""
 
 SLOWEST = (
     "e2e/",
-    "kube/faults/",
-    "kube/reconciling/",
-    "cluster/test_local.py",
-    "helm/test_cluster.py",
     "shows/",
+    "kube/faults/",
+    "playback/test_real.py",
+    "kube/reconciling/",
+    "helm/test_cluster.py",
+    "cluster/test_local.py",
     "system/test_killing.py",
     "docs/test_documents.py",
     "dashboard_pages/test_pages.py",
@@ -95,13 +94,13 @@ hypothesis_settings.load_profile(PROFILE)
 
 
 class Sharing(LoadScopeScheduling):
-    """What workers share out: whole files, single tests that share nothing, all that needs a node."""
+    """What workers side by side share out: files, tests that share nothing, and one installation's tests."""
 
     def _split_scope(self, nodeid: str) -> str:
         path = nodeid.partition("::")[0]
         if path.startswith(SINGLE):
             return nodeid
-        return "node" if path.startswith(ON_NODE) else path
+        return STORY if path.startswith(f"tests/{STORY}") else path
 
 
 @pytest.hookimpl(optionalhook=True)

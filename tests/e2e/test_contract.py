@@ -11,7 +11,7 @@ from executors.cluster import OnCluster
 from executors.executor import differences
 from onnode import attacking
 from onnode.documents import ROOT
-from onnode.lab import manifest
+from onnode.lab import FRAMES, manifest
 from onnode.node import Watch
 from testcluster.access import until
 
@@ -34,12 +34,12 @@ def test_an_algorithm_in_shell_alone_gets_a_result(lab: Lab) -> None:
     lab.apply(lab.run("in-shell", "shell-dead-reckoning"))
     status = lab.evaluated("in-shell")
     assert status["phase"] == SUCCEEDED
-    assert status["frames"] == {"offered": 120, "processed": 120, "dropped": 0}
+    assert status["frames"] == {"offered": FRAMES, "processed": FRAMES, "dropped": 0}
     (result,) = status["results"]
     assert result["ate"]["rmse"] > 0.1
-    assert result["poses"] == 120
+    assert result["poses"] == FRAMES
     folder = lab.results / status["folder"]
-    assert len((folder / "output" / "trajectory.txt").read_text().splitlines()) == 120
+    assert len((folder / "output" / "trajectory.txt").read_text().splitlines()) == FRAMES
     assert {path.name for path in folder.iterdir()} >= {"summary.json", "usage.csv"}
 
 

@@ -20,8 +20,8 @@ from testcluster.access import until
 if TYPE_CHECKING:
     from onnode.lab import Lab
 
-WANTED = int(os.environ.get("SLAMHIVE_DISK_FAULTS", "6"))
-REPETITIONS = 8
+WANTED = int(os.environ.get("SLAMHIVE_DISK_FAULTS", "3"))
+REPETITIONS = 5
 ALGORITHM = "shell-dead-reckoning"
 
 

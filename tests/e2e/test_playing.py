@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from onnode.documents import ROOT
-from onnode.lab import manifest
+from onnode.lab import FRAMES, manifest
 
 if TYPE_CHECKING:
     from onnode.lab import Lab
 
 SWEEP = "played"
 IMAGES = ("ros1-player", "kiss-icp-ros")
-FRAMES = 120
 
 
 @pytest.fixture(scope="module")

@@ -66,7 +66,7 @@ def test_real_algorithms_follow_a_short_recording(slamhive: Command, tmp_path: P
 def test_the_demo_compares_three_algorithms_and_says_what_is_next(slamhive: Command, home: Path) -> None:
     """On a shorter and coarser recording of the same name; its own is among the standard sequences."""
     dataset = yaml.safe_load((ROOT / "examples" / "datasets" / "synthetic-lidar.yaml").read_text())
-    dataset["spec"]["recording"]["synthetic"] |= {"durationSeconds": 12, "loops": 0.4, "lidar": COARSE}
+    dataset["spec"]["recording"]["synthetic"] |= {"durationSeconds": 8, "loops": 0.15, "lidar": COARSE}
     del dataset["spec"]["attributes"]
     manifest = home / "datasets" / "synthetic-lidar" / "dataset.yaml"
     manifest.parent.mkdir(parents=True)

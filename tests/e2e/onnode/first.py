@@ -37,7 +37,7 @@ class First:
         told: what the document's commands printed.
         status: the Sweep's status.
         runs: its runs in the order of its points.
-        long: a run on a twentieth of a core, which takes longer than a minute.
+        long: a run on a fortieth of a core, which takes longer than a minute.
         local: rows of the same sweep by `slamhive run`.
         gauges: what Prometheus saw of each live gauge; empty without Prometheus.
         before: the operator's series before the begin.
@@ -88,7 +88,7 @@ def follow(lab: Lab, folder: Path) -> First:
 
 def long_sweep(lab: Lab) -> dict[str, Any]:
     """Return a Sweep of one run that takes longer than a minute."""
-    slow = {"resources": {"cpu": "50m", "memory": "512Mi"}, "input": {"frameRate": 10}, "timeout": "20m"}
+    slow = {"resources": {"cpu": "25m", "memory": "512Mi"}, "input": {"frameRate": 10}, "timeout": "20m"}
     template = {"spec": lab.run(LONG, "kiss-icp", **slow)["spec"]}
     return manifest(
         "Sweep", LONG, template=template, matrix=[{"path": "parameters.maxRange", "values": [30]}]

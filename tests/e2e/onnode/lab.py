@@ -20,6 +20,8 @@ API_VERSION = "slamhive.io/v1alpha1"
 DATASET = "synthetic-lidar"
 RUNS = "mappingruns.slamhive.io"
 SECONDS = 300.0
+FRAMES = 80
+"""Scans of the recording that takes the place of the catalog's, at 10 Hz."""
 CLASS = {
     "apiVersion": "storage.k8s.io/v1",
     "kind": "StorageClass",
@@ -43,9 +45,9 @@ def stand_in() -> dict[str, Any]:
     """Return a shorter and coarser recording under the name of the catalog's."""
     body: dict[str, Any] = yaml.safe_load((ROOT / "examples" / "datasets" / f"{DATASET}.yaml").read_text())
     body["spec"]["recording"]["synthetic"] |= {
-        "durationSeconds": 12,
-        "loops": 0.4,
-        "lidar": {"rings": 16, "columns": 720},
+        "durationSeconds": FRAMES / 10,
+        "loops": 0.15,
+        "lidar": {"rings": 16, "columns": 360},
     }
     del body["spec"]["attributes"]
     return body
