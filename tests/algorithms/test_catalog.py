@@ -9,7 +9,9 @@ import re
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from slamhive.cli.algorithms import app
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.loading import load_file
 from slamhive.model.templates import read_template
@@ -85,6 +87,16 @@ def test_an_own_image_is_asked_for_and_its_page_says_what_is_in_it(folder: Path)
     assert str(algorithm.spec.image) in page
     missing = [name for name in algorithm.spec.parameters if f"`{name}`" not in page]
     assert missing == []
+
+
+def test_what_is_shown_says_which_image_is_wanted_and_where_poses_come_from(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path))
+    shown = CliRunner().invoke(app, ["show", "lio-sam"]).output
+    assert "image: localhost/lio-sam:noetic" in shown
+    assert "poses on /lio_sam/mapping/odometry (Odometry)" in shown
+    assert "keyframes on /lio_sam/mapping/path (Path)" in shown
 
 
 @each

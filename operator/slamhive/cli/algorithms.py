@@ -25,7 +25,9 @@ from slamhive.model.loading import parse
 from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
-    from slamhive.model.algorithm import Algorithm, Parameter
+    from collections.abc import Iterator
+
+    from slamhive.model.algorithm import Algorithm, AlgorithmSpec, Parameter
     from slamhive.model.base import Scalar
 
 app = typer.Typer(no_args_is_help=True, help="Algorithms: list, add and check them.")
@@ -109,8 +111,8 @@ def show_algorithm(name: Name, *, as_json: AsJson = False) -> None:
     out.print(
         f"paces: {', '.join(spec.paces)}; deterministic: {spec.deterministic}; seed: {spec.seed.lower()}"
     )
-    if spec.files:
-        out.print(f"settings files: {escape(', '.join(file.path for file in spec.files))}")
+    for line in _surroundings(spec):
+        out.print(escape(line))
     table = Table("parameter", "default", "allowed", "what it does")
     for key, parameter in sorted(spec.parameters.items()):
         table.add_row(key, json.dumps(parameter.default), _allowed(parameter), escape(parameter.description))
@@ -210,6 +212,18 @@ def _given(parameters: list[str], algorithm: Algorithm) -> dict[str, Scalar]:
 
 
 app.command("train-vocabulary")(train)
+
+
+def _surroundings(spec: AlgorithmSpec) -> Iterator[str]:
+    """Yield what an algorithm has around it: topics of its poses, image, settings files."""
+    if spec.ros1 is not None:
+        for what, source in (("poses", spec.ros1.poses), ("keyframes", spec.ros1.keyframes)):
+            if source is not None:
+                yield f"as a ROS 1 node: {what} on {source.topic} ({source.type})"
+    if spec.image is not None:
+        yield f"image: {spec.image}"
+    if spec.files:
+        yield f"settings files: {', '.join(file.path for file in spec.files)}"
 
 
 def _summary(algorithm: Algorithm, problem: str | None) -> dict[str, Any]:
