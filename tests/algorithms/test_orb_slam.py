@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import importlib
+import os
+import signal
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -30,7 +32,7 @@ def adapter() -> Iterator[Any]:
     """The adapter's module, without ORB-SLAM3."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(FOLDER))
-        patch.setitem(sys.modules, "orbslam3", ModuleType("orbslam3"))
+        patch.setitem(sys.modules, "pyorbslam3", ModuleType("pyorbslam3"))
         for name in ("adapter", "cameras"):
             patch.delitem(sys.modules, name, raising=False)
         yield importlib.import_module("adapter")
@@ -135,40 +137,181 @@ def test_refuses_cameras_that_it_would_get_wrong(adapter: Any, details: dict[str
         camera(adapter, details, np.eye(4))
 
 
+PERIOD = 66_666_667
+
+
+def recording(items: list[Item]) -> Any:
+    return SimpleNamespace(items=lambda: iter(items))
+
+
 def test_images_of_one_time_are_put_together(adapter: Any) -> None:
-    period = 66_666_667
-    items = [Item(role, k * period, k) for k in range(6) for role in ("left", "right")]
+    items = [Item(role, k * PERIOD, k) for k in range(6) for role in ("left", "right")]
     kept = [item for item in items if (item.role, item.data) not in {("left", 1), ("right", 3)}]
-    kept[-1] = Item("right", 5 * period + period // 10, 5)
-    recording = SimpleNamespace(items=lambda: iter(kept))
-    pairs = list(adapter.frames(recording, ["left", "right"], 15.0))
+    kept[-1] = Item("right", 5 * PERIOD + PERIOD // 10, 5)
+    pairs = [images for images, _ in adapter.frames(recording(kept), ["left", "right"], 15.0)]
     assert [[item.role for item in pair] for pair in pairs] == [["left", "right"]] * 4
     assert [[item.data for item in pair] for pair in pairs] == [[0, 0], [2, 2], [4, 4], [5, 5]]
 
 
-def test_settings_have_numbers_as_orb_slam_wants_them(adapter: Any, maker: Maker) -> None:
-    names = {"nFeatures": 1000, "nLevels": 8, "iniThFAST": 20, "minThFAST": 7}
-    sensor = {
-        "type": "Camera",
-        "topic": "/left",
-        "rate": 14.6,
-        "camera": LEFT | {"width": 480, "height": 360},
-    }
-    maker.configure(
-        {"camera": sensor}, mode="mono", parameters=names | {"scaleFactor": 2, "loopClosing": False}
-    )
+@pytest.mark.parametrize("late", [0, 3 * PERIOD], ids=["in order", "late in the recording"])
+def test_each_image_comes_with_the_inertial_samples_since_the_one_before(adapter: Any, late: int) -> None:
+    images = [(k * PERIOD, Item("camera", k * PERIOD, k)) for k in range(1, 6)]
+    samples = [(k * PERIOD // 10 + late, Item("imu", k * PERIOD // 10, k)) for k in range(56)]
+    written = [item for _, item in sorted(images + samples, key=lambda pair: pair[0])]
+    found = [
+        (image.data, [sample.data for sample in taken])
+        for (image,), taken in adapter.frames(recording(written), ["camera"], 15.0, inertial=True)
+    ]
+    assert found == [(k, list(range(10 * k - 9 if k > 1 else 0, 10 * k + 1))) for k in range(1, 6)]
+
+
+def test_images_whose_inertial_samples_have_ended_do_not_fill_the_memory(adapter: Any) -> None:
+    images = [Item("camera", k * PERIOD, k) for k in range(300)]
+    written = [Item("imu", 0, None), *images]
+    with pytest.raises(AdapterError, match=r"samples of the sensor imu end 0\.1 s before an image"):
+        list(adapter.frames(recording(written), ["camera"], 15.0, inertial=True))
+    with pytest.raises(AdapterError, match="sensor imu has no samples"):
+        list(adapter.frames(recording(images), ["camera"], 15.0, inertial=True))
+
+
+ORB = {"nFeatures": 1000, "nLevels": 8, "iniThFAST": 20, "minThFAST": 7, "scaleFactor": 2, "thDepth": 40}
+MORE = {"loopClosing": False, "virtualBaseline": 0.08}
+POSES = {
+    "left": pose((0.02, -0.01, 0.03), (0.2, 0.1, 0.1)),
+    "right": pose((0.0, 0.02, 0.01), (0.32, 0.105, 0.09)),
+    "imu": pose((1.2, 0.3, -0.4), (-0.02, 0.03, 0.01)),
+}
+ROLES = {"mono": {"camera": "left"}, "stereo": {"left": "left", "right": "right"}}
+ROLES["rgbd"] = {"color": "left", "depth": "right"}
+NOISE = {
+    "accelerometerNoise": 0.01,
+    "gyroscopeNoise": 0.001,
+    "accelerometerRandomWalk": 2e-4,
+    "gyroscopeRandomWalk": 3e-5,
+}
+
+
+def rig_of(adapter: Any, maker: Maker, mode: str, **parameters: Any) -> tuple[Run, Any]:
+    """A run in a mode, and its rig."""
+    sensors: dict[str, Any] = {}
+    for role, name in ROLES[mode.removesuffix("-inertial")].items():
+        details = {"left": LEFT, "right": RIGHT}[name] | {"width": 480, "height": 360, "model": "Pinhole"}
+        sensors[role] = {"type": "Camera", "topic": f"/{role}", "rate": 14.6}
+        sensors[role] |= {"T_body_sensor": POSES[name].tolist()}
+        sensors[role]["camera"] = details | {"distortion": "RadialTangential", "depthScale": 5000.0}
+    if mode.endswith("-inertial"):
+        sensors["imu"] = {"type": "Imu", "topic": "/imu", "rate": 200, "imu": NOISE}
+        sensors["imu"] |= {"T_body_sensor": POSES["imu"].tolist()}
+    maker.configure(sensors, mode=mode, parameters=ORB | {"nLevels": 3} | MORE | parameters)
     run = Run.from_folder(maker.folder)
-    rig = adapter.Rig.of(run, {"camera": camera(adapter, LEFT, np.eye(4))})
+    cameras = {role: adapter.Pinhole.of(run.sensor(role)) for role in adapter.cameras_of(run)}
+    return run, adapter.Rig.of(run, cameras)
+
+
+class Settings:
+    """A settings file as ORB-SLAM3 reads it: each key with the type that it demands, or it ends."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = cv2.FileStorage(str(path), cv2.FileStorage_READ)
+
+    def node(self, key: str) -> Any:
+        node = self._file.getNode(key)
+        assert not node.empty(), f"{key} required parameter does not exist"
+        return node
+
+    def real(self, key: str) -> float:
+        assert self.node(key).isReal(), key
+        return float(self.node(key).real())
+
+    def integer(self, key: str) -> int:
+        assert self.node(key).isInt(), key
+        return int(self.node(key).real())
+
+    def matrix(self, key: str) -> np.ndarray:
+        """Of single precision: its bytes are read as such."""
+        found = self.node(key).mat()
+        assert (found.dtype, found.shape) == (np.float32, (4, 4)), key
+        return np.asarray(found)
+
+
+MODES = [kind + ending for kind in ROLES for ending in ("", "-inertial")]
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_settings_have_all_keys_of_the_mode_and_numbers_as_orb_slam_wants_them(
+    adapter: Any, maker: Maker, mode: str
+) -> None:
+    run, rig = rig_of(adapter, maker, mode)
     path = maker.folder / "settings.yaml"
     path.write_text(adapter.settings(run, rig))
-    settings = cv2.FileStorage(str(path), cv2.FileStorage_READ)
-    assert settings.getNode("ORBextractor.scaleFactor").isReal()
-    assert settings.getNode("Camera.fps").isInt()
-    assert settings.getNode("Camera.fps").real() == 15
-    assert settings.getNode("loopClosing").real() == 0
-    assert settings.getNode("Camera.type").string() == "PinHole"
-    assert settings.getNode("Camera1.k1").real() == pytest.approx(-0.21)
-    settings.release()
+    settings = Settings(path)
+    assert settings.node("Camera.type").string() == "PinHole"
+    assert (settings.integer("Camera.width"), settings.integer("Camera.height")) == (480, 360)
+    assert settings.integer("Camera.fps") == 15
+    assert settings.integer("loopClosing") == 0
+    assert settings.real("ORBextractor.scaleFactor") == 2.0
+    assert settings.integer("ORBextractor.nFeatures") == 1000
+    assert settings.real("Viewer.ViewpointF") > 0
+    # A single camera's images are handed over as they are, the others' without distortion.
+    assert settings.real("Camera1.k1") == pytest.approx(-0.21 if mode.startswith("mono") else 0.0)
+    if mode.startswith("stereo"):
+        baseline = np.linalg.norm(POSES["left"][:3, 3] - POSES["right"][:3, 3])
+        np.testing.assert_allclose(settings.matrix("Stereo.T_c1_c2")[:3, 3], [baseline, 0, 0], rtol=1e-6)
+        assert settings.real("Camera2.fx") == settings.real("Camera1.fx")
+        assert settings.real("Stereo.ThDepth") == 40.0
+    elif mode.startswith("rgbd"):
+        assert settings.real("RGBD.DepthMapFactor") == 5000.0
+        assert settings.real("Stereo.b") == 0.08
+        assert settings.real("Camera1.fx") == pytest.approx(LEFT["fx"])
+    if mode.endswith("-inertial"):
+        names = ("AccWalk", "GyroWalk", "NoiseAcc", "NoiseGyro", "Frequency")
+        assert [settings.real(f"IMU.{name}") for name in names] == [2e-4, 3e-5, 0.01, 0.001, 200.0]
+        expected = np.linalg.inv(POSES["imu"]) @ rig.camera.T_body_camera
+        np.testing.assert_allclose(settings.matrix("IMU.T_b_c1"), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_poses_are_given_of_the_declared_frame(adapter: Any, maker: Maker, mode: str) -> None:
+    """The IMU with one, else the first camera as it is mounted, whatever was done to its images."""
+    _, rig = rig_of(adapter, maker, mode)
+    body_in_world = pose((0.3, 0.2, -0.9), (4, 5, 6))
+    declared = body_in_world @ POSES["imu" if mode.endswith("-inertial") else "left"]
+    tracked = body_in_world @ rig.camera.T_body_camera
+    np.testing.assert_allclose(tracked @ rig.T_camera_frame, declared, atol=1e-12)
+    saved = declared if mode.endswith("-inertial") else tracked
+    np.testing.assert_allclose(saved @ rig.T_saved_frame, declared, atol=1e-12)
+    turned = POSES["left"][:3, :3].T @ rig.camera.T_body_camera[:3, :3]
+    assert (np.trace(turned) < 3 - 1e-6) == mode.startswith("stereo")
+
+
+def test_images_must_be_large_enough_for_the_pyramid(adapter: Any, maker: Maker) -> None:
+    run, rig = rig_of(adapter, maker, "mono", nLevels=5)
+    with pytest.raises(
+        AdapterError, match="480 by 360 pixels are too small for nLevels 5 with scaleFactor 2"
+    ):
+        adapter.settings(run, rig)
+
+
+def test_frames_are_moved_into_the_world_of_the_keyframes(adapter: Any) -> None:
+    """ORB-SLAM3 writes frames as seen from its first keyframe, so that z would not point up."""
+    first = pose((0.5, -0.4, 0.1), (1, 2, 3))
+    poses = {k: first @ pose((0.1 * k, 0, 0), (k, 0, 0)) for k in range(6)}
+    frames, keyframes = adapter.Trajectory(), adapter.Trajectory()
+    for k, truth in poses.items():
+        frames.add(k, np.linalg.inv(first) @ truth)
+        if k in {2, 4}:
+            keyframes.add(k, truth)
+    moved = adapter.in_world_of(frames, keyframes)
+    np.testing.assert_allclose(moved.poses, list(poses.values()), atol=1e-12)
+    assert adapter.in_world_of(adapter.Trajectory(), keyframes).stamps == []
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_what_may_kill_the_process_is_done_in_another(adapter: Any, tmp_path: Path) -> None:
+    adapter.in_child((tmp_path / "made").touch, 30.0)
+    adapter.in_child(lambda: os.kill(os.getpid(), signal.SIGSEGV), 30.0)
+    adapter.in_child(signal.pause, 0.0)
+    assert (tmp_path / "made").exists()
 
 
 @pytest.mark.parametrize(

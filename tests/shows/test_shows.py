@@ -168,3 +168,28 @@ def test_a_real_robots_log_is_mapped_and_measured_by_relations(slamhive: Command
     assert sum(counts) == 2984
     shown = slamhive("results", "show", row["name"])
     assert "relations by time" in shown.stdout
+
+
+SIX = """
+apiVersion: slamhive.io/v1alpha1
+kind: Sweep
+metadata: {name: six}
+spec:
+  template: {spec: {algorithmRef: {name: orb-slam3-smallvoc}, datasetRef: {name: synthetic-inertial}}}
+  matrix:
+    - {path: sensors, values: [mono, stereo, rgbd, mono-inertial, stereo-inertial, rgbd-inertial]}
+"""
+
+
+@pytest.mark.slow
+def test_orb_slam3_tracks_a_vibrating_platform_in_all_its_modes(slamhive: Command, tmp_path: Path) -> None:
+    path = tmp_path / "six.yaml"
+    path.write_text(SIX)
+    result = slamhive("run", str(path))
+    assert result.returncode in {0, 1}, result.stderr
+    rows = {row["sensors"]: row for row in rows_of(slamhive, "six")}
+    if all(row["reason"] == UNAVAILABLE for row in rows.values()):
+        pytest.skip(str(rows["mono"]["message"]))
+    assert {mode: row["outcome"] for mode, row in rows.items()} == dict.fromkeys(rows, "Tracked")
+    limits = {mode: 0.02 if mode.endswith("-inertial") else 0.003 for mode in rows}
+    assert {mode: share(row) for mode, row in rows.items() if share(row) > limits[mode]} == {}

@@ -59,10 +59,14 @@ class Pinhole:
 class Rectification:
     """Turns a stereo pair into one with parallel axes and no distortion (Bouguet's method, by OpenCV).
 
+    ORB-SLAM3 1.0 could do it, but takes the distortion of the left camera for that of the right one too: the
+    scale of its map is then wrong by a percent, where the two differ as lenses do.
+
     Attributes:
         K: `(3, 3)`, intrinsics of both rectified images.
         baseline: m.
         T_left_rectified: `(4, 4)`, pose of the rectified left camera in the left camera's frame.
+        camera: The rectified left camera.
 
     Raises:
         AdapterError: The right camera isn't to the right of the left one.
@@ -80,6 +84,7 @@ class Rectification:
             raise AdapterError("the camera right must be to the right of the camera left: see T_body_sensor")
         self.T_left_rectified = np.eye(4)
         self.T_left_rectified[:3, :3] = R_left.T
+        self.camera = Pinhole(left.size, self.K, np.zeros(5), left.T_body_camera @ self.T_left_rectified)
         self._maps = [
             cv2.initUndistortRectifyMap(camera.K, camera.distortion, R, self.K, left.size, cv2.CV_16SC2)
             for camera, R in ((left, R_left), (right, R_right))

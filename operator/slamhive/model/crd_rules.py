@@ -204,7 +204,7 @@ LENGTHS: dict[str, int] = {
     "Axis.values": MAX_POINTS,
     "Axis.path": 512,
     "AlgorithmSpec.paces": 2,
-    "AlgorithmSpec.modes": 7,
+    "AlgorithmSpec.modes": 8,
     "AlgorithmSpec.recording": 6,
     "AlgorithmSpec.parameters": 1000,
     "Axis.points": 10_000,

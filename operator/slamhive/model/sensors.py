@@ -20,6 +20,7 @@ class SensorMode(Choice):
     STEREO = "stereo"
     STEREO_INERTIAL = "stereo-inertial"
     RGBD = "rgbd"
+    RGBD_INERTIAL = "rgbd-inertial"
     LIDAR = "lidar"
     LIDAR_INERTIAL = "lidar-inertial"
 
@@ -47,6 +48,7 @@ ROLES: dict[SensorMode, tuple[Role, ...]] = {
     SensorMode.STEREO: (Role.LEFT, Role.RIGHT),
     SensorMode.STEREO_INERTIAL: (Role.LEFT, Role.RIGHT, Role.IMU),
     SensorMode.RGBD: (Role.COLOR, Role.DEPTH),
+    SensorMode.RGBD_INERTIAL: (Role.COLOR, Role.DEPTH, Role.IMU),
     SensorMode.LIDAR: (Role.LIDAR,),
     SensorMode.LIDAR_INERTIAL: (Role.LIDAR, Role.IMU),
 }
