@@ -18,6 +18,7 @@ from slamhive.data.euroc import import_euroc
 from slamhive.data.preparation import evict_variants, prepare
 from slamhive.data.recordings import COMPRESSED_IMAGE, open_recording
 from slamhive.data.rosmessages import BagWriter
+from slamhive.jobs.prepare import _describe
 from slamhive.model.algorithm import Algorithm, DataFormat
 from slamhive.model.configuration import PreparedRecording
 from slamhive.model.dataset import Dataset
@@ -325,6 +326,17 @@ def test_rectified_images_are_those_of_the_cameras_that_are_told(camera_entries:
         expected = cv2.remap(original.astype(np.float32), x, y, cv2.INTER_LINEAR).reshape(rows.shape)
         assert np.abs(rectified[rows, columns] - expected).mean() < 1.0
         assert np.abs(np.roll(rectified, 1, axis=1)[rows, columns] - expected).mean() > 3.0
+
+
+def test_poses_are_measured_as_those_of_the_rectified_camera(camera_entries: Any, tmp_path: Path) -> None:
+    entry = camera_entries[1.0]
+    variant = make(entry, STEREO, tmp_path, KITTI)
+    told = _describe(entry, variant, None, tmp_path / ".hashes")
+    left = variant.sensors[Role.LEFT].T_body_sensor
+    assert left != entry.dataset.spec.sensors["left"].T_body_sensor
+    # An Algorithm may call the left camera `camera`: it is then found by its name in the dataset.
+    assert told.extrinsics["left"] == told.sensors[Role.LEFT].T_body_sensor == left
+    assert told.extrinsics["color"] == entry.dataset.spec.sensors["color"].T_body_sensor
 
 
 def test_a_rectified_pair_stays_as_it_is(tmp_path: Path) -> None:
