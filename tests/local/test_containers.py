@@ -144,7 +144,7 @@ def test_an_image_that_can_not_be_used_is_one_sentence_and_others_go_on(boxes: B
             "the interpreter that its first line names",
         ),
         ({"image": bare, "command": ["/secret"]}, "AlgorithmFailed", "doesn't let user 65532 run it"),
-        (shell("echo x > /root/x"), "AlgorithmFailed", "cannot create /root/x: "),
+        (shell("echo x > /etc/x"), "AlgorithmFailed", "cannot create /etc/x: Read-only file system"),
         (shell("true"), "NoTrajectory", "output/trajectory.txt is missing"),
         (shell(f"{POSES}chmod 0 /slamhive/output/trajectory.txt"), None, ""),
         (shell("exit 126"), "AlgorithmFailed", "exit code 126"),
