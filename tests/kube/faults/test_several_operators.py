@@ -30,13 +30,9 @@ HERE = Path(__file__).parent
 PATHS = os.pathsep.join(map(str, (HERE, HERE.parents[1] / "cluster")))
 
 
-async def undisturbed(instance: Instance) -> Outcome:
-    return await instance.finish()
-
-
 @pytest.mark.parametrize("after", [2, 7, 12, 17, 22, 27])
 async def test_one_begins_before_the_other_is_killed(arena: Arena, after: int) -> None:
-    expected = await arena.play(SCENARIOS["study"], undisturbed)
+    expected = await arena.undisturbed(SCENARIOS["study"])
 
     async def course(instance: Instance) -> Outcome:
         first = Faults()
@@ -55,7 +51,7 @@ async def test_one_begins_before_the_other_is_killed(arena: Arena, after: int) -
 
 @pytest.mark.parametrize("name", ["study", "single", "stopped", "failing", "faulty"])
 async def test_two_work_side_by_side(arena: Arena, name: str) -> None:
-    expected = await arena.play(SCENARIOS[name], undisturbed)
+    expected = await arena.undisturbed(SCENARIOS[name])
 
     async def course(instance: Instance) -> Outcome:
         async with instance.operator(), instance.operator():
@@ -68,7 +64,7 @@ async def test_two_work_side_by_side(arena: Arena, name: str) -> None:
 @pytest.mark.parametrize("after", [None, 5, 15, 25])
 async def test_namespaces_share_an_archive(arena: Arena, tmp_path: Path, after: int | None) -> None:
     """Sweeps of the same name, points and settings; both operators die after some calls, or none does."""
-    expected = await arena.play(SCENARIOS["study"], undisturbed)
+    expected = await arena.undisturbed(SCENARIOS["study"])
 
     async def course(instance: Instance) -> Outcome:
         if after is not None:
@@ -142,7 +138,7 @@ def settings_file(instance: Instance, folder: Path) -> Path:
 
 @pytest.mark.parametrize("calls", [3, 9, 16, 25])
 async def test_a_process_killed_by_the_kernel(arena: Arena, tmp_path: Path, calls: int) -> None:
-    expected = await arena.play(SCENARIOS["study"], undisturbed)
+    expected = await arena.undisturbed(SCENARIOS["study"])
 
     async def course(instance: Instance) -> tuple[int, Outcome]:
         command = [
