@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     from slamhive.local.home import Home
 
 
+pytestmark = pytest.mark.timeout(300)  # six starts, on a machine that may be busy
+UNTOLD = "rendered: settings.txt; this disk doesn't tell whether they were read"
+"""Of a disk that is mounted without times of access."""
+
+
 def test_an_algorithm_that_keeps_the_contract_passes_and_leaves_nothing(
     home: Home, check: Callable[..., dict[str, Finding]]
 ) -> None:
@@ -36,8 +41,11 @@ def test_an_algorithm_that_keeps_the_contract_passes_and_leaves_nothing(
     before = {path.name for path in home.path.iterdir()}
     notes = Notes()
     found = check(set(), notes)
-    assert {name: one.found for name, one in found.items() if one.answer not in {"pass", "skipped"}} == {}
-    assert found["settings"].found == "rendered and opened: settings.txt"
+    assert {name: one.found for name, one in found.items() if one.answer == "fail"} == {}
+    assert found["settings"].found in {"rendered and opened: settings.txt", UNTOLD}
+    sound = {"parameters", "runs", "data", "accuracy", "frame", "direction", "determinism"}
+    passed = {name for name, one in found.items() if one.answer is Answer.PASS}
+    assert passed >= sound | {"without lidar", "no data", "time and memory"}
     assert "3 runs are equal to the byte" in found["determinism"].found
     assert "the recording has no topic /points" in found["without lidar"].found
     assert "the recording has no scan on /points" in found["no data"].found
@@ -56,7 +64,7 @@ def test_each_row_fails_for_what_breaks_it_with_words_that_help(
     found = check(breaks, parameters=parameters)
     failed = {name: one.found for name, one in found.items() if one.answer is Answer.FAIL}
     assert "names depth" in failed["parameters"]
-    assert failed["settings"] == "rendered, but nothing opened settings.txt"
+    assert found["settings"].found in {"rendered, but nothing opened settings.txt", UNTOLD}
     assert "before the end of the data" in failed["data"]
     assert failed["determinism"].startswith("declared Yes; 3 runs differ")
     assert "it crashed" in failed["no data"]

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from slamhive.local.home import Home
 
 
+pytestmark = pytest.mark.timeout(300)
+
+
 @pytest.fixture
 def command(
     home: Home,

@@ -38,6 +38,7 @@ _WHAT_HELPS = {
     Reason.OUTPUT_TOO_LARGE: "write less into output/",
     Reason.ALGORITHM_UNAVAILABLE: "have this machine offer what it names",
     Reason.PREPARATION_FAILED: "give a dataset that has the sensors of the mode: --dataset",
+    Reason.IMAGE_PULL_FAILED: "push the image to where the cluster pulls from, or name another: --image",
     Reason.ALGORITHM_FAILED: "end with exit code 0 when the program ran, tracked or not",
 }
 

@@ -43,6 +43,8 @@ _FOLDER = "check"
 _SHARED = ("environments", "datasets", "variants", "truths", "assets")
 """Folders that are caches: what is made once for a check serves runs too, and the other way round."""
 _LOOK_SECONDS = 0.02
+_END_SECONDS = 20.0
+"""How long a start that was interrupted may take to end: its program has 5 s."""
 
 
 class Bench(Workbench):
@@ -207,7 +209,7 @@ class OnWorkstation:
                     driver.cancel()
         except BaseException:
             driver.cancel()
-            thread.join()
+            thread.join(_END_SECONDS)  # what it makes for later runs, as an environment, may take minutes
             raise
         took = None if told is None else time.monotonic() - told
         ended = _ended(records[0], driver, folder, took)
