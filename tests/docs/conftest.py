@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +16,14 @@ import yaml
 from slamhive.cli import main
 from slamhive.data.store import materialise
 from slamhive.local.catalog import bundled
+from slamhive.local.unavailable import Unavailable
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from slamhive.local.engines import Engine
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = {
@@ -95,9 +99,16 @@ def desk(furnished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
     monkeypatch.chdir(folder)
     monkeypatch.setenv("SLAMHIVE_HOME", str(home))
     monkeypatch.delenv("SLAMHIVE_ARCHIVE", raising=False)
+    # Neither containers nor a cluster of this machine: what the stand-ins write is no image's.
+    monkeypatch.setenv("KUBECONFIG", os.devnull)
+    monkeypatch.setattr("slamhive.conformance.workstation.find_engine", _no_engine)
     # What the stand-ins write fits this recording alone.
     monkeypatch.setattr("slamhive.conformance.recordings.recording_for", lambda _: "synthetic-lidar")
     return folder
+
+
+def _no_engine() -> Engine:
+    raise Unavailable("needs a container engine")
 
 
 def _euroc(folder: Path) -> None:
