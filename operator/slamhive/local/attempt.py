@@ -94,6 +94,7 @@ class Attempt:
             self._player.watch(self._program.end)
         except OSError as error:
             self._player.stop()
+            order.program.abandon(self.folder)
             raise SystemFault(f"{self.folder}: {error.strerror or error}") from None
 
     def wait(self) -> None:

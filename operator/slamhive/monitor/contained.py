@@ -36,6 +36,7 @@ from slamhive.monitor.processes import (
     read_file,
     send,
 )
+from slamhive.monitor.program import NO_ACCOUNT
 from slamhive.monitor.sources import Sample
 from slamhive.monitor.spec import ContainedSpec
 from slamhive.monitor.summary import Reason
@@ -66,7 +67,7 @@ _NOT_ALLOWED = "the image doesn't let user 65532 run it, as which every algorith
 class NoAccount:
     """The account of a container that has none, as it never ran."""
 
-    name = "none"
+    name = NO_ACCOUNT
 
     def read(self) -> Sample:
         """Return zeros."""

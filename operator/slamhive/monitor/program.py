@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from slamhive.monitor.sources import Source
     from slamhive.monitor.spec import SupervisorSpec
 
+NO_ACCOUNT = "none"
+"""Name of the source of a program that never ran, as far as anyone saw."""
 _UNENDED = "processes of the run could not be ended"
 _CGROUP_LEFT = "a cgroup of the run could not be removed"
 

@@ -31,7 +31,7 @@ from slamhive.monitor.outcome import Ending, Stop, judge, out_of_memory
 from slamhive.monitor.output import OutputMeter
 from slamhive.monitor.playing import played_mean_cores
 from slamhive.monitor.processes import become_subreaper, identify, read_file, set_parent_death_signal
-from slamhive.monitor.program import OwnProcesses
+from slamhive.monitor.program import NO_ACCOUNT, OwnProcesses
 from slamhive.monitor.reader import ReaderClock
 from slamhive.monitor.sources import field
 from slamhive.monitor.summary import Reason, Summary
@@ -160,11 +160,14 @@ class Supervisor:
             machine_oom_kills=oom_kills,
             memory_limit=spec.memory_limit_bytes,
         )
+        measured = self._program.source.name != NO_ACCOUNT
+        if not measured:
+            self._note("it never ran, or ended before its account could be opened: nothing was measured")
         return Summary(
             **judge(ending)._asdict(),
             started_at=started_at,
             finished_at=started_at + finished - self._start,
-            usage=usage,
+            usage=usage if measured else None,
             log_tail=self._log.tail(),
             left_processes=left,
             metrics_problem=None if output is None else output.metrics_problem(problem),
