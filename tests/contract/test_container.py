@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,7 +15,6 @@ from slamhive.data.erasing import erase
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from executors.executor import Row
 
@@ -36,6 +36,11 @@ def workstation(
 def behaved(workstation: InContainers) -> dict[str, Row]:
     """What came of all behaviours."""
     return table.carry_out(workstation)
+
+
+def test_nothing_is_left_where_the_command_was_called(behaved: dict[str, Row]) -> None:
+    assert behaved["memory"]["reason"] == "OutOfMemory"
+    assert not Path("oom").exists()
 
 
 @pytest.mark.parametrize("name", table.expected(InContainers.name))

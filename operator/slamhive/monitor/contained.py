@@ -189,6 +189,8 @@ class Contained:
         self._account: Account | None = None
         self._gone = False
         self._removed = False
+        # Where memory ran out, podman leaves an empty file `oom` in the folder that it was started in.
+        os.chdir(os.path.dirname(spec.process_path))  # noqa: PTH120
         # From here on the container goes with us, however we end.
         self._guard = Guard(self._command("rm", "--force", self._container.identity))
         self.source: Source = NoAccount()
