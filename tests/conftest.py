@@ -33,7 +33,7 @@ NEEDS = {"node_cluster": "node", "ros": "ros", "helm": "helm", "podman": "contai
 """Markers of the tests that ask for a fixture."""
 LONG = ("slow", "image", "ros", "container")
 """Markers of tests that may take longer than a minute."""
-CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm")
+CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm", "ros1-player", "kiss-icp-ros")
 """Images that tests run in containers of a workstation, as images/build calls them."""
 CLUSTERS = frozenset({"control_plane", "node_cluster"})
 """Fixtures of real clusters: what uses one may take as long."""

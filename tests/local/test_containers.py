@@ -246,15 +246,16 @@ def test_a_recording_that_others_can_not_read_is_named(boxes: Boxes) -> None:
     assert "chmod o+rX" in (record.message or "")
 
 
-def test_a_ros_1_node_is_told_to_be_unavailable(boxes: Boxes) -> None:
+def test_a_player_whose_image_is_not_there_is_named(boxes: Boxes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SLAMHIVE_PLAYER_IMAGE", "localhost/no-player:1")
     ros = {
         "paces": ["Realtime"],
         "realtime": {"queue": 1, "drop": "Oldest"},
         "ros1": {"poses": {"topic": "/odometry", "type": "Odometry"}},
     }
     (record,) = boxes(shell(POSES, **ros), input={"pace": "Realtime"})
-    assert record.reason is Reason.ALGORITHM_UNAVAILABLE
-    assert "ROS 1 node" in (record.message or "")
+    assert record.reason is Reason.IMAGE_PULL_FAILED
+    assert "image 'localhost/no-player:1'" in (record.message or "")
 
 
 @pytest.fixture

@@ -159,3 +159,22 @@ def test_ctrl_c_removes_the_container(
     assert process.wait(120) == 130
     assert boxed() == []
     assert system.records() == []
+
+
+def test_a_player_that_a_killed_slamhive_left_goes_with_its_node(
+    system: Any, boxed: Callable[[], list[str]], until: Callable[..., Any]
+) -> None:
+    played = system.sweep(
+        template={
+            "algorithmRef": {"name": "kiss-icp-ros"},
+            "input": {"pace": "Realtime", "rate": 0.1},
+            "parameters": {},
+        }
+    )
+    process = system.start("run", "--container", "podman", played)
+    until(lambda: [*system.home.path.glob("runs/s/*/usage.csv")] and len(boxed()) == 2, "both to run")
+    kill_with_supervisors(system, process)
+    process.wait()
+    code, _, err = system("run", sweep_of(system, "boxed", 1))
+    assert code == 0, err
+    assert boxed() == []

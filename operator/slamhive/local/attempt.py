@@ -87,7 +87,7 @@ class Attempt:
             self._lay_out(order)
             self._prepared = order.program
             self._offered = order.frames
-            variables = self._player.start(order.entry.algorithm.spec, order.configuration, order.cpus)
+            variables = self._player.start(order)
             ticket = {"uid": order.uid, "contentHash": order.content_hash}
             (self.folder / "attempt.json").write_text(json.dumps(ticket))
             self._program.start(self._supervisor_spec(order, variables))

@@ -20,16 +20,24 @@ import threading
 import uuid
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from slamhive import __version__
 from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
 from slamhive.local.assets import place_assets
 from slamhive.local.engines import EngineError, engine_named, find_engine
+from slamhive.local.playing import MEMORY_LIMIT
+from slamhive.local.prepared import PreparedPlayer
 from slamhive.local.unavailable import ImageMissing, Unavailable
 from slamhive.model.base import quantity
 from slamhive.model.errors import DataError, SystemFault
 from slamhive.monitor.spec import TASK_LIMIT, ContainedSpec
 from slamhive.plan import image_digest, pinned_digest
+from slamhive.playback.pod import COMMAND as PLAYER
+from slamhive.playback.pod import FOLDER as PLAYER_FOLDER
+from slamhive.playback.pod import player_pod
+from slamhive.playback.protocol import READY_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -40,11 +48,16 @@ if TYPE_CHECKING:
     from slamhive.local.home import Home
     from slamhive.local.prepared import AttemptOrder
     from slamhive.model.algorithm import AlgorithmSpec
+    from slamhive.playback.pod import PlayerPod
 
 RUN = "/slamhive"
 USER = 65532
 HOME_LABEL = "io.slamhive.home"
 RUN_LABEL = "io.slamhive.run"
+_ALGORITHM = "algorithm"
+_CREATED, _PID = "container.json", "container.pid"
+_OF_THIS_MACHINE = "localhost/"
+_ALONE = ("--network", "none", "--init")
 _SCRATCH_BYTES = 2 * 2**30
 _MOST_FILES = 1 << 20
 # podman itself takes no more for its own user, and refuses to give what it hasn't.
@@ -90,14 +103,22 @@ class Containers:
 
     @staticmethod
     def check(entry: AlgorithmEntry, choice: ContainerChoice | None) -> None:
-        """Check that an algorithm's image could be run here, whether it is there or not.
+        """Check that an algorithm's image could be run here, whether it still has to be pulled or not.
 
         Raises:
             Unavailable: it can't.
         """
-        find_engine(choice)
-        if entry.algorithm.spec.image is None:
+        engine, image = find_engine(choice), entry.algorithm.spec.image
+        if image is None:
             raise Unavailable("has no image")
+        known = (
+            "@" in image or not image.startswith(_OF_THIS_MACHINE) or image in images_of_this_machine(engine)
+        )
+        if not known:
+            raise Unavailable(
+                f"needs the image {image}, which is in no registry and not here: {engine.name} build or "
+                f"{engine.name} tag makes it"
+            )
 
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return the digest of an algorithm's image, as a cluster would know it.
@@ -123,21 +144,18 @@ class Containers:
     def get(self, entry: AlgorithmEntry, pace: str) -> ContainerProgram:
         """Return an algorithm's image, pulled when it isn't there, with the engine that runs it.
 
+        Where runs of the pace are played to, the player's image has to be there too.
+
         Raises:
             Unavailable: no engine can be used, or the image has no program.
             ImageMissing: the image can't be pulled.
         """
         engine, spec = find_engine(self._choice), entry.algorithm.spec
-        if spec.plays(pace) is not None:
-            instead = "; without --container it runs as a process" if spec.local is not None else ""
-            raise Unavailable(
-                "is played to in real time as a ROS 1 node, which on a workstation isn't done in containers"
-                + instead
-            )
         image = self._image(engine, spec.image or "", pull=True)
         if not spec.command and not image.program:
             raise Unavailable(f"image {spec.image!r} has no program of its own: spec.command must name one")
-        return ContainerProgram(engine, image, self._label(engine))
+        player = self._image(engine, player_image(), pull=True) if spec.plays(pace) else None
+        return ContainerProgram(engine, image, self._label(engine), player)
 
     def fetch(self, entries: Iterable[AlgorithmEntry]) -> None:
         """Pull images that aren't there, as far as that can be."""
@@ -206,6 +224,21 @@ class Containers:
         return found
 
 
+@cache
+def images_of_this_machine(engine: Engine) -> frozenset[str]:
+    """Return the names of images that no registry has; asked once a program."""
+    try:
+        listed = engine.call("images", "--format", "{{.Repository}}:{{.Tag}}")
+    except EngineError:
+        return frozenset()
+    return frozenset(name for name in listed.split() if name.startswith(_OF_THIS_MACHINE))
+
+
+def player_image() -> str:
+    """Return the image that plays recordings to ROS 1 nodes; $SLAMHIVE_PLAYER_IMAGE names another."""
+    return os.environ.get("SLAMHIVE_PLAYER_IMAGE") or f"slamhive/ros1-player:{__version__}"
+
+
 def pull(engine: Engine, name: str) -> None:
     """Pull an image, with the engine's own progress on a terminal and quietly without one.
 
@@ -266,11 +299,13 @@ class ContainerProgram:
         engine: the engine.
         image: the image.
         home: the home's identity, for the label.
+        player_image: the image of what plays to it, where something does.
     """
 
     engine: Engine
     image: Image
     home: str
+    player_image: Image | None = None
 
     def run_folder(self, run: Path) -> str:  # noqa: ARG002
         """Return where the contract says the run folder is."""
@@ -296,11 +331,26 @@ class ContainerProgram:
             raise DataError(
                 f"{closed} can't be read by user {USER}, as which a container runs: chmod o+rX {closed}"
             )
-        output = run / "output"
-        if os.geteuid() == 0:
-            os.chown(output, USER, USER)
-        else:
-            output.chmod(0o777)
+        _give(run / "output")
+
+    def player(self, order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
+        """Create the container of a player; the program's shares its network and its processes, as in a pod.
+
+        Raises:
+            SystemFault: the engine doesn't.
+        """
+        pod = player_pod(order.entry.algorithm.spec, order.configuration, _ALGORITHM)
+        if pod is None:
+            return None
+        if self.player_image is None:
+            raise SystemFault("the player has no image")
+        own = folder / "own"
+        own.mkdir(parents=True)
+        if not self.engine.rootless:
+            _give(own)
+        words = player_words(self, self.player_image, order, folder, pod)
+        supervision = self._create(words, folder) | {"argv": PLAYER, "cwd": RUN, "env": {}}
+        return PreparedPlayer(supervision, own / READY_FILE, lambda: dict(pod.algorithm_variables))
 
     def supervision(
         self, order: AttemptOrder, folder: Path, variables: Mapping[str, str]
@@ -310,31 +360,46 @@ class ContainerProgram:
         Raises:
             SystemFault: the engine doesn't.
         """
-        pid_path = folder / "container.pid"
-        words = create_words(self, order, folder, variables, pid_path)
+        words = create_words(self, order, folder, variables)
+        program = order.entry.algorithm.spec.command or self.image.program
+        return self._create(words, folder) | {"argv": tuple(program), "cwd": RUN, "env": {}}
+
+    def _create(self, words: Sequence[str], folder: Path) -> dict[str, Any]:
+        """Create a container, and return what its supervisor is told of it."""
         try:
             identity = self.engine.call("create", *words).split()[-1]
         except (EngineError, IndexError) as error:
             raise SystemFault(f"{self.engine.name} can't make the container: {error}") from None
-        (folder / "container.json").write_text(json.dumps({"engine": self.engine.name, "id": identity}))
+        (folder / _CREATED).write_text(json.dumps({"engine": self.engine.name, "id": identity}))
         contained = ContainedSpec(
             engine=self.engine.command,
             identity=identity,
-            pid_path=str(pid_path) if self.engine.is_podman else None,
+            removal=self.engine.removal,
+            pid_path=str(folder / _PID) if self.engine.is_podman else None,
         )
-        program = order.entry.algorithm.spec.command or self.image.program
-        return {
-            "argv": tuple(program),
-            "cwd": RUN,
-            "env": {},
-            "contained": contained.as_json(),
-        }
+        return {"contained": contained.as_json()}
 
     def abandon(self, folder: Path) -> None:
-        """Remove the attempt's container, which its supervisor no longer does."""
-        with suppress(OSError, ValueError, KeyError):
-            identity = str(json.loads((folder / "container.json").read_text())["id"])
-            self.engine.remove(identity)
+        """Remove the attempt's containers, which their supervisors no longer do."""
+        for place in (folder, folder / "player"):
+            identity = _created(place)
+            if identity is not None:
+                self.engine.remove(identity)
+
+
+def _created(folder: Path) -> str | None:
+    """Return the id of the container that was created for what is in a folder."""
+    with suppress(OSError, ValueError, KeyError):
+        return str(json.loads((folder / _CREATED).read_text())["id"])
+    return None
+
+
+def _give(folder: Path) -> None:
+    """Let the algorithm's user write into a folder."""
+    if os.geteuid() == 0:
+        os.chown(folder, USER, USER)
+    else:
+        folder.chmod(0o777)
 
 
 def create_words(
@@ -342,44 +407,95 @@ def create_words(
     order: AttemptOrder,
     folder: Path,
     variables: Mapping[str, str],
-    pid_path: Path,
 ) -> list[str]:
     """Return what an engine's `create` is told: what the pod of a run has, in its words.
 
     Raises:
         SystemFault: a path can't be said to it.
     """
-    engine, spec = program.engine, order.entry.algorithm.spec
+    spec = order.entry.algorithm.spec
     memory = int(quantity(order.spec["resources"]["memory"]))
     told = algorithm_variables(order, spec) | dict(variables)
     command = expanded(spec.command, told)
-    entry = ["--entrypoint", command[0]] if command else []
+    player = _created(folder / "player")
+    return [
+        *_confined(program, order.uid, order.cpus, memory),
+        # As in a pod, the algorithm isn't the first process, to which the kernel passes on few signals; it
+        # shares network and processes with its player.
+        *(_of_player(player) if player is not None else _ALONE),
+        *_of_podman(program.engine, folder, player),
+        *("--shm-size", str(memory // 2)),
+        *(word for mounted in mounts(order, folder) for word in ("--mount", mounted)),
+        *_environment(told),
+        *(("--entrypoint", command[0]) if command else ()),
+        program.image.identity,
+        *command[1:],
+    ]
+
+
+def player_words(
+    program: ContainerProgram, image: Image, order: AttemptOrder, folder: Path, pod: PlayerPod
+) -> list[str]:
+    """Return what an engine's `create` is told of a player.
+
+    Raises:
+        SystemFault: a path can't be said to it.
+    """
+    run = folder.parent / "run"
+    # It must take no CPU time from the cores on which the algorithm is measured, if there are others.
+    everything = os.sched_getaffinity(os.getpid())
+    cpus = tuple(sorted(everything.difference(order.cpus) or everything))
+    seen = [
+        (order.dataset.resolve(), f"{RUN}/dataset", True),
+        (run / "output", f"{RUN}/output", False),
+        (folder / "own", PLAYER_FOLDER, False),
+    ]
+    return [
+        *_confined(program, order.uid, cpus, MEMORY_LIMIT),
+        *_ALONE,
+        *_of_podman(program.engine, folder),
+        *(word for mounted in map(_mount, *zip(*seen, strict=True)) for word in ("--mount", mounted)),
+        *_environment(pod.variables),
+        *("--entrypoint", PLAYER[0]),
+        image.identity,
+        *PLAYER[1:],
+    ]
+
+
+def _confined(program: ContainerProgram, run: str, cpus: Sequence[int], memory: int) -> list[str]:
+    """Return the bounds of a container.
+
+    Args:
+        program: whose it is.
+        run: identity of the run.
+        cpus: logical processors it is pinned to.
+        memory: what it may use, bytes.
+    """
     return [
         # Nothing but this machine: it was pulled before, and what a tag means may change meanwhile.
         *("--pull", "never"),
-        *("--label", f"{HOME_LABEL}={program.home}", "--label", f"{RUN_LABEL}={order.uid}"),
+        *("--label", f"{HOME_LABEL}={program.home}", "--label", f"{RUN_LABEL}={run}"),
         *("--user", f"{USER}:{USER}", "--workdir", RUN),
-        *("--read-only", "--network", "none", "--ipc", "private"),
+        *("--read-only", "--ipc", "private"),
         *("--cap-drop", "all", "--security-opt", "no-new-privileges", "--security-opt", "label=disable"),
         *("--memory", str(memory), "--memory-swap", str(memory)),
         *("--pids-limit", str(TASK_LIMIT)),
-        *(("--cpuset-cpus", ",".join(map(str, order.cpus))) if order.cpus else ()),
+        *(("--cpuset-cpus", ",".join(map(str, cpus))) if cpus else ()),
         *limits(),
         *("--tmpfs", f"/tmp:rw,nosuid,nodev,exec,size={_SCRATCH_BYTES},mode=1777"),  # noqa: S108
-        *("--shm-size", str(memory // 2)),
-        # As in a pod, the algorithm isn't the first process, to which the kernel passes on few signals.
-        "--init",
         # The supervisor keeps the log, within bounds.
         *("--log-driver", "none"),
         # What is removed while it runs is to be gone at once.
         *("--stop-timeout", "0"),
-        *_of_podman(engine, pid_path),
-        *(word for mounted in mounts(order, folder) for word in ("--mount", mounted)),
-        *(word for name, value in sorted(told.items()) for word in ("--env", f"{name}={value}")),
-        *entry,
-        program.image.identity,
-        *command[1:],
     ]
+
+
+def _of_player(identity: str) -> tuple[str, ...]:
+    return ("--network", f"container:{identity}", "--pid", f"container:{identity}")
+
+
+def _environment(variables: Mapping[str, str]) -> list[str]:
+    return [word for name, value in sorted(variables.items()) for word in ("--env", f"{name}={value}")]
 
 
 def algorithm_variables(order: AttemptOrder, spec: AlgorithmSpec) -> dict[str, str]:
@@ -393,7 +509,7 @@ def algorithm_variables(order: AttemptOrder, spec: AlgorithmSpec) -> dict[str, s
         scratch=scratch,
         settings_files=bool(spec.files),
     )
-    return values | {"SLAMHIVE_CONTAINER": "algorithm"}
+    return values | {"SLAMHIVE_CONTAINER": _ALGORITHM}
 
 
 def expanded(command: Sequence[str], variables: Mapping[str, str]) -> list[str]:
@@ -432,17 +548,18 @@ def mounts(order: AttemptOrder, folder: Path) -> list[str]:
         *(((run / "assets" / name).resolve(), f"assets/{name}", True) for name in assets),
         *([(run / SETTINGS_FOLDER, SETTINGS_FOLDER, True)] if order.entry.algorithm.spec.files else []),
     ]
-    words = []
-    for source, target, read_only in seen:
-        text = str(source.absolute())
-        if any(letter in text for letter in ',"\n'):
-            raise SystemFault(f"{text}: a container can't be shown a path with a comma, quote or line break")
-        mounted = f"type=bind,source={text},target={RUN}/{target}"
-        words.append(f"{mounted},readonly" if read_only else mounted)
-    return words
+    return [_mount(source, f"{RUN}/{target}", read_only) for source, target, read_only in seen]
 
 
-def _of_podman(engine: Engine, pid_path: Path) -> list[str]:
+def _mount(source: Path, target: str, read_only: bool) -> str:
+    text = str(source.absolute())
+    if any(letter in text for letter in ',"\n'):
+        raise SystemFault(f"{text}: a container can't be shown a path with a comma, quote or line break")
+    mounted = f"type=bind,source={text},target={target}"
+    return f"{mounted},readonly" if read_only else mounted
+
+
+def _of_podman(engine: Engine, folder: Path, player: str | None = None) -> list[str]:
     if not engine.is_podman:
         return []
     own = [
@@ -451,9 +568,13 @@ def _of_podman(engine: Engine, pid_path: Path) -> list[str]:
         # Proxies of this machine are none of the algorithm's.
         "--http-proxy=false",
         *("--cgroups", "no-conmon"),
-        *("--pidfile", str(pid_path)),
+        *("--pidfile", str(folder / _PID)),
     ]
-    return [*own, f"--userns=keep-id:uid={USER},gid={USER}"] if engine.rootless else own
+    if not engine.rootless:
+        return own
+    # What shares processes has to have the same users.
+    users = f"container:{player}" if player is not None else f"keep-id:uid={USER},gid={USER}"
+    return [*own, f"--userns={users}"]
 
 
 def _closed_to_others(folder: Path) -> Path | None:

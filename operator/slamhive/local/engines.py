@@ -68,6 +68,12 @@ class Engine:
         """Tell whether it is podman, which does some things that docker doesn't."""
         return self.name == ContainerChoice.PODMAN
 
+    @property
+    def removal(self) -> tuple[str, ...]:
+        """Return the words that remove a container, running or not, before its id."""
+        # podman keeps a container whose network another one shares; with --depend that one goes too.
+        return ("rm", "--force", "--depend") if self.is_podman else ("rm", "--force")
+
     def call(self, *words: str, seconds: float = _COMMAND_SECONDS) -> str:
         """Have it do something and return what it printed.
 
@@ -114,7 +120,7 @@ class Engine:
             SystemFault: it can't be removed.
         """
         try:
-            self.call("rm", "--force", identity)
+            self.call(*self.removal, identity)
         except EngineError as error:
             if not _NO_SUCH.search(str(error)):
                 raise SystemFault(f"{self.name}: a container can't be removed: {error}") from None

@@ -19,6 +19,7 @@ from slamhive.contract.environment import program_variables
 from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
+from slamhive.local.playing import own_player
 from slamhive.local.unavailable import Unavailable
 from slamhive.model.base import RELATIVE_PATH
 from slamhive.model.errors import SlamHiveError, SystemFault
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from slamhive.local.catalog import AlgorithmEntry
-    from slamhive.local.prepared import AttemptOrder
+    from slamhive.local.prepared import AttemptOrder, PreparedPlayer
     from slamhive.model.algorithm import LocalProgram
 
 _MARKER = ".complete"
@@ -76,6 +77,14 @@ class Environment:
         for name in ("home", "tmp"):
             (folder / name).mkdir()
         place_assets(order.entry, folder / "run" / "assets", folder.parents[2] / "assets")
+
+    def player(self, order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
+        """Lay out a player that is a process as well; None where nothing is played.
+
+        Raises:
+            SystemFault: this machine has no ROS.
+        """
+        return own_player(order, folder)
 
     def supervision(
         self, order: AttemptOrder, folder: Path, variables: Mapping[str, str]

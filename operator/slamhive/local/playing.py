@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import slamhive
+from slamhive.local.prepared import PreparedPlayer
 from slamhive.local.supervision import Supervised
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Reason
@@ -33,14 +34,12 @@ from slamhive.playback.ros import find_ros, what_it_takes
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.model.algorithm import AlgorithmSpec
-    from slamhive.model.configuration import RunConfiguration
-    from slamhive.playback.protocol import PlayRequest
-    from slamhive.playback.ros import Ros
+    from slamhive.local.prepared import AttemptOrder
 
 _READY_SECONDS = 60.0
 _LOOK_SECONDS = 0.02
-_MEMORY_LIMIT = 4 * 2**30
+MEMORY_LIMIT = 4 * 2**30
+"""Of a player, bytes."""
 
 
 class Player:
@@ -66,15 +65,11 @@ class Player:
         """Where its supervisor says who runs."""
         return self._program.record
 
-    def start(
-        self, algorithm: AlgorithmSpec, configuration: RunConfiguration, cpus: tuple[int, ...]
-    ) -> dict[str, str]:
+    def start(self, order: AttemptOrder) -> dict[str, str]:
         """Start the player, if the attempt needs one, and wait until a node may be started.
 
         Args:
-            algorithm: what is run.
-            configuration: what the run's config.yaml says.
-            cpus: logical processors on which the algorithm is measured.
+            order: what is run.
 
         Returns:
             Variables by which the algorithm finds it.
@@ -82,24 +77,14 @@ class Player:
         Raises:
             SystemFault: It can't be started.
         """
-        request = play_request(
-            algorithm,
-            configuration,
-            run=str(self._run),
-            folder=str(self._folder),
-            mark=f"SLAMHIVE_RUN={self._run}",
-        )
-        if request is None:
+        prepared = order.program.player(order, self._folder)
+        if prepared is None:
             return {}
-        ros = find_ros()
-        if ros is None:
-            raise SystemFault(f"the player {what_it_takes()}")
-        self._lay_out(request)
         # The player must take no CPU time from the cores on which the algorithm is measured.
-        with _elsewhere(cpus):
-            self._program.start(self._supervisor_spec(ros))
-        self._wait_until_ready()
-        return _variables(ros, self._master(), self._folder)
+        with _elsewhere(order.cpus):
+            self._program.start(self._supervisor_spec(prepared))
+        self._wait_until_ready(prepared.ready)
+        return prepared.variables()
 
     def watch(self, end: Callable[[], None]) -> None:
         """Call a function if the player ends before it was asked to: nobody else would end the algorithm."""
@@ -140,48 +125,26 @@ class Player:
         summary = self._program.summary() or {"signal": True}
         return summary.get("signal") is not None and summary.get("reason") != Reason.CANCELLED
 
-    def _lay_out(self, request: PlayRequest) -> None:
-        for name in ("home", "tmp", "code"):
-            (self._folder / name).mkdir(parents=True)
-        # Of all that our interpreter has, the player's gets slamhive alone: it is another Python.
-        (self._folder / "code" / "slamhive").symlink_to(Path(slamhive.__file__).parent)
-        (self._folder / "request.json").write_text(request.to_json())
-
-    def _supervisor_spec(self, ros: Ros) -> SupervisorSpec:
+    def _supervisor_spec(self, prepared: PreparedPlayer) -> SupervisorSpec:
         folder = self._folder
         return SupervisorSpec(
-            argv=(ros.python, "-P", "-m", "slamhive.playback.player"),
-            cwd=str(folder),
-            env={
-                **dict(ros.variables),
-                "PATH": os.environ.get("PATH", os.defpath),
-                "HOME": str(folder / "home"),
-                "TMPDIR": str(folder / "tmp"),
-                "LANG": "C.UTF-8",
-                "PYTHONPATH": os.pathsep.join([str(folder / "code"), *ros.paths]),
-                "PYTHONNOUSERSITE": "1",
-                "PYTHONDONTWRITEBYTECODE": "1",
-                VARIABLE: str(folder / "request.json"),
-            },
+            **prepared.supervision,
             log_path=str(folder / "log.txt"),
             usage_path=str(folder / "usage.csv"),
             summary_path=str(folder / "summary.json"),
             process_path=str(self.record),
-            memory_limit_bytes=_MEMORY_LIMIT,
+            memory_limit_bytes=MEMORY_LIMIT,
             parent_pid=os.getpid(),
         )
 
-    def _wait_until_ready(self) -> None:
+    def _wait_until_ready(self, ready: Path) -> None:
         deadline = time.monotonic() + _READY_SECONDS
-        while not (self._folder / READY_FILE).exists():
+        while not ready.exists():
             if not self._program.running or time.monotonic() > deadline:
                 self.stop()
                 self.wait()
                 raise SystemFault(f"the player doesn't start: {self._last_line()}")
             time.sleep(_LOOK_SECONDS)
-
-    def _master(self) -> str:
-        return str(json.loads((self._folder / MASTER_FILE).read_text())["uri"])
 
     def _last_line(self) -> str:
         with suppress(OSError):
@@ -192,8 +155,52 @@ class Player:
         return self._program.last_words() or "the player was killed"
 
 
-def _variables(ros: Ros, master: str, folder: Path) -> dict[str, str]:
-    return dict(ros.variables) | ros_variables(master, str(folder.parent / "home"))
+def own_player(order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
+    """Lay out a player that is a process of this machine, with its ROS; None where nothing is played.
+
+    Args:
+        order: what is run, as a process too.
+        folder: the player's.
+
+    Raises:
+        SystemFault: this machine has no ROS.
+    """
+    run = folder.parent / "run"
+    request = play_request(
+        order.entry.algorithm.spec,
+        order.configuration,
+        run=str(run),
+        folder=str(folder),
+        mark=f"SLAMHIVE_RUN={run}",
+    )
+    if request is None:
+        return None
+    ros = find_ros()
+    if ros is None:
+        raise SystemFault(f"the player {what_it_takes()}")
+    for name in ("home", "tmp", "code"):
+        (folder / name).mkdir(parents=True)
+    # Of all that our interpreter has, the player's gets slamhive alone: it is another Python.
+    (folder / "code" / "slamhive").symlink_to(Path(slamhive.__file__).parent)
+    (folder / "request.json").write_text(request.to_json())
+    variables = {
+        **dict(ros.variables),
+        "PATH": os.environ.get("PATH", os.defpath),
+        "HOME": str(folder / "home"),
+        "TMPDIR": str(folder / "tmp"),
+        "LANG": "C.UTF-8",
+        "PYTHONPATH": os.pathsep.join([str(folder / "code"), *ros.paths]),
+        "PYTHONNOUSERSITE": "1",
+        "PYTHONDONTWRITEBYTECODE": "1",
+        VARIABLE: str(folder / "request.json"),
+    }
+
+    def of_node() -> dict[str, str]:
+        master = str(json.loads((folder / MASTER_FILE).read_text())["uri"])
+        return dict(ros.variables) | ros_variables(master, str(folder.parent / "home"))
+
+    program = {"argv": (ros.python, "-P", "-m", "slamhive.playback.player"), "cwd": str(folder)}
+    return PreparedPlayer(program | {"env": variables}, folder / READY_FILE, of_node)
 
 
 class _elsewhere:  # noqa: N801 - reads as a statement

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from slamhive.local.catalog import AlgorithmEntry
@@ -41,6 +41,21 @@ class AttemptOrder:
     cpus: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class PreparedPlayer:
+    """A player that can be started beside a program.
+
+    Attributes:
+        supervision: fields of a SupervisorSpec that say what is started and how.
+        ready: a file that is there once a node may be started.
+        variables: returns, once it is ready, what the program gets to find it.
+    """
+
+    supervision: Mapping[str, Any]
+    ready: Path
+    variables: Callable[[], dict[str, str]]
+
+
 class Prepared(Protocol):
     """A program that can be started: what differs between executors."""
 
@@ -52,6 +67,13 @@ class Prepared(Protocol):
 
         Raises:
             SlamHiveError: a file is missing or can't be had.
+        """
+
+    def player(self, order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
+        """Lay out a player in a folder and return it; None where nothing is played to the program.
+
+        Raises:
+            SlamHiveError: it can't be started here.
         """
 
     def supervision(

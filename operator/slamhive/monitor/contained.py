@@ -192,7 +192,7 @@ class Contained:
         # Where memory ran out, podman leaves an empty file `oom` in the folder that it was started in.
         os.chdir(os.path.dirname(spec.process_path))  # noqa: PTH120
         # From here on the container goes with us, however we end.
-        self._guard = Guard(self._command("rm", "--force", self._container.identity))
+        self._guard = Guard(self._command(*self._container.removal, self._container.identity))
         self.source: Source = NoAccount()
 
     @property
@@ -347,7 +347,7 @@ class Contained:
         return problem
 
     def _remove(self) -> str | None:
-        problem = self._try("rm", "--force", self._container.identity)
+        problem = self._try(*self._container.removal, self._container.identity)
         if problem is None or "no such container" in problem.lower() or "no container" in problem.lower():
             return None
         return f"the container {self._container.identity[:12]} could not be removed: {problem}"

@@ -127,16 +127,19 @@ class ContainedSpec:
     Attributes:
         engine: The engine's command, with what stands before its first word.
         identity: The container's id.
+        removal: Words that remove a container, running or not, before its id.
         pid_path: Where the engine writes the pid of its first process; None: it has to be asked.
     """
 
     engine: tuple[str, ...]
     identity: str
+    removal: tuple[str, ...] = ("rm", "--force")
     pid_path: str | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields by their names in JSON."""
-        return {"engine": list(self.engine), "identity": self.identity, "pidPath": self.pid_path}
+        words = {"engine": list(self.engine), "removal": list(self.removal)}
+        return {**words, "identity": self.identity, "pidPath": self.pid_path}
 
     @classmethod
     def from_json(cls, value: Any) -> ContainedSpec:
@@ -145,12 +148,13 @@ class ContainedSpec:
         Raises:
             ValueError: It is no such object.
         """
-        if not isinstance(value, dict) or value.keys() != {"engine", "identity", "pidPath"}:
-            raise ValueError("a container has engine, identity and pidPath")
-        engine, pid_path = _tuple(value["engine"]), value["pidPath"]
-        if not (_texts(engine) and _text(value["identity"]) and (pid_path is None or _path(pid_path))):
-            raise ValueError("a container has a command, an id and an absolute path or null")
-        return cls(engine=engine, identity=value["identity"], pid_path=pid_path)
+        if not isinstance(value, dict) or value.keys() != {"engine", "identity", "pidPath", "removal"}:
+            raise ValueError("a container has engine, identity, pidPath and removal")
+        engine, removal, pid_path = _tuple(value["engine"]), _tuple(value["removal"]), value["pidPath"]
+        path = pid_path is None or _path(pid_path)
+        if not (_texts(engine) and _texts(removal) and _text(value["identity"]) and path):
+            raise ValueError("a container has commands, an id and an absolute path or null")
+        return cls(engine=engine, identity=value["identity"], removal=removal, pid_path=pid_path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
