@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from slamhive.plan import Catalog
 
 _LIDAR, _STEREO, _RGBD = "check-lidar", "check-stereo", "check-rgbd"
+_SHAKEN_STEREO, _SHAKEN_RGBD = "check-stereo-inertial", "check-rgbd-inertial"
+_SHAKEN = {"durationSeconds": 25, "loops": 0.6, "rig": "Euroc", "vibration": {}}
+"""What visual-inertial systems need to begin: a platform that shakes, and the mounting of EuRoC's."""
 
 
 def _generated(name: str, seed: int, sensors: list[str], **more: object) -> Dataset:
@@ -41,6 +44,8 @@ RECORDINGS = (
     ),
     _generated(_STEREO, 37, ["Stereo", "Imu"], durationSeconds=14, loops=0.35),
     _generated(_RGBD, 41, ["Rgbd", "Imu"], durationSeconds=14, loops=0.35),
+    _generated(_SHAKEN_STEREO, 43, ["Stereo", "Imu"], **_SHAKEN),
+    _generated(_SHAKEN_RGBD, 47, ["Rgbd", "Imu"], **_SHAKEN),
 )
 """Made once and kept among the generated datasets; in no catalog but that of a check."""
 
@@ -49,7 +54,10 @@ def recording_for(mode: Mode) -> str:
     """Return which of them has the sensors of a mode."""
     if Role.LIDAR in mode.needs:
         return _LIDAR
-    return _RGBD if Role.DEPTH in mode.needs or Role.COLOR in mode.needs else _STEREO
+    inertial = Role.IMU in mode.needs
+    if Role.DEPTH in mode.needs or Role.COLOR in mode.needs:
+        return _SHAKEN_RGBD if inertial else _RGBD
+    return _SHAKEN_STEREO if inertial else _STEREO
 
 
 def asked_of(algorithm: str, start: Start, dataset: str | None, catalog: Catalog) -> Sweep:
