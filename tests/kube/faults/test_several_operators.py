@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,8 @@ from slamhive.kube.kinds import Key, Kind
 
 if TYPE_CHECKING:
     from faultlab.arena import Arena, Instance, Outcome
+
+    from slamhive.kube.kinds import Object
 
 HERE = Path(__file__).parent
 PATHS = os.pathsep.join(map(str, (HERE, HERE.parents[1] / "cluster")))
@@ -58,7 +61,17 @@ async def test_two_work_side_by_side(arena: Arena, name: str) -> None:
             await instance.until(instance.is_over, "the end")
         return instance.outcome()
 
-    assert await arena.play(SCENARIOS[name], course) == expected
+    found = await arena.play(SCENARIOS[name], course)
+    if name == "stopped":
+        # A Job that one operator deletes as the Sweep has stopped leaves its name free: the other one, which
+        # hasn't heard of the stop yet, may make it again, and deletes it in its turn.
+        expected, found = (replace(one, created=_names(one.created)) for one in (expected, found))
+    assert found == expected
+
+
+def _names(created: Object) -> Object:
+    """Return which objects there were, however often."""
+    return {kind: sorted(objects) for kind, objects in created.items()}
 
 
 @pytest.mark.parametrize("after", [None, 5, 15, 25])
