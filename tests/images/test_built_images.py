@@ -39,10 +39,11 @@ class Container:
     def run(self, *command: str) -> str:
         result = subprocess.run(
             ["buildah", "run", "--isolation", "chroot", self.id, "--", *command],
-            check=True,
+            check=False,
             capture_output=True,
             text=True,
         )
+        assert result.returncode == 0, result.stderr
         return result.stdout.strip()
 
 
