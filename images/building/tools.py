@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import tarfile
+import uuid
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -160,7 +161,9 @@ class Buildah:
 
     @contextmanager
     def _mounted(self, reference: str) -> Iterator[Path]:
-        container = run(["buildah", "from", "--pull-never", reference]).strip().splitlines()[-1]
+        # A name of its own: others make containers of the same image, and remove theirs.
+        container = f"slamhive-build-{uuid.uuid4().hex}"
+        run(["buildah", "from", "--pull-never", "--name", container, reference])
         try:
             yield Path(run(["buildah", "mount", container]).strip())
         finally:

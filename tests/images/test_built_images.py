@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+import uuid
 from typing import TYPE_CHECKING
 
 import pytest
@@ -33,8 +34,10 @@ class Container:
     """A container of an image, in which programs are run as the image says."""
 
     def __init__(self, name: str) -> None:
-        command = ["buildah", "from", "--pull-never", recipes()[name].reference]
-        self.id = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+        # A name of its own: others make containers of the same image, and remove theirs.
+        self.id = f"slamhive-test-{uuid.uuid4().hex}"
+        command = ["buildah", "from", "--pull-never", "--name", self.id, recipes()[name].reference]
+        subprocess.run(command, check=True, capture_output=True)
 
     def run(self, *command: str) -> str:
         result = subprocess.run(
