@@ -75,7 +75,7 @@ def test_it_is_ended(
     algorithm = Algorithm(mark)
     assert algorithm.seen()
     assert algorithm.lives()
-    assert algorithm.end(5.0 if by == "SIGINT" else 0.3, lambda: False) == by
+    assert algorithm.end(50.0 if by == "SIGINT" else 0.3, lambda: False) == by
     assert not algorithm.lives()
     process.wait(50)
     deadline = time.monotonic() + 50

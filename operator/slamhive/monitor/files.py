@@ -39,6 +39,7 @@ class UsageTable:
         )
         self._lost: OSError | None = None
         self._seen: tuple[int, int, int] | None = None
+        self._size = 0
 
     def add(self, seconds: float, cores: float, sample: Sample) -> None:
         """Add a row: time since the start, cores since the row before."""
@@ -55,12 +56,16 @@ class UsageTable:
         try:
             while self._waiting:
                 count = os.write(self._file, self._waiting)
+                self._size += count
                 del self._waiting[:count]
         except OSError as error:
             self.error = error
         else:
             self.error = self._lost
-        self._seen = self._state()
+        # By the open file, not by its path: that may be another one's by now.
+        self._seen = _state(os.fstat(self._file))
+        if self._seen[1] != self._size:
+            self.touched = True
 
     def close(self) -> None:
         """Hand all rows to the kernel and close."""
@@ -72,15 +77,19 @@ class UsageTable:
 
     def _look(self) -> None:
         """Note whether another one wrote into the file or put another in its place since the last flush."""
-        if self._seen is not None and self._state() != self._seen:
+        if self._seen is None:
+            return
+        try:
+            there = _state(os.lstat(self._path))
+        except OSError:
+            there = None
+        if there != self._seen:
             self.touched = True
 
-    def _state(self) -> tuple[int, int, int] | None:
-        """Return inode, size and time of change of what is there; the last can't be set back."""
-        with suppress(OSError):
-            found = os.lstat(self._path)
-            return found.st_ino, found.st_size, found.st_ctime_ns
-        return None
+
+def _state(found: os.stat_result) -> tuple[int, int, int]:
+    """Return inode, size and time of change of a file; the last can't be set back."""
+    return found.st_ino, found.st_size, found.st_ctime_ns
 
 
 class OutputPipe:
