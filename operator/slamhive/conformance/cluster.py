@@ -122,6 +122,10 @@ class OnCluster:
         text, trajectory = b"", None
         if record.trajectory is not None and not why:
             text, trajectory = read_poses(Path(record.trajectory.path))
+        # Whoever looks at it knows the names of the catalog here.
+        asked = asked_of(self._algorithm, start, self._dataset, self._bench.workshop).spec.template.spec
+        names = {name: asked[name] for name in ("algorithmRef", "datasetRef")}
+        record = record.replace(spec=record.spec | names)
         return Ended(record=record, text=text, trajectory=trajectory, absent=why)
 
     def _sweep(self, start: Start) -> Sweep:
