@@ -22,6 +22,7 @@ from slamhive.data.images import compressed_pixels, image_pixels, resize
 from slamhive.data.layouts import DEPTH_FACTOR, LAYOUTS
 from slamhive.data.recordings import COMPRESSED_IMAGE, IMAGE, IMU, POINT_CLOUD
 from slamhive.data.rectifying import rectify
+from slamhive.data.transfer import chosen_messages
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.formats import DataFormat
 from slamhive.model.sensors import Role, SensorType
@@ -144,19 +145,12 @@ def write_folder(  # noqa: PLR0917 - progress comes last everywhere
     target.mkdir(exist_ok=True)
     primary = roles[selection.primary.topic]
     layout = LAYOUTS[plan.form](target, plan.name, stamps, primary)
-    seen, kept = dict.fromkeys(streams, 0), dict.fromkeys(streams, 0)
-    total, done = max(selection.size_bytes, 1), 0
+    kept = dict.fromkeys(streams, 0)
     with layout, _Frames(recording, changes, plan, layout) as frames:
-        for number, (connection, _, raw) in enumerate(recording.messages(set(streams))):
+        for connection, _, raw in chosen_messages(recording, selection, progress):
             topic = connection.topic
-            index = seen[topic]
-            seen[topic] = index + 1
-            done += len(raw)
-            if progress and number % 64 == 0:
-                progress(done / total)
-            if selection.masks[topic][index]:
-                frames.take(roles[topic], streams[topic], kept[topic], raw)
-                kept[topic] += 1
+            frames.take(roles[topic], streams[topic], kept[topic], raw)
+            kept[topic] += 1
     views = frames.views()
     layout.finish(views)
     return views

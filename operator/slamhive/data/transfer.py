@@ -14,8 +14,10 @@ from slamhive.data.writing import RecordingWriter
 from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from rosbags.interfaces import Connection
 
     from slamhive.data.recordings import Recording
     from slamhive.data.selection import Selection
@@ -62,25 +64,38 @@ def transfer(
     """
     by_topic = {stream.topic: stream for stream in selection.streams}
     rules = {topic: _rule(recording, stream, changes) for topic, stream in by_topic.items()}
-    seen = dict.fromkeys(by_topic, 0)
     first, last = selection.record_window
-    total = max(selection.size_bytes, 1)
-    done = 0
     with RecordingWriter(recording, target, target_format) as writer:
-        for number, (connection, time, raw) in enumerate(recording.messages(set(by_topic))):
+        for connection, time, raw in chosen_messages(recording, selection, progress):
             topic = connection.topic
-            index = seen[topic]
-            seen[topic] = index + 1
-            done += len(raw)
-            if progress and number % 64 == 0:
-                progress(done / total)
-            if not selection.masks[topic][index]:
-                continue
             change = rules[topic]
             # What is said once stays, however much is cut off before it.
             lasting = by_topic[topic].kind in (Kind.STATIC, Kind.INFO)
             at = min(max(time, first), last) if lasting else time
             writer.write(connection, at, raw if change is None else change(raw))
+
+
+def chosen_messages(
+    recording: Recording, selection: Selection, progress: Callable[[float], None] | None = None
+) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield the messages that were chosen, in the order of the recording.
+
+    Args:
+        recording: Where they come from.
+        selection: The messages chosen.
+        progress: Called with the share done, 0 to 1.
+    """
+    seen = {stream.topic: 0 for stream in selection.streams}
+    total, done = max(selection.size_bytes, 1), 0
+    for number, message in enumerate(recording.messages(set(seen))):
+        connection, _, raw = message
+        index = seen[connection.topic]
+        seen[connection.topic] = index + 1
+        done += len(raw)
+        if progress and number % 64 == 0:
+            progress(done / total)
+        if selection.masks[connection.topic][index]:
+            yield message
 
 
 def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | None:
