@@ -26,12 +26,13 @@ from typing import TYPE_CHECKING, Any
 from slamhive import __version__
 from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
 from slamhive.local.assets import place_assets
-from slamhive.local.engines import EngineError, engine_named, find_engine
-from slamhive.local.playing import MEMORY_LIMIT
+from slamhive.local.engines import engine_named, find_engine
+from slamhive.local.playing import MEMORY_LIMIT, other_processors
 from slamhive.local.prepared import PreparedPlayer
 from slamhive.local.unavailable import ImageMissing, Unavailable
 from slamhive.model.base import quantity
 from slamhive.model.errors import DataError, SystemFault
+from slamhive.monitor.engine import EngineError
 from slamhive.monitor.spec import TASK_LIMIT, ContainedSpec
 from slamhive.plan import image_digest, pinned_digest
 from slamhive.playback.pod import COMMAND as PLAYER
@@ -443,8 +444,7 @@ def player_words(
     """
     run = folder.parent / "run"
     # It must take no CPU time from the cores on which the algorithm is measured, if there are others.
-    everything = os.sched_getaffinity(os.getpid())
-    cpus = tuple(sorted(everything.difference(order.cpus) or everything))
+    cpus = sorted(other_processors(order.cpus))
     seen = [
         (order.dataset.resolve(), f"{RUN}/dataset", True),
         (run / "output", f"{RUN}/output", False),

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any
 from slamhive.local.unavailable import Unavailable
 from slamhive.model.base import Choice
 from slamhive.model.errors import SystemFault
+from slamhive.monitor.engine import COMMAND_SECONDS, EngineError, last_line, run_engine
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 _ASK_SECONDS = 60.0
-_COMMAND_SECONDS = 120.0
 _LINE_LIMIT = 400
 _MEMORY_AND_CORES = ("cpuset", "memory", "pids")
 _INSTALL = "apt-get install podman catatonit"
@@ -74,13 +74,13 @@ class Engine:
         # podman keeps a container whose network another one shares; with --depend that one goes too.
         return ("rm", "--force", "--depend") if self.is_podman else ("rm", "--force")
 
-    def call(self, *words: str, seconds: float = _COMMAND_SECONDS) -> str:
+    def call(self, *words: str, seconds: float = COMMAND_SECONDS) -> str:
         """Have it do something and return what it printed.
 
         Raises:
             EngineError: it doesn't; the message is the last line that it printed.
         """
-        return _run([*self.command, *words], seconds)
+        return run_engine([*self.command, *words], seconds)
 
     def follow(self, *words: str, tell: Callable[[str], None]) -> None:
         """Have it do something that may take long, each line that it prints being passed on.
@@ -111,7 +111,7 @@ class Engine:
                 process.kill()
                 raise
         if process.returncode != 0:
-            raise EngineError(_cleaned(last))
+            raise EngineError(last_line(last))
 
     def remove(self, identity: str) -> None:
         """Remove a container, running or not; one that isn't there is no error.
@@ -133,10 +133,6 @@ class Engine:
         """
         listed = self.call("ps", "--all", "--quiet", "--no-trunc", "--filter", f"label={label}")
         return listed.split()
-
-
-class EngineError(Exception):
-    """An engine's own word about what it doesn't do."""
 
 
 def find_engine(wanted: ContainerChoice | None = None) -> Engine:
@@ -174,8 +170,8 @@ def _asked(name: str, path: str) -> Engine | str | None:
         return None
     try:
         if name == ContainerChoice.PODMAN:
-            return _podman(json.loads(_run([name, "info", "--format", "json"], _ASK_SECONDS)))
-        return _docker(json.loads(_run([name, "info", "--format", "{{json .}}"], _ASK_SECONDS)))
+            return _podman(json.loads(run_engine([name, "info", "--format", "json"], _ASK_SECONDS)))
+        return _docker(json.loads(run_engine([name, "info", "--format", "{{json .}}"], _ASK_SECONDS)))
     except EngineError as error:
         return f"{name} is installed but can't be used: {error}{_hint(str(error))}"
     except (ValueError, TypeError, KeyError, AttributeError):
@@ -204,7 +200,7 @@ def _podman(info: dict[str, Any]) -> Engine | str:
 
 def _docker(info: dict[str, Any]) -> Engine | str:
     if errors := info.get("ServerErrors"):
-        return f"docker is installed but can't be used: {_cleaned(str(errors[0]))}{_hint(str(errors[0]))}"
+        return f"docker is installed but can't be used: {last_line(str(errors[0]))}{_hint(str(errors[0]))}"
     if "host" in info:  # podman's own command by the name of docker
         found = _podman(info)
         return replace(found, command=("docker", *found.command[1:])) if isinstance(found, Engine) else found
@@ -227,36 +223,6 @@ def _no_control(name: str, missing: Sequence[str], *, rootless: bool, version: s
             "or run slamhive as root"
         )
     return f"{what}: the kernel must offer control groups with {', '.join(missing)}"
-
-
-def _run(command: Sequence[str], seconds: float) -> str:
-    try:
-        done = subprocess.run(
-            command,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            check=False,
-            timeout=seconds,
-            start_new_session=True,
-        )
-    except subprocess.TimeoutExpired:
-        raise EngineError(f"no answer within {seconds:.0f} s") from None
-    except OSError as error:
-        raise EngineError(error.strerror or str(error)) from None
-    if done.returncode != 0:
-        raise EngineError(_cleaned(done.stderr or done.stdout))
-    return done.stdout
-
-
-def _cleaned(text: str) -> str:
-    """Return the last line that says something, without what an engine puts before all its errors."""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    last = lines[-1] if lines else "no message"
-    for words in ("Error: ", "Error response from daemon: ", "ERROR: "):
-        last = last.removeprefix(words)
-    return "".join(letter if letter.isprintable() else "?" for letter in last)[:_LINE_LIMIT]
 
 
 def _hint(problem: str) -> str:

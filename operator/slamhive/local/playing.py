@@ -203,6 +203,12 @@ def own_player(order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
     return PreparedPlayer(program | {"env": variables}, folder / READY_FILE, of_node)
 
 
+def other_processors(cpus: tuple[int, ...]) -> set[int]:
+    """Return the processors on which nothing is measured, all of ours where there are no others."""
+    everything = os.sched_getaffinity(os.getpid())
+    return everything.difference(cpus) or everything
+
+
 class _elsewhere:  # noqa: N801 - reads as a statement
     """Lets what this thread starts run on all processors but some, if there are others."""
 
@@ -211,8 +217,7 @@ class _elsewhere:  # noqa: N801 - reads as a statement
 
     def __enter__(self) -> None:
         self._before = os.sched_getaffinity(0)
-        everything = os.sched_getaffinity(os.getpid())
-        os.sched_setaffinity(0, everything.difference(self._cpus) or everything)
+        os.sched_setaffinity(0, other_processors(self._cpus))
 
     def __exit__(self, *_: object) -> None:
         os.sched_setaffinity(0, self._before)

@@ -16,13 +16,13 @@ import os
 import re
 import select
 import signal
-import subprocess
 import time
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from slamhive.monitor.cgroup import cgroup_of
+from slamhive.monitor.engine import COMMAND_SECONDS, EngineError, run_engine
 from slamhive.monitor.guard import Guard
 from slamhive.monitor.launch import LaunchError
 from slamhive.monitor.orphans import TOKEN, ProcessRecord
@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from slamhive.monitor.sources import Source
     from slamhive.monitor.spec import SupervisorSpec
 
-_COMMAND_SECONDS = 120.0
-"""How long an engine may take for one command, on a busy machine too."""
 _LOOK_SECONDS = 0.002
 _ASK_SECONDS = 0.02
 _LEAVE_SECONDS = 30.0
@@ -268,7 +266,7 @@ class Contained:
         """Wait until the runtime has become the container's first program, and return when that was seen."""
         waiting = self._name()
         ask_at = time.monotonic()
-        deadline = time.monotonic() + _COMMAND_SECONDS
+        deadline = time.monotonic() + COMMAND_SECONDS
         while time.monotonic() < deadline:
             self.reap()
             if self.ended:
@@ -394,34 +392,19 @@ class Contained:
         Raises:
             LaunchError: It doesn't.
         """
-        code, printed, problem = self._call(*words)
-        if code != 0:
-            raise LaunchError(f"{self._container.engine[0]} {words[0]}: {problem}", Reason.SYSTEM_FAULT)
-        return printed
+        try:
+            return run_engine(self._command(*words))
+        except EngineError as error:
+            why = f"{self._container.engine[0]} {words[0]}: {error}"
+            raise LaunchError(why, Reason.SYSTEM_FAULT) from None
 
     def _try(self, *words: str) -> str | None:
         """Have the engine do something, and return why it doesn't."""
-        code, _, problem = self._call(*words)
-        return None if code == 0 else problem
-
-    def _call(self, *words: str) -> tuple[int, str, str]:
         try:
-            done = subprocess.run(
-                self._command(*words),
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                check=False,
-                timeout=_COMMAND_SECONDS,
-                start_new_session=True,
-            )
-        except subprocess.TimeoutExpired:
-            return -1, "", f"no answer within {_COMMAND_SECONDS:.0f} s"
-        except OSError as error:
-            return -1, "", error.strerror or str(error)
-        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-        return done.returncode, done.stdout, lines[-1].removeprefix("Error: ") if lines else "no message"
+            run_engine(self._command(*words))
+        except EngineError as error:
+            return str(error)
+        return None
 
 
 def _is_ready(descriptor: int) -> bool:
