@@ -77,7 +77,7 @@ CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
 """What the names of settings begin with."""
 
 ERRORS = ("ate.", "rpe[", "relations.", "ateRotationDeg.")
-"""What the names of errors begin with, which follow from a run's trajectory: equal ones have equal errors."""
+"""Beginnings of the names of errors that follow from a run's trajectory: equal ones have equal errors."""
 
 _BESIDE = re.compile(r"(beside\.\w+\.)(.+)")
 

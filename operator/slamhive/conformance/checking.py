@@ -33,7 +33,7 @@ _EQUAL_STARTS = 3
 _WHEN = (0.4, 0.2, 0.1, 0.0)
 """Shares of its usual time after which the program is told to end; earlier if it had ended by itself."""
 _WAIT_SECONDS, _WAIT_TIMES = 30.0, 3.0
-"""How long a program may take over a recording that lacks something: so long, and so many usual times."""
+"""Longest time of a program over a recording that lacks something: so long, and so many usual times."""
 
 
 class Watcher(Protocol):

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 LOOK_SECONDS = 1.0
 _STUCK_SECONDS = 10.0
 _AROUND_SECONDS = 1800.0
-"""What pulling an image, preparing and evaluating may take besides a run."""
+"""Longest time of pulling an image, preparing and evaluating, besides a run."""
 
 
 class OnCluster:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _LIDAR, _STEREO, _RGBD = "check-lidar", "check-stereo", "check-rgbd"
 _SHAKEN_STEREO, _SHAKEN_RGBD = "check-stereo-inertial", "check-rgbd-inertial"
 _SHAKEN = {"durationSeconds": 25, "loops": 0.6, "rig": "Euroc", "vibration": {}}
-"""What visual-inertial systems need to begin: a platform that shakes, and the mounting of EuRoC's."""
+"""Platform that visual-inertial systems need to begin: it shakes, and its IMU is mounted as EuRoC's."""
 
 
 def _generated(name: str, seed: int, sensors: list[str], **more: object) -> Dataset:

@@ -44,7 +44,7 @@ _SHARED = ("environments", "datasets", "variants", "truths", "assets")
 """Folders that are caches: what is made once for a check serves runs too, and the other way round."""
 _LOOK_SECONDS = 0.02
 _END_SECONDS = 20.0
-"""How long a start that was interrupted may take to end: its program has 5 s."""
+"""Longest time of an interrupted start to its end: its program has 5 s."""
 
 
 class Bench(Workbench):

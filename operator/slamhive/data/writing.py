@@ -37,7 +37,7 @@ FILE_NAMES = {
     DataFormat.TUM: "recording",
     DataFormat.KITTI: "recording",
 }
-"""What a recording is called: Rosbag1 and Mcap are files, the others are folders."""
+"""Names of recordings: Rosbag1 and Mcap are files, the others are folders."""
 
 
 class RecordingWriter:
