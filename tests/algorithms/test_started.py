@@ -9,56 +9,89 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from slamhive.local.starting import Kind
 from slamhive.playback.ros import find_ros, what_it_takes
 
+if TYPE_CHECKING:
+    from slamhive.local.engines import Engine
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind", [Kind.LIDAR_PYTHON, Kind.PROGRAM, pytest.param(Kind.ROS1_NODE, marks=pytest.mark.ros)]
-)
-def test_a_folder_passes_untouched(kind: Kind, tmp_path: Path, environments: Path) -> None:
-    if kind is Kind.ROS1_NODE and find_ros() is None:
-        pytest.skip(what_it_takes())
-    if kind is Kind.PROGRAM and (shutil.which("cc") is None or shutil.which("make") is None):
-        pytest.skip("there is no compiler: apt-get install gcc libc6-dev make")
-    home = tmp_path / "home"
-    home.mkdir()
-    (home / "environments").symlink_to(environments)
-    slamhive = Path(sys.executable).with_name("slamhive")
-    env = {
-        name: value for name, value in os.environ.items() if name not in {"SLAMHIVE_ARCHIVE", "KUBECONFIG"}
-    }
-    env |= {"SLAMHIVE_HOME": str(home)}
 
-    def call(*words: str) -> subprocess.CompletedProcess[str]:
+IMAGES = Path(__file__).parents[2] / "images"
+PASSED = {"parameters", "runs", "data", "accuracy", "frame", "direction", "determinism"}
+
+
+class Commands:
+    """`slamhive algorithm …` in a folder, with a home of its own."""
+
+    def __init__(self, folder: Path, environments: Path) -> None:
+        home = folder / "home"
+        home.mkdir()
+        (home / "environments").symlink_to(environments)
+        left_out = {"SLAMHIVE_ARCHIVE", "KUBECONFIG"}
+        self._env = {name: value for name, value in os.environ.items() if name not in left_out}
+        self._env["SLAMHIVE_HOME"] = str(home)
+        self._folder = folder
+
+    def call(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Run one."""
         return subprocess.run(
-            [slamhive, "algorithm", *words],
-            cwd=tmp_path,
-            env=env,
+            [Path(sys.executable).with_name("slamhive"), "algorithm", *words],
+            cwd=self._folder,
+            env=self._env,
             capture_output=True,
             text=True,
             check=False,
         )
 
-    made = call("new", "mine", "--from", kind.value)
+    def answers(self, name: str, executor: str) -> dict[str, str]:
+        """Check an algorithm, which passes, and return the answer to each check."""
+        checked = self.call("check", name, "--on", executor, "--format", "json")
+        assert checked.returncode == 0, checked.stdout + checked.stderr
+        return {row["check"]: row["answer"] for row in json.loads(checked.stdout)}
+
+
+@pytest.fixture
+def commands(tmp_path: Path, environments: Path) -> Commands:
+    """The command line, working in the test's folder."""
+    return Commands(tmp_path, environments)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind", [Kind.LIDAR_PYTHON, Kind.PROGRAM, pytest.param(Kind.ROS1_NODE, marks=pytest.mark.ros)]
+)
+def test_a_folder_passes_untouched(kind: Kind, commands: Commands) -> None:
+    if kind is Kind.ROS1_NODE and find_ros() is None:
+        pytest.skip(what_it_takes())
+    if kind is Kind.PROGRAM and (shutil.which("cc") is None or shutil.which("make") is None):
+        pytest.skip("there is no compiler: apt-get install gcc libc6-dev make")
+    made = commands.call("new", "mine", "--from", kind.value)
     assert made.returncode == 0, made.stderr
-    checked = call("check", "mine", "--on", "process", "--format", "json")
-    assert checked.returncode == 0, checked.stdout + checked.stderr
-    rows = {row["check"]: row["answer"] for row in json.loads(checked.stdout)}
-    wanted = {
-        "parameters",
-        "runs",
-        "data",
-        "accuracy",
-        "frame",
-        "direction",
-        "stamp",
-        "determinism",
-        "SIGTERM",
-    }
-    assert {name for name, answer in rows.items() if answer == "pass"} >= wanted - {"stamp", "SIGTERM"}
-    assert wanted <= set(rows)
+    answers = commands.answers("mine", "process")
+    assert {name for name, answer in answers.items() if answer == "pass"} >= PASSED
+    assert {"stamp", "SIGTERM"} <= set(answers)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", list(Kind))
+def test_its_image_is_built_as_the_folder_says_and_passes(
+    kind: Kind, commands: Commands, podman: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert podman.is_podman
+    monkeypatch.syspath_prepend(str(IMAGES))
+    from building.base import STAND_IN
+    from building.recipes import Recipe
+    from building.tools import Buildah
+
+    name = f"started-{kind.value}"
+    made = commands.call("new", name, "--from", kind.value)
+    assert made.returncode == 0, made.stderr
+    folder = tmp_path / name
+    recipe = Recipe(name, f"library/{name}:1", folder / "Dockerfile", folder, "", "")
+    Buildah(tmp_path).build(recipe, STAND_IN, {})
+    answers = commands.answers(name, "container")
+    assert {check for check, answer in answers.items() if answer == "pass"} >= PASSED
