@@ -90,7 +90,7 @@ def desk() -> tuple[Trajectory, Trajectory, Declared]:
     ("change", "as_what", "how"),
     [
         (lambda stamps: np.arange(len(stamps)), "frame indices", "stamps: frame-index"),
-        (lambda stamps: stamps - stamps[0], "seconds since the first frame", "write sensor time in s"),
+        (lambda stamps: stamps - stamps[0], "seconds since the first frame", "stamps: s-since-first"),
     ],
 )
 def test_stamps_that_are_no_sensor_time_are_told_what_they_are(

@@ -94,6 +94,16 @@ def test_kitti_rows_that_name_their_frames(output: Path, tmp_path: Path) -> None
     assert found[:, 0].tolist() == [2.0, 4.000000001]
 
 
+def test_seconds_of_a_kitti_folder_count_from_its_first_frame(output: Path, tmp_path: Path) -> None:
+    times = real("trajectories/KITTI_00_gt_times.txt").read_text().split()[:300]
+    first = 1_600_000_000_123_456_789
+    frames = frames_of(tmp_path, [first + round(float(time) * 1e9) for time in times])
+    (output / "poses.txt").write_text("".join(LINE.format(time) for time in times))
+    converted(output, PoseFile("poses.txt", "Tum", "s-since-first"), frames)
+    stamps = [line.split()[0] for line in (output / "trajectory.txt").read_text().splitlines()]
+    assert [int(stamp.replace(".", "")) for stamp in stamps] == [*map(int, Path(frames).read_text().split())]
+
+
 def test_euroc_ground_truth_of_a_real_flight(output: Path) -> None:
     """As the data set has it, with its header, velocities and biases: against a copy in the order of TUM."""
     reference = np.loadtxt(real("icra2023/groundtruth/MH_01_easy.txt"))
@@ -217,6 +227,9 @@ WRONG: list[tuple[Any, str, str]] = [
         LINE.format(2) + LINE.format(0),
         "line 2: time stamp 0.000000000 s comes before",
     ),
+    (("Tum", "s-since-first"), LINE.format(2) + LINE.format(1), "line 2: time stamp"),
+    (("Tum", "s-since-first"), LINE.format("1e12"), "line 1: '1e12' is no number of seconds since the first"),
+    (("Tum", "s-since-first"), LINE.format("nan"), "line 1: 'nan' is no number of seconds since the first"),
     (("Euroc", "ns"), "1,2,3\n", "line 1: found 3 of 8 values; expected timestamp, tx, ty, tz, qw"),
     (
         ("Euroc", "ns"),

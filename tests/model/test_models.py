@@ -55,7 +55,11 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
             {"path": "a", "format": "Csv", "header": ["t", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]},
             "header: it has no column 'timestamp'",
         ),
-        (PoseFile, {"path": "a", "format": "Tum", "stamps": "ms"}, "'s', 'ns' or 'frame-index'"),
+        (
+            PoseFile,
+            {"path": "a", "format": "Tum", "stamps": "ms"},
+            "'s', 'ns', 'frame-index' or 's-since-first'",
+        ),
         (
             AlgorithmSpec,
             ALGORITHM | {"output": {"frame": "body", "stamp": "ScanEnd", "trajectory": KITTI}},

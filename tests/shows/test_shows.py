@@ -170,29 +170,29 @@ def test_a_real_robots_log_is_mapped_and_measured_by_relations(slamhive: Command
     assert "relations by time" in shown.stdout
 
 
-SIX = """
+INERTIAL = """
 apiVersion: slamhive.io/v1alpha1
 kind: Sweep
-metadata: {name: six}
+metadata: {name: inertial}
 spec:
   template: {spec: {algorithmRef: {name: orb-slam3-smallvoc}, datasetRef: {name: synthetic-inertial}}}
   matrix:
-    - {path: sensors, values: [mono, stereo, rgbd, mono-inertial, stereo-inertial, rgbd-inertial]}
+    - {path: sensors, values: [mono-inertial, stereo-inertial, rgbd-inertial]}
 """
 
 
 @pytest.mark.slow
-def test_orb_slam3_tracks_a_vibrating_platform_in_all_its_modes(slamhive: Command, tmp_path: Path) -> None:
-    path = tmp_path / "six.yaml"
-    path.write_text(SIX)
+def test_orb_slam3_tracks_a_vibrating_platform_with_an_imu(slamhive: Command, tmp_path: Path) -> None:
+    """Its modes without one follow the standard sequence."""
+    path = tmp_path / "inertial.yaml"
+    path.write_text(INERTIAL)
     result = slamhive("run", str(path))
     assert result.returncode in {0, 1}, result.stderr
-    rows = {row["sensors"]: row for row in rows_of(slamhive, "six")}
+    rows = {row["sensors"]: row for row in rows_of(slamhive, "inertial")}
     if all(row["reason"] == UNAVAILABLE for row in rows.values()):
-        pytest.skip(str(rows["mono"]["message"]))
+        pytest.skip(str(rows["mono-inertial"]["message"]))
     # Its threads run freely: on a busy machine one camera with an IMU may begin late, or with a wrong scale.
     assert rows["mono-inertial"]["phase"] == "Succeeded"
     del rows["mono-inertial"]
     assert {mode: row["outcome"] for mode, row in rows.items()} == dict.fromkeys(rows, "Tracked")
-    limits = {mode: 0.02 if mode.endswith("-inertial") else 0.003 for mode in rows}
-    assert {mode: share(row) for mode, row in rows.items() if share(row) > limits[mode]} == {}
+    assert {mode: share(row) for mode, row in rows.items() if share(row) > 0.02} == {}

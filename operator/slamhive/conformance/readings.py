@@ -215,6 +215,8 @@ def misread_stamps(declared: Declared, truth: Trajectory | Relations, estimate: 
     how = "write sensor time in s"
     if best == "frame indices":
         how = f"declare output.trajectory with stamps: frame-index, or {how}"
+    elif best == "seconds since the first frame":
+        how = f"declare output.trajectory with stamps: s-since-first, or {how}"
     return Finding(Answer.FAIL, "stamp", f"{told}: as {best} they fit, {found[best]}", how)
 
 

@@ -16,7 +16,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.contract.files import NotRegularError, open_folder, open_regular
 from slamhive.contract.lines import LIMIT_BYTES, TextFault, blocks, named, number, opened_text, shown
-from slamhive.contract.posefiles import COLUMNS, CSV, EUROC, FRAME_INDEX, KITTI, NANOSECONDS, TUM
+from slamhive.contract.posefiles import (
+    BY_FRAMES,
+    COLUMNS,
+    CSV,
+    EUROC,
+    FRAME_INDEX,
+    KITTI,
+    NANOSECONDS,
+    SINCE_FIRST,
+    TUM,
+)
 from slamhive.contract.rotation import TOLERANCE, from_matrix, inverse, is_rotation, normalized
 from slamhive.contract.trajectory import TrajectoryCheck, check_pose, parse_pose, words_of
 
@@ -30,6 +40,8 @@ _NORM_TOLERANCE = 5 * TOLERANCE
 _SECOND = 10**9
 _LARGEST_NANOSECONDS = 1e21
 _LARGEST_INDEX = 2**53
+_LARGEST_SECONDS = 1e9
+"""Of a recording, some thirty years: more is no time since its first frame."""
 _LEAST_SHARE = 1e-3
 """Of a nanosecond: what a stamp that was computed in floating point may be off by."""
 _FRAMES_BYTES = 64 << 20
@@ -113,7 +125,7 @@ def convert(
     Args:
         output_directory: Where the algorithm wrote, and where it is written.
         source: The file and what its numbers mean.
-        frames: File with the stamps of the recording's frames, for frame indices.
+        frames: File with the stamps of the recording's frames, for stamps that count from them.
         target: Name of the file that is made; what is there is replaced.
         limit: Bytes that either may have.
 
@@ -124,7 +136,7 @@ def convert(
         OSError: It can't be read.
         MachineFault: The machine refuses.
     """
-    stamps = None if source.stamps != FRAME_INDEX else read_frames(frames or "")
+    stamps = None if source.stamps not in BY_FRAMES else read_frames(frames or "")
     name = named(source.path)
     with opened_text(output_directory, source.path, limit) as text:
         meaning = _MEANINGS[source.format]
@@ -278,6 +290,8 @@ class _Rows:
         """Return what makes seconds of a stamp's word."""
         if self._source.stamps == FRAME_INDEX:
             return lambda word: _seconds_text(_frame_stamp(word, self._frames or array("q")))
+        if self._source.stamps == SINCE_FIRST:
+            return lambda word: _seconds_text(_since_first(word, self._frames or array("q")))
         if self._source.stamps == NANOSECONDS:
             return lambda word: _seconds_text(_nanoseconds(word))
         return lambda word: word
@@ -369,6 +383,16 @@ def _frame_stamp(word: bytes, frames: array[int]) -> int:
             f"frame {index} is beyond the recording, which has {len(frames)} frames, the first of them 0"
         )
     return frames[index]
+
+
+def _since_first(word: bytes, frames: array[int]) -> int:
+    """Return the stamp in ns of a number of seconds since the first frame."""
+    value = number(word)
+    if value is None or not abs(value) <= _LARGEST_SECONDS:
+        raise ValueError(f"{shown(word)} is no number of seconds since the first frame")
+    if not frames:
+        raise ValueError("the recording has no frame that seconds could be counted from")
+    return frames[0] + round(value * _SECOND)
 
 
 def _seconds_text(nanoseconds: int) -> bytes:

@@ -10,7 +10,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 TUM, EUROC, KITTI, CSV = FORMATS = ("Tum", "Euroc", "Kitti", "Csv")
-SECONDS, NANOSECONDS, FRAME_INDEX = STAMPS = ("s", "ns", "frame-index")
+SECONDS, NANOSECONDS, FRAME_INDEX, SINCE_FIRST = STAMPS = ("s", "ns", "frame-index", "s-since-first")
+BY_FRAMES = (FRAME_INDEX, SINCE_FIRST)
+"""Stamps that mean something only beside those of the recording's frames."""
 USUAL_STAMPS = {TUM: SECONDS, EUROC: NANOSECONDS, KITTI: FRAME_INDEX, CSV: SECONDS}
 FRAMES = "frames.txt"
 """In the folder of a prepared recording: stamps of the frames that indices count, ns of sensor time, a line
@@ -76,7 +78,7 @@ class PoseFiles:
     Attributes:
         trajectory: Its final estimate, None where that is trajectory.txt itself.
         keyframes: Its keyframes, None for none.
-        frames: File with the stamps of the recording's frames, None where no file counts frames.
+        frames: File with the stamps of the recording's frames, None where no file counts from them.
     """
 
     trajectory: PoseFile | None = None
@@ -85,8 +87,8 @@ class PoseFiles:
 
     @property
     def counts_frames(self) -> bool:
-        """Tell whether a file has frame indices for stamps."""
-        return any(file and file.stamps == FRAME_INDEX for file in (self.trajectory, self.keyframes))
+        """Tell whether a file has stamps that count from the recording's frames."""
+        return any(file and file.stamps in BY_FRAMES for file in (self.trajectory, self.keyframes))
 
     def as_json(self) -> dict[str, Any]:
         """Return them as plain values."""
@@ -109,5 +111,5 @@ class PoseFiles:
             raise ValueError(str(error)) from None
         found = cls(**files, frames=values.get("frames"))
         if found.counts_frames and not (isinstance(found.frames, str) and found.frames.startswith("/")):
-            raise ValueError("frames must be an absolute path where a file has frame indices")
+            raise ValueError("frames must be an absolute path where a file counts from frames")
         return found

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from slamhive.contract.posefiles import FRAME_INDEX
+from slamhive.contract.posefiles import BY_FRAMES
 from slamhive.model.base import (
     RELATIVE_PATH,
     Choice,
@@ -177,8 +177,8 @@ class Output(Model):
 
     @property
     def counts_frames(self) -> bool:
-        """Tell whether a file has frame indices for stamps."""
-        return any(file and file.told.stamps == FRAME_INDEX for file in (self.trajectory, self.keyframes))
+        """Tell whether a file has stamps that count from the recording's frames."""
+        return any(file and file.told.stamps in BY_FRAMES for file in (self.trajectory, self.keyframes))
 
 
 class OutputChange(Model):

@@ -59,9 +59,10 @@ class PoseFile(Model):
     inverted: bool = Field(
         default=False, description="Whether it has the world's pose in the sensor's frame: it is inverted."
     )
-    stamps: Literal["s", "ns", "frame-index"] | None = optional(
-        "What stamps count: seconds, nanoseconds, or frames of the mode's first sensor from 0 on; default: s "
-        "of Tum and Csv, ns of Euroc, frame-index of Kitti."
+    stamps: Literal["s", "ns", "frame-index", "s-since-first"] | None = optional(
+        "What stamps count: seconds, nanoseconds, frames of the mode's first sensor from 0 on, or seconds "
+        "since the first of them, as times.txt of a Kitti folder does; default: s of Tum and Csv, ns of "
+        "Euroc, frame-index of Kitti."
     )
 
     @model_validator(mode="after")
