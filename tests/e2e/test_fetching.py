@@ -25,7 +25,20 @@ if TYPE_CHECKING:
 
 SWEEP = "fetched"
 MAP = "output/map.bin"
-MAP_BYTES = 256 << 20
+MAP_BYTES = 64 << 20
+PAUSE = """
+import os, signal
+whole = os.write
+def write(descriptor, data):
+    written = whole(descriptor, data)
+    path = os.readlink(f"/proc/self/fd/{descriptor}")
+    if path.endswith("map.bin") and os.fstat(descriptor).st_size > 1 << 20:
+        os.write = whole
+        os.kill(os.getpid(), signal.SIGSTOP)
+    return written
+os.write = write
+"""
+"""A command with this as sitecustomize stops in the middle of the map, until it is told to go on."""
 
 
 @dataclass(frozen=True)
@@ -115,17 +128,16 @@ def equal(lab: Lab, user: User, run: dict[str, Any], path: str) -> bool:
 
 
 def test_an_interrupted_fetch_leaves_no_pod_and_is_taken_up(
-    lab: Lab, user: User, runs: list[dict[str, Any]]
+    lab: Lab, user: User, runs: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    process = user.command("fetch", SWEEP, "--files")
+    (tmp_path / "sitecustomize.py").write_text(PAUSE)
+    paused = User(user.home, user.environment | {"PYTHONPATH": str(tmp_path)})
+    process = paused.command("fetch", SWEEP, "--files")
     partial = here(user, runs[1]).parent / f".{here(user, runs[1]).name}.fetching" / "run" / MAP
-    until(
-        lambda: process.poll() is not None or (partial.exists() and partial.stat().st_size),
-        "a part",
-        240,
-        0.01,
-    )
+    _, status = os.waitpid(process.pid, os.WUNTRACED)
+    assert os.WIFSTOPPED(status), process.communicate()[0]
     process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGCONT)
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 130, told
     assert "the same command goes on from here" in " ".join(told.split())

@@ -21,6 +21,7 @@ from slamhive.archive import Archive
 from slamhive.archive.upgrading import upgrade
 from slamhive.kube import handlers
 from slamhive.kube.client import Api
+from slamhive.kube.ending import end_tasks
 from slamhive.kube.errors import StartError
 from slamhive.kube.health import HealthServer
 from slamhive.kube.logs import set_up_logs
@@ -125,10 +126,8 @@ async def _watch(op: Operator) -> None:
         if watching.done() and (error := watching.exception()) is not None:
             raise SystemFault(f"the watches broke off: {error}") from error
     finally:
-        tasks = [watching, begun, *flags]
-        for task in tasks:
-            task.cancel()
-        await asyncio.wait(tasks, timeout=_LONGEST_END_SECONDS)
+        # kopf, cancelled while it is ending, would leave its watches behind: it gets the time it takes.
+        await end_tasks([watching, begun, *flags], again_seconds=_LONGEST_END_SECONDS)
 
 
 def open_archive(settings: Settings) -> Archive | None:

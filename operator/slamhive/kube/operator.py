@@ -15,6 +15,7 @@ from contextvars import ContextVar
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from slamhive.kube.ending import end_tasks
 from slamhive.kube.errors import ApiError, Conflict, Forbidden, NotFound, StartError, Unauthorized
 from slamhive.kube.failing import tell_failure, tell_recovery
 from slamhive.kube.kinds import MANAGER, OUR_KINDS, Key, Kind, Label, Object, key_of
@@ -376,9 +377,7 @@ class Operator:
 
     async def stop(self) -> None:
         """End all work; what is being reconciled is broken off, which is safe at any point."""
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await end_tasks(self._tasks)
         self._tasks = []
 
     def queue_all(self) -> None:

@@ -7,7 +7,7 @@ import asyncio
 import gc
 import time
 import warnings
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ import pytest
 
 from slamhive.kube import handlers
 from slamhive.kube.client import Api
+from slamhive.kube.ending import end_tasks
 from slamhive.kube.kinds import Key, Kind
 from slamhive.kube.operator import Operator
 from slamhive.kube.reconciling import reconcilers
@@ -189,9 +190,9 @@ class Lab:
             yield op
         finally:
             if watching is not None:
-                watching.cancel()
-                with suppress(asyncio.CancelledError):
-                    await watching
+                await end_tasks([watching], again_seconds=5)
+                if watching.done() and not watching.cancelled():
+                    watching.result()
             await op.stop()
             await api.close()
             _forget_broken_connections()
