@@ -197,14 +197,14 @@ class Change:
         change = self._told()
         if self.deterministic:
             return f"deterministic: {change}; each is one result, however often it ran"
-        if self.wins[2] == len(self.settings):
-            return change
-        corrected = " after correction" if self.p_holm != self.p else ""
-        if self.p_holm <= LEVEL:
-            return f"{change}: more than chance (p = {self.p_holm:.3g}{corrected})"
-        if self.least_p > LEVEL:
-            return f"{change}: too few to tell (p can't go below {self.least_p:.3g})"
-        return f"{change}: may be chance (p = {self.p_holm:.3g}{corrected})"
+        return f"{change}: {self.verdict}" if self.verdict else change
+
+    @property
+    def verdict(self) -> str:
+        """What the test says of it; empty where there is nothing to test."""
+        if not self.settings or self.deterministic or self.wins[2] == len(self.settings):
+            return ""
+        return verdict(self.p_holm, self.least_p, " after correction" if self.p_holm != self.p else "")
 
     def _told(self) -> str:
         better, worse, same = self.wins
@@ -222,8 +222,26 @@ class Change:
         return f"after is {1 / self.ratio:.3g} times {down}, in {better} of {settings}"
 
 
+def verdict(p: float, least_p: float, corrected: str = "") -> str:
+    """Return what a test says, in words.
+
+    Args:
+        p: that both are equally good.
+        least_p: the smallest there could be.
+        corrected: what is to say of p beside it.
+    """
+    if p <= LEVEL:
+        return f"more than chance (p = {p:.3g}{corrected})"
+    if least_p > LEVEL:
+        return f"too few to tell (p can't go below {least_p:.3g})"
+    return f"may be chance (p = {p:.3g}{corrected})"
+
+
 def before_and_after(
-    frame: Frame, metric: str = "ate.rmse", outcomes: Outcomes = Outcomes.TRACKED
+    frame: Frame,
+    metric: str = "ate.rmse",
+    outcomes: Outcomes = Outcomes.TRACKED,
+    earlier: int = MAX_EARLIER,
 ) -> tuple[list[Change], list[str]]:
     """Compare the latest version of each algorithm and dataset with the ones before it.
 
@@ -231,6 +249,7 @@ def before_and_after(
         frame: one row a run and evaluation, superseded ones too.
         metric: a column of numbers, small is good.
         outcomes: which runs have a figure that counts; others that failed of themselves are ranked last.
+        earlier: versions that the current one is compared with, the latest ones.
 
     Returns:
         What changed: for each algorithm with sensors (and each dataset that was edited) the latest earlier
@@ -239,7 +258,7 @@ def before_and_after(
     changes = []
     notes = [*disturbance_notes(frame, [metric]), *unranked_notes(frame, outcomes)]
     for changed in _VERSIONS:
-        material = _Material(frame, metric, outcomes, changed)
+        material = _Material(frame, metric, outcomes, changed, earlier)
         notes += material.notes
         changes += material.changes()
     return changes, notes
@@ -251,10 +270,13 @@ class _Material:
     Args:
         frame, metric, outcomes: as for ``before_and_after``.
         changed: what has versions.
+        earlier: versions that the current one is compared with.
     """
 
-    def __init__(self, frame: Frame, metric: str, outcomes: Outcomes, changed: str) -> None:
-        self._changed, self._metric = changed, metric
+    def __init__(
+        self, frame: Frame, metric: str, outcomes: Outcomes, changed: str, earlier: int = MAX_EARLIER
+    ) -> None:
+        self._changed, self._metric, self._most = changed, metric, earlier
         self._name = _VERSIONS[changed]
         known = frame.column(self._name).present
         self.notes: list[str] = []
@@ -305,12 +327,12 @@ class _Material:
     def _of_subject(self, keys: dict[str, Any], versions: dict[Any, Indices]) -> list[Change]:
         owner = keys[self._changed]
         latest_first = sorted(versions, key=lambda one: self._moments[owner, one], reverse=True)
-        if len(latest_first) > MAX_EARLIER + 1:
+        if len(latest_first) > self._most + 1 and self._most > 1:
             count = len(latest_first) - 1
-            told = f"{count} earlier versions of {owner}: the latest {MAX_EARLIER} are compared"
+            told = f"{count} earlier versions of {owner}: the latest {self._most} are compared"
             if told not in self.notes:
                 self.notes.append(told)
-        after, *earlier = latest_first[: MAX_EARLIER + 1]
+        after, *earlier = latest_first[: self._most + 1]
         changes = [self._change(keys, (one, versions[one]), (after, versions[after])) for one in earlier]
         tested = [place for place, change in enumerate(changes) if change.test is not None]
         for place, p_holm in zip(tested, holm([changes[place].p for place in tested]), strict=True):

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choice of the runs of a sweep that are done this time, by the conditions that tables are asked by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.derived import with_derived
+from slamhive.analysis.expressions import ExpressionError, parse_where
+from slamhive.analysis.flattening import Results, columns_of_runs
+from slamhive.local.outlook import Standing
+from slamhive.model.errors import InputError, UnknownNameError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from slamhive.analysis.frame import Frame
+    from slamhive.local.catalog import Workshop
+    from slamhive.local.outlook import Outlook, Points
+    from slamhive.model.sweep import Sweep
+
+_NOTHING_YET = ("usage", "frames", "trajectory", "metrics", "provenance")
+
+
+@dataclass(frozen=True)
+class Wish:
+    """Which runs someone asks for this time.
+
+    Attributes:
+        only: a condition on settings; None for all.
+        datasets: names; none for all.
+        first: at most so many runs are done, those that tell most; None for all.
+        rerun: whether finished runs are done again, and nothing is reused.
+        retry_failed: whether failed runs are done again.
+    """
+
+    only: str | None = None
+    datasets: tuple[str, ...] = ()
+    first: int | None = None
+    rerun: bool = False
+    retry_failed: bool = False
+
+    @property
+    def is_everything(self) -> bool:
+        """Tell whether no run is left out."""
+        return self.only is None and not self.datasets and self.first is None
+
+
+def meant(sweep: Sweep, points: Points, workshop: Workshop, wish: Wish) -> set[int] | None:
+    """Return the runs that a wish is about, by index; None where it leaves none out.
+
+    Raises:
+        InputError: the condition can't be understood, or a dataset isn't the sweep's.
+    """
+    if wish.only is None and not wish.datasets:
+        return None
+    inside = np.ones(len(points), dtype=bool)
+    if wish.datasets:
+        known = points.dataset_names()
+        for name in wish.datasets:
+            if name not in known:
+                raise UnknownNameError("dataset", name, known, f"--dataset: sweep {sweep.name}")
+    frame = settings_frame(sweep, points, workshop)
+    if wish.datasets:
+        wanted = set(wish.datasets)
+        inside &= np.array([name in wanted for name in frame.column("dataset").tolist()], dtype=bool)
+    if wish.only is not None:
+        inside &= _mask(frame, wish.only, "--only")
+    return set(np.flatnonzero(inside).tolist())
+
+
+def settings_frame(sweep: Sweep, points: Points, workshop: Workshop) -> Frame:
+    """Return the runs of a sweep as a table of their settings, under the names that results have."""
+    found = [points.point(index) for index in range(len(points))]
+    specs = [point.spec for point in found]
+    labels = dict(sweep.spec.template.metadata.labels)
+    attributes = {
+        name: dict(place.dataset.spec.attributes) for name, place in workshop.dataset_places.items()
+    }
+    datasets = [spec["datasetRef"]["name"] for spec in specs]
+    runs: Mapping[str, Sequence[Any]] = {
+        "id": range(len(found)),
+        "name": [point.name for point in found],
+        "sweep": [sweep.name] * len(found),
+        "point": [point.index for point in found],
+        "algorithm": [spec["algorithmRef"]["name"] for spec in specs],
+        "dataset": datasets,
+        "sensors": [spec["sensors"] for spec in specs],
+        "repetition": [spec["repetition"] for spec in specs],
+        "seed": [spec["seed"] for spec in specs],
+        "spec": specs,
+        "labels": [labels] * len(found),
+        "attributes": [attributes.get(name, {}) for name in datasets],
+        "evaluations": [()] * len(found),
+        **{name: [{}] * len(found) for name in _NOTHING_YET},
+    }
+    columns, length = columns_of_runs(runs, Results([], [], [], [], []))
+    return with_derived(columns, length)
+
+
+def _mask(frame: Frame, condition: str, option: str) -> Any:
+    try:
+        return parse_where(condition, frozenset(frame.stored)).mask(frame)
+    except ExpressionError as error:
+        raise InputError(f"{option}: {error}") from None
+
+
+def first_of(order: Iterable[int], outlook: Outlook, pending: set[int], first: int) -> set[int]:
+    """Return the runs that are done when the first so many are asked for.
+
+    Args:
+        order: the order in which they are started.
+        outlook: how they stand; what takes over an equal result costs nothing and isn't counted.
+        pending: those that are to be done.
+        first: how many.
+    """
+    free = {index for index in pending if outlook.standing[index] == Standing.EQUAL}
+    counted = (index for index in order if index in pending and index not in free)
+    return free | {index for index, _ in zip(counted, range(first), strict=False)}
+
+
+def twins_among(twins: Mapping[int, int], chosen: set[int] | None, done: set[int]) -> dict[int, int]:
+    """Return which runs wait for an equal one, when some are left out: for none that isn't done at all.
+
+    Args:
+        twins: the runs that come out as an earlier one does, with its index.
+        chosen: those that are done this time; None for all.
+        done: those that are finished.
+    """
+    if chosen is None:
+        return dict(twins)
+    found, stand_in = {}, {}
+    for index in sorted(twins):
+        if index not in chosen:
+            continue
+        original = twins[index]
+        if original in chosen or original in done:
+            found[index] = original
+        elif original in stand_in:
+            found[index] = stand_in[original]
+        else:
+            stand_in[original] = index
+    return found
