@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from slamhive.local.engines import Engine
-    from slamhive.local.run import Step
     from slamhive.local.home import Home
+    from slamhive.local.run import Step
     from slamhive.model.results import RunRecord
 
 pytestmark = pytest.mark.usefixtures("podman")

@@ -291,7 +291,9 @@ class Archive:
         with reading(self._engine) as connection:
             return [
                 EarlierRun(
-                    *row[:3],
+                    uid=row.uid,
+                    sweep_uid=row.sweep_uid,
+                    index=row.point,
                     phase=Phase(row.phase),
                     reason=Reason(row.reason) if row.reason else None,
                     finished=row.finished,

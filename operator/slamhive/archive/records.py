@@ -77,7 +77,8 @@ class FinishedPoint:
     outcomes: dict[str, Outcome]
 
 
-class EarlierRun(NamedTuple):
+@dataclass(frozen=True)
+class EarlierRun:
     """A run of any version of a sweep, as far as it takes to tell what has changed since.
 
     Attributes:

@@ -153,8 +153,8 @@ def _print(job: Job, edit: Edit) -> None:
         )
     if any(edit.disturbed):
         before, after = edit.disturbed
-        told = f"{before} of {edit.before.runs} runs before and {after} of {edit.after.runs} after"
-        remark(f"{told} shared their cores with other work or were throttled: mind that in CPU and memory")
+        counts = f"{before} of {edit.before.runs} runs before and {after} of {edit.after.runs} after"
+        remark(f"{counts} shared their cores with other work or were throttled: mind that in CPU and memory")
 
 
 def _moment(seconds: float) -> datetime:
@@ -179,7 +179,10 @@ def _texts(line: Line) -> list[str]:
         metric = Metric.parse(line.metric)
         sides = ["failed" if math.isinf(value) else metric.show(value) for value in (line.before, line.after)]
         title, change = metric.title, _percent(line.ratio)
-    verdict = "deterministic" if line.deterministic and not line.verdict else line.verdict
+    if line.deterministic and not line.verdict:
+        verdict = "deterministic"
+    else:
+        verdict = line.verdict or "the same"
     return [title, *sides, change, *(str(count) for count in line.wins), verdict]
 
 

@@ -151,6 +151,7 @@ class Display:
         estimate = Estimate.of(job.points, outlook, self._bench.archive)
         self._followed[job.uid] = _Followed(Naming(job.points), estimate, before=self._before(job))
         self._tasks[job.uid] = self._bars.add_task(escape(job.sweep.name), total=self._total(job), notes="")
+        self._left = None
         told = sentences(outlook, job.points, again=job.again, left_out=job.left_out)
         if speaks_json():
             counts = {kind.name.lower(): outlook.count(kind) for kind in Standing}
@@ -200,9 +201,15 @@ class Display:
         self._left = None
         done = self._done(job)
         if speaks_json():
-            left = self._seconds_left()
-            emit("run", **self._names(job, index), done=done, runs=self._total(job), leftSeconds=left,
-                 **run_values(record), ateBefore=before)  # fmt: skip
+            emit(
+                "run",
+                **self._names(job, index),
+                done=done,
+                runs=self._total(job),
+                leftSeconds=self._seconds_left(),
+                **run_values(record),
+                ateBefore=before,
+            )
             return
         left = "" if self._shows else self._left_text()
         ending = f" [dim]· {left}[/]" if left else ""

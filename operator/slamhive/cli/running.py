@@ -40,7 +40,7 @@ from slamhive.cli.results import show_table
 from slamhive.cli.watching import Watched, half_saved
 from slamhive.engine import PointState, Verdict
 from slamhive.local.catalog import bundled, load_workshop, read_files
-from slamhive.local.choosing import Wish
+from slamhive.local.choosing import Wish, ask
 from slamhive.local.engines import ContainerChoice, find_engine
 from slamhive.local.evaluations import bring_up_to_date, evaluate_again
 from slamhive.local.home import Home
@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.local.catalog import Workshop
+    from slamhive.model.loading import Kind
     from slamhive.plan import Plan
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]
@@ -91,7 +92,7 @@ def run(
     ] = None,
     only: Annotated[
         str | None,
-        typer.Option("--only", metavar="EXPR", help='Only runs that meet it, as in "voxelSize < 1".'),
+        typer.Option("--only", metavar="EXPR", help='Only runs that meet it: "parameters.maxRange < 50".'),
     ] = None,
     dataset: Annotated[
         list[str] | None,
@@ -168,8 +169,8 @@ def run(
             raise InputError(f"--container {container}: {error}") from None
     forbid_inspection()  # the programs that it runs have its user, and it keeps their figures
     home = Home.from_environment()
-    wish = Wish(only, tuple(dataset or ()), first, rerun=rerun, retry_failed=retry_failed)
-    how = _How(parallelism, wish, container, rerun_where)
+    wish = Wish(first, rerun=rerun, retry_failed=retry_failed)
+    how = _How(parallelism, wish, container, rerun_where, only, tuple(dataset or ()))
     with home.exclusive():
         code = _watch(files, home, how, bell=bell) if watch else _run_files(files, home, how)
     _end(code, bell=bell and not watch)
@@ -206,9 +207,8 @@ def _watch(files: Sequence[Path], home: Home, how: _How, *, bell: bool) -> int:
             complain(str(error))
             code = WRONG_INPUT
         # What was asked to be done again was, once.
-        how = _How(
-            how.parallelism, replace(how.wish, rerun=False, retry_failed=False), how.container, None, watched
-        )
+        wish = replace(how.wish, rerun=False, retry_failed=False)
+        how = replace(how, wish=wish, rerun_where=None, watched=watched)
         if code == INTERRUPTED:
             return code
         if code == _SAVED:
@@ -331,9 +331,11 @@ class _How:
 
     Attributes:
         parallelism: runs at the same time at most.
-        wish: which runs are asked for.
+        wish: how much of what is asked for is done.
         container: what runs images.
         rerun_where: a condition on results; runs that meet it are done again.
+        only: a condition on settings; None for all runs.
+        datasets: names; none for all.
         watched: files whose change ends the runs; None for none.
     """
 
@@ -341,20 +343,19 @@ class _How:
     wish: Wish = field(default_factory=Wish)
     container: ContainerChoice | None = None
     rerun_where: str | None = None
+    only: str | None = None
+    datasets: tuple[str, ...] = ()
     watched: Watched | None = None
 
 
 def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     workshop = load_workshop(home)
     objects = read_files(files, workshop)
-    evaluations = [item for item in objects if isinstance(item, Evaluation)]
-    sweeps = sweeps_of(objects)
-    if not sweeps and not evaluations:
-        raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
+    evaluations, sweeps = _asked_for(objects, files)
     plans = [_plan(sweep, workshop, how.container) for sweep in sweeps]
     if how.watched is not None:
         _follow(how.watched, workshop, plans)
-    jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in zip(sweeps, plans, strict=True)]
+    jobs = _jobs(sweeps, plans, workshop, how)
     bench = open_workbench(home, workshop, how.container)
     with bench.archive:
         interrupted, faults = False, False
@@ -367,12 +368,8 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
             if code == _SAVED:
                 return code
             interrupted = code == INTERRUPTED
-        for job in [] if interrupted else jobs:
-            for problem in bring_up_to_date(bench, job.uid, job.sweep.spec.evaluation):
-                remark(problem.sentence)
-                faults |= problem.is_fault
-        for evaluation in [] if interrupted else evaluations:
-            faults |= _measure_again(bench, evaluation)
+        if not interrupted:
+            faults = _measure(bench, jobs, evaluations)
         for job in jobs:
             _report(job, bench)
     if interrupted:
@@ -380,6 +377,35 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
         return INTERRUPTED
     failed = any(job.count(PointState.FAILED) or job.verdict is not Verdict.COMPLETE for job in jobs)
     return FAILED if failed or faults else 0
+
+
+def _asked_for(objects: Sequence[Kind], files: Sequence[Path]) -> tuple[list[Evaluation], list[Sweep]]:
+    """Return the Evaluations and Sweeps among objects."""
+    evaluations = [item for item in objects if isinstance(item, Evaluation)]
+    sweeps = sweeps_of(objects)
+    if not sweeps and not evaluations:
+        raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
+    return evaluations, sweeps
+
+
+def _jobs(sweeps: Sequence[Sweep], plans: Sequence[Plan], workshop: Workshop, how: _How) -> list[Job]:
+    both = list(zip(sweeps, plans, strict=True))
+    jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in both]
+    for job, asked in zip(jobs, ask(both, workshop, how.only, how.datasets), strict=True):
+        job.asked = asked
+    return jobs
+
+
+def _measure(bench: Workbench, jobs: Sequence[Job], evaluations: Sequence[Evaluation]) -> bool:
+    """Measure what was measured otherwise, and tell whether the machine or a file was in the way."""
+    faults = False
+    for job in jobs:
+        for problem in bring_up_to_date(bench, job.uid, job.sweep.spec.evaluation):
+            remark(problem.sentence)
+            faults |= problem.is_fault
+    for evaluation in evaluations:
+        faults |= _measure_again(bench, evaluation)
+    return faults
 
 
 def _measure_again(bench: Workbench, evaluation: Evaluation) -> bool:

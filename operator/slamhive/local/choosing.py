@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.derived import with_derived
 from slamhive.analysis.expressions import ExpressionError, parse_where
 from slamhive.analysis.flattening import Results, columns_of_runs
+from slamhive.analysis.frame import Frame
 from slamhive.local.outlook import Standing
 from slamhive.model.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from slamhive.analysis.frame import Frame
+    from slamhive.analysis.columns import Mask
     from slamhive.local.catalog import Workshop
     from slamhive.local.outlook import Outlook, Points
     from slamhive.model.sweep import Sweep
@@ -27,49 +27,62 @@ _NOTHING_YET = ("usage", "frames", "trajectory", "metrics", "provenance")
 
 @dataclass(frozen=True)
 class Wish:
-    """Which runs someone asks for this time.
+    """How much of what is asked for is done this time.
 
     Attributes:
-        only: a condition on settings; None for all.
-        datasets: names; none for all.
         first: at most so many runs are done, those that tell most; None for all.
         rerun: whether finished runs are done again, and nothing is reused.
         retry_failed: whether failed runs are done again.
     """
 
-    only: str | None = None
-    datasets: tuple[str, ...] = ()
     first: int | None = None
     rerun: bool = False
     retry_failed: bool = False
 
-    @property
-    def is_everything(self) -> bool:
-        """Tell whether no run is left out."""
-        return self.only is None and not self.datasets and self.first is None
 
+def ask(
+    sweeps: Sequence[tuple[Sweep, Points]],
+    workshop: Workshop,
+    only: str | None = None,
+    datasets: Sequence[str] = (),
+) -> list[set[int] | None]:
+    """Return the runs of each sweep that are asked for, by index; None where none is left out.
 
-def meant(sweep: Sweep, points: Points, workshop: Workshop, wish: Wish) -> set[int] | None:
-    """Return the runs that a wish is about, by index; None where it leaves none out.
+    Args:
+        sweeps: sweeps with their runs.
+        workshop: what their names mean.
+        only: a condition on settings.
+        datasets: names; none for all.
 
     Raises:
-        InputError: the condition can't be understood, or a dataset isn't the sweep's.
+        InputError: the condition can't be understood, no sweep has a dataset, or no run is left.
     """
-    if wish.only is None and not wish.datasets:
-        return None
-    inside = np.ones(len(points), dtype=bool)
-    if wish.datasets:
-        known = points.dataset_names()
-        for name in wish.datasets:
-            if name not in known:
-                raise UnknownNameError("dataset", name, known, f"--dataset: sweep {sweep.name}")
-    frame = settings_frame(sweep, points, workshop)
-    if wish.datasets:
-        wanted = set(wish.datasets)
-        inside &= np.array([name in wanted for name in frame.column("dataset").tolist()], dtype=bool)
-    if wish.only is not None:
-        inside &= _mask(frame, wish.only, "--only")
-    return set(np.flatnonzero(inside).tolist())
+    if only is None and not datasets:
+        return [None] * len(sweeps)
+    known = {name for _, points in sweeps for name in points.dataset_names()}
+    for name in datasets:
+        if name not in known:
+            raise UnknownNameError("dataset", name, sorted(known), "--dataset: the runs here")
+    frames = [settings_frame(sweep, points, workshop) for sweep, points in sweeps]
+    names = frozenset(name for frame in frames for name in frame.names if _has_meaning(frame, name))
+    found: list[set[int] | None] = []
+    for frame in frames:
+        inside = np.ones(len(frame), dtype=bool)
+        if datasets:
+            inside &= np.array([name in datasets for name in frame.column("dataset").tolist()], dtype=bool)
+        if only is not None:
+            inside &= _mask(frame, only, names)
+        found.append(set(np.flatnonzero(inside).tolist()))
+    if not any(found):
+        given = {"--dataset": bool(datasets), "--only": only is not None}
+        asked = " and ".join(name for name, is_given in given.items() if is_given)
+        raise InputError(f"{asked}: none of the {sum(map(len, frames)):,} runs is left")
+    return found
+
+
+def _has_meaning(frame: Frame, name: str) -> bool:
+    """Tell whether runs may be chosen by a column before they ran."""
+    return name != "id" and (name.startswith("input.") or not frame.column(name).is_empty)
 
 
 def settings_frame(sweep: Sweep, points: Points, workshop: Workshop) -> Frame:
@@ -97,15 +110,14 @@ def settings_frame(sweep: Sweep, points: Points, workshop: Workshop) -> Frame:
         "evaluations": [()] * len(found),
         **{name: [{}] * len(found) for name in _NOTHING_YET},
     }
-    columns, length = columns_of_runs(runs, Results([], [], [], [], []))
-    return with_derived(columns, length)
+    return Frame(*columns_of_runs(runs, Results([], [], [], [], [])))
 
 
-def _mask(frame: Frame, condition: str, option: str) -> Any:
+def _mask(frame: Frame, condition: str, names: frozenset[str]) -> Mask:
     try:
-        return parse_where(condition, frozenset(frame.stored)).mask(frame)
+        return parse_where(condition, names).mask(frame)
     except ExpressionError as error:
-        raise InputError(f"{option}: {error}") from None
+        raise InputError(f"--only: {error}") from None
 
 
 def first_of(order: Iterable[int], outlook: Outlook, pending: set[int], first: int) -> set[int]:
@@ -132,7 +144,8 @@ def twins_among(twins: Mapping[int, int], chosen: set[int] | None, done: set[int
     """
     if chosen is None:
         return dict(twins)
-    found, stand_in = {}, {}
+    found: dict[int, int] = {}
+    stand_in: dict[int, int] = {}
     for index in sorted(twins):
         if index not in chosen:
             continue

@@ -306,7 +306,7 @@ def _stale(outlook: Outlook, points: Points, asked: set[int]) -> list[str]:
     return found
 
 
-def _new(outlook: Outlook, points: Sequence[Any]) -> list[str]:
+def _new(outlook: Outlook, points: Points) -> list[str]:
     """Return what is new: by the values that only new runs have, as far as that tells them."""
     new = outlook.of(Standing.NEW)
     if not new:

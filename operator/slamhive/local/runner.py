@@ -14,7 +14,7 @@ from slamhive.archive import CatalogEntry, SweepRecord
 from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, Verdict, decide_sweep
 from slamhive.local.attempt import end_left_behind
 from slamhive.local.changes import set_aside
-from slamhive.local.choosing import Wish, first_of, meant, twins_among
+from slamhive.local.choosing import Wish, first_of, twins_among
 from slamhive.local.cores import CorePool
 from slamhive.local.outlook import Looking, Outlook, Standing
 from slamhive.local.run import RunDriver, RunOrder, Step
@@ -49,7 +49,7 @@ class Job:
         kept: points that were finished before.
         afresh: points that failed before and are done again.
         outlook: how its points stood before anything was done; None until that is known.
-        chosen: points that are done this time; None for all.
+        asked: points that are asked for; None for all.
         again: finished points that are done again as someone asked for it.
         left_out: number of pending points that nobody asks for this time.
         twins: points that come out as another one does, with its index.
@@ -72,7 +72,7 @@ class Job:
     verdict: Verdict = Verdict.RUNNING
     message: str = ""
     outlook: Outlook | None = None
-    chosen: set[int] | None = None
+    asked: set[int] | None = None
     again: set[int] = field(default_factory=set)
     left_out: int = 0
     twins: Mapping[int, int] = field(default_factory=dict)
@@ -128,7 +128,7 @@ class Runner:
         bench: what runs share.
         watcher: told what happens.
         parallelism: runs at the same time at most; default: as many as fit.
-        wish: which runs are asked for.
+        wish: how much of what is asked for is done.
         begun: called with each job when it is known how its points stand and which are done.
     """
 
@@ -182,7 +182,6 @@ class Runner:
         """Mark the points that are done; from now on this is the current version of the sweep."""
         archive, sweep, wish = self._bench.archive, job.sweep, self._wish
         job.at_a_time = min(self._parallelism, sweep.spec.parallelism or self._parallelism)
-        asked = meant(sweep, job.points, self._bench.workshop, wish)
         archive.put_sweep(
             SweepRecord(
                 uid=job.uid,
@@ -198,7 +197,7 @@ class Runner:
         for index, standing in enumerate(job.outlook.standing):
             # A finished run of a changed adapter, environment or dataset is another experiment: it is done
             # again, and kept aside when that begins.
-            if index in job.again and (asked is None or index in asked):
+            if index in job.again and (job.asked is None or index in job.asked):
                 continue
             if standing == Standing.DONE:
                 job.states[index] = PointState.SUCCEEDED
@@ -206,19 +205,19 @@ class Runner:
                 job.states[index] = PointState.FAILED
             elif standing in {Standing.FAILED, Standing.FAULT}:
                 job.afresh.add(index)
-        self._choose(job, asked)
+        self._choose(job)
         job.kept = job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
         job.cpu_seconds = archive.cpu_seconds(job.uid)
 
-    def _choose(self, job: Job, asked: set[int] | None) -> None:
+    def _choose(self, job: Job) -> None:
         """Leave out what nobody asks for this time."""
         pending = {index for index, state in enumerate(job.states) if state == PointState.PENDING}
-        chosen = pending if asked is None else pending & asked
+        chosen = pending if job.asked is None else pending & job.asked
         if self._wish.first is not None and job.outlook is not None:
             chosen = first_of(job.order, job.outlook, chosen, self._wish.first)
         if len(chosen) == len(pending):
             return
-        job.chosen, job.left_out = chosen, len(pending) - len(chosen)
+        job.left_out = len(pending) - len(chosen)
         job.order = [index for index in job.order if index in chosen]
         job.again &= chosen
         job.twins = twins_among(job.points.twins, chosen, set(range(len(job.states))) - pending)
