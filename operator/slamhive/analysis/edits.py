@@ -8,7 +8,7 @@ version and the one before it, each by the median of its repetitions.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -83,26 +83,39 @@ class Edit:
 def edits(frame: Frame, metrics: Sequence[str], names: Collection[str]) -> tuple[list[Edit], list[str]]:
     """Return what the latest edits of some algorithms or datasets did, and notes.
 
+    The current version is compared with the earlier one that has most settings in common with it, the latest
+    of several: one that was edited again after its first runs tells little.
+
     Args:
         frame: one row a run and evaluation, superseded ones too.
         metrics: columns of numbers, small is good; failures are counted by the first.
         names: of the algorithms and datasets that were edited.
     """
-    found: dict[tuple[str, str, str], list[tuple[Change, bool]]] = {}
+    found: dict[tuple[str, str], list[tuple[Change, bool]]] = {}
     notes: dict[str, None] = {}
     for dataset in _names(frame, "dataset"):
         part = frame.select(where_equal(frame, "dataset", dataset))
         for place, metric in enumerate(metrics):
-            changes, said = before_and_after(part, metric, earlier=1)
+            changes, said = before_and_after(part, metric)
             notes |= dict.fromkeys(said if place == 0 else ())
             for change in changes:
-                # An algorithm's own key, or the dataset's.
                 owner = str(change.keys[change.changed])
                 if owner in names and change.current:
-                    key = (change.changed, owner, change.before.version)
-                    change.keys.setdefault("dataset", dataset)
-                    found.setdefault(key, []).append((change, place == 0))
-    return [_edit(frame, key[0], key[1], changes) for key, changes in found.items()], list(notes)
+                    # It is asked for alone: nothing is to be corrected for the versions before.
+                    alone = replace(change, keys={"dataset": dataset, **change.keys}, p_holm=change.p)
+                    found.setdefault((change.changed, owner), []).append((alone, place == 0))
+    return [_edit(frame, *key, _of_one_version(changes)) for key, changes in found.items()], list(notes)
+
+
+def _of_one_version(changes: Sequence[tuple[Change, bool]]) -> list[tuple[Change, bool]]:
+    """Return the changes from the earlier version that has most settings in common with the current one."""
+    common: dict[str, tuple[int, float]] = {}
+    for change, is_first in changes:
+        count, last = common.get(change.before.version, (0, -math.inf))
+        moment = change.before.last if change.before.last is not None else -math.inf
+        common[change.before.version] = (count + is_first * len(change.settings), max(last, moment))
+    chosen = max(common, key=lambda version: common[version])
+    return [pair for pair in changes if pair[0].before.version == chosen]
 
 
 def _names(frame: Frame, column: str) -> list[str]:

@@ -238,10 +238,7 @@ def verdict(p: float, least_p: float, corrected: str = "") -> str:
 
 
 def before_and_after(
-    frame: Frame,
-    metric: str = "ate.rmse",
-    outcomes: Outcomes = Outcomes.TRACKED,
-    earlier: int = MAX_EARLIER,
+    frame: Frame, metric: str = "ate.rmse", outcomes: Outcomes = Outcomes.TRACKED
 ) -> tuple[list[Change], list[str]]:
     """Compare the latest version of each algorithm and dataset with the ones before it.
 
@@ -249,7 +246,6 @@ def before_and_after(
         frame: one row a run and evaluation, superseded ones too.
         metric: a column of numbers, small is good.
         outcomes: which runs have a figure that counts; others that failed of themselves are ranked last.
-        earlier: versions that the current one is compared with, the latest ones.
 
     Returns:
         What changed: for each algorithm with sensors (and each dataset that was edited) the latest earlier
@@ -258,7 +254,7 @@ def before_and_after(
     changes = []
     notes = [*disturbance_notes(frame, [metric]), *unranked_notes(frame, outcomes)]
     for changed in _VERSIONS:
-        material = _Material(frame, metric, outcomes, changed, earlier)
+        material = _Material(frame, metric, outcomes, changed)
         notes += material.notes
         changes += material.changes()
     return changes, notes
@@ -270,13 +266,10 @@ class _Material:
     Args:
         frame, metric, outcomes: as for ``before_and_after``.
         changed: what has versions.
-        earlier: versions that the current one is compared with.
     """
 
-    def __init__(
-        self, frame: Frame, metric: str, outcomes: Outcomes, changed: str, earlier: int = MAX_EARLIER
-    ) -> None:
-        self._changed, self._metric, self._most = changed, metric, earlier
+    def __init__(self, frame: Frame, metric: str, outcomes: Outcomes, changed: str) -> None:
+        self._changed, self._metric = changed, metric
         self._name = _VERSIONS[changed]
         known = frame.column(self._name).present
         self.notes: list[str] = []
@@ -327,12 +320,12 @@ class _Material:
     def _of_subject(self, keys: dict[str, Any], versions: dict[Any, Indices]) -> list[Change]:
         owner = keys[self._changed]
         latest_first = sorted(versions, key=lambda one: self._moments[owner, one], reverse=True)
-        if len(latest_first) > self._most + 1 and self._most > 1:
+        if len(latest_first) > MAX_EARLIER + 1:
             count = len(latest_first) - 1
-            told = f"{count} earlier versions of {owner}: the latest {self._most} are compared"
+            told = f"{count} earlier versions of {owner}: the latest {MAX_EARLIER} are compared"
             if told not in self.notes:
                 self.notes.append(told)
-        after, *earlier = latest_first[: self._most + 1]
+        after, *earlier = latest_first[: MAX_EARLIER + 1]
         changes = [self._change(keys, (one, versions[one]), (after, versions[after])) for one in earlier]
         tested = [place for place, change in enumerate(changes) if change.test is not None]
         for place, p_holm in zip(tested, holm([changes[place].p for place in tested]), strict=True):

@@ -179,10 +179,7 @@ def _texts(line: Line) -> list[str]:
         metric = Metric.parse(line.metric)
         sides = ["failed" if math.isinf(value) else metric.show(value) for value in (line.before, line.after)]
         title, change = metric.title, _percent(line.ratio)
-    if line.deterministic and not line.verdict:
-        verdict = "deterministic"
-    else:
-        verdict = line.verdict or "the same"
+    verdict = line.verdict or ("deterministic" if line.deterministic else "the same")
     return [title, *sides, change, *(str(count) for count in line.wins), verdict]
 
 
