@@ -57,7 +57,7 @@ def test_no_condition_leaves_none_out(workshop: Workshop) -> None:
         ),
         ("ate.rmse > 1", (), "--only: condition, character 1: unknown column 'ate.rmse'"),
         ("parameters.number <", (), "--only: condition, character"),
-        ("parameters.number > 99", (), "--only: none of the 12 runs is left"),
+        ("parameters.number > 99", (), "--only: no run meets it, of 12"),
         (None, ("tny",), "--dataset: the runs here: unknown dataset 'tny'; did you mean 'tiny'?"),
     ],
 )

@@ -76,7 +76,7 @@ def ask(
     if not any(found):
         given = {"--dataset": bool(datasets), "--only": only is not None}
         asked = " and ".join(name for name, is_given in given.items() if is_given)
-        raise InputError(f"{asked}: none of the {sum(map(len, frames)):,} runs is left")
+        raise InputError(f"{asked}: no run meets it, of {sum(map(len, frames)):,}")
     return found
 
 
