@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an edit did to errors, failures and load: on runs whose truth is known."""
+"""Effects of an edit on errors, failures and load: on runs whose truth is known."""
 
 from __future__ import annotations
 

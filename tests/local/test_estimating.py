@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a sweep still takes: from what is known of its settings, then from itself."""
+"""Estimates of how long a sweep still takes: from what is known of its settings, then from itself."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an edit makes stale and why is known before anything is done, and nothing is lost by looking."""
+"""Outlook on a sweep: what an edit makes stale and why is known before anything is done."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an edit changed, shown at the end of ``slamhive run``: before and after, with a test."""
+"""Comparison of an edit with what was before it, shown at the end of ``slamhive run``, with a test."""
 
 from __future__ import annotations
 
