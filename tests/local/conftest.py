@@ -10,6 +10,7 @@ import pytest
 from slamhive.archive import Archive
 from slamhive.engine import PointState
 from slamhive.local.catalog import Workshop
+from slamhive.local.choosing import Wish
 from slamhive.local.runner import Job, Runner
 from slamhive.local.workbench import Workbench
 from slamhive.model.loading import load_file
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from slamhive.local.home import Home
+    from slamhive.local.run import Step
     from slamhive.model.results import Phase, RunRecord
 
 
@@ -51,6 +53,9 @@ class Notes:
         self.phases.append((index, phase))
         self.active.append({point for point, state in enumerate(job.states) if state == PointState.ACTIVE})
 
+    def step(self, job: Job, index: int, step: Step) -> None:
+        pass
+
     def finished(self, job: Job, record: RunRecord) -> None:
         self.records.append(record)
 
@@ -81,7 +86,7 @@ def run_sweep(bench: Workbench) -> Callable[..., tuple[Job, Notes]]:
     def run(sweep: Sweep, *, rerun: bool = False, parallelism: int = 2) -> tuple[Job, Notes]:
         job = Job(sweep, local_uid(sweep), Plan(sweep, bench.workshop))
         notes = Notes()
-        Runner(bench, notes, parallelism=parallelism, rerun=rerun).run([job])
+        Runner(bench, notes, parallelism=parallelism, wish=Wish(rerun=rerun)).run([job])
         return job, notes
 
     return run

@@ -15,6 +15,7 @@ import yaml
 from slamhive.archive import Archive
 from slamhive.local import engines
 from slamhive.local.catalog import Workshop
+from slamhive.local.choosing import Wish
 from slamhive.local.containers import Containers
 from slamhive.local.engines import ContainerChoice
 from slamhive.local.runner import Job, Runner
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from slamhive.local.engines import Engine
     from slamhive.local.home import Home
+    from slamhive.local.run import Step
     from slamhive.model.results import RunRecord
 
 pytestmark = pytest.mark.usefixtures("podman")
@@ -50,6 +52,9 @@ class Silent:
     """A watcher that shows nothing."""
 
     def phase(self, job: Job, index: int, phase: Phase) -> None:
+        pass
+
+    def step(self, job: Job, index: int, step: Step) -> None:
         pass
 
     def finished(self, job: Job, record: RunRecord) -> None:
@@ -89,7 +94,7 @@ class Boxes:
         with Archive.open(self.home.archive_url) as archive:
             job = Job(sweep, local_uid(sweep), Plan(sweep, workshop))
             bench = Workbench(self.home, workshop, archive, self.told.append, self.choice)
-            assert not Runner(bench, Silent(), rerun=rerun).run([job])
+            assert not Runner(bench, Silent(), wish=Wish(rerun=rerun)).run([job])
             found = {
                 record.spec["algorithmRef"]["name"]: record for record in archive.runs({"sweep": "boxes"})
             }

@@ -24,6 +24,7 @@ from slamhive.playback.ros import PACKAGES, find_ros
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from slamhive.local.run import Step
     from slamhive.model.results import Phase, RunRecord
 
 NODE = Path(__file__).parent / "node.py"
@@ -66,6 +67,9 @@ class Notes:
         self.records: list[RunRecord] = []
 
     def phase(self, job: Job, index: int, phase: Phase) -> None:
+        pass
+
+    def step(self, job: Job, index: int, step: Step) -> None:
         pass
 
     def finished(self, job: Job, record: RunRecord) -> None:

@@ -197,14 +197,14 @@ class Change:
         change = self._told()
         if self.deterministic:
             return f"deterministic: {change}; each is one result, however often it ran"
-        if self.wins[2] == len(self.settings):
-            return change
-        corrected = " after correction" if self.p_holm != self.p else ""
-        if self.p_holm <= LEVEL:
-            return f"{change}: more than chance (p = {self.p_holm:.3g}{corrected})"
-        if self.least_p > LEVEL:
-            return f"{change}: too few to tell (p can't go below {self.least_p:.3g})"
-        return f"{change}: may be chance (p = {self.p_holm:.3g}{corrected})"
+        return f"{change}: {self.verdict}" if self.verdict else change
+
+    @property
+    def verdict(self) -> str:
+        """What the test says of it; empty where there is nothing to test."""
+        if not self.settings or self.deterministic or self.wins[2] == len(self.settings):
+            return ""
+        return verdict(self.p_holm, self.least_p, " after correction" if self.p_holm != self.p else "")
 
     def _told(self) -> str:
         better, worse, same = self.wins
@@ -220,6 +220,21 @@ class Change:
         if self.ratio > 1:
             return f"after is {self.ratio:.3g} times {up}, in {worse} of {settings}"
         return f"after is {1 / self.ratio:.3g} times {down}, in {better} of {settings}"
+
+
+def verdict(p: float, least_p: float, corrected: str = "") -> str:
+    """Return what a test says, in words.
+
+    Args:
+        p: that both are equally good.
+        least_p: the smallest there could be.
+        corrected: what is to say of p beside it.
+    """
+    if p <= LEVEL:
+        return f"more than chance (p = {p:.3g}{corrected})"
+    if least_p > LEVEL:
+        return f"too few to tell (p can't go below {least_p:.3g})"
+    return f"may be chance (p = {p:.3g}{corrected})"
 
 
 def before_and_after(

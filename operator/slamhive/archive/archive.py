@@ -13,6 +13,7 @@ from slamhive.archive import schema
 from slamhive.archive.connection import connect, reading, shown, writing
 from slamhive.archive.records import (
     CatalogEntry,
+    EarlierRun,
     FinishedPoint,
     SweepRecord,
     Totals,
@@ -49,6 +50,9 @@ FILTERS = (
     "outcome",
 )
 """What ``runs`` and ``count`` can select by; everything else is the analysis' business."""
+
+ORIGIN = ("specHash", "algorithmHash", "environment", "imageID", "datasetSha256", "preparation")
+"""Fields of a run's provenance that its content hash is made from."""
 
 _CATALOG = {"Algorithm": schema.algorithms, "Dataset": schema.datasets}
 _FINISHED = tuple(phase.value for phase in Phase if phase.is_finished)
@@ -272,6 +276,74 @@ class Archive:
                     points[uid].outcomes[evaluation] = Outcome(outcome)
         return points
 
+    def earlier(self, sweep: str) -> list[EarlierRun]:
+        """Return the finished runs of all versions of a workstation's sweep, in the order of being stored."""
+        runs = schema.runs.c
+        query = (
+            select(
+                *(runs.uid, runs.sweep_uid, runs.point, runs.phase, runs.reason, runs.finished),
+                *(runs.wall_seconds, runs.content_hash),
+                *(runs.provenance[name].as_string() for name in ORIGIN),
+            )
+            .where(runs.sweep == sweep, runs.phase.in_(_FINISHED), runs.namespace.is_(None))
+            .order_by(runs.id)
+        )
+        with reading(self._engine) as connection:
+            return [
+                EarlierRun(
+                    uid=row.uid,
+                    sweep_uid=row.sweep_uid,
+                    index=row.point,
+                    phase=Phase(row.phase),
+                    reason=Reason(row.reason) if row.reason else None,
+                    finished=row.finished,
+                    wall_seconds=row.wall_seconds,
+                    content_hash=row.content_hash,
+                    origin=dict(zip(ORIGIN, row[8:], strict=True)),
+                )
+                for row in connection.execute(query)
+            ]
+
+    def reusable(self, algorithms: Iterable[str], datasets: Iterable[str]) -> set[str]:
+        """Return the content hashes of runs of some algorithms on some datasets that others may take over."""
+        runs = schema.runs.c
+        query = select(runs.content_hash).where(
+            runs.algorithm.in_(list(algorithms)),
+            runs.dataset.in_(list(datasets)),
+            runs.content_hash.is_not(None),
+            *_may_be_taken_over(),
+        )
+        with reading(self._engine) as connection:
+            return set(connection.execute(query).scalars())
+
+    def wall_seconds(
+        self, algorithms: Iterable[str], datasets: Iterable[str], limit: int = 2000
+    ) -> dict[tuple[str, str], list[float]]:
+        """Return how long programs ran by algorithm and dataset, the latest runs first.
+
+        Args:
+            algorithms: names of algorithms.
+            datasets: names of datasets.
+            limit: at most so many runs are asked for.
+        """
+        runs = schema.runs.c
+        query = (
+            select(runs.algorithm, runs.dataset, runs.wall_seconds)
+            .where(
+                runs.algorithm.in_(list(algorithms)),
+                runs.dataset.in_(list(datasets)),
+                runs.wall_seconds.is_not(None),
+                runs.reused_from.is_(None),
+            )
+            .order_by(runs.id.desc())
+            .limit(limit)
+        )
+        found: dict[tuple[str, str], list[float]] = {}
+        with reading(self._engine) as connection:
+            for algorithm, dataset, wall in connection.execute(query):
+                found.setdefault((algorithm, dataset), []).append(float(wall))
+        return found
+
     def cpu_seconds(self, sweep_uid: str) -> float:
         """Return the CPU time of a sweep's finished runs in s, those left out that took over a result."""
         runs = schema.runs.c
@@ -309,14 +381,10 @@ class Archive:
         themselves, the latest first. Whether its usage may be taken over (same CPU model) is for the
         caller to decide.
         """
-        runs, results = schema.runs.c, schema.results.c
+        runs = schema.runs.c
         query = (
             select(schema.runs)
-            .where(
-                runs.content_hash == content_hash,
-                runs.phase == Phase.SUCCEEDED.value,
-                exists().where(results.run_id == runs.id),
-            )
+            .where(runs.content_hash == content_hash, *_may_be_taken_over())
             .order_by(runs.reused_from.is_not(None), runs.finished.desc().nulls_last(), runs.id.desc())
             .limit(1)
         )
@@ -401,6 +469,12 @@ class Archive:
         """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""
         dialect = postgresql if self._engine.dialect.name == "postgresql" else sqlite
         return dialect.insert(table)
+
+
+def _may_be_taken_over() -> tuple[ColumnElement[bool], ...]:
+    """Return the conditions on runs whose results others may take over."""
+    runs, results = schema.runs.c, schema.results.c
+    return runs.phase == Phase.SUCCEEDED.value, exists().where(results.run_id == runs.id)
 
 
 def _conditions(

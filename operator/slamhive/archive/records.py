@@ -77,6 +77,31 @@ class FinishedPoint:
     outcomes: dict[str, Outcome]
 
 
+@dataclass(frozen=True)
+class EarlierRun:
+    """A run of any version of a sweep, as far as it takes to tell what has changed since.
+
+    Attributes:
+        uid, sweep_uid: its identity, and that of the version of the sweep that it belongs to.
+        index: its point in that version.
+        phase, reason: how it ended.
+        finished: when.
+        wall_seconds: how long its program ran.
+        content_hash: what tells it from other experiments.
+        origin: what that was made from, by the names of the fields of the provenance.
+    """
+
+    uid: str
+    sweep_uid: str
+    index: int | None
+    phase: Phase
+    reason: Reason | None
+    finished: datetime | None
+    wall_seconds: float | None
+    content_hash: str | None
+    origin: dict[str, str | None]
+
+
 class Totals(NamedTuple):
     """Sums over finished runs.
 

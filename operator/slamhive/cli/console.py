@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
-from typing import TYPE_CHECKING
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -23,14 +25,42 @@ out = Console(highlight=False, soft_wrap=not sys.stdout.isatty())
 err = Console(stderr=True, highlight=False, soft_wrap=not sys.stderr.isatty())
 
 
+_json_lines = False
+
+
+def speak_json(*, wanted: bool = True) -> None:
+    """Have everything said as lines of JSON on standard output from now on, and nothing else there."""
+    global _json_lines  # noqa: PLW0603 - the process has one standard output
+    _json_lines = wanted
+
+
+def speaks_json() -> bool:
+    """Tell whether everything is said as lines of JSON."""
+    return _json_lines
+
+
+def emit(event: str, **fields: Any) -> None:
+    """Print a line of JSON: an event, when it was, and what is to say of it."""
+    line = {"event": event, "time": datetime.now(UTC).isoformat(timespec="milliseconds"), **fields}
+    # One write a line: runs' threads say something at the same time.
+    sys.stdout.write(json.dumps(line, ensure_ascii=False, default=str) + "\n")
+    sys.stdout.flush()
+
+
 def complain(message: str) -> None:
     """Print an error; each line is a sentence of its own, or goes on when it starts with a space."""
+    if _json_lines:
+        emit("error", message=message)
+        return
     for line in message.splitlines():
         err.print(escape(line) if line.startswith(" ") else f"[bold red]error:[/] {escape(line)}")
 
 
 def remark(message: str) -> None:
     """Print a sentence about what is going on."""
+    if _json_lines:
+        emit("note", message=message)
+        return
     err.print(f"[dim]{escape(message)}[/]")
 
 

@@ -1,50 +1,136 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of runs that are at work: a bar on a terminal, one line for each run elsewhere."""
+"""Progress of runs that are at work: bars on a terminal, one line for each run elsewhere, or JSON lines."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Self
 
+from rich.console import Group
+from rich.live import Live
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-from rich.progress import TimeRemainingColumn as Remaining
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
+from rich.text import Text
 
-from slamhive.cli.console import bytes_text, err
+from slamhive.cli.console import bytes_text, emit, err, speaks_json
 from slamhive.engine import PointState
+from slamhive.local.estimating import Estimate
+from slamhive.local.outlook import Standing, sentences
+from slamhive.local.run import Step
 from slamhive.model.results import Phase
+from slamhive.tables.text import short_name
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from types import TracebackType
 
+    from rich.console import RenderableType
+
+    from slamhive.local.outlook import Points
     from slamhive.local.runner import Job
+    from slamhive.local.workbench import Workbench
     from slamhive.model.results import RunRecord
 
 _REFRESH_PER_SECOND = 2
+_MOST_SHOWN = 8
+"""Runs at work that have a line of their own."""
+
+_ESTIMATED_SECONDS = 1.0
+"""For so long an estimate is shown."""
+
+
+class Naming:
+    """Words for the runs of a plan: what varies between them, and nothing that is the same in all.
+
+    Args:
+        points: the runs.
+    """
+
+    def __init__(self, points: Points) -> None:
+        self._points = points
+        grid = getattr(points, "grid", None)
+        axes = {axis.label: len(axis.values) for axis in grid.dimensions} if grid is not None else {}
+        self._constant = {label for label, count in axes.items() if count == 1}
+
+    def settings(self, index: int) -> dict[str, Any]:
+        """Return the settings of a run that vary, by path or name of an axis."""
+        found = self._points.point(index).coordinates
+        return {label: value for label, value in found.items() if label not in self._constant}
+
+    def words(self, index: int) -> str:
+        """Return what tells a run from the others; empty where it is the only one."""
+        settings = self.settings(index)
+        parts = [f"{short_name(label, list(settings))} {value}" for label, value in settings.items()]
+        if self._points.repetitions > 1:
+            parts.append(f"repetition {self._points.point(index).repetition}")
+        return ", ".join(parts)
+
+
+@dataclass
+class _Followed:
+    """A job, with what is known of its progress.
+
+    Attributes:
+        naming: words for its runs.
+        estimate: how long they take.
+        began: when each that is at work began, s.
+        steps: what each of them is at, and since when.
+        before: errors before an edit by setting, m.
+    """
+
+    naming: Naming
+    estimate: Estimate
+    began: dict[int, float] = field(default_factory=dict)
+    steps: dict[int, tuple[Step, float]] = field(default_factory=dict)
+    before: Mapping[int, float] = field(default_factory=dict)
 
 
 class Display:
-    """Shows jobs on their way; a context manager."""
+    """Shows jobs on their way; a context manager, and a watcher of the runner.
 
-    def __init__(self) -> None:
-        self._progress = Progress(
+    Args:
+        bench: what runs share.
+        before: returns the errors before an edit of a job's settings, by the number of each.
+        look: called now and then.
+        clock: seconds that only grow.
+    """
+
+    def __init__(
+        self,
+        bench: Workbench,
+        before: Callable[[Job], Mapping[int, float]] = lambda _: {},
+        look: Callable[[], None] = lambda: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._bench = bench
+        self._before = before
+        self._look = look
+        self._clock = clock
+        self._began = clock()
+        self._jobs: dict[str, Job] = {}
+        self._followed: dict[str, _Followed] = {}
+        self._left: tuple[float, float | None] | None = None
+        self._bars = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("{task.fields[notes]}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            Remaining(elapsed_when_finished=True),
             console=err,
-            refresh_per_second=_REFRESH_PER_SECOND,
-            disable=not err.is_terminal,
+            auto_refresh=False,
         )
         self._tasks: dict[str, TaskID] = {}
-        self._active: dict[tuple[str, int], Phase] = {}
-        self._failed: dict[str, int] = {}
+        self._live = Live(
+            console=err,
+            refresh_per_second=_REFRESH_PER_SECOND,
+            get_renderable=self._rendered,
+            transient=True,
+        )
+        self._shows = err.is_terminal and not speaks_json()
 
     def __enter__(self) -> Self:
-        self._progress.start()
+        if self._shows:
+            self._live.start()
         return self
 
     def __exit__(
@@ -53,48 +139,198 @@ class Display:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._progress.stop()
+        if self._shows:
+            self._live.stop()
+
+    def begun(self, job: Job) -> None:
+        """Say how a job's runs stand, and follow it from now on."""
+        outlook = job.outlook
+        if outlook is None:
+            return
+        self._jobs[job.uid] = job
+        estimate = Estimate.of(job.points, outlook, self._bench.archive)
+        self._followed[job.uid] = _Followed(Naming(job.points), estimate, before=self._before(job))
+        self._tasks[job.uid] = self._bars.add_task(escape(job.sweep.name), total=self._total(job), notes="")
+        self._left = None
+        told = sentences(outlook, job.points, again=job.again, left_out=job.left_out)
+        if speaks_json():
+            counts = {kind.name.lower(): outlook.count(kind) for kind in Standing}
+            emit(
+                "begin",
+                **self._names(job),
+                runs=len(job.points),
+                **counts,
+                again=len(job.again),
+                leftOut=job.left_out,
+                leftSeconds=self._seconds_left(),
+                sentences=told,
+            )
+            return
+        left = self._left_text()
+        takes = f"; about {left}" if left and self._waiting(job) else ""
+        err.print(f"{escape(job.sweep.name)}: {escape('; '.join(told))}{takes}")
 
     def phase(self, job: Job, index: int, phase: Phase) -> None:
         """Note a run's phase."""
-        self._active[job.uid, index] = phase
+        if speaks_json():
+            emit("phase", **self._names(job, index), phase=str(phase))
+
+    def step(self, job: Job, index: int, step: Step) -> None:
+        """Note what a run is at, or waits for."""
+        followed = self._followed.get(job.uid)
+        if followed is None:
+            return
+        now = self._clock()
+        if step is not Step.CORES:
+            followed.began.setdefault(index, now)
+        followed.steps[index] = (step, now)
 
     def finished(self, job: Job, record: RunRecord) -> None:
         """Say in a line what came out of a run."""
-        self._active.pop((job.uid, record.index or 0), None)
-        done = len(job.points) - job.count(PointState.PENDING) - job.count(PointState.ACTIVE)
-        err.print(f"[dim]{done}/{len(job.points)}[/] {run_line(record)}")
+        index = record.index or 0
+        followed = self._followed.get(job.uid)
+        words, before = None, None
+        if followed is not None:
+            now = self._clock()
+            took = now - followed.began.pop(index, now)
+            followed.steps.pop(index, None)
+            if record.usage and record.usage.wall_seconds and not record.provenance.reused_from:
+                followed.estimate.note(index, record.usage.wall_seconds, took)
+            words = followed.naming.words(index) or None
+            before = followed.before.get(index // job.points.repetitions)
+        self._left = None
+        done = self._done(job)
+        if speaks_json():
+            emit(
+                "run",
+                **self._names(job, index),
+                done=done,
+                runs=self._total(job),
+                leftSeconds=self._seconds_left(),
+                **run_values(record),
+                ateBefore=before,
+            )
+            return
+        left = "" if self._shows else self._left_text()
+        ending = f" [dim]· {left}[/]" if left else ""
+        err.print(f"[dim]{done}/{self._total(job)}[/] {run_line(record, words, before)}{ending}")
 
     def tick(self, jobs: Sequence[Job]) -> None:
         """Move the bars."""
+        self._look()
         for job in jobs:
-            failed = job.count(PointState.FAILED)
-            done = job.count(PointState.SUCCEEDED) + failed
-            preparing = sum(
-                phase in {Phase.PENDING, Phase.PREPARING}
-                for (uid, _), phase in self._active.items()
-                if uid == job.uid
-            )
-            notes = [f"[red]{failed} failed[/]"] if failed else []
-            notes += [f"{preparing} preparing"] if preparing else []
             task = self._tasks.get(job.uid)
             if task is None:
-                task = self._progress.add_task(escape(job.sweep.name), total=len(job.points), notes="")
-                self._tasks[job.uid] = task
-            self._progress.update(task, completed=done, notes=" ".join(notes))
+                continue
+            failed = job.count(PointState.FAILED)
+            notes = [f"[red]{failed} failed[/]"] if failed else []
+            self._bars.update(task, completed=self._done(job), notes=" ".join(notes))
+
+    def _rendered(self) -> RenderableType:
+        """Return what stands below the lines: a bar a sweep, the time, and what each run is at."""
+        now = self._clock()
+        times = f"{clock_text(now - self._began)} elapsed"
+        left = self._left_text()
+        lines: list[RenderableType] = [self._bars, Text(f"{times}, {left}" if left else times, style="dim")]
+        lines += [
+            Text(f"  {what}: {share:.0%}", style="dim") for what, share in list(self._bench.making.items())
+        ]
+        shown = 0
+        for uid, followed in self._followed.items():
+            for index, (step, since) in sorted(followed.steps.items()):
+                shown += 1
+                if shown <= _MOST_SHOWN:
+                    lines.append(Text(f"  {self._at(uid, followed, index, step, now - since)}", style="dim"))
+        if shown > _MOST_SHOWN:
+            lines.append(Text(f"  … and {shown - _MOST_SHOWN} more", style="dim"))
+        return Group(*lines)
+
+    def _at(self, uid: str, followed: _Followed, index: int, step: Step, since: float) -> str:
+        words = followed.naming.words(index) or self._jobs[uid].sweep.name
+        usual = followed.estimate.seconds(index) if step is Step.RUNNING else None
+        expected = f" of about {clock_text(usual)}" if usual is not None else ""
+        return f"{words}: {step} {clock_text(since)}{expected}"
+
+    def _names(self, job: Job, index: int | None = None) -> dict[str, Any]:
+        """Return what says in a line of JSON which sweep or run it is about."""
+        named: dict[str, Any] = {"sweep": job.sweep.name}
+        if index is not None:
+            point = job.points.point(index)
+            followed = self._followed.get(job.uid)
+            named |= {
+                "index": index,
+                "run": point.name,
+                "settings": followed.naming.settings(index) if followed else {},
+                "repetition": point.repetition,
+            }
+        return named
+
+    @staticmethod
+    def _total(job: Job) -> int:
+        return len(job.points) - job.left_out
+
+    @staticmethod
+    def _done(job: Job) -> int:
+        return job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
+
+    @staticmethod
+    def _waiting(job: Job) -> int:
+        return job.count(PointState.PENDING) - job.left_out
+
+    def _seconds_left(self) -> float | None:
+        """Return how long all jobs still take, s; None where nobody knows."""
+        now = self._clock()
+        if self._left is not None and now - self._left[0] < _ESTIMATED_SECONDS:
+            return self._left[1]
+        total: float | None = 0.0
+        for uid, followed in self._followed.items():
+            job = self._jobs[uid]
+            waiting = [index for index in job.order if job.states[index] == PointState.PENDING]
+            running = {index: now - moment for index, moment in list(followed.began.items())}
+            # Those that wait for a core have begun nothing yet.
+            waiting += [index for index, (step, _) in list(followed.steps.items()) if step is Step.CORES]
+            left = followed.estimate.left(waiting, running, job.at_a_time)
+            total = None if left is None or total is None else total + left
+        self._left = (now, total)
+        return total
+
+    def _left_text(self) -> str:
+        left = self._seconds_left()
+        return f"{clock_text(left)} left" if left else ""
 
 
-def run_line(record: RunRecord) -> str:
-    """Return a line about a finished run, as rich markup."""
+def clock_text(seconds: float) -> str:
+    """Return a time as a clock shows it.
+
+    >>> clock_text(7.6), clock_text(75), clock_text(3725)
+    ('0:08', '1:15', '1:02:05')
+    """
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+def run_line(record: RunRecord, words: str | None = None, before: float | None = None) -> str:
+    """Return a line about a finished run, as rich markup.
+
+    Args:
+        record: the run.
+        words: what tells it from the others; None for its name, algorithm and dataset.
+        before: the error that its setting had before an edit, m.
+    """
     spec = record.spec
-    what = f"{spec['algorithmRef']['name']} on {spec['datasetRef']['name']}"
+    what = words
+    if what is None:
+        on = f"{spec['algorithmRef']['name']} on {spec['datasetRef']['name']}"
+        what = f"{record.name}, {on}, repetition {spec.get('repetition', 0)}"
     if record.phase is not Phase.SUCCEEDED:
-        return f"[red]{record.reason}[/] {escape(record.name)} {escape(what)}: {escape(record.message or '')}"
-    parts = [escape(record.name), escape(what), f"repetition {spec.get('repetition', 0)}"]
+        named = f" ({record.name})" if words is not None else ""
+        return f"[red]{record.reason}[/] {escape(what)}{escape(named)}: {escape(record.message or '')}"
+    parts = []
     for result in record.results:
         ate = result.values.get("ate")
-        figure = f"ATE {ate['rmse']:.4g} m" if ate else ""
-        parts.append(f"{result.outcome} {figure}".strip())
+        figure = f" ATE {ate['rmse']:.4g} m{_against(ate['rmse'], before)}" if ate else ""
+        parts.append(f"{result.outcome}{figure}")
     usage = record.usage
     if record.provenance.reused_from:
         parts.append("reused")
@@ -102,4 +338,34 @@ def run_line(record: RunRecord) -> str:
         parts.append(f"{usage.cpu.seconds:.1f} CPU s, {bytes_text(usage.memory.peak_bytes)}")
     if record.message:
         parts.append(f"[yellow]{escape(record.message)}[/]")
-    return ", ".join(parts)
+    return f"{escape(what)}: {', '.join(parts)}"
+
+
+def _against(error: float, before: float | None) -> str:
+    if before is None:
+        return ""
+    if abs(error - before) <= 0.0005 * before:
+        return " (as before)"
+    if before <= 0:
+        return f" (before {before:.4g})"
+    return f" (before {before:.4g}, {(error / before - 1) * 100:+.1f} %)"
+
+
+def run_values(record: RunRecord) -> dict[str, Any]:
+    """Return what came out of a run, for a line of JSON."""
+    usage = record.usage
+    found = record.results[0] if record.results else None
+    return {
+        "uid": record.uid,
+        "algorithm": record.spec["algorithmRef"]["name"],
+        "dataset": record.spec["datasetRef"]["name"],
+        "phase": str(record.phase),
+        "reason": str(record.reason) if record.reason else None,
+        "message": record.message,
+        "outcome": str(found.outcome) if found else None,
+        "ate": (found.values.get("ate") or {}).get("rmse") if found else None,
+        "cpuSeconds": usage.cpu.seconds if usage else None,
+        "peakBytes": usage.memory.peak_bytes if usage else None,
+        "wallSeconds": usage.wall_seconds if usage else None,
+        "reused": record.provenance.reused_from is not None,
+    }

@@ -89,7 +89,7 @@ def list_results(
         Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=True, option="--")
     )
     frame = found.frame
-    shown = [Metric.parse(name) for name in _names(columns) or _usual(LIST_COLUMNS, frame)]
+    shown = [Metric.parse(name) for name in _names(columns) or usual_columns(LIST_COLUMNS, frame)]
     names = [metric.column for metric in shown]
     frame.require(names)
     rows = _sorted(frame, sort).records(names)
@@ -155,7 +155,7 @@ def show_table(
     """
     chosen = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded, option="--"))
     frame = chosen.frame
-    metrics = [Metric.parse(text) for text in metric or _usual(TABLE_METRICS, frame, filled=True)]
+    metrics = [Metric.parse(text) for text in metric or usual_columns(TABLE_METRICS, frame, filled=True)]
     by, across = _names(rows), _names(columns) or []
     frame.require([*(one.column for one in metrics), *(by or ()), *across])
     found = aggregate(frame, [one.column for one in metrics], by, outcomes, across)
@@ -311,7 +311,7 @@ def _show_relations(result: Result) -> None:
     show(out, ["relations by time", "n", *units], lines)
 
 
-def _usual(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:
+def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:
     """Return what is shown unless told: mean cores only where the clock set the pace.
 
     Args:

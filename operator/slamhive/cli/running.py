@@ -1,35 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``slamhive run``, ``plan``, ``validate`` and ``demo``."""
+"""``slamhive run``, ``plan``, ``validate`` and ``demo``.
+
+``run`` ends with 0 where all went well; with 1 where a run failed, could not be measured, or the sweep
+stopped before its end; with 2 on wrong input; with 130 when it was interrupted.
+"""
 
 from __future__ import annotations
 
 import json
 import signal
-import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
 
+from slamhive.archive import Archive
+from slamhive.archive.connection import file_of
 from slamhive.cli import tables
 from slamhive.cli.cluster import Context, Namespace, cluster_client
-from slamhive.cli.console import command_name, complain, err, open_workbench, out, plural, remark
+from slamhive.cli.console import (
+    command_name,
+    complain,
+    emit,
+    err,
+    open_workbench,
+    out,
+    plural,
+    remark,
+    speak_json,
+    speaks_json,
+)
+from slamhive.cli.daily import errors_before, show_edits, to_do_again
 from slamhive.cli.exits import FAILED, INTERRUPTED, WRONG_INPUT
 from slamhive.cli.planning import planned, sweeps_of
 from slamhive.cli.progress import Display
 from slamhive.cli.results import show_table
+from slamhive.cli.watching import Watched, half_saved
 from slamhive.engine import PointState, Verdict
 from slamhive.local.catalog import bundled, load_workshop, read_files
+from slamhive.local.choosing import Wish, ask
 from slamhive.local.engines import ContainerChoice, find_engine
 from slamhive.local.evaluations import bring_up_to_date, evaluate_again
 from slamhive.local.home import Home
+from slamhive.local.outlook import Looking, sentences
 from slamhive.local.programs import unavailable
 from slamhive.local.runner import Job, Runner
 from slamhive.local.unavailable import Unavailable
+from slamhive.local.workbench import Workbench
 from slamhive.model.base import Choice
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep
@@ -41,12 +62,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.local.catalog import Workshop
-    from slamhive.local.workbench import Workbench
+    from slamhive.model.loading import Kind
     from slamhive.plan import Plan
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]
-_WATCH_SECONDS = 1.0
-_REPORTED = 20
+_SAVED = -1
+"""Exit code of a round that a save ended; never a command's."""
 
 
 class On(Choice):
@@ -56,17 +77,48 @@ class On(Choice):
     CLUSTER = "cluster"
 
 
+class LogFormat(Choice):
+    """How it is told what goes on."""
+
+    TEXT = "text"
+    JSON = "json"
+
+
 def run(
     files: Files,
     *,
     parallelism: Annotated[
         int | None, typer.Option("-j", "--parallelism", min=1, help="Runs at the same time at most.")
     ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option("--only", metavar="EXPR", help='Only runs that meet it: "parameters.maxRange < 50".'),
+    ] = None,
+    dataset: Annotated[
+        list[str] | None,
+        typer.Option("--dataset", metavar="NAME", help="Only runs on this dataset; several times."),
+    ] = None,
+    first: Annotated[
+        int | None, typer.Option("--first", min=1, metavar="N", help="Do N runs, those that tell most.")
+    ] = None,
     rerun: Annotated[bool, typer.Option("--rerun", help="Do finished runs again, reuse nothing.")] = False,
+    rerun_where: Annotated[
+        str | None,
+        typer.Option(
+            "--rerun-where",
+            metavar="EXPR",
+            help="Do finished runs again whose results meet it, as in \"outcome != 'Tracked'\".",
+        ),
+    ] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do failed runs again.")] = False,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Stay, and run what is new whenever a file changes.")
+        bool,
+        typer.Option("--watch", help="Stay, and do what is stale or new whenever a file is saved."),
     ] = False,
+    bell: Annotated[bool, typer.Option("--bell", help="Ring the terminal's bell at the end.")] = False,
+    log_format: Annotated[
+        LogFormat, typer.Option("--log-format", help="Lines of text, or of JSON on standard output.")
+    ] = LogFormat.TEXT,
     container: Annotated[
         ContainerChoice | None,
         typer.Option(
@@ -84,19 +136,30 @@ def run(
     """Run sweeps on this machine, or on a cluster as if it were this machine.
 
     Finished runs are kept: after Ctrl-C or a crash the same command goes on from here. What runs on a
-    cluster goes on there after Ctrl-C.
+    cluster goes on there after Ctrl-C. After an edit of an algorithm or a dataset the runs that it made stale
+    are done again, one of each setting first, and compared with those before. Ends with 0, or 1 if a run
+    failed or the sweep stopped early, 2 on wrong input, 130 when interrupted.
 
     Example: slamhive run sweep.yaml -j 2
     """
+    speak_json(wanted=log_format is LogFormat.JSON)
     if on is On.CLUSTER:
-        if rerun or retry_failed or watch or container is not None:
-            raise InputError(
-                "--on cluster: --rerun, --retry-failed, --watch and --container are for this machine alone"
-            )
+        given = {
+            "--only": only,
+            "--dataset": dataset,
+            "--first": first,
+            "--rerun": rerun,
+            "--rerun-where": rerun_where,
+            "--retry-failed": retry_failed,
+            "--watch": watch,
+            "--container": container,
+        }
+        if any(given.values()):
+            raise InputError(_not_on_cluster([name for name, value in given.items() if value]))
         with cluster_client():
             from slamhive.cli import cluster_run, cluster_work
         place = cluster_work.Place(context, namespace)
-        raise typer.Exit(cluster_run.run_on_cluster(files, place, parallelism))
+        _end(cluster_run.run_on_cluster(files, place, parallelism), bell=bell)
     if namespace is not None or context is not None:
         raise InputError("--namespace and --context say where on a cluster: they need --on cluster")
     if container is not None and container is not ContainerChoice.NONE:
@@ -106,20 +169,58 @@ def run(
             raise InputError(f"--container {container}: {error}") from None
     forbid_inspection()  # the programs that it runs have its user, and it keeps their figures
     home = Home.from_environment()
+    wish = Wish(first, rerun=rerun, retry_failed=retry_failed)
+    how = _How(parallelism, wish, container, rerun_where, only, tuple(dataset or ()))
     with home.exclusive():
-        seen = _state(files)
-        code = _run_files(files, home, _How(parallelism, rerun, retry_failed, container))
-        while watch and code != INTERRUPTED:
-            remark("watching; Ctrl-C ends")
-            try:
-                seen = _wait_for_change(files, seen)
-            except KeyboardInterrupt:
-                break
-            try:
-                code = _run_files(files, home, _How(parallelism, container=container))
-            except InputError as error:
-                complain(str(error))
+        code = _watch(files, home, how, bell=bell) if watch else _run_files(files, home, how)
+    _end(code, bell=bell and not watch)
+
+
+def _not_on_cluster(given: Sequence[str]) -> str:
+    names = f"{', '.join(given[:-1])} and {given[-1]} are" if len(given) > 1 else f"{given[0]} is"
+    return f"--on cluster: {names} for this machine alone: on a cluster the operator does all runs of a Sweep"
+
+
+def _end(code: int, *, bell: bool) -> None:
+    if bell:
+        _ring()
+    if speaks_json():
+        emit("exit", code=code)
     raise typer.Exit(code)
+
+
+def _ring() -> None:
+    if err.is_terminal:
+        err.bell()
+
+
+def _watch(files: Sequence[Path], home: Home, how: _How, *, bell: bool) -> int:
+    """Run what files ask for, again at each save, until Ctrl-C; returns the exit code of the last round."""
+    watched = Watched(files)
+    while True:
+        watched.changed()
+        try:
+            code = _run_files(files, home, replace(how, watched=watched))
+        except InputError as error:
+            if any(not path.exists() for path in files) and not how.watched:
+                raise  # nobody is saving that: it is called otherwise
+            complain(str(error))
+            code = WRONG_INPUT
+        # What was asked to be done again was, once.
+        wish = replace(how.wish, rerun=False, retry_failed=False)
+        how = replace(how, wish=wish, rerun_where=None, watched=watched)
+        if code == INTERRUPTED:
+            return code
+        if code == _SAVED:
+            remark("saved while it ran: it begins again with what is there now")
+            continue
+        if bell:
+            _ring()
+        remark("watching; Ctrl-C ends")
+        try:
+            watched.wait()
+        except KeyboardInterrupt:
+            return code
 
 
 def plan(
@@ -150,6 +251,25 @@ def plan(
             _print_json(points, min(shown, head or shown))
         else:
             _print_points(sweep, points, shown)
+    if not as_json:
+        _print_outlooks(plans, workshop)
+
+
+def _print_outlooks(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> None:
+    """Print what an edit made stale and why, and what is new, where there are results."""
+    home = Home.from_environment()
+    file = file_of(home.archive_url)
+    if file is not None and not file.exists():
+        return
+    try:
+        with Archive.open(home.archive_url, read_only=True) as archive:
+            looking = Looking(Workbench(home, workshop, archive), making=False)
+            for sweep, points in plans:
+                job = Job(sweep, local_uid(sweep), points)
+                told = sentences(looking.look(sweep.name, job.uid, points, job.run_uid), points)
+                out.print(f"{sweep.name}: {'; '.join(told)}", markup=False)
+    except SlamHiveError as error:
+        remark(f"what is stale can't be told: {sentence(error)}")
 
 
 def validate(files: Files) -> None:
@@ -211,44 +331,45 @@ class _How:
 
     Attributes:
         parallelism: runs at the same time at most.
-        rerun: whether finished runs are done again.
-        retry_failed: whether failed ones are.
+        wish: how much of what is asked for is done.
         container: what runs images.
+        rerun_where: a condition on results; runs that meet it are done again.
+        only: a condition on settings; None for all runs.
+        datasets: names; none for all.
+        watched: files whose change ends the runs; None for none.
     """
 
     parallelism: int | None
-    rerun: bool = False
-    retry_failed: bool = False
+    wish: Wish = field(default_factory=Wish)
     container: ContainerChoice | None = None
+    rerun_where: str | None = None
+    only: str | None = None
+    datasets: tuple[str, ...] = ()
+    watched: Watched | None = None
 
 
 def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     workshop = load_workshop(home)
     objects = read_files(files, workshop)
-    evaluations = [item for item in objects if isinstance(item, Evaluation)]
-    sweeps = sweeps_of(objects)
-    if not sweeps and not evaluations:
-        raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
+    evaluations, sweeps = _asked_for(objects, files)
     plans = [_plan(sweep, workshop, how.container) for sweep in sweeps]
-    jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in zip(sweeps, plans, strict=True)]
+    if how.watched is not None:
+        _follow(how.watched, workshop, plans)
+    jobs = _jobs(sweeps, plans, workshop, how)
     bench = open_workbench(home, workshop, how.container)
     with bench.archive:
         interrupted, faults = False, False
         if jobs:
+            if how.rerun_where is not None:
+                to_do_again(jobs, home, how.rerun_where)
             # Before the display, as engines draw their own progress.
-            names = sorted({name for points in plans for name in points.algorithm_names()})
-            bench.programs.fetch([workshop.algorithm(name) for name in names])
-            interrupted = _drive(jobs, bench, how)
-        for job in [] if interrupted else jobs:
-            for problem in bring_up_to_date(bench, job.uid, job.sweep.spec.evaluation):
-                remark(problem.sentence)
-                faults |= problem.is_fault
-        for evaluation in [] if interrupted else evaluations:
-            done, problems = evaluate_again(bench, evaluation)
-            out.print(f"Evaluation {escape(evaluation.name)}: {plural(done, 'run')} evaluated")
-            for problem in problems:
-                complain(problem.sentence)
-                faults |= problem.is_fault
+            bench.programs.fetch([workshop.algorithm(name) for name in _algorithms(plans)])
+            code = _drive(jobs, bench, how)
+            if code == _SAVED:
+                return code
+            interrupted = code == INTERRUPTED
+        if not interrupted:
+            faults = _measure(bench, jobs, evaluations)
         for job in jobs:
             _report(job, bench)
     if interrupted:
@@ -258,14 +379,80 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     return FAILED if failed or faults else 0
 
 
-def _drive(jobs: Sequence[Job], bench: Workbench, how: _How) -> bool:
-    with Display() as display:
-        runner = Runner(
-            bench, display, parallelism=how.parallelism, rerun=how.rerun, retry_failed=how.retry_failed
-        )
+def _asked_for(objects: Sequence[Kind], files: Sequence[Path]) -> tuple[list[Evaluation], list[Sweep]]:
+    """Return the Evaluations and Sweeps among objects."""
+    evaluations = [item for item in objects if isinstance(item, Evaluation)]
+    sweeps = sweeps_of(objects)
+    if not sweeps and not evaluations:
+        raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
+    return evaluations, sweeps
+
+
+def _jobs(sweeps: Sequence[Sweep], plans: Sequence[Plan], workshop: Workshop, how: _How) -> list[Job]:
+    both = list(zip(sweeps, plans, strict=True))
+    jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in both]
+    for job, asked in zip(jobs, ask(both, workshop, how.only, how.datasets), strict=True):
+        job.asked = asked
+    return jobs
+
+
+def _measure(bench: Workbench, jobs: Sequence[Job], evaluations: Sequence[Evaluation]) -> bool:
+    """Measure what was measured otherwise, and tell whether the machine or a file was in the way."""
+    faults = False
+    for job in jobs:
+        for problem in bring_up_to_date(bench, job.uid, job.sweep.spec.evaluation):
+            remark(problem.sentence)
+            faults |= problem.is_fault
+    for evaluation in evaluations:
+        faults |= _measure_again(bench, evaluation)
+    return faults
+
+
+def _measure_again(bench: Workbench, evaluation: Evaluation) -> bool:
+    """Do what an Evaluation asks for, and tell whether the machine or a file was in the way."""
+    done, problems = evaluate_again(bench, evaluation)
+    if speaks_json():
+        emit("evaluation", name=evaluation.name, evaluated=done)
+    else:
+        out.print(f"Evaluation {escape(evaluation.name)}: {plural(done, 'run')} evaluated")
+    for problem in problems:
+        complain(problem.sentence)
+    return any(problem.is_fault for problem in problems)
+
+
+def _follow(watched: Watched, workshop: Workshop, plans: Sequence[Plan]) -> None:
+    """Look at what a round is made of from now on.
+
+    Raises:
+        InputError: an editor is not done with the Python of an algorithm.
+    """
+    names = _algorithms(plans)
+    watched.follow(workshop, names, {name for points in plans for name in points.dataset_names()})
+    if problems := [problem for name in names for problem in half_saved(workshop.algorithm(name))]:
+        raise InputError("\n".join(problems))
+
+
+def _algorithms(plans: Sequence[Plan]) -> list[str]:
+    return sorted({name for points in plans for name in points.algorithm_names()})
+
+
+def _drive(jobs: Sequence[Job], bench: Workbench, how: _How) -> int:
+    """Bring jobs to their end; returns 0, or why they ended before."""
+    saved = asked = False
+
+    def look() -> None:
+        nonlocal saved
+        if how.watched is not None and not saved and how.watched.changed():
+            saved = True
+            runner.interrupt()
+
+    with Display(bench, lambda job: errors_before(job, bench.home), look) as display:
+        runner = Runner(bench, display, parallelism=how.parallelism, wish=how.wish, begun=display.begun)
         before: dict[int, Any] = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
 
         def interrupt(_number: int, _frame: Any) -> None:
+            nonlocal asked
+            asked = True
             runner.interrupt()
             signal.signal(signal.SIGINT, signal.default_int_handler)
             # Once the runs have ended the command does too: a late Ctrl-C has nothing left to end.
@@ -274,10 +461,13 @@ def _drive(jobs: Sequence[Job], bench: Workbench, how: _How) -> bool:
         for number in before:
             signal.signal(number, interrupt)
         try:
-            return runner.run(jobs)
+            interrupted = runner.run(jobs)
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
+    if saved and not asked:
+        return _SAVED
+    return INTERRUPTED if interrupted else 0
 
 
 def _plan(sweep: Sweep, workshop: Workshop, container: ContainerChoice | None) -> Plan:
@@ -288,27 +478,49 @@ def _plan(sweep: Sweep, workshop: Workshop, container: ContainerChoice | None) -
     for name in points.algorithm_names():
         reason = unavailable(workshop.algorithm(name), container)
         if reason:
-            err.print(f"[yellow]{escape(name)} can't run here: {escape(reason)}[/]")
+            if speaks_json():
+                remark(f"{name} can't run here: {reason}")
+            else:
+                err.print(f"[yellow]{escape(name)} can't run here: {escape(reason)}[/]")
     _tell_of_idle(sweep, points)
     return points
 
 
 def _tell_of_idle(sweep: Sweep, points: Plan) -> None:
     """Say which settings have no effect on some of the recordings."""
-    for sentence in points.remarks():
-        remark(f"{sweep.name}: {sentence}")
+    for told in points.remarks():
+        remark(f"{sweep.name}: {told}")
 
 
 def _report(job: Job, bench: Workbench) -> None:
     succeeded, failed = job.count(PointState.SUCCEEDED), job.count(PointState.FAILED)
+    waiting = len(job.points) - succeeded - failed - job.left_out
+    if speaks_json():
+        show_edits(job, bench.home)
+        emit(
+            "end",
+            sweep=job.sweep.name,
+            runs=len(job.points),
+            succeeded=succeeded,
+            failed=failed,
+            notRun=waiting,
+            leftOut=job.left_out,
+            doneBefore=job.kept,
+            reused=job.reused,
+            verdict=str(job.verdict),
+            message=job.message,
+            folder=str(bench.home.path / "runs" / job.sweep.name),
+        )
+        return
     parts = [f"{succeeded} succeeded", f"{failed} failed"]
-    waiting = len(job.points) - succeeded - failed
     parts += [f"{waiting} not run"] if waiting else []
+    parts += [f"{job.left_out} left out"] if job.left_out else []
     parts += [f"{job.kept} done before"] if job.kept else []
     parts += [f"{job.reused} reused"] if job.reused else []
     if succeeded or failed:
         out.print()
         show_table(sweep=job.sweep.name)
+    show_edits(job, bench.home)
     reason = f" ({job.verdict}: {job.message})" if job.message and waiting else ""
     out.print(
         f"{escape(job.sweep.name)}: {plural(len(job.points), 'run')}: {', '.join(parts)}{escape(reason)}"
@@ -316,17 +528,6 @@ def _report(job: Job, bench: Workbench) -> None:
     out.print(f"Files:      {bench.home.path / 'runs' / job.sweep.name}", soft_wrap=True)
     more = f"{command_name()} results table --sweep {job.sweep.name}   (list, show, export)"
     out.print(f"More:       {more}", soft_wrap=True)
-
-
-def _wait_for_change(files: Sequence[Path], seen: list[int]) -> list[int]:
-    """Wait until files are other than they were seen, and return what is seen of them now."""
-    while (now := _state(files)) == seen:
-        time.sleep(_WATCH_SECONDS)
-    return now
-
-
-def _state(files: Sequence[Path]) -> list[int]:
-    return [path.stat().st_mtime_ns if path.exists() else 0 for path in files]
 
 
 def _print_json(points: Plan, count: int) -> None:

@@ -33,6 +33,7 @@ __all__ = [
     "dataset_sha256",
     "file_sha256",
     "ground_truth",
+    "is_made",
     "materialise",
     "recording_sha256",
 ]
@@ -59,14 +60,32 @@ def materialise(
     spec = dataset.spec.recording.synthetic
     if spec is None:
         return _with_recording(dataset, root, datasets)
-    key = digest({"recording": spec.model_dump(mode="json", by_alias=True), "generator": _generator_hash()})
-    folder = datasets / f"{dataset.name}-{key[:16]}"
+    folder = _generated(dataset, datasets)
 
     def make(aside: Path) -> None:
         synthetic.generate(spec, aside, progress)
 
     make_once(folder, make)
     return DatasetEntry(_with_files(dataset, folder), folder)
+
+
+def is_made(dataset: Dataset, root: Path, datasets: Path) -> bool:
+    """Tell whether a dataset's files are at hand: whether `materialise` would neither generate nor fetch."""
+    if dataset.spec.recording.synthetic is not None:
+        return _generated(dataset, datasets).is_dir()
+    files = dataset.spec.recording.files
+    return all((root / file.path).exists() for file in files) or _fetched(dataset, datasets).is_dir()
+
+
+def _generated(dataset: Dataset, datasets: Path) -> Path:
+    spec = dataset.spec.recording.synthetic
+    told = spec.model_dump(mode="json", by_alias=True) if spec is not None else None
+    key = digest({"recording": told, "generator": _generator_hash()})
+    return datasets / f"{dataset.name}-{key[:16]}"
+
+
+def _fetched(dataset: Dataset, datasets: Path) -> Path:
+    return datasets / f"{dataset.name}-{digest(normalize(dataset.spec.recording.as_json()))[:16]}"
 
 
 def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntry:
@@ -78,7 +97,7 @@ def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntr
             where = f"dataset {dataset.name!r}: recording.files"
             raise DataError(f"{where}: {root / file.path} does not exist")
     if missing:
-        folder = datasets / f"{dataset.name}-{digest(normalize(dataset.spec.recording.as_json()))[:16]}"
+        folder = _fetched(dataset, datasets)
         make_once(folder, lambda aside: _gather(dataset, root, aside))
         root = folder
     for file in files:

@@ -57,6 +57,7 @@ class SweepObserved:
         cursor: position in ``order`` before which no point is pending; speeds up the search.
         twins: points that come out as another one does, with that one's index: they start after its end, to
             take its result.
+        left_out: number of pending points that nobody asks for this time; ``order`` is without them.
     """
 
     states: Sequence[int]
@@ -66,6 +67,7 @@ class SweepObserved:
     cpu_seconds: float = 0.0
     cursor: int = 0
     twins: Mapping[int, int] = field(default_factory=dict)
+    left_out: int = 0
 
     def may_start(self, index: int) -> bool:
         """Tell whether a point is pending and waits for no other."""
@@ -109,7 +111,7 @@ def decide_sweep(spec: SweepSpec, seen: SweepObserved, now: float) -> SweepDecis
     """
     counts = {state: _count(seen.states, state) for state in PointState}
     active = counts[PointState.ACTIVE]
-    if not counts[PointState.PENDING] and not active:
+    if counts[PointState.PENDING] <= seen.left_out and not active:
         return SweepDecision(Verdict.COMPLETE, "all points are done", cursor=seen.cursor, counts=counts)
     limit = _limit(spec, seen, counts, now)
     if limit is not None:

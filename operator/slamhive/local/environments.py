@@ -13,7 +13,7 @@ import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.contract.environment import program_variables
 from slamhive.local.assets import place_assets
@@ -26,7 +26,7 @@ from slamhive.model.errors import SlamHiveError, SystemFault
 from slamhive.playback.ros import find_ros, what_it_takes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from slamhive.local.catalog import AlgorithmEntry
     from slamhive.local.prepared import AttemptOrder, PreparedPlayer
@@ -49,6 +49,18 @@ _PASSED_ON = re.compile(
 )
 _TO_PROGRAMS = ("LD_LIBRARY_PATH", "SSL_CERT_FILE", "TZ")
 _CLAUSE = re.compile(r"^\s*(>=|<=|==|!=|<|>)\s*([0-9]+)\.([0-9]+)\s*$")
+
+
+class Part(NamedTuple):
+    """A part of what a program is.
+
+    Attributes:
+        name: what people call it: a file's name, or words.
+        value: what tells it from others: a file's checksum, or a version.
+    """
+
+    name: str
+    value: str
 
 
 @dataclass(frozen=True)
@@ -138,21 +150,24 @@ class Environments:
 
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return what tells apart environments and adapters: equal digests run the same program."""
+        return digest_of(self.parts(entry))
+
+    def parts(self, entry: AlgorithmEntry) -> list[Part]:
+        """Return what the digest is made of: each part by what people call it, the checksums of files.
+
+        Raises:
+            Unavailable: this machine can't run it.
+        """
         program = _program(entry)
         if program.command is not None:
-            return _digest_of_command(entry, program.command)
+            return _parts_of_command(entry)
         python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
-        parts = [f"{python.version[0]}.{python.version[1]}", platform.machine(), *python.beside]
-        parts.extend(_sha256(entry.folder / name) for name in (program.requirements, program.adapter))
-        # What the adapter may import: its own folder, and the helpers that adapters share.
-        parts.extend(_sha256(path) for path in sorted(entry.folder.glob("*.py")))
-        for folder in dict.fromkeys((entry.folder.parent, bundled("algorithms"))):
-            for pattern in ("adapter_*.py", "*_support.py"):
-                parts.extend(_sha256(path) for path in sorted(folder.glob(pattern)))
-        parts.extend(
-            _sha256(entry.folder / asset.path) for asset in entry.algorithm.spec.assets if asset.path
-        )
-        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+        parts = [
+            Part("Python", f"{python.version[0]}.{python.version[1]}"),
+            Part("machine", platform.machine()),
+            *(Part("ROS", one) for one in python.beside),
+        ]
+        return parts + [Part(path.name, _sha256(path)) for path in source_files(entry)]
 
     def get(self, entry: AlgorithmEntry, pace: str = "") -> Environment:  # noqa: ARG002
         """Return an algorithm's environment, the same for all paces, made when it isn't there.
@@ -322,15 +337,37 @@ def _program(entry: AlgorithmEntry) -> LocalProgram:
     return program
 
 
-def _digest_of_command(entry: AlgorithmEntry, command: list[str]) -> str:
-    """Return the digest of a program that needs no Python: of it, and of files beside it that it is given."""
-    paths = [word for word in command[1:] if re.match(RELATIVE_PATH, word)]
-    given = [path for path in paths if (entry.folder / path).is_file()]
-    assets = [asset.path for asset in entry.algorithm.spec.assets if asset.path]
+def digest_of(parts: Iterable[Part]) -> str:
+    """Return the digest of a program by its parts, whose names don't count."""
+    return hashlib.sha256("\n".join(part.value for part in parts).encode()).hexdigest()
+
+
+def source_files(entry: AlgorithmEntry) -> list[Path]:
+    """Return the files that an algorithm's program on a workstation is made of; one may stand twice.
+
+    The order is that of the digest.
+    """
+    program = _program(entry)
+    assets = [entry.folder / asset.path for asset in entry.algorithm.spec.assets if asset.path]
+    if program.command is not None:
+        paths = [word for word in program.command[1:] if re.match(RELATIVE_PATH, word)]
+        given = [entry.folder / path for path in paths if (entry.folder / path).is_file()]
+        return [entry.folder / program.command[0], *given, *assets]
+    files = [entry.folder / name for name in (program.requirements, program.adapter)]
+    # What the adapter may import: its own folder, and the helpers that adapters share.
+    files += sorted(entry.folder.glob("*.py"))
+    for folder in dict.fromkeys((entry.folder.parent, bundled("algorithms"))):
+        for pattern in ("adapter_*.py", "*_support.py"):
+            files += sorted(folder.glob(pattern))
+    return files + assets
+
+
+def _parts_of_command(entry: AlgorithmEntry) -> list[Part]:
+    """Return the parts of a program that needs no Python: it, and files beside it that it is given."""
     ros = find_ros() if entry.algorithm.spec.ros1 is not None else None
-    parts = ["command", platform.machine(), *([f"ros1 {ros.release}"] if ros else ())]
-    parts += [_sha256(entry.folder / name) for name in (command[0], *given, *assets)]
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    parts = [Part("its kind", "command"), Part("machine", platform.machine())]
+    parts += [Part("ROS", f"ros1 {ros.release}")] if ros else []
+    return parts + [Part(path.name, _sha256(path)) for path in source_files(entry)]
 
 
 def _check_command(entry: AlgorithmEntry, program: LocalProgram) -> None:

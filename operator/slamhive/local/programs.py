@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from slamhive.local.catalog import AlgorithmEntry
+    from slamhive.local.environments import Part
     from slamhive.local.home import Home
     from slamhive.local.prepared import Prepared
     from slamhive.model.algorithm import AlgorithmSpec
@@ -76,6 +77,14 @@ class Programs:
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return what tells apart programs: the digest of an environment and adapter, or of an image."""
         return self._of(entry).digest(entry)
+
+    def parts(self, entry: AlgorithmEntry) -> list[Part] | None:
+        """Return what a program that runs as a process is made of; None for an image.
+
+        Raises:
+            Unavailable: it can't run here.
+        """
+        return None if self.executor(entry) == CONTAINER else self.environments.parts(entry)
 
     def image_id(self, entry: AlgorithmEntry) -> str | None:
         """Return the identity of the image that runs, None where none does."""

@@ -33,6 +33,7 @@ from slamhive.local.configuring import configured
 from slamhive.local.evaluating import Evaluator
 from slamhive.local.prepared import AttemptOrder
 from slamhive.local.unavailable import ImageMissing, Unavailable
+from slamhive.model.base import Choice
 from slamhive.model.errors import InputError, SettingsError, SlamHiveError, sentence
 from slamhive.model.results import (
     NOT_EVALUATED,
@@ -56,6 +57,17 @@ if TYPE_CHECKING:
     from slamhive.local.workbench import Workbench
     from slamhive.model.configuration import RunConfiguration
     from slamhive.model.evaluation import EvaluationSettings
+
+
+class Step(Choice):
+    """What a run is waiting for, or at."""
+
+    CORES = "waiting for a core"
+    DATASET = "waiting for its dataset"
+    PROGRAM = "making its program ready"
+    RECORDING = "preparing its recording"
+    RUNNING = "running"
+    MEASURING = "measuring"
 
 
 class Point(Protocol):
@@ -131,15 +143,22 @@ class RunDriver:
         bench: what runs share.
         cpus: logical processors it is pinned to.
         tell: told of each phase.
+        step: told of each step.
     """
 
     def __init__(
-        self, order: RunOrder, bench: Workbench, cpus: tuple[int, ...], tell: Callable[[Phase], None]
+        self,
+        order: RunOrder,
+        bench: Workbench,
+        cpus: tuple[int, ...],
+        tell: Callable[[Phase], None],
+        step: Callable[[Step], None] = lambda _: None,
     ) -> None:
         self._order = order
         self._bench = bench
         self._cpus = cpus
         self._tell = tell
+        self._step = step
         self._spec = order.point.spec
         self._attempt = Attempt(bench.home.path / "runs" / order.sweep / order.point.name)
         self._cancelled = threading.Event()
@@ -169,6 +188,7 @@ class RunDriver:
 
     def _lead(self, created: datetime) -> RunRecord:
         os.sched_setaffinity(0, self._cpus)  # of this thread: what prepares and measures shares its cores
+        self._step(Step.DATASET)
         with suppress(SlamHiveError, OSError):  # preparing meets it again and gives it its reason
             self._look_up()
         # The folder is the truth: a slamhive that was killed may have left a finished attempt there, not yet
@@ -281,6 +301,7 @@ class RunDriver:
 
     def _evaluate(self) -> None:
         progress, bench = self._progress, self._bench
+        self._step(Step.MEASURING)
         try:
             if progress.variant is None:
                 progress.variant = bench.prepare(self._spec, self._algorithm.algorithm)
@@ -293,6 +314,7 @@ class RunDriver:
     def _prepare(self) -> None:
         progress, bench = self._progress, self._bench
         try:
+            self._step(Step.PROGRAM)
             progress.program = bench.programs.get(self._algorithm, self._spec["input"]["pace"])
             if progress.provenance.content_hash is None:
                 # The disk may have refused before: no run is made without saying of what, nor one that is
@@ -301,6 +323,7 @@ class RunDriver:
                     self._look_up()
                 if progress.twin is not None or progress.attempt_state is AttemptState.ENDED:
                     return
+            self._step(Step.RECORDING)
             progress.variant = bench.prepare(self._spec, self._algorithm.algorithm)
             progress.variant_state = VariantState.READY
         except (SlamHiveError, OSError) as error:
@@ -328,6 +351,7 @@ class RunDriver:
                     # What is done again isn't finished: its files go now, so does what was measured on them.
                     self._bench.archive.remove_run(self._order.uid)
                 self._attempt.start(order)
+                self._step(Step.RUNNING)
                 # Cancelled while the attempt was starting: `cancel` found nothing to stop then.
                 if self._cancelled.is_set():
                     self._attempt.stop()

@@ -13,40 +13,27 @@ from typing import TYPE_CHECKING, Protocol
 from slamhive.archive import CatalogEntry, SweepRecord
 from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, Verdict, decide_sweep
 from slamhive.local.attempt import end_left_behind
-from slamhive.local.changes import Changes
+from slamhive.local.changes import set_aside
+from slamhive.local.choosing import Wish, first_of, twins_among
 from slamhive.local.cores import CorePool
-from slamhive.local.run import RunDriver, RunOrder
-from slamhive.model.results import Phase, Reason, RunRecord
+from slamhive.local.outlook import Looking, Outlook, Standing
+from slamhive.local.run import RunDriver, RunOrder, Step
+from slamhive.model.results import Phase, RunRecord
 from slamhive.model.sweep import CachePolicy
 from slamhive.monitor import sweep_stale_cgroups
 from slamhive.plan import whole_cores
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from slamhive.engine import SweepDecision
+    from slamhive.local.outlook import Points
     from slamhive.local.run import Point
     from slamhive.local.workbench import Workbench
     from slamhive.model.sweep import Sweep
 
 _LOOK_SECONDS = 0.25
-
-
-class Points(Protocol):
-    """The runs of a sweep, made when they are asked for."""
-
-    @property
-    def twins(self) -> Mapping[int, int]:
-        """Return the runs that come out as an earlier one does, with its index."""
-
-    def __len__(self) -> int:
-        """Return how many there are."""
-
-    def point(self, index: int) -> Point:
-        """Return one of them."""
-
-    def start_order(self) -> Sequence[int]:
-        """Return the indices in the order in which they are to be started."""
+_EVERYTHING = Wish()
 
 
 @dataclass
@@ -61,6 +48,11 @@ class Job:
         reused: points that took an equal run's result.
         kept: points that were finished before.
         afresh: points that failed before and are done again.
+        outlook: how its points stood before anything was done; None until that is known.
+        asked: points that are asked for; None for all.
+        again: finished points that are done again as someone asked for it.
+        left_out: number of pending points that nobody asks for this time.
+        twins: points that come out as another one does, with its index.
         cpu_seconds: CPU time of the runs finished now and before.
         verdict: where it stands.
         message: why.
@@ -79,10 +71,17 @@ class Job:
     started_at: float | None = None
     verdict: Verdict = Verdict.RUNNING
     message: str = ""
+    outlook: Outlook | None = None
+    asked: set[int] | None = None
+    again: set[int] = field(default_factory=set)
+    left_out: int = 0
+    twins: Mapping[int, int] = field(default_factory=dict)
+    at_a_time: int = 1
 
     def __post_init__(self) -> None:
         self.states = bytearray(len(self.points))
-        self.order = self.points.start_order()
+        self.order = self.points.start_order(look_first=True)
+        self.twins = self.points.twins
 
     def run_uid(self, index: int) -> str:
         """Return the identity of a point's run."""
@@ -90,7 +89,7 @@ class Job:
 
     def twin(self, index: int) -> str | None:
         """Return the identity of the run whose result a point's run takes, as it asks for the same."""
-        twin = self.points.twins.get(index)
+        twin = self.twins.get(index)
         return None if twin is None else self.run_uid(twin)
 
     def count(self, state: PointState) -> int:
@@ -103,6 +102,9 @@ class Watcher(Protocol):
 
     def phase(self, job: Job, index: int, phase: Phase) -> None:
         """A run has entered a phase."""
+
+    def step(self, job: Job, index: int, step: Step) -> None:
+        """A run has come to a step."""
 
     def finished(self, job: Job, record: RunRecord) -> None:
         """A run is finished and kept."""
@@ -126,8 +128,8 @@ class Runner:
         bench: what runs share.
         watcher: told what happens.
         parallelism: runs at the same time at most; default: as many as fit.
-        rerun: whether to do finished runs again and to reuse nothing.
-        retry_failed: whether to do failed runs again.
+        wish: how much of what is asked for is done.
+        begun: called with each job when it is known how its points stand and which are done.
     """
 
     def __init__(
@@ -136,13 +138,13 @@ class Runner:
         watcher: Watcher,
         *,
         parallelism: int | None = None,
-        rerun: bool = False,
-        retry_failed: bool = False,
+        wish: Wish = _EVERYTHING,
+        begun: Callable[[Job], None] = lambda _: None,
     ) -> None:
         self._bench = bench
         self._watcher = watcher
-        self._rerun = rerun
-        self._retry_failed = retry_failed
+        self._wish = wish
+        self._begun = begun
         self._cores = CorePool()
         self._parallelism = parallelism or self._cores.size
         self._drivers: dict[tuple[str, int], RunDriver] = {}
@@ -163,8 +165,10 @@ class Runner:
         sweep_stale_cgroups()
         self._bench.programs.containers.remove_left_behind()
         self._bench.tidy()
+        looking = Looking(self._bench, making=True)
         for job in jobs:
-            self._resume(job)
+            self._resume(job, looking)
+            self._begun(job)
         for job in jobs:
             if not self._interrupted:
                 self._run(job, jobs)
@@ -174,9 +178,10 @@ class Runner:
         """Start nothing more and end what runs; safe to call from a signal handler."""
         self._interrupted = True
 
-    def _resume(self, job: Job) -> None:
+    def _resume(self, job: Job, looking: Looking) -> None:
         """Mark the points that are done; from now on this is the current version of the sweep."""
-        archive, sweep = self._bench.archive, job.sweep
+        archive, sweep, wish = self._bench.archive, job.sweep, self._wish
+        job.at_a_time = min(self._parallelism, sweep.spec.parallelism or self._parallelism)
         archive.put_sweep(
             SweepRecord(
                 uid=job.uid,
@@ -186,29 +191,36 @@ class Runner:
                 evaluation=sweep.spec.evaluation.as_json(),
             )
         )
-        if self._rerun:
-            return
-        changed = Changes(self._bench)
-        for uid, point in archive.finished(job.uid).items():
-            index = point.index
-            if index is None or index >= len(job.points) or uid != job.run_uid(index):
+        job.outlook = looking.look(sweep.name, job.uid, job.points, job.run_uid)
+        if wish.rerun:
+            job.again |= set(job.outlook.finished)
+        for index, standing in enumerate(job.outlook.standing):
+            # A finished run of a changed adapter, environment or dataset is another experiment: it is done
+            # again, and kept aside when that begins.
+            if index in job.again and (job.asked is None or index in job.asked):
                 continue
-            # A finished run of a changed adapter, environment or dataset is another experiment: it is kept
-            # aside, and done again.
-            if changed.since(uid, job.points.point(index), point.content_hash):
-                continue
-            if point.phase is Phase.SUCCEEDED:
+            if standing == Standing.DONE:
                 job.states[index] = PointState.SUCCEEDED
-            elif point.phase is Phase.FAILED and not self._again(point.reason):
+            elif standing == Standing.FAILED and not wish.retry_failed:
                 job.states[index] = PointState.FAILED
-            else:
+            elif standing in {Standing.FAILED, Standing.FAULT}:
                 job.afresh.add(index)
-        changed.set_aside(sweep.name)
+        self._choose(job)
         job.kept = job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
         job.cpu_seconds = archive.cpu_seconds(job.uid)
 
-    def _again(self, reason: Reason | None) -> bool:
-        return self._retry_failed or (reason is not None and reason.is_infrastructure)
+    def _choose(self, job: Job) -> None:
+        """Leave out what nobody asks for this time."""
+        pending = {index for index, state in enumerate(job.states) if state == PointState.PENDING}
+        chosen = pending if job.asked is None else pending & job.asked
+        if self._wish.first is not None and job.outlook is not None:
+            chosen = first_of(job.order, job.outlook, chosen, self._wish.first)
+        if len(chosen) == len(pending):
+            return
+        job.left_out = len(pending) - len(chosen)
+        job.order = [index for index in job.order if index in chosen]
+        job.again &= chosen
+        job.twins = twins_among(job.points.twins, chosen, set(range(len(job.states))) - pending)
 
     def _run(self, job: Job, jobs: Sequence[Job]) -> None:
         try:
@@ -242,11 +254,12 @@ class Runner:
         seen = SweepObserved(
             states=job.states,
             order=job.order,
-            parallelism=min(self._parallelism, job.sweep.spec.parallelism or self._parallelism),
+            parallelism=job.at_a_time,
             started_at=job.started_at,
             cpu_seconds=job.cpu_seconds,
             cursor=job.cursor,
-            twins=job.points.twins,
+            twins=job.twins,
+            left_out=job.left_out,
         )
         return decide_sweep(job.sweep.spec, seen, time.monotonic())
 
@@ -272,6 +285,7 @@ class Runner:
     def _drive(self, job: Job, index: int) -> None:
         try:
             point = job.points.point(index)
+            self._watcher.step(job, index, Step.CORES)
             cores = self._cores.take(whole_cores(point.spec["resources"]["cpu"]))
             try:
                 record = self._one(job, index, point, cores)
@@ -289,22 +303,34 @@ class Runner:
             sweep_uid=job.uid,
             labels=dict(job.sweep.spec.template.metadata.labels),
             settings=job.sweep.spec.evaluation,
-            reuse=not self._rerun and job.sweep.spec.cache_policy is CachePolicy.REUSE,
-            take_up=not self._rerun and index not in job.afresh,
+            reuse=not self._redo(job, index) and job.sweep.spec.cache_policy is CachePolicy.REUSE,
+            take_up=not self._redo(job, index) and index not in job.afresh,
             twin=job.twin(index),
         )
         cpus = tuple(cpu for core in cores for cpu in core)
-        driver = RunDriver(order, self._bench, cpus, lambda phase: self._watcher.phase(job, index, phase))
+        driver = RunDriver(
+            order,
+            self._bench,
+            cpus,
+            lambda phase: self._watcher.phase(job, index, phase),
+            lambda step: self._watcher.step(job, index, step),
+        )
         with self._lock:
             # A run that waited for cores while its job was stopped must not begin any more.
             if job.uid in self._stopped:
                 return None
             self._drivers[job.uid, index] = driver
+        if job.outlook is not None and index in job.outlook.aside:
+            set_aside(self._bench.archive, order.uid)
         try:
             return driver.drive()
         finally:
             with self._lock:
                 del self._drivers[job.uid, index]
+
+    def _redo(self, job: Job, index: int) -> bool:
+        """Tell whether a point is done again whatever there is of it."""
+        return self._wish.rerun or index in job.again
 
     def _wait(self, jobs: Sequence[Job]) -> None:
         """Wait for a run to end, and keep it; look up now and then."""

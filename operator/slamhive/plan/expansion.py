@@ -284,12 +284,16 @@ class Plan:
         found = (self.assembler.value(self.settings(row), path) for row in range(len(self.grid)))
         return [name for name in dict.fromkeys(found) if name is not None]
 
-    def start_order(self) -> list[int]:
+    def start_order(self, *, look_first: bool = False) -> list[int]:
         """Return the order in which runs are to be started, as a permutation of the indices.
 
         Runs of one dataset with one set of input options and one sensor mode stand together, so that few
         prepared variants are needed at a time. Among these, every combination comes once before any is
         repeated, so that an early look shows all of them.
+
+        Args:
+            look_first: whether every combination of all datasets comes once before any is repeated, for
+                which every variant is needed twice.
         """
         datasets: dict[object, dict[object, dict[object, list[int]]]] = {}
         for row in range(len(self.grid)):
@@ -308,6 +312,8 @@ class Plan:
             for repetition in range(self.repetitions)
             for row in rows
         ]
+        if look_first:
+            order.sort(key=lambda index: index % self.repetitions > 0)  # stable
         return sorted(order, key=self.twins.__contains__)  # stable: those that wait for others come last
 
 

@@ -11,6 +11,7 @@ import yaml
 
 from slamhive.archive import Archive
 from slamhive.local.catalog import Workshop
+from slamhive.local.choosing import Wish
 from slamhive.local.home import Home
 from slamhive.local.runner import Job, Runner
 from slamhive.local.workbench import Workbench
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from slamhive.local.engines import ContainerChoice
+    from slamhive.local.run import Step
     from slamhive.model.results import Phase, RunRecord
 
 TINY = Path(__file__).parents[2] / "actor" / "tiny.yaml"
@@ -78,7 +80,9 @@ class Process:
         with Archive.open(self.home.archive_url) as archive:
             job = Job(asked, local_uid(asked), Plan(asked, workshop))
             runner = Runner(
-                Workbench(self.home, workshop, archive, container=self.container), Silent(), rerun=rerun
+                Workbench(self.home, workshop, archive, container=self.container),
+                Silent(),
+                wish=Wish(rerun=rerun),
             )
             assert not runner.run([job])
         return self.home.archive_url
@@ -91,6 +95,9 @@ class Silent:
     """A watcher that shows nothing."""
 
     def phase(self, job: Job, index: int, phase: Phase) -> None:
+        pass
+
+    def step(self, job: Job, index: int, step: Step) -> None:
         pass
 
     def finished(self, job: Job, record: RunRecord) -> None:
