@@ -14,19 +14,19 @@ import numpy as np
 import typer
 
 from slamhive import __version__
-from slamhive.analysis import Metric, Outcomes, Selection, choose
+from slamhive.analysis import Metric, Outcomes
 from slamhive.analysis.boards import COMPETITORS
+from slamhive.cli.choosing import EvaluationName, Sweeps, Where, choose_runs, select
 from slamhive.cli.console import remark
 from slamhive.cli.results import Output, Superseded
-from slamhive.local.home import Home
 from slamhive.model.errors import InputError
 from slamhive.reporting.latex import latex
 from slamhive.reporting.overview import runs_of
 from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
-from slamhive.reporting.presets import Preset, preset
-from slamhive.reporting.questions import parse_question, usual_questions
-from slamhive.tables.reading import read_archive, revision
+from slamhive.reporting.presets import preset
+from slamhive.reporting.questions import parse_question, usual_metric, usual_questions
+from slamhive.tables.reading import revision
 from slamhive_eval.csv_writing import csv_text
 
 if TYPE_CHECKING:
@@ -35,17 +35,6 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
 
 DEFAULT_METRICS = ("ate.rmse",)
-RANKED_BY = ("ate.rmse", "relations.translation.rmse")
-
-Where = Annotated[
-    str | None, typer.Option(metavar="EXPR", help='Only rows that meet it, as in "coverage >= 0.9".')
-]
-Sweeps = Annotated[
-    list[str] | None, typer.Option(metavar="NAME", help="Only runs of this sweep; several times.")
-]
-EvaluationName = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as se3 or sim3.")
-]
 
 
 class TableFormat(StrEnum):
@@ -92,9 +81,9 @@ def report(
 
     Example: slamhive report --analysis input.frameRate:usage.cpu.meanCores -o report.html
     """
-    selection = _selection(sweep, evaluation, where, superseded=superseded)
-    frame, notes = _choose(selection, "there is nothing to report")
-    metric = metric or next((name for name in RANKED_BY if not frame.column(name).is_empty), RANKED_BY[0])
+    selection = select(sweep, evaluation, where, superseded=superseded)
+    frame, notes = choose_runs(selection, "there is nothing to report")
+    metric = metric or usual_metric(frame)
     for field, names in (("--metric", [metric]), ("--cost", cost or []), ("--by", _names(by, ""))):
         frame.require(names, field)
         if field != "--by":
@@ -183,8 +172,8 @@ def paper_table(
         spread=spread,
         best=best,
     )
-    selection = _selection(sweep, evaluation, where, given, superseded=superseded)
-    frame, left_out = _choose(selection, "there is nothing to make a table of")
+    selection = select(sweep, evaluation, where, given, superseded=superseded)
+    frame, left_out = choose_runs(selection, "there is nothing to make a table of")
     frame.require(layout.rows, "--rows")
     frame.require(layout.columns, "--columns")
     names = [one.column for one in layout.metrics]
@@ -203,33 +192,6 @@ def paper_table(
     _write(latex(table, caption=words, label=label, origin=origin), output)
     for note in table.notes if output else ():
         remark(note)
-
-
-def _selection(
-    sweep: list[str] | None,
-    evaluation: str | None,
-    where: str | None,
-    given: Preset | None = None,
-    *,
-    superseded: bool,
-) -> Selection:
-    conditions = [text for text in (given.where if given else None, where) if text and text.strip()]
-    both = " and ".join(f"({text})" for text in conditions) if len(conditions) > 1 else "".join(conditions)
-    chosen = evaluation if evaluation is not None else given.evaluation if given else None
-    return Selection(tuple(sweep or ()), chosen, both or None, superseded=superseded, option="--")
-
-
-def _choose(selection: Selection, otherwise: str) -> tuple[Frame, tuple[str, ...]]:
-    """Return the selected rows, and sentences on what is left out.
-
-    Raises:
-        InputError: there are none.
-    """
-    home = Home.from_environment()
-    chosen = choose(read_archive(home.archive_url, home.path / "cache"), selection)
-    if not len(chosen.frame):
-        raise InputError("; ".join(chosen.notes) or f"no run is meant: {otherwise}")
-    return chosen.frame, chosen.notes
 
 
 def _names(text: str | None, default: str) -> tuple[str, ...]:
