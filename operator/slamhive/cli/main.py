@@ -53,7 +53,7 @@ COMMANDS = {
     "paper-table": _Command(
         "report",
         "paper_table",
-        "Write a table for a paper: LaTeX with booktabs, best in bold, failures shown, or CSV.",
+        "Write a table for a paper: LaTeX, Markdown or CSV, best in bold, failures shown.",
     ),
     "figure": _Command(
         "figure",

@@ -6,7 +6,6 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,11 +18,13 @@ from slamhive.analysis.boards import COMPETITORS
 from slamhive.cli.choosing import EvaluationName, Sweeps, Where, choose_runs, select
 from slamhive.cli.console import remark
 from slamhive.cli.results import Output, Superseded
-from slamhive.model.errors import InputError
-from slamhive.reporting.latex import latex
+from slamhive.model.base import Choice
+from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.reporting.latex import Rules, latex
 from slamhive.reporting.overview import runs_of
 from slamhive.reporting.page import Contents, report_html
-from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
+from slamhive.reporting.papermarkdown import markdown
+from slamhive.reporting.papertables import Best, Layout, Overall, Statistic, flat, make_table
 from slamhive.reporting.presets import preset
 from slamhive.reporting.questions import parse_question, usual_metric, usual_questions
 from slamhive.tables.reading import revision
@@ -37,8 +38,17 @@ if TYPE_CHECKING:
 DEFAULT_METRICS = ("ate.rmse",)
 
 
-class TableFormat(StrEnum):
+class TableStyle(Choice):
     """How a table for a paper is written."""
+
+    BOOKTABS = "booktabs"
+    IEEE = "ieee"
+    MARKDOWN = "markdown"
+    CSV = "csv"
+
+
+class TableFormat(Choice):
+    """Earlier names of styles."""
 
     LATEX = "latex"
     CSV = "csv"
@@ -145,8 +155,14 @@ def paper_table(
     ] = False,
     best: Annotated[
         Best,
-        typer.Option(help="Where the best number is bold: in each column, or within each first row key."),
+        typer.Option(help="Best bold, second underlined: of each column, or within each first row key."),
     ] = Best.COLUMN,
+    overall: Annotated[
+        str | None,
+        typer.Option(
+            metavar="rank,ratio", help="Over all datasets: mean rank, geometric mean of ratios to the best."
+        ),
+    ] = None,
     caption: Annotated[
         str | None, typer.Option(help="What the table shows; n and the rest are added.")
     ] = None,
@@ -155,10 +171,13 @@ def paper_table(
     sweep: Sweeps = None,
     evaluation: EvaluationName = None,
     superseded: Superseded = False,
-    form: Annotated[TableFormat, typer.Option("--format", help="latex or csv.")] = TableFormat.LATEX,
+    style: Annotated[
+        TableStyle, typer.Option(help="LaTeX with booktabs or as IEEE has it, Markdown, or CSV.")
+    ] = TableStyle.BOOKTABS,
+    form: Annotated[TableFormat | None, typer.Option("--format", hidden=True)] = None,
     output: Output = None,
 ) -> None:
-    """Write a table for a paper: LaTeX with booktabs, best in bold, failures shown, or CSV.
+    """Write a table for a paper: LaTeX, Markdown or CSV, best in bold, failures shown.
 
     Example: slamhive paper-table --columns dataset -m ate.rmse:cm:.1f --spread -o table.tex
     """
@@ -171,6 +190,7 @@ def paper_table(
         statistic=statistic,
         spread=spread,
         best=best,
+        overall=_overall(overall),
     )
     selection = select(sweep, evaluation, where, given, superseded=superseded)
     frame, left_out = choose_runs(selection, "there is nothing to make a table of")
@@ -181,7 +201,7 @@ def paper_table(
     _check_numbers(frame, names, "--metric")
     table = make_table(frame, layout)
     table = replace(table, notes=(*left_out, *table.notes))
-    if form is TableFormat.CSV:
+    if TableFormat.CSV is form or style is TableStyle.CSV:
         _write(csv_text(flat(table)), output)
         return
     origin = (
@@ -189,9 +209,27 @@ def paper_table(
         *(f"Of the archive: {sentence}." for sentence in selection.sentences),
     )
     words = caption if caption is not None else given.caption if given else ""
-    _write(latex(table, caption=words, label=label, origin=origin), output)
+    if style is TableStyle.MARKDOWN:
+        text = markdown(table, told=words, origin=origin)
+    else:
+        text = latex(table, caption=words, label=label, origin=origin, rules=Rules(style.value))
+    _write(text, output)
     for note in table.notes if output else ():
         remark(note)
+
+
+def _overall(text: str | None) -> tuple[Overall, ...]:
+    """Read what stands for each row over all datasets.
+
+    Raises:
+        InputError: it is no such thing.
+    """
+    names = _names(text, "")
+    known = {kind.value: kind for kind in Overall}
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("figure over datasets", name, known, "--overall")
+    return tuple(known[name] for name in names)
 
 
 def _names(text: str | None, default: str) -> tuple[str, ...]:
