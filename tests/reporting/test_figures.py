@@ -151,7 +151,7 @@ def test_two_diverged_runs_flatten_nothing(forty: Path) -> None:
     assert found.y.limits is not None
     assert found.y.limits.high == pytest.approx(0.0139)
     assert (
-        "ATE RMSE [m]: 44, 45 lie outside of the axis and are marked by triangles at its edge" in found.notes
+        "ATE RMSE [m]: 44, 45 lie outside of the axis and are marked by arrowheads at its edge" in found.notes
     )
     whole = made(forty, Kind.SCATTER, x="coverage", robust=False, log=Log.NONE)
     assert whole.y.limits is not None
@@ -164,8 +164,9 @@ def test_what_lies_outside_is_marked_at_the_edge(forty: Path) -> None:
 
     found = made(forty, Kind.SCATTER, x="coverage")
     axes = Drawing(found, WIDTHS["ieee-column"]).draw().axes[0]
-    triangles = [line for line in axes.lines if line.get_marker() == "^" and not line.get_clip_on()]
-    assert [line.get_ydata()[0] for line in triangles] == [1.0]  # two of one x: one mark
+    edge = [line for line in axes.lines if not line.get_clip_on()]
+    # Two of one place: one arrowhead upwards, and the mark of their series.
+    assert [(line.get_marker(), line.get_ydata()[0]) for line in edge] == [(10, 1.0), ("o", 1.0)]
     assert axes.get_ylim()[1] < 0.02
 
 

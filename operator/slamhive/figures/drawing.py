@@ -36,6 +36,10 @@ _LETTER = 0.56
 """Width of a letter over its height, about."""
 
 _SHAPE = 0.74
+_ARROWS = {"left": 8, "right": 9, "above": 10, "below": 11}
+"""Matplotlib's carets whose base lies at their place."""
+
+_INWARDS = {"left": (1, 0), "right": (-1, 0), "above": (0, -1), "below": (0, 1)}
 _LONGEST = 34
 
 
@@ -220,7 +224,7 @@ class Drawing:
             half = abs(high) / 2 or 0.5
             return low - half, high + half
         curves = side == "x" and all(isinstance(mark, Line) and not mark.marked for mark in marks)
-        if 0 <= low < 0.6 * high and (side == "y" or low == 0):
+        if 0 <= low < (0.6 if side == "y" else 0.1 if curves else 0.0) * high or low == 0:
             below = 0.0
         else:
             below = low if curves else low - 0.05 * (high - low)
@@ -261,20 +265,12 @@ class Drawing:
 
     def _dots(self, axes: Any, mark: Dots) -> None:
         style = Style(mark.series)
-        size = self._points * (0.26 if mark.small else 0.5 * style.size)
         hollow = np.array(mark.hollow or (False,) * len(mark.x), dtype=bool)
-        for chosen, face in ((~hollow, style.colour), (hollow, "white")):
-            axes.plot(
-                mark.x[chosen],
-                mark.y[chosen],
-                linestyle="none",
-                marker="o" if mark.small else style.mark,
-                markersize=size,
-                markerfacecolor=face,
-                markeredgecolor="white" if face != "white" and not mark.small else style.colour,
-                markeredgewidth=0.05 * self._points if face != "white" else 0.1 * self._points,
-                zorder=4 if mark.small else 3,
-            )
+        for chosen, is_hollow in ((~hollow, False), (hollow, True)):
+            look = self._look(style, hollow=is_hollow)
+            if mark.small:
+                look |= {"marker": "o", "markersize": 0.26 * self._points, "markeredgecolor": style.colour}
+            axes.plot(mark.x[chosen], mark.y[chosen], linestyle="none", zorder=4 if mark.small else 3, **look)
 
     def _line(self, axes: Any, mark: Line) -> None:
         style = Style(mark.series)
@@ -303,10 +299,7 @@ class Drawing:
             color=style.colour,
             linestyle=style.dashes,
             linewidth=wide * self._points,
-            marker=style.mark if mark.marked else None,
-            markersize=0.5 * self._points * style.size,
-            markeredgecolor="white",
-            markeredgewidth=0.05 * self._points,
+            **(self._look(style) if mark.marked else {}),
             drawstyle="steps-post" if mark.steps else "default",
             alpha=0.75 if mark.thin else None,
             zorder=order,
@@ -428,23 +421,34 @@ class Drawing:
     # Outside
 
     def _outside(self, axes: Any, panel: Panel) -> None:
-        """Mark what lies outside of the axes by triangles at their edge."""
+        """Mark what lies outside of the axes at their edge: by its own mark, and an arrowhead beyond it."""
         for mark in panel.marks:
-            series = getattr(mark, "series", -1)
-            for x, y, signs in _beyond(mark, self._picture):
-                axes.plot(
-                    [x],
-                    [y],
-                    transform=_blended(axes, signs),
-                    linestyle="none",
-                    clip_on=False,
-                    marker={"above": "^", "below": "v", "left": "<", "right": ">"}[signs],
-                    markersize=0.55 * self._points,
-                    markerfacecolor="white",
-                    markeredgecolor=Style(series).colour,
-                    markeredgewidth=0.12 * self._points,
-                    zorder=6,
+            style = Style(getattr(mark, "series", -1))
+            marked = isinstance(mark, Dots | Box) or (isinstance(mark, Line) and mark.marked)
+            for x, y, side in _beyond(mark, self._picture):
+                transform = (
+                    axes.get_xaxis_transform() if side in {"above", "below"} else axes.get_yaxis_transform()
                 )
+                edge = {"transform": transform, "linestyle": "none", "clip_on": False, "zorder": 6}
+                arrow = {"marker": _ARROWS[side], "markersize": 0.55 * self._points, "color": style.colour}
+                axes.plot([x], [y], **edge, **arrow)
+                if marked:
+                    across, up = _INWARDS[side]
+                    edge["transform"] = library("transforms").offset_copy(
+                        transform, self.figure, 0.5 * across * self._points, 0.5 * up * self._points, "points"
+                    )
+                    hollow = isinstance(mark, Dots) and bool(mark.hollow) and all(mark.hollow)
+                    axes.plot([x], [y], **edge, **self._look(style, hollow=hollow))
+
+    def _look(self, style: Style, *, hollow: bool = False) -> dict[str, Any]:
+        """Return how a mark of a series is drawn."""
+        return {
+            "marker": style.mark,
+            "markersize": 0.5 * style.size * self._points,
+            "markerfacecolor": "white" if hollow else style.colour,
+            "markeredgecolor": style.colour if hollow else "white",
+            "markeredgewidth": (0.1 if hollow else 0.05) * self._points,
+        }
 
     # Legend
 
@@ -492,10 +496,7 @@ class Drawing:
             color=style.colour,
             linestyle=style.dashes if curves else "none",
             linewidth=(0.3 if number < 0 else 0.14) * self._points,
-            marker=style.mark if marked else None,
-            markersize=0.5 * self._points * style.size,
-            markeredgecolor="white",
-            markeredgewidth=0.05 * self._points,
+            **(self._look(style) if marked else {}),
         )
 
 
@@ -535,10 +536,6 @@ def _peaks(mark: Line) -> list[tuple[float, float]]:
         return []
     top = known[np.argmax(mark.y[known])]
     return [(float(mark.x[top]), float(mark.y[top]))]
-
-
-def _blended(axes: Any, sign: str) -> Any:
-    return axes.get_xaxis_transform() if sign in {"above", "below"} else axes.get_yaxis_transform()
 
 
 def shortened(text: str, most: int) -> str:

@@ -450,7 +450,7 @@ def front(frame: Frame, wish: Wish) -> Picture:
     lost = (
         [
             f"{len(worst)} not drawn, as the median run failed: "
-            + ", ".join(dict.fromkeys(keys_text(spot.keys) for spot in worst))
+            + "; ".join(dict.fromkeys(keys_text(spot.keys) for spot in worst))
         ]
         if worst
         else []

@@ -183,7 +183,8 @@ class Picture:
 
     def settled(self) -> Picture:
         """Return the picture with limits on its axes, and a sentence on what lies outside of them."""
-        marks = [mark for panel in self.panels for mark in panel.marks]
+        picture = self._renumbered()
+        marks = [mark for panel in picture.panels for mark in panel.marks]
         x = _settled(self.x, (numbers for mark in marks for numbers in _numbers(mark, "x")))
         y = _settled(self.y, (numbers for mark in marks for numbers in _numbers(mark, "y")))
         tiles = [mark.values.ravel() for mark in marks if isinstance(mark, Tiles)]
@@ -196,7 +197,26 @@ class Picture:
         ):
             if axis is not None and axis.limits is not None and axis.limits.outside:
                 notes += _outside(axis, numbers, scale=axis is colour)
-        return replace(self, x=x, y=y, colour=colour, notes=tuple(notes))
+        return replace(picture, x=x, y=y, colour=colour, notes=tuple(notes))
+
+    def _renumbered(self) -> Picture:
+        """Return the picture with those series alone that are drawn, counted from 0."""
+        numbers = {
+            mark.series for panel in self.panels for mark in panel.marks if not isinstance(mark, Tiles)
+        } - {-1}
+        used = sorted(numbers)
+        places = {number: place for place, number in enumerate(used)} | {-1: -1}
+        panels = tuple(
+            replace(
+                panel,
+                marks=tuple(
+                    mark if isinstance(mark, Tiles) else replace(mark, series=places[mark.series])
+                    for mark in panel.marks
+                ),
+            )
+            for panel in self.panels
+        )
+        return replace(self, panels=panels, series=tuple(self.series[number] for number in used))
 
 
 def _settled(axis: Axis, numbers: Iterable[Floats]) -> Axis:
@@ -243,7 +263,7 @@ def _outside(axis: Axis, numbers: Sequence[Floats], *, scale: bool) -> list[str]
     drawn = np.unique(np.concatenate([np.empty(0), *numbers]))
     found = drawn[((drawn < limits.low) | (drawn > limits.high)) & np.isfinite(drawn)].tolist()
     if not found:
-        return [f"{axis.label}: lines leave the axis, which a triangle at its edge marks"]
+        return [f"{axis.label}: lines leave the axis, which an arrowhead at its edge marks"]
     if len(found) <= _MOST_TOLD:
         what = ", ".join(format(number, ".3g") for number in found)
     else:
@@ -253,9 +273,9 @@ def _outside(axis: Axis, numbers: Sequence[Floats], *, scale: bool) -> list[str]
     how = (
         how
         if scale
-        else "are marked by triangles at its edge"
+        else "are marked by arrowheads at its edge"
         if many
-        else "is marked by a triangle at its edge"
+        else "is marked by an arrowhead at its edge"
     )
     lies, where = "lie" if many else "lies", "scale" if scale else "axis"
     return [f"{axis.label}: {what} {lies} outside of the {where} and {how}"]
