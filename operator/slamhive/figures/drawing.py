@@ -36,6 +36,10 @@ _LETTER = 0.56
 """Width of a letter over its height, about."""
 
 _SHAPE = 0.74
+_WIDE = 50.0
+_ALONE = {False: 0.58, True: 0.42}
+"""Height over width of a panel by itself, and of one that is wider than 50 letters are high."""
+
 _ARROWS = {"left": 8, "right": 9, "above": 10, "below": 11}
 """Matplotlib's carets whose base lies at their place."""
 
@@ -122,7 +126,11 @@ class Drawing:
         if categories and picture.colour is not None:
             tall = max(0.45 * wide, len(categories) * 2.0 * em + 2 * em)
         else:
-            tall = (wide * (0.9 if picture.equal else _SHAPE)) if self._across > 1 else wide * 0.58
+            tall = (
+                (wide * (0.9 if picture.equal else _SHAPE))
+                if self._across > 1
+                else wide * _ALONE[wide > _WIDE * em]
+            )
         if self._turned():
             longest = max(len(shortened(text, _LONGEST)) for text in picture.x.categories)
             room += longest * _LETTER * 0.8 * em * 0.6
@@ -135,7 +143,8 @@ class Drawing:
         if not categories:
             return False
         wide = self._points * 0.8125 * _LETTER / 72
-        room = self._room() / len(categories)
+        count = len(categories)
+        room = self._beside(count) if self._picture.colour is not None else self._room() / count
         return max(len(shortened(text, _LONGEST)) for text in categories) * wide > room
 
     def _beside(self, count: int) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import sort_key
-from slamhive.analysis.grouping import Groups, aggregate, counting, sound
+from slamhive.analysis.grouping import Groups, aggregate, counting, sound, varies
 from slamhive.analysis.names import label_of
 from slamhive.analysis.pareto import pareto
 from slamhive.figures.asking import (
@@ -339,7 +339,7 @@ def heat(frame: Frame, wish: Wish) -> Picture:
     colour = wish.number("by", error_of(frame), frame)
     frame, left = with_figure(frame, colour.column)
     both = [setting_of(frame, number, "") for number in (0, 1)]
-    if not both[1]:  # nothing, or one setting alone, was varied
+    if not both[1] and (not both[0] or varies(frame, "dataset")):  # one setting at most was varied
         both = ["dataset", ""]
     x = wish.named("x", (both[0],), frame)
     y = wish.named("y", (both[1],) if both[1] else COMPETITORS, frame)

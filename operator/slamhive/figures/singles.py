@@ -209,7 +209,7 @@ def repetitions(frame: Frame, wish: Wish) -> Picture:
         panels=(Panel("", tuple(marks)),),
         series=tuple(kinds),
         notes=(
-            "each mark is one repetition, equal trajectories counted once; the bar is their median",
+            "each mark is one repetition, equal trajectories (n =) counted once; the bar is their median",
             *Tally.of_cells(cells).notes(wish.outcomes, above=False),
             *more,
             *notes,

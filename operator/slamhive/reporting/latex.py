@@ -121,7 +121,9 @@ def latex(
     needs = [rf"Needs \usepackage{{{', '.join(packages)}}}."] if packages else []
     lines = [f"% {_CONTROL.sub(' ', one)}" for one in (*origin, *needs)]
     told = " ".join(map(_counted, caption_of(table, caption)))
-    lines += [f"\\begin{{table{star}}}[t]", r"\centering", rf"\caption{{{told}}}"]
+    # Most classes leave no room between a caption and what stands beneath it.
+    lines += [f"\\begin{{table{star}}}[t]", r"\centering", r"\setlength{\belowcaptionskip}{4pt}"]
+    lines += [rf"\caption{{{told}}}"]
     if rules is Rules.IEEE:
         lines.append(r"\renewcommand{\arraystretch}{1.2}")
     if label:
