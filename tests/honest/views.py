@@ -553,7 +553,8 @@ def read_latex(text: str, question: Question) -> list[Record]:
 
 
 def _plain(cell: str) -> str:
-    for command in (r"\textbf", r"\textit", r"\rotatebox{60}", r"\textsuperscript{\textdagger}"):
+    signs = (r"\textbf", r"\underline", r"\textit", r"\rotatebox{60}", r"\textsuperscript{\textdagger}")
+    for command in signs:
         cell = cell.replace(command, "")
     cell = re.sub(r"\\([&%$#_{}])", r"\1", cell.replace(r"$\pm$", "±").replace("$n$", "n"))
     return cell.strip("{} ")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 import shutil
 import subprocess
@@ -14,8 +15,9 @@ import pytest
 
 from slamhive.analysis import Metric, Outcomes, Selection, choose
 from slamhive.model.results import Outcome
-from slamhive.reporting.latex import escaped, latex
-from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
+from slamhive.reporting.latex import Rules, escaped, latex
+from slamhive.reporting.papermarkdown import markdown
+from slamhive.reporting.papertables import Best, Layout, Overall, Statistic, flat, make_table
 from slamhive.tables.reading import archive_url, read_archive
 
 if TYPE_CHECKING:
@@ -131,7 +133,7 @@ def test_heads_and_footnotes_say_what_their_values_are(records: Any, fill: Calla
 
     home = fill([run(0, 7.5), run(12, 15.0), run(24, 15.0)])
     text = latex(table(home, columns=("input.frameRate",), rows=("sensors", "parameters.loop")))
-    assert r"Sensors & loop & frame rate [Hz] 7.5 & frame rate [Hz] 15.0" in text
+    assert r"Sensors & loop & frame rate 7.5 Hz & frame rate 15.0 Hz" in text
     assert "Not tracked: sensors stereo, loop true, frame rate 15.0 Hz: 1 OutOfMemory." in text
     turned = latex(table(home, rows=("input.frameRate", "input.resolution"), columns=()))
     assert "Frame rate [Hz] & Resolution & ATE" in turned
@@ -140,6 +142,79 @@ def test_heads_and_footnotes_say_what_their_values_are(records: Any, fill: Calla
 def test_a_cell_in_which_all_failed_says_how(study: Path) -> None:
     text = latex(table(study, where="repetition > 1 or algorithm == 'algorithm-1'"))
     assert r"algorithm-0 & -- & -- & \textit{Lost} &" in text
+
+
+@pytest.fixture
+def three(records: Any, fill: Callable[..., Path]) -> Path:
+    """Three algorithms on three datasets: a is best on two of them, c failed on the last."""
+    errors = {"a": (0.01, 0.02, 0.09), "b": (0.02, 0.03, 0.03), "c": (0.04, 0.04, None)}
+    runs = []
+    for at, (name, values) in enumerate(errors.items()):
+        for dataset, error in enumerate(values):
+            spec = {"algorithmRef": {"name": name}, "datasetRef": {"name": f"dataset-{dataset}"}}
+            number = 2 * (3 * at + dataset)
+            runs.append(
+                records.failed(number, spec=spec)
+                if error is None
+                else records.run(number, spec=spec, results=[records.result(ate={"rmse": error})])
+            )
+    return fill(runs)
+
+
+def test_the_second_is_underlined(three: Path) -> None:
+    text = latex(table(three))
+    assert r"a & \textbf{1.00} & \textbf{2.00} & \underline{9.00} &" in text
+    assert r"b & \underline{2.00} & \underline{3.00} & \textbf{3.00} &" in text
+    assert r"c & 4.00 & 4.00 & \textit{OutOfMemory} &" in text
+    assert "Bold: best of its column, underlined: second." in text
+
+
+def test_of_two_rows_none_is_second(study: Path) -> None:
+    assert "underline" not in latex(table(study))
+    assert "underline" not in latex(table(study, best=Best.NONE))
+
+
+def test_ranks_and_ratios_are_what_stands_for_all_datasets(three: Path) -> None:
+    found = table(three, overall=(Overall.RANK, Overall.RATIO))
+    ranks, ratios = found.overall
+    assert [one.value for one in ranks.figures] == pytest.approx([(1 + 1 + 2) / 3, (2 + 2 + 1) / 3, 3.0])
+    assert [one.value for one in ratios.figures] == pytest.approx([3 ** (1 / 3), 3 ** (1 / 3), math.inf])
+    assert [(one.bold, one.second) for one in ranks.figures] == [(True, False), (False, True), (False, False)]
+    text = latex(found)
+    assert r"\multicolumn{2}{c}{Over datasets}" in text
+    assert r"& \textbf{1.33} & \textbf{1.44} &" in text
+    assert r"& 3.00 & $\infty$ &" in text
+    assert r"$\infty$: of a dataset the median run failed." in text
+    assert flat(found)["rank over datasets"][0] == pytest.approx(4 / 3)
+
+
+def test_a_rank_on_some_datasets_says_so(three: Path) -> None:
+    found = table(three, overall=(Overall.RANK,), where="algorithm != 'b' or dataset == 'dataset-0'")
+    assert "(1/3)" in latex(found)
+    assert "In parentheses: on how many datasets of all" in latex(found)
+
+
+def test_metres_are_never_averaged_over_datasets(three: Path) -> None:
+    """Whoever leaves the datasets out of the columns gets them as rows."""
+    found = table(three, rows=("algorithm",), columns=())
+    assert "dataset" in found.keys
+    assert len(found.rows) == 9
+
+
+def test_ieee_has_lines_without_a_package(three: Path) -> None:
+    text = latex(table(three), rules=Rules.IEEE)
+    assert "rule" not in text.replace("\\arraystretch", "")
+    assert text.count(r"\hline") == 4
+    assert "usepackage{booktabs}" not in text
+
+
+def test_markdown_is_the_same_table(three: Path) -> None:
+    lines = markdown(table(three, overall=(Overall.RATIO,)), told="Three | of them").splitlines()
+    assert lines[0].startswith("Three \\| of them. Mean over tracked runs, n = 0 to 1 each.")
+    assert lines[2].startswith("| Algorithm | ATE \\[cm\\], dataset-0 | ATE \\[cm\\], dataset-1 |")
+    assert lines[4] == "| a | **1.00** | **2.00** | <u>9.00</u> | **1.44** | 1 | 1 | 1 |"
+    assert lines[6] == "| c | 4.00 | 4.00 | *OutOfMemory* | ∞ | 1 | 1 | 0/1 |"
+    assert {line.count(" | ") for line in lines[2:7]} == {7}
 
 
 @pytest.mark.parametrize(
@@ -165,10 +240,11 @@ def test_csv_has_every_digit(study: Path) -> None:
     assert {len(held) for held in columns.values()} == {6}
 
 
-def test_latex_takes_it(assorted: Path, study: Path, tmp_path: Path) -> None:
+@pytest.mark.slow  # make test needs no LaTeX; make test-packages installs it
+def test_latex_takes_it(assorted: Path, study: Path, three: Path, tmp_path: Path) -> None:
     program = shutil.which("pdflatex")
     if program is None:
-        pytest.skip("no pdflatex here: apt-get install texlive-latex-recommended")
+        pytest.skip("no pdflatex here: sudo apt-get install texlive-latex-recommended")
     where = "dataset in ('dataset-0', 'dataset-1', 'dataset-2')"
     metrics = tuple(
         map(Metric.parse, ("ate.rmse", "usage.cpu.meanCores", "usage.memory.peakBytes", "coverage"))
@@ -177,7 +253,11 @@ def test_latex_takes_it(assorted: Path, study: Path, tmp_path: Path) -> None:
         table(assorted, rows=("algorithm", "sensors"), metrics=metrics, spread=True, where=where),
         table(assorted, rows=("parameters.nFeatures", "parameters.text"), columns=(), where=where),
     ]
-    body = "\n".join(latex(one, caption="x_y & <z>") for one in tables)
+    tables += [
+        table(three, overall=(Overall.RANK, Overall.RATIO), spread=True),
+        table(study, best=Best.GROUP),
+    ]
+    body = "\n".join(latex(one, caption="x_y & <z>", rules=rules) for one in tables for rules in Rules)
     packages = r"\usepackage[utf8]{inputenc}\usepackage[T1]{fontenc}\usepackage{booktabs,graphicx}"
     (tmp_path / "x.tex").write_text(
         rf"\documentclass[twocolumn]{{article}}{packages}\begin{{document}}{body}\end{{document}}"
@@ -198,12 +278,18 @@ def test_the_command_writes_both_forms(study: Path, slamhive: Callable[..., Any]
     assert (
         slamhive(study, "paper-table", "--columns", "", "--rows", "dataset", "-o", tmp_path / "t.tex")[0] == 0
     )
+    assert slamhive(study, "paper-table", "-m", "ate.rmse:cm", "--style", "csv")[1] == out
+    assert slamhive(study, "paper-table", "--style", "markdown")[1].startswith("Mean over tracked runs")
+    assert r"\hline" in slamhive(study, "paper-table", "--style", "ieee")[1]
     assert re.search(r"^algorithm-0 & dataset-0 & ", (tmp_path / "t.tex").read_text(), re.MULTILINE)
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
+        (["--overall", "mean"], "--overall: unknown figure over datasets 'mean'; known: rank, ratio"),
+        (["--overall", "rank", "--columns", ""], "--overall: ranks and ratios are over datasets"),
+        (["--overall", "rank", "-m", "coverage"], "--overall: coverage: ranks are by a figure that is good"),
         (["--preset", "V"], "--preset: unknown table 'V'"),
         (["-m", "ate.rmes"], "--metric: unknown column 'ate.rmes'; did you mean 'ate.rmse'?"),
         (["-m", "ate.rmse:km"], "ate.rmse:km: 'km' is neither a unit"),

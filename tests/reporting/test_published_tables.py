@@ -33,7 +33,7 @@ def lines_of(slamhive: Callable[..., Any], home: Path, name: str) -> list[list[s
     code, out, err = slamhive(home, "paper-table", "--preset", name)
     assert code == 0, err
     body = out.split("\\midrule\n", 1)[1].split("\\bottomrule", maxsplit=1)[0]
-    for command in (r"\textsuperscript{\textdagger}", r"\textbf{", "}", r" \\"):
+    for command in (r"\textsuperscript{\textdagger}", r"\textbf{", r"\underline{", "}", r" \\"):
         body = body.replace(command, "")
     return [line.split(" & ") for line in body.splitlines() if "&" in line]
 

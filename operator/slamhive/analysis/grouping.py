@@ -9,6 +9,7 @@ docs/results.md, "What counts", says the same in words.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -121,6 +122,21 @@ class Figure:
     median_interval: Interval | None = None
     censored: int = 0
     censored_median: float | None = None
+
+    @property
+    def middle(self) -> float | None:
+        """The median, runs that failed in an error behind all others; infinite when it is one of them."""
+        if self.censored_median is not None:
+            return self.censored_median
+        return self.summary.median if self.summary else None
+
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """The range of few runs, the interval of the median of many; fewer than two where unknown."""
+        interval = self.median_interval
+        if interval is not None:
+            return tuple(end for end in (interval.low, interval.high) if math.isfinite(end))
+        return (self.summary.min, self.summary.max) if self.summary and self.summary.n > 1 else ()
 
 
 @dataclass(frozen=True)

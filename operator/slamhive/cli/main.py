@@ -53,7 +53,12 @@ COMMANDS = {
     "paper-table": _Command(
         "report",
         "paper_table",
-        "Write a table for a paper: LaTeX with booktabs, best in bold, failures shown, or CSV.",
+        "Write a table for a paper: LaTeX, Markdown or CSV, best in bold, failures shown.",
+    ),
+    "figure": _Command(
+        "figure",
+        "figure",
+        "Draw a figure for a paper, as PDF, SVG or PNG, with its numbers as CSV beside it.",
     ),
     "submit": _Command(
         "cluster", "submit", "Send sweeps, runs and what they need to a cluster, which runs them."

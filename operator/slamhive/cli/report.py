@@ -6,7 +6,6 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,19 +13,21 @@ import numpy as np
 import typer
 
 from slamhive import __version__
-from slamhive.analysis import Metric, Outcomes, Selection, choose
+from slamhive.analysis import Metric, Outcomes
 from slamhive.analysis.boards import COMPETITORS
+from slamhive.cli.choosing import EvaluationName, Sweeps, Where, choose_runs, select
 from slamhive.cli.console import remark
 from slamhive.cli.results import Output, Superseded
-from slamhive.local.home import Home
-from slamhive.model.errors import InputError
-from slamhive.reporting.latex import latex
+from slamhive.model.base import Choice
+from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.reporting.latex import Rules, latex
 from slamhive.reporting.overview import runs_of
 from slamhive.reporting.page import Contents, report_html
-from slamhive.reporting.papertables import Best, Layout, Statistic, flat, make_table
-from slamhive.reporting.presets import Preset, preset
-from slamhive.reporting.questions import parse_question, usual_questions
-from slamhive.tables.reading import read_archive, revision
+from slamhive.reporting.papermarkdown import markdown
+from slamhive.reporting.papertables import Best, Layout, Overall, Statistic, flat, make_table
+from slamhive.reporting.presets import preset
+from slamhive.reporting.questions import parse_question, usual_metric, usual_questions
+from slamhive.tables.reading import revision
 from slamhive_eval.csv_writing import csv_text
 
 if TYPE_CHECKING:
@@ -35,21 +36,19 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
 
 DEFAULT_METRICS = ("ate.rmse",)
-RANKED_BY = ("ate.rmse", "relations.translation.rmse")
-
-Where = Annotated[
-    str | None, typer.Option(metavar="EXPR", help='Only rows that meet it, as in "coverage >= 0.9".')
-]
-Sweeps = Annotated[
-    list[str] | None, typer.Option(metavar="NAME", help="Only runs of this sweep; several times.")
-]
-EvaluationName = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as se3 or sim3.")
-]
 
 
-class TableFormat(StrEnum):
+class TableStyle(Choice):
     """How a table for a paper is written."""
+
+    BOOKTABS = "booktabs"
+    IEEE = "ieee"
+    MARKDOWN = "markdown"
+    CSV = "csv"
+
+
+class TableFormat(Choice):
+    """Earlier names of styles."""
 
     LATEX = "latex"
     CSV = "csv"
@@ -92,9 +91,9 @@ def report(
 
     Example: slamhive report --analysis input.frameRate:usage.cpu.meanCores -o report.html
     """
-    selection = _selection(sweep, evaluation, where, superseded=superseded)
-    frame, notes = _choose(selection, "there is nothing to report")
-    metric = metric or next((name for name in RANKED_BY if not frame.column(name).is_empty), RANKED_BY[0])
+    selection = select(sweep, evaluation, where, superseded=superseded)
+    frame, notes = choose_runs(selection, "there is nothing to report")
+    metric = metric or usual_metric(frame)
     for field, names in (("--metric", [metric]), ("--cost", cost or []), ("--by", _names(by, ""))):
         frame.require(names, field)
         if field != "--by":
@@ -156,8 +155,14 @@ def paper_table(
     ] = False,
     best: Annotated[
         Best,
-        typer.Option(help="Where the best number is bold: in each column, or within each first row key."),
+        typer.Option(help="Best bold, second underlined: of each column, or within each first row key."),
     ] = Best.COLUMN,
+    overall: Annotated[
+        str | None,
+        typer.Option(
+            metavar="rank,ratio", help="Over all datasets: mean rank, geometric mean of ratios to the best."
+        ),
+    ] = None,
     caption: Annotated[
         str | None, typer.Option(help="What the table shows; n and the rest are added.")
     ] = None,
@@ -166,10 +171,13 @@ def paper_table(
     sweep: Sweeps = None,
     evaluation: EvaluationName = None,
     superseded: Superseded = False,
-    form: Annotated[TableFormat, typer.Option("--format", help="latex or csv.")] = TableFormat.LATEX,
+    style: Annotated[
+        TableStyle, typer.Option(help="LaTeX with booktabs or as IEEE has it, Markdown, or CSV.")
+    ] = TableStyle.BOOKTABS,
+    form: Annotated[TableFormat | None, typer.Option("--format", hidden=True)] = None,
     output: Output = None,
 ) -> None:
-    """Write a table for a paper: LaTeX with booktabs, best in bold, failures shown, or CSV.
+    """Write a table for a paper: LaTeX, Markdown or CSV, best in bold, failures shown.
 
     Example: slamhive paper-table --columns dataset -m ate.rmse:cm:.1f --spread -o table.tex
     """
@@ -182,9 +190,10 @@ def paper_table(
         statistic=statistic,
         spread=spread,
         best=best,
+        overall=_overall(overall),
     )
-    selection = _selection(sweep, evaluation, where, given, superseded=superseded)
-    frame, left_out = _choose(selection, "there is nothing to make a table of")
+    selection = select(sweep, evaluation, where, given, superseded=superseded)
+    frame, left_out = choose_runs(selection, "there is nothing to make a table of")
     frame.require(layout.rows, "--rows")
     frame.require(layout.columns, "--columns")
     names = [one.column for one in layout.metrics]
@@ -192,7 +201,7 @@ def paper_table(
     _check_numbers(frame, names, "--metric")
     table = make_table(frame, layout)
     table = replace(table, notes=(*left_out, *table.notes))
-    if form is TableFormat.CSV:
+    if TableFormat.CSV is form or style is TableStyle.CSV:
         _write(csv_text(flat(table)), output)
         return
     origin = (
@@ -200,36 +209,27 @@ def paper_table(
         *(f"Of the archive: {sentence}." for sentence in selection.sentences),
     )
     words = caption if caption is not None else given.caption if given else ""
-    _write(latex(table, caption=words, label=label, origin=origin), output)
+    if style is TableStyle.MARKDOWN:
+        text = markdown(table, told=words, origin=origin)
+    else:
+        text = latex(table, caption=words, label=label, origin=origin, rules=Rules(style.value))
+    _write(text, output)
     for note in table.notes if output else ():
         remark(note)
 
 
-def _selection(
-    sweep: list[str] | None,
-    evaluation: str | None,
-    where: str | None,
-    given: Preset | None = None,
-    *,
-    superseded: bool,
-) -> Selection:
-    conditions = [text for text in (given.where if given else None, where) if text and text.strip()]
-    both = " and ".join(f"({text})" for text in conditions) if len(conditions) > 1 else "".join(conditions)
-    chosen = evaluation if evaluation is not None else given.evaluation if given else None
-    return Selection(tuple(sweep or ()), chosen, both or None, superseded=superseded, option="--")
-
-
-def _choose(selection: Selection, otherwise: str) -> tuple[Frame, tuple[str, ...]]:
-    """Return the selected rows, and sentences on what is left out.
+def _overall(text: str | None) -> tuple[Overall, ...]:
+    """Read what stands for each row over all datasets.
 
     Raises:
-        InputError: there are none.
+        InputError: it is no such thing.
     """
-    home = Home.from_environment()
-    chosen = choose(read_archive(home.archive_url, home.path / "cache"), selection)
-    if not len(chosen.frame):
-        raise InputError("; ".join(chosen.notes) or f"no run is meant: {otherwise}")
-    return chosen.frame, chosen.notes
+    names = _names(text, "")
+    known = {kind.value: kind for kind in Overall}
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("figure over datasets", name, known, "--overall")
+    return tuple(known[name] for name in names)
 
 
 def _names(text: str | None, default: str) -> tuple[str, ...]:

@@ -30,6 +30,8 @@ _LATENCIES = ("output/latency.csv", "run/output/latency.csv")
 _MAX_CONFIGURATION = 2**18
 _MAX_VALUES = 20_000
 _MAX_DEPTH = 50
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""Ten times as fast, where PyYAML was built with it."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def configuration_of(place: Place) -> dict[str, Any]:
     for name in _CONFIGURATIONS:
         try:
             content = place.read(name, _MAX_CONFIGURATION)
-            found = yaml.safe_load(content) if _is_small(content) else None
+            found = yaml.load(content, _LOADER) if _is_small(content) else None  # noqa: S506 - a safe one
         except Missing:
             continue
         except (TooLarge, yaml.YAMLError, ValueError, RecursionError):
@@ -68,7 +70,7 @@ def _is_small(content: bytes) -> bool:
     sizes: dict[str, int] = {}
     opened: list[tuple[str | None, int]] = []
     total = 0
-    for number, event in enumerate(yaml.parse(content)):
+    for number, event in enumerate(yaml.parse(content, _LOADER)):
         if isinstance(event, yaml.AliasEvent):
             total += sizes.get(event.anchor or "", _MAX_VALUES + 1)  # within itself: no end
         elif isinstance(event, yaml.CollectionStartEvent):

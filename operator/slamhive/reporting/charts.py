@@ -18,10 +18,9 @@ if TYPE_CHECKING:
     from typing import Any
 
     from slamhive.analysis import Metric
-    from slamhive.analysis.grouping import Cell, Figure
+    from slamhive.analysis.grouping import Cell
     from slamhive.analysis.leaderboard import Board
     from slamhive.analysis.pareto import Front
-    from slamhive.analysis.statistics import Interval
     from slamhive.reporting.markup import Markup
     from slamhive.reporting.studies import Panel, Study
 
@@ -194,7 +193,7 @@ def _heights(made: Study, panel: Panel, metric: Metric) -> Iterable[float]:
     heights = []
     for cell in panel.cells:
         figure = cell.figures[made.question.y]
-        median, ends = _median(figure), _ends(figure)
+        median, ends = figure.middle, figure.ends
         heights += [value * metric.factor for value in (median, *ends, *figure.points) if value is not None]
     return heights
 
@@ -203,20 +202,6 @@ def _fails(made: Study, panel: Panel) -> bool:
     if made.question.points:
         return any(math.isnan(dot.y) for dot in panel.dots)
     return any(cell.failures for cell in panel.cells)
-
-
-def _median(figure: Figure) -> float | None:
-    if figure.censored_median is not None:
-        return figure.censored_median
-    return figure.summary.median if figure.summary else None
-
-
-def _ends(figure: Figure) -> tuple[float, ...]:
-    """Return the range of few runs, and the interval of the median of many."""
-    interval: Interval | None = figure.median_interval
-    if interval is not None:
-        return tuple(end for end in (interval.low, interval.high) if math.isfinite(end))
-    return (figure.summary.min, figure.summary.max) if figure.summary and figure.summary.n > 1 else ()
 
 
 def _draw_dots(
@@ -277,7 +262,7 @@ def _draw_group(
 ) -> tuple[float, float] | None:
     y, metric = axis
     figure = cell.figures[metric.column]
-    median, ends = _median(figure), _ends(figure)
+    median, ends = figure.middle, figure.ends
     keys = keys_text(cell.keys)
     if len(ends) == 2:
         low, high = (y.at(end * metric.factor) for end in ends)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables in LaTeX with booktabs, to be taken up by a paper as they are."""
+"""Tables in LaTeX, with booktabs or as IEEE has them, to be taken up by a paper as they are."""
 
 from __future__ import annotations
 
@@ -7,10 +7,19 @@ import re
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis import Outcomes
-from slamhive.analysis.grouping import SUBJECT
-from slamhive.reporting.papertables import Best, Statistic
-from slamhive.reporting.titles import column_title, keys_text
+from slamhive.model.base import Choice
+from slamhive.reporting.tablewords import (
+    caption as caption_of,
+)
+from slamhive.reporting.tablewords import (
+    column_words,
+    count_text,
+    footnotes,
+    key_title,
+    parts_text,
+    plain,
+)
+from slamhive.tables.text import number_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +33,6 @@ FEW = 4
 COLUMN, PAGE = 58, 118
 """Characters that stand side by side in a column and on a page of two."""
 
-_MOST_FAILURES = 12
 _SPECIAL = {
     **{sign: f"\\{sign}" for sign in "&%$#_{}"},
     "\\": r"\textbackslash{}",
@@ -38,20 +46,51 @@ _SPECIAL = {
     "<": r"\textless{}",
     ">": r"\textgreater{}",
     "|": r"\textbar{}",
+    "†": r"\textsuperscript{\textdagger}",
+    "∞": r"$\infty$",
     '"': r"\textquotedbl{}",
 }
 _DAGGER = r"\textsuperscript{\textdagger}"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]+")
-_GIVEN = ("parameters.", "dataset.attributes.", "label.")
+_N = re.compile(r"\bn = (\d+)(?: to (\d+))?")
 _COMMANDS = re.compile(r"\\rotatebox\{60\}\{.*\}|\\[a-z]+\*?|[{}$]")
+
+
+class Rules(Choice):
+    """How a table's lines are drawn."""
+
+    BOOKTABS = "booktabs"
+    IEEE = "ieee"
+
+    @property
+    def package(self) -> str | None:
+        """The package that draws them."""
+        return "booktabs" if self is Rules.BOOKTABS else None
+
+    def line(self, place: str) -> str:
+        """Return the line at a place: top, mid or bottom."""
+        if self is Rules.BOOKTABS:
+            return rf"\{place}rule"
+        return r"\hline\hline" if place == "top" else r"\hline"
+
+    def under(self, first: int, last: int) -> str:
+        """Return a line under some columns, counted from 1."""
+        return rf"\cmidrule(lr){{{first}-{last}}}" if self is Rules.BOOKTABS else rf"\cline{{{first}-{last}}}"
 
 
 def escaped(text: Any) -> str:
     """Return a text that LaTeX prints as it is."""
-    return "".join(_SPECIAL.get(sign, sign) for sign in _CONTROL.sub(" ", _text(text)))
+    return "".join(_SPECIAL.get(sign, sign) for sign in _CONTROL.sub(" ", plain(text)))
 
 
-def latex(table: PaperTable, *, caption: str = "", label: str = "", origin: Sequence[str] = ()) -> str:
+def latex(
+    table: PaperTable,
+    *,
+    caption: str = "",
+    label: str = "",
+    origin: Sequence[str] = (),
+    rules: Rules = Rules.BOOKTABS,
+) -> str:
     """Write a table.
 
     Args:
@@ -59,16 +98,18 @@ def latex(table: PaperTable, *, caption: str = "", label: str = "", origin: Sequ
         caption: what it shows; statistic, n and what is bold are added.
         label: what the paper refers to it by; none for none.
         origin: sentences on where it comes from, put in front as comments.
+        rules: how its lines are drawn.
     """
-    body = _body(table)
+    body = _body(table, rules)
     blocks = _blocks(table)
-    turned = _width(body, _head(table, blocks)) > PAGE and table.layout.columns != ()
-    head = _head(table, blocks, turned=turned)
+    turned = _width(body, _head(table, blocks, rules)) > PAGE and table.layout.columns != ()
+    head = _head(table, blocks, rules, turned=turned)
     width = _width(body, head)
     star = "*" if width > COLUMN else ""
     shape = "l" * len(table.keys) + "".join(" " + "r" * len(block) for _, block in blocks)
-    tabular = [rf"\begin{{tabular}}{{{shape}}}", r"\toprule", *head, r"\midrule", *body]
-    tabular += [r"\bottomrule", r"\end{tabular}"]
+    lines_of = {place: rules.line(place) for place in ("top", "mid", "bottom")}
+    tabular = [rf"\begin{{tabular}}{{{shape}}}", lines_of["top"], *head, lines_of["mid"], *body]
+    tabular += [lines_of["bottom"], r"\end{tabular}"]
     if width > PAGE or turned:
         # Safe to leave in place: what fits is not made smaller.
         tabular = [
@@ -76,13 +117,19 @@ def latex(table: PaperTable, *, caption: str = "", label: str = "", origin: Sequ
             *tabular[:-1],
             tabular[-1] + "}",
         ]
-    packages = r"booktabs, graphicx" if width > PAGE or turned else "booktabs"
-    lines = [f"% {_CONTROL.sub(' ', one)}" for one in (*origin, rf"Needs \usepackage{{{packages}}}.")]
-    lines += [f"\\begin{{table{star}}}[t]", r"\centering", rf"\caption{{{_caption(table, caption)}}}"]
+    packages = [name for name in (rules.package, "graphicx" if width > PAGE or turned else None) if name]
+    needs = [rf"Needs \usepackage{{{', '.join(packages)}}}."] if packages else []
+    lines = [f"% {_CONTROL.sub(' ', one)}" for one in (*origin, *needs)]
+    told = " ".join(map(_counted, caption_of(table, caption)))
+    # Most classes leave no room between a caption and what stands beneath it.
+    lines += [f"\\begin{{table{star}}}[t]", r"\centering", r"\setlength{\belowcaptionskip}{4pt}"]
+    lines += [rf"\caption{{{told}}}"]
+    if rules is Rules.IEEE:
+        lines.append(r"\renewcommand{\arraystretch}{1.2}")
     if label:
         lines.append(rf"\label{{{_CONTROL.sub('', label)}}}")
     lines += [r"\small", r"\setlength{\tabcolsep}{4pt}", *tabular]
-    if notes := _footnotes(table):
+    if notes := [escaped(note) for note in footnotes(table)]:
         lines += ["", r"\smallskip", rf"{{\footnotesize {' '.join(notes)}}}"]
     return "\n".join([*lines, rf"\end{{table{star}}}", ""])
 
@@ -97,73 +144,63 @@ def _width(body: Sequence[str], head: Sequence[str]) -> int:
 def _blocks(table: PaperTable) -> list[tuple[str, list[str]]]:
     """Return (heading, headings beneath it) of each block of columns of numbers."""
     names = table.layout.columns
-    beneath = [escaped(", ".join(_column(names, column))) for column in table.columns]
+    beneath = [escaped(column_words(names, column)) for column in table.columns]
     titles = [escaped(metric.title) for metric in table.metrics]
     blocks = [(title, beneath) for title in titles]
+    if table.overall:
+        blocks.append(("Over datasets", [str(over.kind.value) for over in table.overall]))
     if table.shows_counts:
         blocks.append(("$n$", beneath if len(beneath) <= FEW else [""]))
     return blocks
 
 
-def _column(names: Sequence[str], values: Sequence[Any]) -> list[str]:
-    """Return what stands above a column: values, with name and unit where they don't explain themselves."""
-    return [
-        _text(value) if name in SUBJECT else f"{column_title(name, names)} {_text(value)}"
-        for name, value in zip(names, values, strict=True)
-    ]
-
-
-def _head(table: PaperTable, blocks: Sequence[tuple[str, list[str]]], *, turned: bool = False) -> list[str]:
-    keys = [escaped(_key_title(name, table.keys)) for name in table.keys]
+def _head(
+    table: PaperTable, blocks: Sequence[tuple[str, list[str]]], rules: Rules, *, turned: bool = False
+) -> list[str]:
+    keys = [escaped(key_title(name, table.keys)) for name in table.keys]
     if not table.layout.columns:
         parts = [title.partition(" [") for title, _ in blocks]
         units = [f"[{unit}" if unit else "" for _, _, unit in parts]
         lines = [_line([*keys, *(name for name, _, _ in parts)])]
         return [*lines, _line([*("" for _ in keys), *units])] if any(units) else lines
-    first, rules, at = [""] * len(keys), [], len(keys) + 1
+    first, under, at = [""] * len(keys), [], len(keys) + 1
     for title, beneath in blocks:
         first.append(rf"\multicolumn{{{len(beneath)}}}{{c}}{{{title}}}")
-        rules.append(rf"\cmidrule(lr){{{at}-{at + len(beneath) - 1}}}")
+        under.append(rules.under(at, at + len(beneath) - 1))
         at += len(beneath)
     names = [rf"\rotatebox{{60}}{{{name}}}" if turned else name for _, block in blocks for name in block]
-    return [_line(first), "".join(rules), _line([*keys, *names])]
+    return [_line(first), "".join(under), _line([*keys, *names])]
 
 
-def _key_title(name: str, names: Sequence[str]) -> str:
-    """Return a heading; names that somebody gave keep their letters."""
-    title = column_title(name, names)
-    return title if name.startswith(_GIVEN) or "." in title else title[:1].upper() + title[1:]
-
-
-def _body(table: PaperTable) -> list[str]:
-    pairs = list(zip(table.rows, table.places, strict=True))
+def _body(table: PaperTable, rules: Rules) -> list[str]:
+    pairs = list(zip(table.rows, table.places, range(len(table.rows)), strict=True))
     grouped = len(table.keys) > 1
     lines = []
     for number, (_, group) in enumerate(
-        groupby(pairs, key=lambda pair: _text(pair[0][0]) if grouped else "")
+        groupby(pairs, key=lambda pair: plain(pair[0][0]) if grouped else "")
     ):
         if number:
-            lines.append(r"\midrule")
-        for place, (row, line) in enumerate(group):
+            lines.append(rules.line("mid"))
+        for place, (row, line, at_row) in enumerate(group):
             keys = ["" if grouped and place and not at else escaped(key) for at, key in enumerate(row)]
-            lines.append(_line([*keys, *_cells(table, line)]))
+            lines.append(_line([*keys, *_cells(table, line, at_row)]))
     return lines
 
 
-def _cells(table: PaperTable, line: Sequence[Place | None]) -> list[str]:
+def _cells(table: PaperTable, line: Sequence[Place | None], row: int) -> list[str]:
     cells = []
     for number, metric in enumerate(table.metrics):
         cells += [_figure(metric, place, number) for place in line]
+    for over in table.overall:
+        figure = over.figures[row]
+        text = "--" if figure.value is None else escaped(number_text(figure.value, ".2f"))
+        cells.append(_marked(figure, text) + parts_text(over.datasets[row]))
     if table.shows_counts and len(line) <= FEW:
-        cells += ["--" if place is None else _count(place.n, place.runs) for place in line]
+        cells += ["--" if place is None else count_text(place.n, place.runs) for place in line]
     elif table.shows_counts:
         held = [place for place in line if place is not None]
-        cells.append(_count(sum(place.n for place in held), sum(place.runs for place in held)))
+        cells.append(count_text(sum(place.n for place in held), sum(place.runs for place in held)))
     return cells
-
-
-def _count(n: int, runs: int) -> str:
-    return str(n) if n == runs else f"{n}/{runs}"
 
 
 def _figure(metric: Metric, place: Place | None, number: int) -> str:
@@ -174,8 +211,7 @@ def _figure(metric: Metric, place: Place | None, number: int) -> str:
         return rf"\textit{{{escaped(place.verdict)}}}" if not place.n else "--"
     shape = metric.format or ".4g"
     text = format(figure.value, shape)
-    if figure.bold:
-        text = rf"\textbf{{{text}}}"
+    text = _marked(figure, text)
     ends = [format(end, shape) for end in figure.spread]
     if len(ends) == 1:
         text += rf" $\pm$ {ends[0]}"
@@ -184,55 +220,17 @@ def _figure(metric: Metric, place: Place | None, number: int) -> str:
     return text + (_DAGGER if place.untracked and not number else "")
 
 
-def _caption(table: PaperTable, caption: str) -> str:
-    low, high = table.counts
-    layout = table.layout
-    runs = "tracked runs" if layout.outcomes is Outcomes.TRACKED else "all evaluated runs"
-    what = "Mean" if layout.statistic is Statistic.MEAN else "Median"
-    if layout.spread:
-        what += r" $\pm$ standard deviation" if layout.statistic is Statistic.MEAN else " [range]"
-    count = f"$n = {low}$" if low == high else f"$n = {low}$ to ${high}$"
-    told = caption.strip()
-    if told and not told.endswith((".", "!", "?")):
-        told += "."
-    parts = [escaped(told)] if told else []
-    parts.append(f"{what} over {runs}, {count} each.")
-    if any(one.bold for line in table.places for place in line if place for one in place.figures):
-        parts.append("Bold: best of its column" + (" and group." if _is_grouped(table) else "."))
-    if table.has_failures:
-        parts.append(
-            f"{_DAGGER} some runs were not tracked and are left out."
-            if layout.outcomes is Outcomes.TRACKED
-            else f"{_DAGGER} holds runs that were not tracked."
-        )
-    return " ".join(parts)
+def _marked(figure: Figure, text: str) -> str:
+    if figure.bold:
+        return rf"\textbf{{{text}}}"
+    return rf"\underline{{{text}}}" if figure.second else text
 
 
-def _is_grouped(table: PaperTable) -> bool:
-    return table.layout.best is Best.GROUP and len(table.keys) > 1
-
-
-def _footnotes(table: PaperTable) -> list[str]:
-    found = []
-    failures = table.failures
-    for row, column, words in failures[:_MOST_FAILURES]:
-        keys = zip((*table.keys, *table.layout.columns), (*row, *column), strict=True)
-        who = keys_text(dict(keys), ("algorithm", "dataset"), _text)
-        counts = ", ".join(f"{count} {word}" for word, count in words.items())
-        found.append(escaped(f"{who}: {counts}"))
-    if len(failures) > _MOST_FAILURES:
-        found.append(f"and {len(failures) - _MOST_FAILURES} more")
-    sentences = [f"Not tracked: {'; '.join(found)}."] if found else []
-    return [*sentences, *(escaped(note[:1].upper() + note[1:] + ".") for note in table.notes)]
+def _counted(sentence: str) -> str:
+    """Return a sentence in which n and its numbers are set as a formula."""
+    told = escaped(sentence)
+    return _N.sub(lambda found: f"$n = {found[1]}$" + (f" to ${found[2]}$" if found[2] else ""), told)
 
 
 def _line(cells: Sequence[str]) -> str:
     return " & ".join(cells) + r" \\"
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return repr(value) if isinstance(value, float) else str(value)

@@ -13,7 +13,9 @@ import numpy as np
 
 from slamhive.analysis import Metric, Outcomes
 from slamhive.analysis.grouping import aggregate, is_error
+from slamhive.analysis.leaderboard import leaderboard
 from slamhive.model.base import Choice
+from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +25,9 @@ if TYPE_CHECKING:
 
 SMALL_IS_GOOD = ("usage.", "frames.dropped")
 """What the names of columns begin with whose smallest number is the best."""
+
+LEAST_FOR_SECOND = 3
+"""Rows from which on the second best is marked too."""
 
 LARGE_IS_GOOD = ("coverage", "frames.processed")
 
@@ -34,6 +39,13 @@ class Statistic(Choice):
 
     MEAN = "mean"
     MEDIAN = "median"
+
+
+class Overall(Choice):
+    """What may stand for a row over all datasets: metres of one dataset say nothing about another."""
+
+    RANK = "rank"
+    RATIO = "ratio"
 
 
 class Best(Choice):
@@ -54,7 +66,8 @@ class Layout:
         outcomes: which runs enter the figures.
         statistic: what stands for several runs.
         spread: whether the standard deviation (or with a median the range) is shown beside.
-        best: where the best number is bold.
+        best: where the best number is bold, and the second one underlined.
+        overall: what stands for each row over all datasets, of the first metric.
     """
 
     rows: tuple[str, ...]
@@ -64,6 +77,7 @@ class Layout:
     statistic: Statistic = Statistic.MEAN
     spread: bool = False
     best: Best = Best.COLUMN
+    overall: tuple[Overall, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -74,11 +88,28 @@ class Figure:
         value: in the unit that is shown; None where no run counts.
         spread: standard deviation, or smallest and largest; empty where not asked for or unknown.
         bold: whether it is the best.
+        second: whether it comes next.
     """
 
     value: float | None
     spread: tuple[float, ...] = ()
     bold: bool = False
+    second: bool = False
+
+
+@dataclass(frozen=True)
+class OverAll:
+    """Ranks or ratios of the rows, each over the datasets on which it has runs that are ranked.
+
+    Attributes:
+        kind: which of both.
+        figures: of each row; without a value where nothing is ranked, infinite where a median run failed.
+        datasets: of each row, (ranked on, of).
+    """
+
+    kind: Overall
+    figures: tuple[Figure, ...]
+    datasets: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
@@ -121,6 +152,7 @@ class PaperTable:
         columns: values of the layout's columns, side by side under each metric.
         places: by row and column, None where nothing was run.
         notes: sentences on what is pooled and left out.
+        overall: what stands for the rows over all datasets.
     """
 
     layout: Layout
@@ -130,6 +162,7 @@ class PaperTable:
     columns: tuple[tuple[Any, ...], ...]
     places: tuple[tuple[Place | None, ...], ...]
     notes: tuple[str, ...]
+    overall: tuple[OverAll, ...] = ()
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -187,6 +220,7 @@ def make_table(frame: Frame, layout: Layout) -> PaperTable:
     metrics = tuple(_with_digits(metric, found.cells, layout.statistic) for metric in layout.metrics)
     shown = replace(layout, metrics=metrics)
     places = [[_place(cells.get((line, column)), shown) for column in across] for line in lines]
+    overall = _over_datasets(frame, shown, [dict(zip(keys, row, strict=True)) for row in lines.values()])
     return PaperTable(
         layout=layout,
         metrics=metrics,
@@ -195,13 +229,74 @@ def make_table(frame: Frame, layout: Layout) -> PaperTable:
         columns=tuple(across.values()),
         places=tuple(map(tuple, _with_best(places, list(lines.values()), shown))),
         notes=found.notes,
+        overall=overall,
+    )
+
+
+def _over_datasets(frame: Frame, layout: Layout, rows: Sequence[dict[str, Any]]) -> tuple[OverAll, ...]:
+    """Return ranks and ratios of the rows over the datasets, as the leaderboard has them.
+
+    Raises:
+        InputError: the datasets don't stand side by side, or small isn't good in the first metric.
+    """
+    if not layout.overall:
+        return ()
+    metric = layout.metrics[0].column
+    if "dataset" not in layout.columns:
+        raise InputError(
+            "--overall: ranks and ratios are over datasets, which then stand side by side: --columns dataset"
+        )
+    if _way(metric) != 1:
+        raise InputError(f"--overall: {metric}: ranks are by a figure that is good when it is small")
+    others = [name for name in layout.columns if name != "dataset"]
+    if others:
+        raise InputError(f"--overall: {others[0]} stands in the columns too: ranks are over datasets alone")
+    by = [name for name in layout.rows if name != "dataset"]
+    boards = leaderboard(frame, metric, by, layout.outcomes, draws=1).boards
+    found: list[tuple[float | None, float | None, tuple[int, int]]] = []
+    for row in rows:
+        fitting = [
+            (entry, len(board.datasets))
+            for board in boards
+            for entry in board.entries
+            if all(row.get(name, value) == value for name, value in (board.facets | entry.keys).items())
+        ]
+        if len(fitting) != 1:
+            found.append((None, None, (0, 0)))
+            continue
+        entry, of = fitting[0]
+        ranks = [standing.rank for standing in entry.standings if not math.isnan(standing.rank)]
+        ratio = None if math.isnan(entry.ratio) else entry.ratio
+        found.append((sum(ranks) / len(ranks) if ranks else None, ratio, (len(ranks), of)))
+    return tuple(
+        OverAll(
+            kind,
+            _marked([one[1] if kind is Overall.RATIO else one[0] for one in found], layout),
+            tuple(one[2] for one in found),
+        )
+        for kind in layout.overall
+    )
+
+
+def _marked(values: Sequence[float | None], layout: Layout) -> tuple[Figure, ...]:
+    """Return numbers of which the smallest is the best."""
+    shown = [math.inf if value is None else float(format(value, ".2f")) for value in values]
+    ordered = sorted({value for value in shown if math.isfinite(value)})
+    told = layout.best is not Best.NONE and len(values) > 1
+    return tuple(
+        Figure(
+            value,
+            bold=told and bool(ordered) and number == ordered[0],
+            second=told and len(values) >= LEAST_FOR_SECOND and len(ordered) > 1 and number == ordered[1],
+        )
+        for value, number in zip(values, shown, strict=True)
     )
 
 
 def flat(table: PaperTable) -> dict[str, list[Any]]:
     """Return a table's figures as columns, one row a place: stored units, every digit."""
     rows = []
-    for row, line in zip(table.rows, table.places, strict=True):
+    for number, (row, line) in enumerate(zip(table.rows, table.places, strict=True)):
         for column, place in zip(table.columns, line, strict=True):
             if place is None:
                 continue
@@ -211,6 +306,8 @@ def flat(table: PaperTable) -> dict[str, list[Any]]:
                 record[metric.heading] = figure.value
                 for part, value in zip(_spread_names(table.layout), figure.spread, strict=False):
                     record[f"{metric.heading} {part}"] = value
+            for over in table.overall:
+                record[f"{over.kind} over datasets"] = over.figures[number].value
             failures = sum(place.failures.values())
             rows.append(record | {"n": place.n, "runs": place.runs, "failures": failures})
             rows[-1]["failures.by"] = place.failures
@@ -285,25 +382,30 @@ def _place(cell: Cell | None, layout: Layout) -> Place | None:
 def _with_best(
     places: list[list[Place | None]], rows: Sequence[tuple[Any, ...]], layout: Layout
 ) -> list[list[Place | None]]:
-    """Mark the best numbers; one of which not even half of the runs were tracked is none."""
+    """Mark best and second numbers; one of which not even half of the runs were tracked is none."""
     if layout.best is Best.NONE:
         return places
     groups = [_plain(row[0]) if layout.best is Best.GROUP and len(row) > 1 else "" for row in rows]
     sizes = Counter(groups)
     costs = [[_costs(place, layout.metrics) for place in line] for line in places]
-    least: dict[tuple[str, int, int], float] = {}
+    known: dict[tuple[str, int, int], set[float]] = {}
     for group, line in zip(groups, costs, strict=True):
         for column, numbers in enumerate(line):
             for number, cost in enumerate(numbers):
-                key = (group, column, number)
-                least[key] = min(least.get(key, math.inf), cost)
+                known.setdefault((group, column, number), set()).add(cost)
+    ordered = {key: [*sorted(found - {math.inf}), math.inf, math.inf] for key, found in known.items()}
     return [
         [
             place
             and replace(
                 place,
                 figures=tuple(
-                    replace(figure, bold=sizes[group] > 1 and cost == least[group, column, number] < math.inf)
+                    replace(
+                        figure,
+                        bold=sizes[group] > 1 and cost == ordered[group, column, number][0] < math.inf,
+                        second=sizes[group] >= LEAST_FOR_SECOND
+                        and cost == ordered[group, column, number][1] < math.inf,
+                    )
                     for number, (figure, cost) in enumerate(zip(place.figures, numbers, strict=True))
                 ),
             )

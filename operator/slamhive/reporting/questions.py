@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 KINDS = {"scatter": "points", "line": "groups", "box": "groups", "points": "points", "groups": "groups"}
 """What the explore page calls them, and what is drawn here."""
 
+RANKED_BY = ("ate.rmse", "relations.translation.rmse")
+"""Errors, the first of which that there is is meant where none is named."""
+
 MOST_GROUPS = 40
 MOST_QUESTIONS = 4
 _SETTINGS = ("kind", "x", "y", "colour", "facet", "outcomes", "figure", "xlog", "ylog", "title", "embed")
@@ -78,17 +81,33 @@ def parse_question(text: str, frame: Frame, outcomes: Outcomes) -> Question:
     return _question(frame, (x, y), tuple(more) or COMPETITORS, outcomes)
 
 
+def usual_metric(frame: Frame) -> str:
+    """Return the error that is meant where none is named: the first that some run has."""
+    return next((name for name in RANKED_BY if not frame.column(name).is_empty), RANKED_BY[0])
+
+
 def usual_questions(frame: Frame, metric: str, outcomes: Outcomes) -> list[Question]:
     """Return the metric over each setting that was varied, those with most values first."""
     frame, _ = with_figure(frame, metric)
+    return [
+        _question(frame, (name, metric), COMPETITORS, outcomes) for name in varied(frame)[:MOST_QUESTIONS]
+    ]
+
+
+def varied(frame: Frame) -> list[str]:
+    """Return the settings that were varied, those with most values first."""
     names = [name for name in varying(frame) if name.startswith(CONFIGURATION) and "seed" not in name.lower()]
     counts = {name: len(frame.column(name).factorized()[1]) for name in names}
-    chosen = sorted(names, key=lambda name: -counts[name])[:MOST_QUESTIONS]
-    return [_question(frame, (name, metric), COMPETITORS, outcomes) for name in chosen]
+    return sorted(names, key=lambda name: -counts[name])
 
 
-def resolve(name: str, frame: Frame) -> str:
+def resolve(name: str, frame: Frame, field: str = _FIELD) -> str:
     """Return the column that a name means: its whole name, or its last part where that is clear.
+
+    Args:
+        name: as it was written.
+        frame: the runs.
+        field: the option that it was written in.
 
     Raises:
         InputError: it is unknown, or means several.
@@ -103,8 +122,8 @@ def resolve(name: str, frame: Frame) -> str:
     if len(found) == 1:
         return found[0]
     if found:
-        raise InputError(f"{_FIELD}: {name!r} may be {', '.join(sorted(found)[:6])}; write which")
-    raise InputError(f"{_FIELD}: unknown column {name[:100]!r}{suggestion(name[:100], frame.names)}")
+        raise InputError(f"{field}: {name!r} may be {', '.join(sorted(found)[:6])}; write which")
+    raise InputError(f"{field}: unknown column {name[:100]!r}{suggestion(name[:100], frame.names)}")
 
 
 def _of_address(text: str, frame: Frame, outcomes: Outcomes) -> Question:

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options by which reports, tables and figures choose runs, and the runs that they mean."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slamhive.analysis import Selection, choose
+from slamhive.local.home import Home
+from slamhive.model.errors import InputError
+from slamhive.tables.reading import read_archive
+
+if TYPE_CHECKING:
+    from slamhive.analysis.frame import Frame
+    from slamhive.reporting.presets import Preset
+
+Where = Annotated[
+    str | None, typer.Option(metavar="EXPR", help='Only rows that meet it, as in "coverage >= 0.9".')
+]
+Sweeps = Annotated[
+    list[str] | None, typer.Option(metavar="NAME", help="Only runs of this sweep; several times.")
+]
+EvaluationName = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as se3 or sim3.")
+]
+
+
+def select(
+    sweep: list[str] | None,
+    evaluation: str | None,
+    where: str | None,
+    given: Preset | None = None,
+    *,
+    superseded: bool,
+) -> Selection:
+    """Return what the options of a command select, together with those of a published table."""
+    conditions = [text for text in (given.where if given else None, where) if text and text.strip()]
+    both = " and ".join(f"({text})" for text in conditions) if len(conditions) > 1 else "".join(conditions)
+    chosen = evaluation if evaluation is not None else given.evaluation if given else None
+    return Selection(tuple(sweep or ()), chosen, both or None, superseded=superseded, option="--")
+
+
+def choose_runs(selection: Selection, otherwise: str) -> tuple[Frame, tuple[str, ...]]:
+    """Return the selected rows, and sentences on what is left out.
+
+    Raises:
+        InputError: there are none.
+    """
+    home = Home.from_environment()
+    chosen = choose(read_archive(home.archive_url, home.path / "cache"), selection)
+    if not len(chosen.frame):
+        raise InputError("; ".join(chosen.notes) or f"no run is meant: {otherwise}")
+    return chosen.frame, chosen.notes

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive figure``: figures for papers."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slamhive.analysis import Outcomes
+from slamhive.cli.choosing import EvaluationName, Sweeps, Where, choose_runs, select
+from slamhive.cli.console import remark
+from slamhive.cli.results import Superseded
+from slamhive.figures.asking import Kind, Log, Wish
+from slamhive.figures.making import form_of, numbers_file, picture, save
+from slamhive.figures.paper import Paper
+from slamhive.figures.styles import Face
+from slamhive.figures.widths import WIDTHS, parse_height, parse_width
+from slamhive.local.home import Home
+from slamhive.model.base import Choice
+from slamhive.model.errors import InputError
+from slamhive.reporting.papertables import Statistic
+from slamhive.tables.reading import revision
+
+
+class Hold(Choice):
+    """What axes hold."""
+
+    ROBUST = "robust"
+    ALL = "all"
+
+
+def figure(
+    kind: Annotated[Kind, typer.Argument(help="What it shows.", show_default=False)],
+    *,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="File to write: .pdf, .svg or .png [KIND.pdf]."),
+    ] = None,
+    x: Annotated[
+        str | None, typer.Option("--x", "-x", metavar="COLUMN[:UNIT]", help="What lies along x.")
+    ] = None,
+    y: Annotated[
+        str | None, typer.Option("--y", "-y", metavar="COLUMN[:UNIT]", help="What lies along y.")
+    ] = None,
+    by: Annotated[
+        str | None,
+        typer.Option(
+            "--by",
+            "--color",
+            metavar="COLUMN,…",
+            help="What tells series apart [algorithm,sensors]; of heat, the metric of the colours.",
+        ),
+    ] = None,
+    facet: Annotated[
+        str | None, typer.Option(metavar="COLUMN,…", help="A panel for each of its values, axes shared.")
+    ] = None,
+    width: Annotated[
+        str, typer.Option(metavar="WIDTH", help=f"{', '.join(WIDTHS)}, or a measure such as 88mm.")
+    ] = "ieee-column",
+    height: Annotated[
+        str | None, typer.Option(metavar="HEIGHT", help="Such as 60mm; default: what suits it.")
+    ] = None,
+    font: Annotated[Face, typer.Option(help="Letters: sans, or serif as most papers have.")] = Face.SANS,
+    log: Annotated[Log, typer.Option(help="Logarithmic axes; auto: where numbers span decades.")] = Log.AUTO,
+    limits: Annotated[
+        Hold,
+        typer.Option(help="robust leaves a few numbers far out outside, marked at the edge; all: none."),
+    ] = Hold.ROBUST,
+    statistic: Annotated[
+        Statistic, typer.Option(help="What stands for several runs: median and range, or mean ± std.")
+    ] = Statistic.MEDIAN,
+    outcomes: Annotated[
+        Outcomes, typer.Option(help="Runs that count: tracked ones, or all that were evaluated.")
+    ] = Outcomes.TRACKED,
+    each: Annotated[
+        bool, typer.Option("--each", help="Paths, errors and usage of every run, not one a series.")
+    ] = False,
+    where: Where = None,
+    sweep: Sweeps = None,
+    evaluation: EvaluationName = None,
+    superseded: Superseded = False,
+) -> None:
+    """Draw a figure for a paper, as PDF, SVG or PNG, with its numbers as CSV beside it.
+
+    Example: slamhive figure lines -x nFeatures -y ate.rmse:cm --width ieee-column -o fig.pdf
+    """
+    path = output if output is not None else Path(f"{kind.value}.pdf")
+    form_of(path)
+    paper = Paper(parse_width(width), None if height is None else parse_height(height), font)
+    if not path.parent.is_dir():
+        raise InputError(f"--output: {path}: there is no folder {path.parent}")
+    wish = Wish(kind, x, y, by, facet, outcomes, statistic, log, limits is Hold.ROBUST, each)
+    if each and not kind.is_of_files:
+        raise InputError("--each: every run is drawn by trajectories, error-over-time and usage")
+    selection = select(sweep, evaluation, where, superseded=superseded)
+    frame, left_out = choose_runs(selection, "there is nothing to draw")
+    made = picture(frame, wish, Home.from_environment())
+    notes = (*made.notes, *left_out)
+    caption = " ".join(
+        f"{note if note.startswith('n = ') else note[:1].upper() + note[1:]}." for note in notes
+    )
+    command = shlex.join(["slamhive", *sys.argv[1:]])
+    save(made, path, paper, command=command, revision=revision(frame), caption=caption)
+    runs = "1 run" if made.runs == 1 else f"{made.runs:,} runs"
+    remark(f"{path}: {paper.width.millimetres:g} mm wide, of {runs}; numbers in {numbers_file(path)}")
+    remark(caption)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Counts for captions: how many runs a figure is of, and what became of those that are left out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from slamhive.analysis.grouping import Outcomes
+from slamhive.tables.text import counts_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from slamhive.analysis.grouping import Cell
+
+
+def span(numbers: Sequence[int]) -> str:
+    """Return from where to where numbers go: ``3 to 7``, or ``5``."""
+    low, high = min(numbers), max(numbers)
+    return str(low) if low == high else f"{low} to {high}"
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Runs of a figure.
+
+    Attributes:
+        runs, n: all of them, and those that count.
+        failures: those that don't, by what became of them.
+    """
+
+    runs: int
+    n: int
+    failures: dict[str, int]
+
+    @classmethod
+    def of(cls, found: Iterable[tuple[int, int, dict[str, int]]]) -> Tally:
+        """Add up (runs, n, failures)."""
+        runs, n = 0, 0
+        failures: Counter[str] = Counter()
+        for part in found:
+            runs, n = runs + part[0], n + part[1]
+            failures.update(part[2])
+        return cls(runs, n, dict(sorted(failures.items())))
+
+    @classmethod
+    def of_cells(cls, cells: Iterable[Cell]) -> Tally:
+        """Add up groups of runs."""
+        return cls.of((cell.runs, cell.n, cell.failures) for cell in cells)
+
+    def notes(self, outcomes: Outcomes, *, above: bool = True) -> list[str]:
+        """Say how many runs count, and what became of the others.
+
+        Args:
+            outcomes: which runs count.
+            above: whether those left out are counted in the figure.
+        """
+        kind = "tracked runs" if outcomes is Outcomes.TRACKED else "evaluated runs"
+        if not self.failures:
+            return [f"n = {self.n:,} {kind}, none left out"]
+        where = "; numbers with × count them above their place" if above else ""
+        return [f"n = {self.n:,} {kind} of {self.runs:,}; left out: {counts_text(self.failures)}{where}"]

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Making of figures: from runs and a wish to a file, with its numbers beside it."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from slamhive import __version__
+from slamhive.figures.asking import Kind
+from slamhive.model.errors import InputError
+from slamhive_eval.csv_writing import csv_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Any
+
+    from slamhive.analysis.frame import Frame
+    from slamhive.figures.asking import Wish
+    from slamhive.figures.paper import Paper
+    from slamhive.figures.pictures import Picture
+    from slamhive.local.home import Home
+
+FORMS = ("pdf", "svg", "png")
+
+_CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]+")
+
+
+def picture(frame: Frame, wish: Wish, home: Home) -> Picture:
+    """Return what a figure shows.
+
+    Args:
+        frame: the runs.
+        wish: what was asked for.
+        home: has the files of runs.
+
+    Raises:
+        InputError: it can't be drawn, or nothing would be seen.
+    """
+    if wish.kind.is_of_files:
+        # Readers of folders and ground truth: only some figures need them.
+        from slamhive.figures.paths import paths  # noqa: PLC0415
+
+        return paths(frame, wish, home).settled()
+    from slamhive.figures import groups, singles  # noqa: PLC0415
+
+    makers = {
+        Kind.SCATTER: singles.scatter,
+        Kind.LINES: groups.lines,
+        Kind.BOX: groups.box,
+        Kind.HEAT: groups.heat,
+        Kind.PARETO: groups.front,
+        Kind.ECDF: singles.ecdf,
+        Kind.REPETITIONS: singles.repetitions,
+    }
+    return makers[wish.kind](frame, wish).settled()
+
+
+def form_of(path: Path) -> str:
+    """Return the form of a file by its name.
+
+    Raises:
+        InputError: figures have no such form.
+    """
+    form = path.suffix.lower().removeprefix(".")
+    if form not in FORMS:
+        found = f"not in {path.suffix!r}" if path.suffix else "and this name has no ending"
+        raise InputError(
+            f"--output: {path}: a figure's name ends in {', '.join(f'.{one}' for one in FORMS)}, {found}"
+        )
+    return form
+
+
+def numbers_file(path: Path) -> Path:
+    """Return where the numbers of a figure stand: ``fig.pdf`` has ``fig.data.csv`` beside it."""
+    return path.with_name(f"{path.stem}.data.csv")
+
+
+def save(made: Picture, path: Path, paper: Paper, *, command: str, revision: str, caption: str) -> None:
+    """Write a figure, and its numbers beside it.
+
+    Args:
+        made: what it shows.
+        path: the file.
+        paper: what it is drawn on.
+        command: what made it, kept in the file.
+        revision: of the data, kept in the file.
+        caption: what it shows, kept in the file.
+
+    Raises:
+        InputError: a file can't be written, or matplotlib isn't installed.
+    """
+    from slamhive.figures.drawing import rendered  # noqa: PLC0415 - half a second of matplotlib
+
+    form = form_of(path)
+    content = rendered(made, paper, form, _told(form, command, revision, caption))
+    _write(path, content)
+    _write(numbers_file(path), csv_text(made.columns).encode("utf-8", "replace"))
+
+
+def _told(form: str, command: str, revision: str, caption: str) -> dict[str, Any]:
+    """Return what a file says of itself; no date, so that the same data give the same file."""
+    by, what, data = (
+        _CONTROL.sub(" ", text) for text in (f"slamhive {__version__}", command, f"data revision {revision}")
+    )
+    caption = _CONTROL.sub(" ", caption)
+    match form:
+        case "pdf":
+            return {"Creator": by, "Title": what, "Subject": caption, "Keywords": data, "CreationDate": None}
+        case "svg":
+            return {"Creator": by, "Title": what, "Description": f"{caption} {data}", "Date": None}
+        case _:
+            return {"Software": by, "Title": what, "Description": f"{caption} {data}"}
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"--output: {path}: {error.strerror}") from None

@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of files that runs left: where they went, how far off they were, what they cost over time."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.grouping import Groups, counting
+from slamhive.archive import Archive
+from slamhive.archive.connection import connect
+from slamhive.dashboard.clocks import clock_of, configuration_of
+from slamhive.dashboard.problems import Problem
+from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.trajectories import drawn, extrinsic_of, read_poses, usage_columns
+from slamhive.figures.asking import Kind, check_panels, error_of, nothing, parted
+from slamhive.figures.groups import Series
+from slamhive.figures.pictures import Axis, Line, Panel, Picture
+from slamhive.model.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from slamhive.analysis.columns import Floats, Indices
+    from slamhive.analysis.frame import Frame
+    from slamhive.archive.records import CatalogEntry
+    from slamhive.dashboard.artifacts import Place
+    from slamhive.figures.asking import Wish
+    from slamhive.local.home import Home
+    from slamhive.model.results import Result, RunRecord
+
+    Rows = dict[str, Floats]
+
+MOST_RUNS = 100
+"""Runs whose files are read for a figure."""
+
+MOST_POSES = 1000
+_LONG_SECONDS = 1.0
+_LONG_STEPS = 5.0
+"""A gap that no line crosses is longer than this, and than so many usual steps."""
+
+_SIDES = ("x", "y", "z")
+_MIB = 2.0**-20
+
+
+@dataclass(frozen=True)
+class Found:
+    """A run, and where its files are.
+
+    Attributes:
+        record: the run.
+        place: its folder.
+        evaluation: what it was measured by.
+        algorithms: versions of the Algorithms in the archive.
+        station: knows the ground truth.
+    """
+
+    record: RunRecord
+    place: Place
+    evaluation: str | None
+    algorithms: list[CatalogEntry]
+    station: Workstation
+
+    def path(self) -> tuple[dict[str, Any], float]:
+        """Return the aligned path over its ground truth, and the zero of its dataset's clock."""
+        record = self.record
+        dataset = str((record.spec.get("datasetRef") or {}).get("name"))
+        truth = self.station.truth(dataset, record.labels.get("dataset"))
+        poses = read_poses(self.place)
+        configuration = configuration_of(self.place)
+        extrinsic = extrinsic_of(record, configuration, self.algorithms, truth)
+        cut = record.spec.get("input") or {}
+        whole = not cut.get("start") and cut.get("duration") is None
+        path = drawn(poses, self._result(), truth, extrinsic, MOST_POSES, whole=whole)
+        clock = clock_of(configuration, truth, poses.poses)
+        return path, clock.start if clock is not None else 0.0
+
+    def _result(self) -> Result | None:
+        return next((one for one in self.record.results if one.evaluation == self.evaluation), None)
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Reads one run's file for a figure.
+
+    Attributes:
+        read: returns columns of numbers with a line's x and y first, and notes.
+        x, y: the names of those columns.
+        labels: of the axes.
+    """
+
+    read: Callable[[Found], tuple[Rows, Rows | None, list[str]]]
+    x: str
+    y: str
+    labels: tuple[str, str]
+
+
+class _Lines:
+    """Lines of the runs that were chosen, by panel, with what is said of them."""
+
+    def __init__(self) -> None:
+        self.drawn: dict[int, list[Line]] = {}
+        self.truths: dict[int, Line] = {}
+        self.columns: dict[str, list[Any]] = {}
+        self.notes: list[str] = []
+        self.missing: list[str] = []
+        self.runs = 0
+
+    def read(self, found: Found | str, choice: Choice, reader: Reader, *, thin: bool) -> None:
+        """Read a run's file; what can't be read is said."""
+        if isinstance(found, str):
+            self.missing.append(found)
+            return
+        try:
+            table, truth, said = reader.read(found)
+        except Problem as problem:
+            self.missing.append(f"{found.record.name}: {problem}")
+            return
+        self.runs += 1
+        self.notes += said
+        self.drawn.setdefault(choice.panel, []).append(_line(choice.series, table, reader, thin=thin))
+        known = self.truths.get(choice.panel)
+        if truth is not None and (known is None or len(truth[reader.x]) > len(known.x)):
+            self.truths[choice.panel] = _line(-1, truth, reader)
+        length = len(table[reader.x])
+        keys = choice.keys | {"run": choice.frame.row(choice.row, ("run",))["run"]}
+        for name in (*keys, *table):
+            values = [keys[name]] * length if name in keys else table[name].tolist()
+            self.columns.setdefault(name, []).extend(values)
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """A run that is drawn.
+
+    Attributes:
+        panel, series: where, and as what.
+        keys: what panel and series are.
+        frame, row: the run.
+    """
+
+    panel: int
+    series: int
+    keys: dict[str, Any]
+    frame: Frame
+    row: int
+
+
+def paths(frame: Frame, wish: Wish, home: Home) -> Picture:
+    """Return lines of runs' files: of each series the run of median error, or every run."""
+    reader = _READERS[wish.kind](wish)
+    by, facet = wish.series(frame, ("dataset",)), wish.columns("facet", (), frame)
+    facet = tuple(dict.fromkeys([*facet, *(("dataset",) if "dataset" not in by else ())]))
+    parts = parted(frame, facet, by, ("usage.",) if wish.kind is Kind.USAGE else ())
+    varying = [name for name in parts.names if len({repr(keys[name]) for keys, _ in parts.panels}) > 1]
+    check_panels(len(parts.panels), varying, parts.frame, wish.facet)
+    series = Series(by, parts.frame)
+    chosen = [
+        Choice(panel, series.of(values), keys | values, part, row)
+        for panel, (keys, part) in enumerate(parts.panels)
+        for rows, values in _groups(part, by)
+        for row in _chosen(part, rows, wish)
+    ]
+    if not chosen:
+        raise nothing("a path" if wish.kind is not Kind.USAGE else "usage")
+    if len(chosen) > MOST_RUNS:
+        raise InputError(
+            f"{len(chosen):,} runs would be drawn, and the files of at most {MOST_RUNS} are read for a "
+            "figure: choose some by --where"
+        )
+    lines = _Lines()
+    for choice, found in zip(chosen, _located(chosen, home), strict=True):
+        lines.read(found, choice, reader, thin=wish.each)
+    if not lines.runs:
+        raise InputError(f"no run has files here to draw: {lines.missing[0]}")
+    panels = []
+    for number, (keys, _) in enumerate(parts.panels):
+        if number in lines.drawn:
+            truth = (lines.truths[number],) if number in lines.truths else ()
+            title = parts.title({name: keys[name] for name in varying})
+            panels.append(Panel(title, (*truth, *lines.drawn[number])))
+    lost = [f"{len(lines.missing)} of them not drawn: {lines.missing[0]}"] if lines.missing else []
+    datasets = {repr(choice.keys.get("dataset")) for choice in chosen}
+    is_path = wish.kind is Kind.TRAJECTORIES
+    return Picture(
+        x=Axis(reader.labels[0], bool(wish.log.of("x")), robust=False),
+        y=Axis(
+            reader.labels[1],
+            bool(wish.log.of("y")),
+            robust=wish.robust and wish.kind is Kind.ERROR_OVER_TIME,
+        ),
+        panels=tuple(panels),
+        series=series.labels,
+        notes=(_stated(wish, parts.frame, chosen), *lost, *dict.fromkeys(lines.notes)),
+        columns=lines.columns,
+        runs=lines.runs,
+        equal=is_path,
+        apart=is_path and len(datasets) > 1,
+        truth=bool(lines.truths),
+    )
+
+
+def _groups(part: Frame, by: tuple[str, ...]) -> Iterator[tuple[Indices, dict[str, Any]]]:
+    groups = Groups(part, by)
+    return zip(groups.members(), groups.keys, strict=True)
+
+
+def _chosen(part: Frame, rows: Indices, wish: Wish) -> list[int]:
+    """Return the rows of a series that are drawn: all that count, or the one of (lower) median error."""
+    counted = rows[counting(part, wish.outcomes)[rows]]
+    if wish.each or len(counted) < 2:
+        return [int(row) for row in counted]
+    errors = part.column(error_of(part)).floats()[counted]
+    order = np.argsort(errors, kind="stable")  # NaN last
+    known = int((~np.isnan(errors)).sum()) or len(order)
+    return [int(counted[order[(known - 1) // 2]])]
+
+
+def _stated(wish: Wish, frame: Frame, chosen: list[Choice]) -> str:
+    count = int(counting(frame, wish.outcomes).sum())
+    if wish.each:
+        return f"each line is one of {len(chosen)} runs"
+    if len(chosen) == count:
+        return "each line is one run, the only one of its series"
+    return (
+        f"each line is one run: of the {count} runs that count, the one of median error of each series and "
+        "panel; --each draws all"
+    )
+
+
+def _located(chosen: list[Choice], home: Home) -> Iterator[Found | str]:
+    """Go through the runs with their folders; a sentence for one that has none here."""
+    station = Workstation(home.archive_url, home.path)
+    with closing(Archive(connect(home.archive_url, read_only=True))) as archive:
+        algorithms = archive.catalog("Algorithm")
+        for choice in chosen:
+            told = choice.frame.row(choice.row, ("uid", "evaluation", "name"))
+            record = archive.get(str(told["uid"]))
+            record = _computed(archive, record)
+            place = station.place(record) if record is not None else None
+            if record is None or place is None:
+                yield f"{told['name']}: its folder is not here"
+            else:
+                yield Found(record, place, told["evaluation"], algorithms, station)
+
+
+def _computed(archive: Archive, record: RunRecord | None) -> RunRecord | None:
+    """Return the run that has the files of one that took over its result."""
+    if record is None or record.folder or not record.provenance.reused_from:
+        return record
+    return archive.get(record.provenance.reused_from) or record
+
+
+def _line(number: int, table: Rows, reader: Reader, *, thin: bool = False) -> Line:
+    """Return a line, interrupted where there was nothing for long."""
+    x, y = table[reader.x], table[reader.y]
+    times = table.get("t")
+    if times is not None and len(times) > 2:
+        steps = np.diff(times)
+        gaps = np.flatnonzero(steps > max(_LONG_SECONDS, _LONG_STEPS * float(np.median(steps)))) + 1
+        x, y = np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan)
+    return Line(number, x, y, thin=thin)
+
+
+def _trajectories(wish: Wish) -> Reader:
+    sides = []
+    for field, default in (("x", "x"), ("y", "y")):
+        side = getattr(wish, field) or default
+        if side not in _SIDES:
+            raise InputError(f"--{field}: {side[:60]!r}: a path is drawn along x, y or z")
+        sides.append(side)
+
+    def read(found: Found) -> tuple[Rows, Rows | None, list[str]]:
+        path, _ = found.path()
+        reference = path["reference"]
+        return path["estimate"], reference, path["notes"]
+
+    return Reader(read, sides[0], sides[1], (f"{sides[0]} [m]", f"{sides[1]} [m]"))
+
+
+def _errors(wish: Wish) -> Reader:
+    wish.refuse(x="errors are drawn over time", y="errors are of positions, in metres")
+
+    def read(found: Found) -> tuple[Rows, Rows | None, list[str]]:
+        path, zero = found.path()
+        estimate = path["estimate"]
+        known = ~np.isnan(estimate["error"])
+        table = {"t": estimate["t"][known] - zero, "error": estimate["error"][known]}
+        return table, None, path["notes"]
+
+    return Reader(read, "t", "error", ("time [s]", "position error [m]"))
+
+
+def _usage(wish: Wish) -> Reader:
+    wish.refuse(x="usage is drawn over time")
+    names = {"cpu": "CPU load [cores]", "memory": "memory [MiB]"}
+    what = wish.y or "cpu"
+    if what not in names:
+        raise InputError(f"--y: {what[:60]!r}: usage over time is cpu or memory")
+
+    def read(found: Found) -> tuple[Rows, Rows | None, list[str]]:
+        table = usage_columns(found.place, 400)
+        kind = table["kind"]
+        notes = [] if what == "cpu" or kind is None else [f"memory is {kind.value}"]
+        return {"t": table["t"], "cpu": table["cpu"], "memory": table["memory"] * _MIB}, None, notes
+
+    return Reader(read, "t", what, ("time since the start [s]", names[what]))
+
+
+_READERS: dict[Kind, Callable[[Wish], Reader]] = {
+    Kind.TRAJECTORIES: _trajectories,
+    Kind.ERROR_OVER_TIME: _errors,
+    Kind.USAGE: _usage,
+}

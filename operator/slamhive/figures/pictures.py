@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures before they are drawn: panels of marks on shared axes, in numbers and words alone.
+
+Each kind of figure makes one; ``drawing`` turns it into matplotlib's objects and knows nothing of runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.limits import Limits, is_steep, robust_limits
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from slamhive.analysis.columns import Floats
+
+
+_MOST_TOLD = 4
+"""Numbers outside of an axis that are told one by one."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis that all panels share.
+
+    Attributes:
+        label: its name, with a unit where it has one.
+        log: whether it is logarithmic; None where the numbers are to say.
+        categories: texts at 0, 1, 2, …; empty where numbers stand along it.
+        robust: whether a few numbers far out may be left outside.
+        ends: the numbers at its ends, whatever is drawn; None where the marks say.
+        limits: what it holds, once that is known.
+    """
+
+    label: str
+    log: bool | None = None
+    categories: tuple[str, ...] = ()
+    robust: bool = True
+    ends: tuple[float, float] | None = None
+    limits: Limits | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Dots:
+    """Some runs, or what stands for several, each at its place.
+
+    Attributes:
+        series: number of their series.
+        x, y: (n,).
+        hollow: those that are drawn without filling, (n,).
+        small: whether they stand beside something that says more.
+    """
+
+    series: int
+    x: Floats
+    y: Floats
+    hollow: tuple[bool, ...] = ()
+    small: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A way through numbers; NaN interrupts it.
+
+    Attributes:
+        series: number of its series; negative for what is no series: ground truth, a front.
+        x, y: (n,).
+        low, high: the ends of what each y stands for, (n,); None for none.
+        steps: whether y stays as it is up to the next x.
+        marked: whether each place has a mark.
+        thin: whether it is one of many.
+    """
+
+    series: int
+    x: Floats
+    y: Floats
+    low: Floats | None = None
+    high: Floats | None = None
+    steps: bool = False
+    marked: bool = False
+    thin: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Ranges:
+    """Bars around places: from one end to the other along x, along y, or both.
+
+    Attributes:
+        series: number of their series.
+        x, y: (n,).
+        x_ends, y_ends: (n, 2); None for none.
+    """
+
+    series: int
+    x: Floats
+    y: Floats
+    x_ends: Floats | None = None
+    y_ends: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Median, quartiles, and whiskers to the last number within 1.5 quartile distances; dots stand for few.
+
+    Attributes:
+        series: number of its series.
+        at, width: its place along x.
+        values: (n,).
+    """
+
+    series: int
+    at: float
+    width: float
+    values: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Tiles:
+    """A grid of numbers as colours: columns along x, rows along y, both by category.
+
+    Attributes:
+        values: (rows, columns), NaN where there is none.
+        texts: what stands in each tile.
+    """
+
+    values: Floats
+    texts: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A number of runs without a figure, written above their place."""
+
+    series: int
+    at: float
+    count: int
+
+
+Mark = Dots | Line | Ranges | Box | Tiles | Missing
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One plot of several."""
+
+    title: str
+    marks: tuple[Mark, ...]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """All that a figure shows.
+
+    Attributes:
+        x, y: its axes.
+        panels: its plots, side by side.
+        series: what each series is called, in the order of their styles.
+        notes: sentences for the caption: what is averaged, and what is left out.
+        columns: the numbers, by column, for the file beside the figure.
+        runs: number of runs behind it.
+        colour: what the colours of tiles mean.
+        equal: whether a metre is as long along y as along x.
+        apart: whether each panel has limits of its own: places of different datasets have nothing in common.
+        rows: height in lines of text instead of the usual one; 0 for that.
+    """
+
+    x: Axis
+    y: Axis
+    panels: tuple[Panel, ...]
+    series: tuple[str, ...]
+    notes: tuple[str, ...]
+    columns: dict[str, list[Any]]
+    runs: int
+    colour: Axis | None = None
+    equal: bool = False
+    apart: bool = False
+    rows: int = 0
+    truth: bool = field(default=False)
+
+    def settled(self) -> Picture:
+        """Return the picture with limits on its axes, and a sentence on what lies outside of them."""
+        picture = self._renumbered()
+        marks = [mark for panel in picture.panels for mark in panel.marks]
+        x = _settled(self.x, (numbers for mark in marks for numbers in _numbers(mark, "x")))
+        y = _settled(self.y, (numbers for mark in marks for numbers in _numbers(mark, "y")))
+        tiles = [mark.values.ravel() for mark in marks if isinstance(mark, Tiles)]
+        colour = self.colour and _settled(self.colour, tiles)
+        notes = list(self.notes)
+        for axis, numbers in (
+            (x, [one for mark in marks for one in _numbers(mark, "x", seen=True)]),
+            (y, [one for mark in marks for one in _numbers(mark, "y", seen=True)]),
+            (colour, tiles),
+        ):
+            if axis is not None and axis.limits is not None and axis.limits.outside:
+                notes += _outside(axis, numbers, scale=axis is colour)
+        return replace(picture, x=x, y=y, colour=colour, notes=tuple(notes))
+
+    def _renumbered(self) -> Picture:
+        """Return the picture with those series alone that are drawn, counted from 0."""
+        numbers = {
+            mark.series for panel in self.panels for mark in panel.marks if not isinstance(mark, Tiles)
+        } - {-1}
+        used = sorted(numbers)
+        places = {number: place for place, number in enumerate(used)} | {-1: -1}
+        panels = tuple(
+            replace(
+                panel,
+                marks=tuple(
+                    mark if isinstance(mark, Tiles) else replace(mark, series=places[mark.series])
+                    for mark in panel.marks
+                ),
+            )
+            for panel in self.panels
+        )
+        return replace(self, panels=panels, series=tuple(self.series[number] for number in used))
+
+
+def _settled(axis: Axis, numbers: Iterable[Floats]) -> Axis:
+    if axis.categories:
+        return replace(axis, log=False, limits=Limits(0.0, float(len(axis.categories) - 1)))
+    drawn = np.concatenate([np.empty(0), *(np.ravel(part) for part in numbers)])
+    log = is_steep(drawn) if axis.log is None else axis.log
+    if axis.ends is not None:
+        return replace(axis, log=log, limits=Limits(*axis.ends))
+    if axis.robust:
+        return replace(axis, log=log, limits=robust_limits(drawn, log=log))
+    drawn = drawn[np.isfinite(drawn) & ((drawn > 0) | (not log))]
+    ends = Limits(float(drawn.min()), float(drawn.max())) if len(drawn) else None
+    return replace(axis, log=log, limits=ends)
+
+
+def _numbers(mark: Mark, side: str, *, seen: bool = False) -> Sequence[Floats]:
+    """Return what a mark needs room for along one side.
+
+    Args:
+        mark: the mark.
+        side: x or y.
+        seen: whether only what has a mark of its own is meant, not the ends of bars nor ways between.
+    """
+    found: list[Floats | None] = []
+    if isinstance(mark, Missing | Box):
+        found = [np.array([mark.at])] if side == "x" else [mark.values] if isinstance(mark, Box) else []
+    elif isinstance(mark, Dots | Line):
+        found = [mark.x if side == "x" else mark.y]
+        if isinstance(mark, Line):
+            found = (
+                [] if seen and not mark.marked else [*found, *((mark.low, mark.high) if side == "y" else ())]
+            )
+            found = found[:1] if seen else found
+    elif isinstance(mark, Ranges) and not seen:
+        found = [mark.x_ends if side == "x" else mark.y_ends]
+    return [part for part in found if part is not None]
+
+
+def _outside(axis: Axis, numbers: Sequence[Floats], *, scale: bool) -> list[str]:
+    """Say which numbers lie outside of an axis: each of a few."""
+    limits = axis.limits
+    assert limits is not None  # noqa: S101 - the caller looked
+    drawn = np.unique(np.concatenate([np.empty(0), *numbers]))
+    found = drawn[((drawn < limits.low) | (drawn > limits.high)) & np.isfinite(drawn)].tolist()
+    if not found:
+        return [f"{axis.label}: lines leave the axis, which an arrowhead at its edge marks"]
+    if len(found) <= _MOST_TOLD:
+        what = ", ".join(format(number, ".3g") for number in found)
+    else:
+        what = f"{len(found)} numbers from {found[0]:.3g} to {found[-1]:.3g}"
+    many = len(found) > 1
+    how = "have the colour of its end" if many else "has the colour of its end"
+    how = (
+        how
+        if scale
+        else "are marked by arrowheads at its edge"
+        if many
+        else "is marked by an arrowhead at its edge"
+    )
+    lies, where = "lie" if many else "lies", "scale" if scale else "axis"
+    return [f"{axis.label}: {what} {lies} outside of the {where} and {how}"]

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of the table of runs in which each run is seen: points, distributions, repetitions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.grouping import SUBJECT, Groups, Outcomes, disturbance_notes, tally, worst
+from slamhive.analysis.limits import is_steep, robust_limits
+from slamhive.analysis.repeating import repeatability
+from slamhive.figures.asking import check_panels, cost_of, error_of, nothing, parted
+from slamhive.figures.counts import Tally
+from slamhive.figures.groups import Series, _runs, counts
+from slamhive.figures.pictures import Axis, Dots, Line, Panel, Picture, Ranges
+from slamhive.model.errors import InputError
+from slamhive.model.results import Outcome
+from slamhive.reporting.titles import keys_text
+from slamhive.tables.reading import with_figure
+from slamhive.tables.text import as_columns, n_text
+
+if TYPE_CHECKING:
+    from slamhive.analysis.columns import Mask
+    from slamhive.analysis.frame import Frame
+    from slamhive.figures.asking import Wish
+
+MOST_ROWS = 40
+"""Configurations of which the repetitions are drawn, at most."""
+
+
+def _tally(frame: Frame, inside: Mask) -> Tally:
+    """Count the runs that are drawn, and what became of the others."""
+    status = frame.column("status")
+    left = tally(status.values, status.codes[~inside])
+    good = left.pop(Outcome.TRACKED.value, 0)
+    if good:
+        left["without these numbers"] = good
+    return Tally(len(frame), int(inside.sum()), left)
+
+
+def scatter(frame: Frame, wish: Wish) -> Picture:
+    """Return one column of numbers over another, a mark a run."""
+    y = wish.number("y", error_of(frame), frame)
+    x = wish.number("x", cost_of(frame), frame)
+    frame, left = with_figure(frame, y.column)
+    by, facet = wish.series(frame), wish.columns("facet", (), frame)
+    parts = parted(frame, facet, by, (x.column, y.column))
+    check_panels(len(parts.panels), parts.names, parts.frame, wish.facet)
+    series = Series(by, parts.frame)
+    panels = []
+    for keys, part in parts.panels:
+        inside = counts(part, x, wish) & counts(part, y, wish)
+        groups = Groups(part, by)
+        marks = []
+        for rows, values in zip(groups.members(), groups.keys, strict=True):
+            drawn = rows[inside[rows]]
+            across, up = (part.column(metric.column).floats()[drawn] * metric.factor for metric in (x, y))
+            status = part.select(drawn).column("status").tolist()
+            hollow = tuple(word != Outcome.TRACKED.value for word in status)
+            if len(drawn):
+                marks.append(Dots(series.of(values), across, up, hollow))
+        panels.append(Panel(parts.title(keys), tuple(marks)))
+    inside = counts(parts.frame, x, wish) & counts(parts.frame, y, wish)
+    if not inside.any():
+        raise nothing(f"both {x.column} and {y.column}")
+    untracked = ["hollow: runs that were not tracked"] if wish.outcomes is Outcomes.ALL else []
+    return Picture(
+        x=Axis(x.label, wish.log.of("x"), robust=wish.robust),
+        y=Axis(y.label, wish.log.of("y"), robust=wish.robust),
+        panels=tuple(panel for panel in panels if panel.marks),
+        series=series.labels,
+        notes=(
+            "each mark is one run",
+            *untracked,
+            *_tally(parts.frame, inside).notes(wish.outcomes, above=False),
+            *disturbance_notes(parts.frame, (x.column, y.column)),
+            *left,
+        ),
+        columns=_runs(parts.frame, [*parts.names, *by], (x, y), inside),
+        runs=len(parts.frame),
+    )
+
+
+def ecdf(frame: Frame, wish: Wish) -> Picture:
+    """Return the share of runs below each error; those that failed never come below any."""
+    wish.refuse(y="an ECDF has the share of runs along y; --x names what it is of")
+    x = wish.number("x", error_of(frame), frame)
+    frame, left = with_figure(frame, x.column)
+    by, facet = wish.series(frame), wish.columns("facet", (), frame)
+    parts = parted(frame, facet, by, (x.column,))
+    check_panels(len(parts.panels), parts.names, parts.frame, wish.facet)
+    series = Series(by, parts.frame)
+    inside = counts(parts.frame, x, wish)
+    if not inside.any():
+        raise nothing(x.column)
+    every = parts.frame.column(x.column).floats()[inside] * x.factor
+    log = is_steep(every) if wish.log.of("x") is None else wish.log.of("x")
+    limits = robust_limits(every, log=bool(log)) if wish.robust else None
+    end = limits.high if limits is not None else float(every.max())
+    panels, rows = [], []
+    for keys, part in parts.panels:
+        marks = []
+        groups = Groups(part, by)
+        numbers, good, last = (
+            part.column(x.column).floats() * x.factor,
+            counts(part, x, wish),
+            worst(part, x.column, wish.outcomes),
+        )
+        for members, values in zip(groups.members(), groups.keys, strict=True):
+            found = np.sort(numbers[members[good[members]]])
+            of = len(found) + int(np.count_nonzero(last[members] & ~good[members]))
+            if not len(found):
+                continue
+            share = np.arange(1, len(found) + 1) / of
+            # It begins at zero, and goes on level where the slowest ends.
+            across = np.concatenate([found[:1], found, [max(end, found[-1])]])
+            up = np.concatenate([[0.0], share, share[-1:]])
+            marks.append(Line(series.of(values), across, up, steps=True))
+            rows += [
+                {**keys, **values, x.column: value / x.factor, "share": part_of, "n": len(found), "runs": of}
+                for value, part_of in zip(found.tolist(), share.tolist(), strict=True)
+            ]
+        panels.append(Panel(parts.title(keys), tuple(marks)))
+    failed = int(np.count_nonzero(worst(parts.frame, x.column, wish.outcomes) & ~inside))
+    stated = "share of all runs that were tracked and have at most this error" if failed else "share of runs"
+    ended = int(len(inside) - inside.sum() - failed)
+    apart = (
+        [f"{ended:,} runs that the machine or the user ended, or without a number, count nowhere"]
+        if ended
+        else []
+    )
+    return Picture(
+        x=Axis(x.label, log, robust=wish.robust),
+        y=Axis("share of runs", False, ends=(0.0, 1.0)),
+        panels=tuple(panel for panel in panels if panel.marks),
+        series=series.labels,
+        notes=(
+            f"{stated}; runs that failed are in the whole, so that a line may end below 1"
+            if failed
+            else stated,
+            *_tally(parts.frame, inside).notes(wish.outcomes, above=False),
+            *apart,
+            *left,
+        ),
+        columns=as_columns(rows),
+        runs=len(parts.frame),
+    )
+
+
+def repetitions(frame: Frame, wish: Wish) -> Picture:
+    """Return the figure of every repetition of each configuration, one line a configuration."""
+    wish.refuse(
+        y="repetitions have configurations along y; --x names what is drawn",
+        facet="repetitions have one panel: choose runs by --where",
+    )
+    if wish.outcomes is not Outcomes.TRACKED:
+        raise InputError("--outcomes: the spread of repetitions is that of tracked runs")
+    x = wish.number("x", error_of(frame), frame)
+    frame, left = with_figure(frame, x.column)
+    found, notes = repeatability(frame, x.column)
+    found = [one for one in found if one.figures]
+    if not found:
+        raise InputError(
+            "no configuration has more than one run that counts: there is nothing to draw; "
+            "repetitions: 5 in a sweep runs each of its points five times"
+        )
+    dropped = found[MOST_ROWS:]
+    found = found[:MOST_ROWS]
+    told = [name for name in found[0].cell.keys if len({repr(one.cell.keys.get(name)) for one in found}) > 1]
+    by = [name for name in wish.series(frame) if name in found[0].cell.keys]
+    kinds = list(dict.fromkeys(keys_text({name: one.cell.keys[name] for name in by}) for one in found))
+    found.sort(
+        key=lambda one: [
+            repr(one.cell.keys.get(name))
+            if not isinstance(one.cell.keys.get(name), int | float)
+            else f"{one.cell.keys[name]:020.6f}"
+            for name in told
+        ]
+    )
+    shown = {name for name in told if name not in by} or set(told)
+    categories: list[str] = []
+    marks: list[Ranges | Dots] = []
+    rows: list[dict[str, Any]] = []
+    height = len(found) - 1
+    for place, one in enumerate(found):
+        keys = {name: one.cell.keys[name] for name in told if name in shown}
+        settings = {name: value for name, value in keys.items() if name not in SUBJECT}
+        text = keys_text(settings | keys) or keys_text(one.cell.keys)
+        categories.append(f"{text}, n {n_text(one.cell)}")
+        number = kinds.index(keys_text({name: one.cell.keys[name] for name in by}))
+        at = float(height - place)
+        values = np.array(one.figures) * x.factor
+        middle = float(np.median(values))
+        marks.append(
+            Ranges(number, np.array([middle]), np.array([at]), y_ends=np.array([[at - 0.3, at + 0.3]]))
+        )
+        marks.append(Dots(number, values, np.full(len(values), at)))
+        rows += [{**one.cell.keys, x.column: value} for value in one.figures]
+    cells = [one.cell for one in found]
+    more = (
+        [f"of {len(found) + len(dropped)} configurations the {len(found)} with most runs are drawn"]
+        if dropped
+        else []
+    )
+    return Picture(
+        x=Axis(x.label, wish.log.of("x"), robust=wish.robust),
+        y=Axis("", categories=tuple(reversed(categories))),
+        panels=(Panel("", tuple(marks)),),
+        series=tuple(kinds),
+        notes=(
+            "each mark is one repetition, equal trajectories (n =) counted once; the bar is their median",
+            *Tally.of_cells(cells).notes(wish.outcomes, above=False),
+            *more,
+            *notes,
+            *left,
+        ),
+        columns=as_columns(rows),
+        runs=sum(cell.runs for cell in cells),
+        rows=len(found),
+    )

@@ -1,0 +1,433 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures for papers: the numbers in them, what is left out, their axes, and the files that they are."""
+
+from __future__ import annotations
+
+import csv
+import re
+import sys
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from slamhive.analysis import Outcomes, Selection, choose
+from slamhive.figures.asking import Kind, Log, Wish
+from slamhive.figures.making import picture
+from slamhive.figures.pictures import Axis, Box, Dots, Line, Missing, Panel, Picture, Tiles
+from slamhive.figures.styles import Style
+from slamhive.figures.widths import WIDTHS, parse_width
+from slamhive.local.home import Home
+from slamhive.model.errors import InputError
+from slamhive.model.results import Outcome
+from slamhive.reporting.papertables import Statistic
+from slamhive.tables.reading import archive_url, read_archive
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    Slamhive = Callable[..., tuple[int, str, str]]
+    Fill = Callable[..., Path]
+
+KINDS = [kind.value for kind in Kind]
+
+
+def made(home: Path, kind: Kind, where: str | None = None, **wish: Any) -> Picture:
+    frame = choose(read_archive(archive_url(home)), Selection(where=where)).frame
+    return picture(frame, Wish(kind, **wish), Home.at(home))
+
+
+def marks(found: Picture, kind: Any, panel: int = 0) -> list[Any]:
+    return [mark for mark in found.panels[panel].marks if isinstance(mark, kind)]
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture
+def study(records: Any, fill: Fill) -> Path:
+    """24 tracked runs, and on dataset-2 two more of the better algorithm that were not."""
+    lost = [records.run(28, results=[records.result(outcome=Outcome.LOST)]), records.failed(34)]
+    return fill([*(records.run(number) for number in range(24)), *lost])
+
+
+@pytest.fixture
+def forty(records: Any, fill: Fill) -> Path:
+    """Forty runs within a few millimetres, and two that went metres astray."""
+
+    def error(number: int) -> float:
+        return 4.0 + number if number >= 40 else 0.01 + 0.0001 * number
+
+    return fill(
+        records.run(
+            number,
+            spec={"datasetRef": {"name": "one"}, "algorithmRef": {"name": "a"}, "repetition": number},
+            parameters={"nFeatures": 500},
+            results=[records.result(ate={"rmse": error(number)})],
+        )
+        for number in range(42)
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_the_published_runs(
+    kind: str, published: Path, slamhive: Slamhive, tmp_path: Path
+) -> None:
+    file = tmp_path / f"{kind}.pdf"
+    code, out, err = slamhive(published, "figure", kind, "-o", file)
+    assert (code, out) == (0, ""), err
+    content = file.read_bytes()
+    assert content.startswith(b"%PDF-")
+    # Fonts stand in the file, as outlines that can be edited: nothing of type 3, which journals refuse.
+    assert b"/FontFile2" in content
+    assert b"/Type3" not in content
+    assert re.search(rb"/MediaBox \[ 0 0 252 ", content)
+    assert f"slamhive figure {kind} -o".encode() in content
+    assert rows(tmp_path / f"{kind}.data.csv")
+    said = " ".join(err.split())
+    assert "runs; numbers in" in said
+    assert "run" in said.split("data.csv", 1)[1]  # a caption: what each mark is
+
+
+def test_lines_are_the_medians_of_the_runs_and_say_so(
+    published: Path, slamhive: Slamhive, tmp_path: Path
+) -> None:
+    found = made(published, Kind.LINES, x="nFeatures", y="ate.rmse:cm")
+    assert (found.x.label, found.y.label) == ("nFeatures", "ATE RMSE [cm]")
+    assert [panel.title for panel in found.panels] == ["rgbd-dataset-freiburg2-desk"]
+    (line,) = marks(found, Line)
+    code, out, _ = slamhive(
+        published,
+        "paper-table",
+        "--rows",
+        "parameters.nFeatures",
+        "--columns",
+        "",
+        "--statistic",
+        "median",
+        "--where",
+        "sensors == 'rgbd' and `dataset.attributes.DepthMapFactor` == 1",
+        "--format",
+        "csv",
+    )
+    assert code == 0
+    table = {
+        float(row["parameters.nFeatures"]): float(row["ate.rmse [m]"])
+        for row in csv.DictReader(out.split("\n"))
+    }
+    # Without failures a figure's median is the table's; with some, these rank behind all others.
+    assert line.x.tolist() == sorted(table)
+    assert line.y[0] / 100 == pytest.approx(table[500.0])
+    assert [mark.count for mark in marks(found, Missing)] == [1, 1, 2, 1]
+    caption = ". ".join(found.notes)
+    assert (
+        "each mark is the median of 3 to 7 runs, runs that failed behind all others; bars are the range"
+        in caption
+    )
+    assert "n = 43 tracked runs of 48; left out: 1 Diverged, 4 Partial" in caption
+
+
+def test_means_have_their_standard_deviation(study: Path) -> None:
+    found = made(
+        study,
+        Kind.LINES,
+        x="nFeatures",
+        by="algorithm",
+        statistic=Statistic.MEAN,
+        where="dataset == 'dataset-0'",
+    )
+    line = marks(found, Line)[0]
+    assert line.y.tolist() == pytest.approx([0.0205, 0.0205])
+    assert (line.high - line.y).tolist() == pytest.approx([np.std([0.02, 0.021], ddof=1)] * 2)
+    assert "mean of 2 runs, bars are the standard deviation (n − 1)" in found.notes[0]
+
+
+def test_two_diverged_runs_flatten_nothing(forty: Path) -> None:
+    found = made(forty, Kind.SCATTER, x="coverage")
+    assert found.y.limits is not None
+    assert found.y.limits.high == pytest.approx(0.0139)
+    assert (
+        "ATE RMSE [m]: 44, 45 lie outside of the axis and are marked by arrowheads at its edge" in found.notes
+    )
+    whole = made(forty, Kind.SCATTER, x="coverage", robust=False, log=Log.NONE)
+    assert whole.y.limits is not None
+    assert whole.y.limits.high == 45
+    assert not any("outside" in note for note in whole.notes)
+
+
+def test_what_lies_outside_is_marked_at_the_edge(forty: Path) -> None:
+    from slamhive.figures.drawing import Drawing
+
+    found = made(forty, Kind.SCATTER, x="coverage")
+    axes = Drawing(found, WIDTHS["ieee-column"]).draw().axes[0]
+    edge = [line for line in axes.lines if not line.get_clip_on()]
+    # Two of one place: one arrowhead upwards, and the mark of their series.
+    assert [(line.get_marker(), line.get_ydata()[0]) for line in edge] == [(10, 1.0), ("o", 1.0)]
+    assert axes.get_ylim()[1] < 0.02
+
+
+def test_panels_share_their_axes_and_name_them(published: Path) -> None:
+    from slamhive.figures.drawing import Drawing
+
+    found = made(published, Kind.SCATTER)
+    drawn = list(Drawing(found, WIDTHS["ieee-page"]).draw().axes)
+    assert len(drawn) == len(found.panels) == 4
+    assert len({(axes.get_xlim(), axes.get_ylim()) for axes in drawn}) == 1
+    assert drawn[0].get_ylabel() == "ATE RMSE [m]"
+    assert drawn[-1].get_xlabel() == "mean CPU load [cores]"
+
+
+def test_boxes_hold_every_run_that_counts(study: Path) -> None:
+    found = made(study, Kind.BOX, by="algorithm")
+    assert found.x.categories == ("dataset-0", "dataset-1", "dataset-2")
+    dots = [mark for mark in marks(found, Dots) if mark.series == 0]
+    assert sorted(dots[0].y.tolist()) == pytest.approx([0.02, 0.02, 0.021, 0.021])
+    assert [mark.count for mark in marks(found, Missing)] == [2]
+    assert sum(row for row in found.columns["drawn"]) == 24
+    assert len(found.columns["run"]) == 26
+
+
+def test_many_runs_are_a_box(forty: Path) -> None:
+    found = made(forty, Kind.BOX)
+    (box,) = marks(found, Box)
+    assert len(box.values) == 42
+    (outside,) = marks(found, Dots)
+    assert sorted(outside.y.tolist()) == [44.0, 45.0]
+
+
+def test_tiles_are_medians_and_failures_are_crosses(study: Path) -> None:
+    found = made(
+        study, Kind.HEAT, x="dataset", y="algorithm", where="dataset != 'dataset-2' or coverage is null"
+    )
+    (tiles,) = marks(found, Tiles)
+    assert tiles.values[0, :2].tolist() == pytest.approx([0.0205, 0.0305])
+    assert tiles.texts[0][2] == "×"
+    assert tiles.texts[1][2] == ""
+    assert found.colour is not None
+    assert found.colour.label == "ATE RMSE [m]"
+
+
+def test_an_ecdf_ends_where_runs_failed(study: Path) -> None:
+    found = made(study, Kind.ECDF, by="algorithm", where="dataset == 'dataset-2'", facet="dataset")
+    better, worse = marks(found, Line)
+    assert better.y[-1] == pytest.approx(4 / 6)
+    assert worse.y[-1] == 1.0
+    assert better.x[1:5].tolist() == pytest.approx([0.04, 0.04, 0.041, 0.041])
+    assert "a line may end below 1" in found.notes[0]
+
+
+def test_runs_that_the_machine_ended_are_in_no_ecdf(records: Any, fill: Fill) -> None:
+    home = fill([*(records.run(2 * number) for number in range(6)), records.failed(12, reason="SystemFault")])
+    found = made(home, Kind.ECDF, by="algorithm", facet="")
+    assert all(line.y[-1] == 1.0 for panel in range(len(found.panels)) for line in marks(found, Line, panel))
+
+
+def test_a_front_goes_through_what_none_beats(study: Path) -> None:
+    found = made(study, Kind.PARETO, x="usage.cpu.meanCores", y="ate.rmse", where="dataset == 'dataset-0'")
+    way = next(mark for mark in marks(found, Line) if mark.series < 0)
+    assert (way.x.tolist(), way.y.tolist()) == ([1.5], pytest.approx([0.0205]))
+    filled = [mark.series for mark in marks(found, Dots) if not mark.hollow[0]]
+    assert filled == [0]
+
+
+def test_repetitions_are_those_of_one_configuration(study: Path) -> None:
+    found = made(study, Kind.REPETITIONS, where="dataset == 'dataset-0'")
+    assert len(found.y.categories) == 4
+    assert all(sorted(mark.x.tolist()) in ([0.02, 0.021], [0.04, 0.041]) for mark in marks(found, Dots))
+
+
+def test_errors_over_time_are_those_of_the_evaluation(published: Path) -> None:
+    found = made(published, Kind.ERROR_OVER_TIME, where="run == 126 or run == 1")
+    frame = choose(read_archive(archive_url(published)), Selection(where="run == 126 or run == 1")).frame
+    whole = dict(zip(frame.column("run").tolist(), frame.column("ate.rmse").tolist(), strict=True))
+    for run in set(found.columns["run"]):
+        errors = [
+            error
+            for error, one in zip(found.columns["error"], found.columns["run"], strict=True)
+            if one == run
+        ]
+        # Of at most a thousand of its poses.
+        assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(whole[run], rel=0.1)
+    assert min(found.columns["t"]) >= 0
+
+
+def test_paths_lie_over_their_ground_truth(published: Path) -> None:
+    found = made(published, Kind.TRAJECTORIES, where="algorithm == 'orb-slam3'")
+    assert found.truth
+    assert found.equal
+    assert [panel.title for panel in found.panels] == ["mh-01-easy", "mh-02-easy", "mh-03-medium"]
+    assert all(panel.marks[0].series == -1 for panel in found.panels if isinstance(panel.marks[0], Line))
+    each = made(published, Kind.TRAJECTORIES, where="algorithm == 'orb-slam3'", each=True)
+    assert each.runs >= found.runs
+    side = made(published, Kind.TRAJECTORIES, where="run == 126", y="z")
+    assert side.y.label == "z [m]"
+
+
+def test_a_run_that_took_over_a_result_has_the_files_of_the_other(
+    records: Any, fill: Fill, tmp_path: Path
+) -> None:
+    folder = tmp_path / "runs" / "study" / "run-000"
+    (folder / "run" / "output").mkdir(parents=True)
+    (folder / "run" / "output" / "usage.csv").write_text(
+        "seconds,cores,resident_bytes\n" + "".join(f"{time / 10},1.5,1048576\n" for time in range(20))
+    )
+    first = records.run(0, folder=str(folder), sweep="first", finished="2026-01-01T00:00:00Z")
+    taken = records.run(12, sweep="study", provenance={"reusedFrom": first.uid})
+    home = fill([first, taken])
+    found = made(home, Kind.USAGE, where="sweep == 'study'")
+    assert found.columns["memory"][0] == 1.0
+    assert set(found.columns["cpu"]) == {1.5}
+
+
+def test_greys_tell_series_apart() -> None:
+    styles = [Style(number) for number in range(12)]
+    assert len({(style.colour, style.mark, str(style.dashes)) for style in styles}) == 12
+    assert len({style.mark for style in styles}) == 12
+    greys = [
+        sum(w * int(one.colour[at : at + 2], 16) for w, at in ((0.3, 1), (0.59, 3), (0.11, 5)))
+        for one in styles[:7]
+    ]
+    assert all(abs(a - b) > 15 for a, b in pairwise(greys))
+
+
+def test_the_same_data_give_the_same_file(study: Path, slamhive: Slamhive, tmp_path: Path) -> None:
+    contents = []
+    for form in ("pdf", "svg", "png", "pdf", "svg", "png"):
+        code, _, err = slamhive(study, "figure", "box", "-o", tmp_path / f"same.{form}")
+        assert code == 0, err
+        contents.append((tmp_path / f"same.{form}").read_bytes())
+    assert contents[:3] == contents[3:]
+    assert b"slamhive figure box -o" in contents[1]
+    assert b"data revision" in contents[1]
+    assert b"slamhive figure box -o" in contents[2]
+
+
+@pytest.mark.parametrize("font", ["sans", "serif"])
+def test_names_are_no_formulas(assorted: Path, slamhive: Slamhive, tmp_path: Path, font: str) -> None:
+    words = ["figure", "scatter", "-o", tmp_path / "odd.pdf", "--by", "algorithm", "--font", font]
+    code, _, err = slamhive(assorted, *words, "--where", "dataset == 'dataset-0' or dataset == 'dataset-1'")
+    assert code == 0, err
+
+
+@pytest.mark.parametrize("name", ["$x^2$", "_hidden", "\\frac{", "%s {0}", "日本", "a\nb\x00"])
+def test_any_name_can_be_drawn(
+    records: Any, fill: Fill, slamhive: Slamhive, tmp_path: Path, name: str
+) -> None:
+    home = fill(
+        records.run(number, spec={"algorithmRef": {"name": f"{name}{number % 2}"}}) for number in range(6)
+    )
+    code, _, err = slamhive(home, "figure", "box", "-o", tmp_path / "name.svg", "--by", "algorithm")
+    assert code == 0, err
+
+
+def test_widths_are_those_of_columns() -> None:
+    assert parse_width("ieee-column").inches == pytest.approx(3.5)
+    assert parse_width("88mm").millimetres == 88
+    assert parse_width("8.8cm") == parse_width("88mm")
+    assert parse_width("3.5in").inches == pytest.approx(3.5)
+    assert parse_width("slide").points > parse_width("springer").points
+
+
+@pytest.fixture
+def in_folder(slamhive: Slamhive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Slamhive:
+    """The command in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    return slamhive
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["scatter", "--where", "coverage > 2"], "no run is meant: there is nothing to draw"),
+        (["scatter", "-x", "usage.cpu.meanCors"], "--x: unknown column 'usage.cpu.meanCors'; did you mean"),
+        (["scatter", "-y", "algorithm"], "--y: algorithm: a column of numbers is needed"),
+        (["scatter", "-y", "relations.translation.rmse"], "--y: unknown column"),
+        (["scatter", "-y", "ate.rmse:km"], "ate.rmse:km: 'km' is neither a unit"),
+        (["lines", "--facet", "seed"], "--facet: seed has 26 values, and a figure has at most 12 panels"),
+        (["lines", "--by", "seed"], "--by: seed: 26 series, and at most 12 can be told apart"),
+        (["scatter", "--by", "colour"], "--by: unknown column 'colour'"),
+        (["scatter", "-o", "/nowhere/fig.pdf"], "--output: /nowhere/fig.pdf: there is no folder /nowhere"),
+        (
+            ["scatter", "-o", "fig.jpg"],
+            "--output: fig.jpg: a figure's name ends in .pdf, .svg, .png, not in '.jpg'",
+        ),
+        (
+            ["scatter", "-o", "fig"],
+            "--output: fig: a figure's name ends in .pdf, .svg, .png, and this name has no",
+        ),
+        (
+            ["scatter", "--width", "ieee"],
+            "--width: 'ieee' is neither a measure such as 88mm, 3.5in nor a name; did",
+        ),
+        (["scatter", "--width", "9m"], "--width: '9m' is neither a measure"),
+        (["scatter", "--width", "9mm"], "--width: 9mm: a figure is 40 to 1000 mm wide"),
+        (["scatter", "--height", "1e3mm"], "--height: '1e3mm': expected 20mm to 1000mm"),
+        (["heat", "-x", "dataset", "-y", "dataset"], "--y: dataset stands along x already"),
+        (["ecdf", "-y", "ate.rmse"], "--y: an ECDF has the share of runs along y; --x names what it is of"),
+        (["pareto", "--facet", "dataset"], "--facet: a front has a panel for each dataset"),
+        (["repetitions", "--where", "repetition == 0"], "no configuration has more than one run that counts"),
+        (["trajectories", "-x", "w"], "--x: 'w': a path is drawn along x, y or z"),
+        (["trajectories"], "no run has files here to draw: run-006: its folder is not here"),
+        (["usage", "-y", "disk"], "--y: 'disk': usage over time is cpu or memory"),
+        (["box", "--each"], "--each: every run is drawn by trajectories, error-over-time and usage"),
+        (["scatter", "--sweep", "x"], "--sweep: unknown sweep 'x'; known: later, study"),
+    ],
+)
+def test_mistakes(study: Path, in_folder: Slamhive, tmp_path: Path, words: list[str], sentence: str) -> None:
+    code, out, err = in_folder(study, "figure", *words)
+    assert (code, out) == (2, "")
+    assert " ".join(err.split()).startswith(f"error: {sentence}")
+    assert not [path for path in tmp_path.iterdir() if path.suffix in {".pdf", ".csv"}]
+
+
+def test_a_figure_over_runs_that_all_failed(
+    records: Any, fill: Fill, slamhive: Slamhive, tmp_path: Path
+) -> None:
+    home = fill(
+        [
+            records.run(0),
+            *(records.run(number, results=[records.result(outcome=Outcome.LOST)]) for number in (1, 3)),
+        ]
+    )
+    for kind in ("scatter", "lines", "box", "heat", "pareto", "ecdf"):
+        words = ["figure", kind, "--where", "outcome == 'Lost'", "-o", tmp_path / "x.pdf"]
+        code, _, err = slamhive(home, *words)
+        assert code == 2
+        assert "there is nothing to draw; --outcomes all takes all runs that were evaluated" in " ".join(
+            err.split()
+        )
+        assert slamhive(home, *words, "--outcomes", "all")[0] == 0
+
+
+def test_without_matplotlib_a_sentence(
+    study: Path, slamhive: Slamhive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    code, _, err = slamhive(study, "figure", "box", "-o", tmp_path / "x.pdf")
+    assert code == 2
+    assert "figures need the package matplotlib; install slamhive with its extra: slamhive[plot]" in " ".join(
+        err.split()
+    )
+
+
+def test_limits_are_settled_over_all_panels() -> None:
+    def panel(*numbers: float) -> Panel:
+        return Panel("", (Dots(0, np.array(numbers), np.array(numbers)),))
+
+    whole = Picture(Axis("x"), Axis("y"), (panel(1, 2), panel(3, 900)), ("",), (), {}, 4).settled()
+    assert whole.x.log
+    assert whole.x.limits is not None
+    assert (whole.x.limits.low, whole.x.limits.high) == pytest.approx((1, 900))
+
+
+def test_outcomes_all_draws_them_hollow(study: Path) -> None:
+    found = made(study, Kind.SCATTER, x="coverage", by="algorithm", outcomes=Outcomes.ALL)
+    assert sum(sum(mark.hollow) for number in range(3) for mark in marks(found, Dots, number)) == 1
+    with pytest.raises(InputError, match="--outcomes"):
+        made(study, Kind.REPETITIONS, outcomes=Outcomes.ALL)
