@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from slamhive.data import recordings
+from slamhive.data import kinds
 from slamhive.data.streams import camera_info_topic
 from slamhive.model.errors import DataError, suggestion
 from slamhive.model.sensors import SensorType
@@ -76,7 +76,7 @@ def check_content(recording: Recording, sensors: Mapping[str, Sensor]) -> None:
         DataError: They aren't.
     """
     errors: list[str] = []
-    quick = {name: sensor for name, sensor in sensors.items() if sensor.type is not SensorType.IMU}
+    quick = {name: sensor for name, sensor in sensors.items() if sensor.type.has_frames}
     content_findings(recording, quick, errors, [])
     if errors:
         raise DataError(errors[0])
@@ -102,13 +102,13 @@ def content_findings(
         where = f"sensors.{name}"
         try:
             match kind:
-                case recordings.IMAGE:
+                case kinds.IMAGE:
                     described[name] = _image(recording, sensor, where, errors, warnings)
-                case recordings.COMPRESSED_IMAGE:
+                case kinds.COMPRESSED_IMAGE:
                     described[name] = _compressed(recording, sensor, where, errors)
-                case recordings.POINT_CLOUD:
+                case kinds.POINT_CLOUD:
                     described[name] = _cloud(recording, sensor, where, errors)
-                case recordings.IMU:
+                case kinds.IMU:
                     described[name] = _imu(recording, sensor, where, errors, warnings)
         except DataError as error:
             errors.append(str(error))
@@ -122,7 +122,7 @@ def _first(recording: Recording, topic: str, kind: str) -> Any:
 
 
 def _image(recording: Recording, sensor: Sensor, where: str, errors: list[str], warnings: list[str]) -> str:
-    message = _first(recording, sensor.topic, recordings.IMAGE)
+    message = _first(recording, sensor.topic, kinds.IMAGE)
     camera = sensor.camera
     if camera is None:
         warnings.append(f"{where}.camera: no intrinsics are given, which most algorithms need")
@@ -150,7 +150,7 @@ def _image(recording: Recording, sensor: Sensor, where: str, errors: list[str], 
         )
     info = camera_info_topic(recording, sensor.topic)
     if info is not None:
-        stated = _first(recording, info, recordings.CAMERA_INFO)
+        stated = _first(recording, info, kinds.CAMERA_INFO)
         k = np.reshape(stated.K if hasattr(stated, "K") else stated.k, (3, 3))
         given = (camera.fx, camera.fy, camera.cx, camera.cy)
         found = (k[0, 0], k[1, 1], k[0, 2], k[1, 2])
@@ -161,7 +161,7 @@ def _image(recording: Recording, sensor: Sensor, where: str, errors: list[str], 
 
 
 def _compressed(recording: Recording, sensor: Sensor, where: str, errors: list[str]) -> str:
-    message = _first(recording, sensor.topic, recordings.COMPRESSED_IMAGE)
+    message = _first(recording, sensor.topic, kinds.COMPRESSED_IMAGE)
     pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED) if message.data.size else None
     if pixels is None:
         # Other transports, such as compressedDepth, are the algorithm's own business at full resolution.
@@ -177,7 +177,7 @@ def _compressed(recording: Recording, sensor: Sensor, where: str, errors: list[s
 
 
 def _cloud(recording: Recording, sensor: Sensor, where: str, errors: list[str]) -> str:
-    message = _first(recording, sensor.topic, recordings.POINT_CLOUD)
+    message = _first(recording, sensor.topic, kinds.POINT_CLOUD)
     names = [item.name for item in message.fields]
     lidar = sensor.lidar
     wanted = {"timeField": lidar.time_field, "ringField": lidar.ring_field} if lidar else {}

@@ -83,7 +83,7 @@ def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> Wish:
     cameras = types & {SensorType.CAMERA, SensorType.DEPTH_CAMERA}
     lidar = options.lidar if SensorType.LIDAR in types else None
     return Wish(
-        frame_rate=options.frame_rate,
+        frame_rate=options.frame_rate if any(kind.has_frames for kind in types) else None,
         resolution=options.resolution if cameras else 1.0,
         start=seconds(options.start) if options.start else 0.0,
         duration=seconds(options.duration) if options.duration else None,

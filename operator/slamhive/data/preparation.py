@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from slamhive.model.run import InputOptions
 
 DESCRIPTION = "variant.json"
-PRIMARY = (Role.CAMERA, Role.LEFT, Role.COLOR, Role.LIDAR)
-"""Roles whose frames count as frames and set the window; the first that is there is the primary one."""
 
 
 @dataclass(frozen=True)

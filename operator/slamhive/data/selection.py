@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Mask = npt.NDArray[np.bool_]
 
 MARGIN_SECONDS = 0.25
-"""IMU kept before and after a cut: a scan's last points are taken after its stamp."""
+"""Samples kept before and after a cut: a scan's last points are taken after its stamp."""
 _SPARSE = 0.5
 """A camera_info with fewer messages than this share of its images is a latched one, kept whole."""
 
@@ -124,8 +124,6 @@ def select(
         if stream.sensor is not None:
             check_stamps(scans[stream.topic], f"sensors.{stream.sensor}: {stream.topic} in {recording.label}")
     leaders = [stream for stream in streams if stream.kind is Kind.FRAMES]
-    if not leaders:
-        raise InputError("sensors: a variant needs a camera or a LiDAR, not an IMU alone")
     bounds = _bounds(scans[leaders[0].topic], window, leaders[0])
     masks: dict[str, Mask] = {}
     for leader in leaders:
@@ -137,7 +135,7 @@ def select(
             masks[stream.topic] = _info(
                 scans[stream.topic], scans[stream.follows or ""], masks[stream.follows or ""]
             )
-        elif stream.kind is Kind.INERTIAL:
+        elif stream.kind is Kind.SAMPLES:
             margin = round(MARGIN_SECONDS * 1e9)
             stamps = scans[stream.topic].stamps
             masks[stream.topic] = (stamps >= begin - margin) & (stamps <= end + margin)
@@ -161,7 +159,7 @@ def complete_frames(selection: Selection) -> Selection:
         DataError: No frame is complete.
     """
     streams = [stream for stream in selection.streams if stream.sensor is not None]
-    framed = [stream for stream in streams if stream.kind is not Kind.INERTIAL]
+    framed = [stream for stream in streams if stream.kind is not Kind.SAMPLES]
     index = {stream.topic: _distinct(selection, stream) for stream in framed}
     stamps = {topic: selection.scans[topic].stamps[kept] for topic, kept in index.items()}
     primary = selection.primary

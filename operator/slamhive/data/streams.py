@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from slamhive.data.recordings import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, IMU, POINT_CLOUD, TF_TYPES
+from slamhive.data.kinds import CAMERA_INFO, KINDS
+from slamhive.data.recordings import TF_TYPES
 from slamhive.model.errors import DataError, suggestion
 from slamhive.model.sensors import FOLLOWS, Role, SensorType
 
@@ -18,14 +19,6 @@ if TYPE_CHECKING:
     from slamhive.model.configuration import SensorView
     from slamhive.model.sensors import Sensor
 
-MESSAGE_TYPES: dict[SensorType, tuple[str, ...]] = {
-    SensorType.CAMERA: (IMAGE, COMPRESSED_IMAGE),
-    SensorType.DEPTH_CAMERA: (IMAGE, COMPRESSED_IMAGE),
-    SensorType.LIDAR: (POINT_CLOUD,),
-    SensorType.IMU: (IMU,),
-}
-"""Messages that a sensor of each type may have."""
-
 STATIC_TRANSFORMS = "/tf_static"
 
 
@@ -35,7 +28,7 @@ class Kind(Enum):
     FRAMES = "frames"  # of the sensor that sets the pace: thinned and cut
     PARTNER = "partner"  # frames kept together with those of another sensor
     INFO = "info"  # camera_info: kept with its images
-    INERTIAL = "inertial"  # never thinned, cut with a margin
+    SAMPLES = "samples"  # never thinned, cut with a margin
     STATIC = "static"  # kept whole
 
 
@@ -77,7 +70,7 @@ def check_topic(recording: Recording, name: str, sensor: Sensor) -> None:
     """
     where = f"sensors.{name}.topic"
     topic = recording.topics.get(sensor.topic)
-    allowed = MESSAGE_TYPES[sensor.type]
+    allowed = KINDS[sensor.type].messages
     if topic is None:
         fitting = [item.name for item in recording.topics.values() if item.message_type in allowed]
         raise DataError(
@@ -107,6 +100,8 @@ def streams_of(
         DataError: A topic is missing or doesn't fit its sensor.
     """
     result: dict[str, Stream] = {}
+    # Where nothing has frames, the messages of the first sensor stand for them.
+    alone = None if any(one.type.has_frames for one in sensors.values()) else next(iter(sensors.values()))
     for role, sensor in sensors.items():
         check_topic(recording, sensor.name, sensor)
         if sensor.topic == truth_topic:
@@ -114,7 +109,10 @@ def streams_of(
                 f"sensors.{sensor.name}.topic: {sensor.topic} is the ground truth, which no algorithm may see"
             )
         leader = sensors.get(FOLLOWS.get(role, role)) if role in FOLLOWS else None
-        kind = Kind.INERTIAL if role is Role.IMU else Kind.FRAMES if leader is None else Kind.PARTNER
+        if leader is not None:
+            kind = Kind.PARTNER
+        else:
+            kind = Kind.FRAMES if sensor.type.has_frames or sensor is alone else Kind.SAMPLES
         result.setdefault(
             sensor.topic,
             Stream(

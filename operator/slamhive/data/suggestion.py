@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from slamhive.data import recordings
+from slamhive.data import kinds
 from slamhive.data.clouds import cloud_points
 from slamhive.data.posetopics import POSE_TYPES, relative_pose, static_tree
 from slamhive.data.recordings import Recording, guess_format
@@ -127,7 +127,7 @@ class _Look:
 
     def _roles(self) -> dict[str, str]:
         roles: dict[str, str] = {}
-        for role, kind in (("lidar", recordings.POINT_CLOUD), ("imu", recordings.IMU)):
+        for role, kind in (("lidar", kinds.POINT_CLOUD), ("imu", kinds.IMU)):
             topics = self._of_type(kind)
             if topics:
                 roles[role] = topics[0]
@@ -144,7 +144,7 @@ class _Look:
         return [topic.name for topic in sorted(found, key=lambda topic: (-topic.count, topic.name))]
 
     def _cameras(self) -> dict[str, str]:
-        images = self._of_type(recordings.IMAGE) or self._of_type(recordings.COMPRESSED_IMAGE)
+        images = self._of_type(kinds.IMAGE) or self._of_type(kinds.COMPRESSED_IMAGE)
         depth = [topic for topic in images if self._is_depth(topic)]
         others = [topic for topic in images if topic not in depth]
         roles: dict[str, str] = {}
@@ -164,7 +164,7 @@ class _Look:
         return {"camera": others[0]} if others else {}
 
     def _is_depth(self, topic: str) -> bool:
-        if self.recording.topics[topic].message_type == recordings.IMAGE:
+        if self.recording.topics[topic].message_type == kinds.IMAGE:
             return self._first(topic).encoding in ("16UC1", "32FC1")
         return "depth" in topic
 

@@ -26,7 +26,7 @@ from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.formats import DataFormat, RecordingFormat, fitting_formats, misfit
 from slamhive.model.posefiles import PoseFile, told_files
 from slamhive.model.ros1 import Ros1
-from slamhive.model.sensors import ROLES, Role, SensorMode
+from slamhive.model.sensors import ROLES, FrameOwner, Role, SensorMode
 from slamhive.model.templates import FILES_LIMIT, TEMPLATE_LIMIT, TEMPLATES_LIMIT, read_template
 
 _BOUND_SEGMENT = r"([^/.:]|\.[^/.:]|\.\.[^/:])[^/:]*"
@@ -150,9 +150,7 @@ class Poses(Choice):
 class Output(Model):
     """What the poses of an algorithm mean."""
 
-    frame: Literal["body", "camera", "left", "right", "color", "depth", "lidar", "imu"] = Field(
-        description="Whose pose is written: a role's sensor, or the body."
-    )
+    frame: FrameOwner = Field(description="Whose pose is written: a role's sensor, or the body.")
     stamp: PoseStamp = Field(
         default=PoseStamp.HEADER, description="The instant that a pose and its stamp mean."
     )
@@ -184,9 +182,7 @@ class Output(Model):
 class OutputChange(Model):
     """What a mode changes of the algorithm's output."""
 
-    frame: Literal["body", "camera", "left", "right", "color", "depth", "lidar", "imu"] | None = optional(
-        "Whose pose is written in this mode."
-    )
+    frame: FrameOwner | None = optional("Whose pose is written in this mode.")
     stamp: PoseStamp | None = optional("The instant that a pose and its stamp mean in this mode.")
     poses: Poses | None = optional("Every frame or keyframes alone, in this mode.")
     gravity_aligned: bool | None = optional("Whether the world's z axis points up in this mode.")

@@ -231,7 +231,10 @@ def _idle(options: Mapping[str, Any], seen: Recorded) -> Iterator[tuple[str, Any
 
 def _frame_rate(options: Mapping[str, Any], seen: Recorded) -> Iterator[tuple[str, Any, str]]:
     asked = options.get("frameRate")
-    if asked is not None and seen.frame_rate is not None and asked > seen.frame_rate * SAME_RATE:
+    if asked is not None and not any(kind.has_frames for kind in seen.types):
+        text = f"{asked:g} Hz is asked, the mode {seen.mode} has no frames; samples are never thinned"
+        yield "frameRate", None, text
+    elif asked is not None and seen.frame_rate is not None and asked > seen.frame_rate * SAME_RATE:
         text = f"{asked:g} Hz is asked, {seen.source} has {seen.frame_rate:g} Hz"
         yield "frameRate", normalize(nominal(seen.frame_rate)), text
 
@@ -268,7 +271,7 @@ def _sensors(dataset: Dataset, mode: Mode, options: Mapping[str, Any]) -> dict[R
 
 def _leads(role: Role, mode: Mode) -> bool:
     """Tell whether a frame rate thins a role's frames by itself."""
-    return role is not Role.IMU and FOLLOWS.get(role) not in mode.needs
+    return ROLE_TYPES[role].has_frames and FOLLOWS.get(role) not in mode.needs
 
 
 def _rate(dataset: Dataset, name: str) -> float | None:

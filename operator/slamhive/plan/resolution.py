@@ -138,8 +138,9 @@ def mode_of(algorithm: Algorithm | None, name: str | None) -> tuple[Mode | None,
 def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Iterator[str]:
     """Yield the roles of a mode that a dataset has no sensor for."""
     sensors = sensors_of(dataset)
-    if not sensors:
+    if not sensors and dataset.spec.recording.synthetic is not None:
         return
+    has = ", ".join(sorted(sensors)) or "no sensor"
     for role in mode.needs:
         asked = remap.get(role)
         if asked is not None and asked not in sensors:
@@ -150,7 +151,7 @@ def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Ite
         if name is None:
             yield (
                 f"sensors: {mode.name} needs a sensor for the role {str(role)!r}, and {dataset.name} has "
-                f"none; it has: {', '.join(sorted(sensors))} (input.remap.{role} may name another)"
+                f"none; it has: {has} (input.remap.{role} may name another)"
             )
         elif sensors[name] is not ROLE_TYPES[role]:
             field = f"input.remap.{role}" if asked else "sensors"
