@@ -16,7 +16,7 @@ from slamhive.model.base import Sha256, explain
 from slamhive.model.run import MappingRunSpec
 from slamhive.model.sensors import Role, SensorMode
 from slamhive.model.sweep import IMMUTABLE, MAX_POINTS
-from slamhive.model.synthetic import NOMINAL_LAP_METRES, REST_SECONDS
+from slamhive.model.synthetic import NOMINAL_LAP_METRES, REST_SECONDS, SyntheticSensor
 
 Rule = tuple[str, str]
 
@@ -212,7 +212,7 @@ LENGTHS: dict[str, int] = {
     "Recording.files": 1000,
     "Ros1.topics": len(Role),
     "RunSelector.names": 10_000,
-    "SyntheticRecording.sensors": 4,
+    "SyntheticRecording.sensors": len(SyntheticSensor),
     "GroundTruth.holes": 1000,
 }
 """Greatest length of a field; the API server must know one to bound the cost of rules."""

@@ -21,6 +21,7 @@ from slamhive.model.canonical import normalize
 from slamhive.model.dataset import sensor_for
 from slamhive.model.errors import InputError
 from slamhive.model.sensors import FOLLOWS, ROLE_TYPES, SAME_RATE, Role, SensorType
+from slamhive.model.synthetic import FIXED_RATES, SyntheticSensor
 from slamhive.plan.resolution import sensors_of
 
 if TYPE_CHECKING:
@@ -280,7 +281,13 @@ def _rate(dataset: Dataset, name: str) -> float | None:
         return declared.rate
     if synthetic is None:
         return None
-    return synthetic.lidar.rate if sensors_of(dataset)[name] is SensorType.LIDAR else synthetic.camera.rate
+    match sensors_of(dataset)[name]:
+        case SensorType.LIDAR:
+            return synthetic.lidar.rate
+        case SensorType.LASER_SCAN:
+            return FIXED_RATES[SyntheticSensor.LASER_SCAN]
+        case _:
+            return synthetic.camera.rate
 
 
 def _rings(dataset: Dataset, name: str | None) -> int | None:

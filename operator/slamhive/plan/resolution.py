@@ -25,6 +25,11 @@ _SYNTHETIC_SENSORS: dict[SyntheticSensor, dict[str, SensorType]] = {
     SyntheticSensor.IMU: {"imu": SensorType.IMU},
     SyntheticSensor.STEREO: {"left": SensorType.CAMERA, "right": SensorType.CAMERA},
     SyntheticSensor.RGBD: {"color": SensorType.CAMERA, "depth": SensorType.DEPTH_CAMERA},
+    SyntheticSensor.LASER_SCAN: {"scan": SensorType.LASER_SCAN},
+    SyntheticSensor.ODOMETRY: {"odometry": SensorType.ODOMETRY},
+    SyntheticSensor.GNSS: {"gnss": SensorType.GNSS},
+    SyntheticSensor.MAGNETOMETER: {"magnetometer": SensorType.MAGNETOMETER},
+    SyntheticSensor.BAROMETER: {"barometer": SensorType.BAROMETER},
 }
 _FIELDS = [field.alias or name for name, field in MappingRunSpec.model_fields.items()]
 
