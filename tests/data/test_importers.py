@@ -163,7 +163,8 @@ def test_damaged_euroc_folders(tmp_path: Path, path: str, text: str, words: str)
 def test_the_real_euroc_folder(shared: Path, tmp_path: Path) -> None:
     dataset = import_euroc(shared / "euroc_v1_01_start", tmp_path / "out", "v101")
     report = inspect(DatasetEntry(dataset, tmp_path / "out"))
-    assert (report.errors, report.warnings) == ([], [])
+    assert report.errors == []
+    assert "/cam0/image_raw covers 4.7 s of the recording's 145.6 s (3%)" in " ".join(report.warnings)
     assert {sensor.name: sensor.messages for sensor in report.sensors} == {"camera": 95, "imu": 29_120}
 
 
@@ -211,5 +212,3 @@ def test_suggestions_from_real_bags(shared: Path) -> None:
     found = suggest_dataset(shared / "bags" / "robot_localization_test1.bag", "husky")
     assert found.manifest["spec"]["sensors"]["imu"]["topic"] == "/imu/data"
     assert any("noise" in sentence for sentence in found.missing)
-    with pytest.raises(DataError, match="no camera, LiDAR or IMU topic among"):
-        suggest_dataset(shared / "bags" / "nav2_turtlebot.mcap", "nav2")

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from slamhive.model.algorithm import RecordingFormat, RelativePath
 from slamhive.model.base import Choice, Model, Resource, Scalar, Sha256
 from slamhive.model.errors import InputError, suggestion
-from slamhive.model.sensors import STAND_INS, Extrinsics, Role, Sensor
+from slamhive.model.sensors import ROLE_TYPES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
 
 if TYPE_CHECKING:
@@ -151,6 +151,16 @@ def sensor_for(role: Role, sensors: Iterable[str], remap: Mapping[str, str] | No
             return candidate
     has = ", ".join(sorted(names)) or "no sensor"
     raise InputError(f"no sensor for the role {role.value!r}; the dataset has: {has}")
+
+
+def fills(role: Role, types: Mapping[str, SensorType]) -> bool:
+    """Tell whether one of a dataset's sensors fills a role by its name.
+
+    Args:
+        role: the role.
+        types: kinds of the sensors by name.
+    """
+    return any(types.get(str(name)) is ROLE_TYPES[role] for name in STAND_INS.get(role, (role,)))
 
 
 class Dataset(Resource):
