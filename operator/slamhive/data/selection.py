@@ -145,9 +145,21 @@ def select(
     kept = scans[primary.topic].stamps[masks[primary.topic]]
     times = [scans[stream.topic].times[masks[stream.topic]] for stream in streams if stream.sensor]
     joined = np.concatenate(times)
-    return Selection(
-        streams, masks, scans, primary, int(kept[0]), int(kept[-1]), (int(joined.min()), int(joined.max()))
-    )
+    recorded = (int(joined.min()), int(joined.max()))
+    for stream in streams:
+        if stream.kind is Kind.TOPIC:
+            masks[stream.topic] = _asked_for(scans[stream.topic], bounds, recorded)
+    return Selection(streams, masks, scans, primary, int(kept[0]), int(kept[-1]), recorded)
+
+
+def _asked_for(scan: Scan, bounds: tuple[int, int], recorded: tuple[int, int]) -> Mask:
+    """Choose the messages of a topic that is no sensor's; without stamps the times of recording decide."""
+    if bounds == (-_FOREVER, _FOREVER):
+        return np.ones(len(scan.times), dtype=np.bool_)
+    stamped = scan.has_header and bool((scan.stamps > 0).all())
+    times, (begin, end) = (scan.stamps, bounds) if stamped else (scan.times, recorded)
+    margin = round(MARGIN_SECONDS * 1e9)
+    return np.asarray((times >= begin - margin) & (times <= end + margin))
 
 
 def complete_frames(selection: Selection) -> Selection:

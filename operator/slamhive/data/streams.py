@@ -13,7 +13,7 @@ from slamhive.model.errors import DataError, suggestion
 from slamhive.model.sensors import FOLLOWS, Role, SensorType
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from slamhive.data.recordings import Recording
     from slamhive.model.configuration import SensorView
@@ -29,6 +29,7 @@ class Kind(Enum):
     PARTNER = "partner"  # frames kept together with those of another sensor
     INFO = "info"  # camera_info: kept with its images
     SAMPLES = "samples"  # never thinned, cut with a margin
+    TOPIC = "topic"  # no sensor's, asked for by its name: cut with a margin
     STATIC = "static"  # kept whole
 
 
@@ -87,7 +88,10 @@ def check_topic(recording: Recording, name: str, sensor: Sensor) -> None:
 
 
 def streams_of(
-    recording: Recording, sensors: Mapping[Role, SensorView], truth_topic: str | None
+    recording: Recording,
+    sensors: Mapping[Role, SensorView],
+    truth_topic: str | None,
+    topics: Sequence[str] = (),
 ) -> list[Stream]:
     """Return the topics that a variant holds, those that set the pace first.
 
@@ -95,6 +99,7 @@ def streams_of(
         recording: The recording.
         sensors: The wanted sensors by role, as the dataset declares them, in the order of the roles.
         truth_topic: Topic with ground truth, which is never among them.
+        topics: Topics that are asked for by their names.
 
     Raises:
         DataError: A topic is missing or doesn't fit its sensor.
@@ -135,7 +140,21 @@ def streams_of(
     transforms = recording.topics.get(STATIC_TRANSFORMS)
     if transforms and transforms.message_type in TF_TYPES and truth_topic != STATIC_TRANSFORMS:
         result[STATIC_TRANSFORMS] = Stream(STATIC_TRANSFORMS, transforms.message_type, Kind.STATIC)
+    for topic in topics:
+        result.setdefault(topic, _asked_for(recording, topic, truth_topic))
     return sorted(result.values(), key=lambda stream: list(Kind).index(stream.kind))
+
+
+def _asked_for(recording: Recording, name: str, truth_topic: str | None) -> Stream:
+    topic = recording.topics.get(name)
+    if name == truth_topic:
+        raise DataError(f"modes.topics: {name} is the ground truth, which no algorithm may see")
+    if topic is None:
+        raise DataError(
+            f"modes.topics: no topic {name!r} in {recording.label}{suggestion(name, recording.topics)}"
+        )
+    # What is said once holds for all of it, as a map does.
+    return Stream(name, topic.message_type, Kind.STATIC if topic.count == 1 else Kind.TOPIC)
 
 
 def camera_info_topic(recording: Recording, image_topic: str) -> str | None:

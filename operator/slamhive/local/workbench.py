@@ -210,4 +210,5 @@ class Workbench:
             InputOptions.model_validate(spec["input"]),
             algorithm.spec.formats(mode),
             self.home.folder("variants"),
+            topics=mode.topics,
         )

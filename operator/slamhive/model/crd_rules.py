@@ -208,6 +208,7 @@ LENGTHS: dict[str, int] = {
     "DatasetSpec.sensors": _SMALL,
     "InputOptions.remap": len(Role),
     "Mode.roles": len(Role),
+    "Mode.topics": _SMALL,
     "Parameter.values": 1000,
     "Recording.files": 1000,
     "Ros1.topics": len(Role),
