@@ -148,7 +148,7 @@ def scans(look: Look) -> str:
         look.warn(
             f"ranges are {np.median(metres):.0f} m typically: they look like millimetres or centimetres"
         )
-    sides = f"{np.degrees(first.angle_min):.0f}° to {np.degrees(first.angle_max):.0f}°"
+    sides = f"{np.degrees(first.angle_min):.4g}° to {np.degrees(first.angle_max):.4g}°"
     limits = f"{first.range_min:g} to {first.range_max:g} m"
     return f"{len(first.ranges)} rays, {sides}, {limits}, {share:.0%} with return"
 
