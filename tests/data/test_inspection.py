@@ -100,8 +100,8 @@ def test_a_sensor_that_covers_little_is_said(tmp_path: Path, bag_writer: Any, ba
     assert {sensor.name: sensor.covered for sensor in report.sensors} == {"imu": 1.0, "lidar": 0.5}
     assert [text for text in report.warnings if "covers" in text] == [
         (
-            "sensors.lidar: /points covers 5.0 s of the recording's 10.0 s (50%), from 3.000 s to 8.000 s; said "
-            "below 90%, as a run with it has no more"
+            "sensors.lidar: /points covers 5.0 s of the recording's 10.0 s (50%), from 3.000 s to 8.000 s; "
+            "said below 90%, as a run with it has no more"
         )
     ]
 
