@@ -15,8 +15,9 @@ from slamhive.contract.posefiles import FRAMES
 from slamhive.data.clouds import cloud_points
 from slamhive.data.entries import DatasetEntry
 from slamhive.data.euroc import import_euroc
+from slamhive.data.kinds import COMPRESSED_IMAGE
 from slamhive.data.preparation import evict_variants, prepare
-from slamhive.data.recordings import COMPRESSED_IMAGE, open_recording
+from slamhive.data.recordings import open_recording
 from slamhive.data.rosmessages import BagWriter
 from slamhive.jobs.prepare import _describe
 from slamhive.model.algorithm import Algorithm, DataFormat

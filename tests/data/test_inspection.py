@@ -84,7 +84,26 @@ def test_gaps_are_listed_longest_first(tmp_path: Path, bag_writer: Any, bag_entr
     report = inspect(bag_entry(tmp_path / "a.bag", {"lidar": ("Lidar", "/points")}))
     assert [round(gap.seconds, 3) for gap in report.sensors[0].gaps] == [5.1, 2.1]
     assert report.sensors[0].rate == pytest.approx(10)
-    assert "2 gaps in /points, the longest 5.100 s" in " ".join(report.warnings)
+    said = " ".join(report.warnings)
+    assert "2 gaps in /points, the longest 5.100 s" in said
+    assert "a gap is more than 0.3 s, 3 periods" in said
+    assert report.sensors[0].gap_threshold == pytest.approx(0.3)
+
+
+def test_a_sensor_that_covers_little_is_said(tmp_path: Path, bag_writer: Any, bag_entry: Any) -> None:
+    with bag_writer(tmp_path / "a.bag") as bag:
+        for k in range(101):
+            bag.imu("/imu", 10**9 + k * 10**8, "imu", np.zeros(3), np.array([0.0, 0.0, 9.81]))
+            if 20 <= k <= 70:
+                bag.points("/points", 10**9 + k * 10**8, "lidar", np.zeros(3, dtype=POINT))
+    report = inspect(bag_entry(tmp_path / "a.bag", {"imu": ("Imu", "/imu"), "lidar": ("Lidar", "/points")}))
+    assert {sensor.name: sensor.covered for sensor in report.sensors} == {"imu": 1.0, "lidar": 0.5}
+    assert [text for text in report.warnings if "covers" in text] == [
+        (
+            "sensors.lidar: /points covers 5.0 s of the recording's 10.0 s (50%), from 3.000 s to 8.000 s; "
+            "said below 90%, as a run with it has no more"
+        )
+    ]
 
 
 @pytest.mark.parametrize(

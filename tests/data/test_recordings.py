@@ -24,11 +24,11 @@ def prepared(entry: Any, cache: Path, *roles: Role) -> None:
     ("damage", "words"),
     [
         (lambda _: b"", "an empty file of 0 bytes"),
-        (lambda data: data[: len(data) // 2], "damaged or cut off"),
-        (lambda data: data[:100], "damaged or cut off"),
-        (lambda data: b"PK" + data, "damaged or cut off"),
-        (lambda data: data[:-50], "damaged or cut off"),
-        (lambda _: bytes(5000), "damaged or cut off"),
+        (lambda data: data[: len(data) // 2], "cut off, or that was not closed: `rosbag reindex` on a copy"),
+        (lambda data: data[:100], "`rosbag reindex`"),
+        (lambda data: b"PK" + data, "doesn't begin as a recording of this format does: copy it again"),
+        (lambda data: data[:-50], "`rosbag reindex`"),
+        (lambda _: bytes(5000), "it holds zeros"),
     ],
 )
 def test_damaged_bags_are_refused_in_a_sentence(

@@ -76,7 +76,6 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
         (Recording, {}, "either files or synthetic"),
         (Recording, FILES | {"synthetic": {}}, "either files or synthetic"),
         (GroundTruth, {}, "either file or topic"),
-        (DatasetSpec, {"recording": FILES}, "name at least one"),
         (
             DatasetSpec,
             {"recording": FILES, "sensors": {"lidar": LIDAR}, "groundTruth": {"file": "a", "frame": "lydar"}},

@@ -24,7 +24,7 @@ kind: Algorithm
 metadata: {name: odometry}
 spec:
   image: none
-  modes: [{name: lidar}, {name: stereo}, {name: mono}, {name: rgbd}]
+  modes: [{name: lidar}, {name: stereo}, {name: mono}, {name: rgbd}, {name: odometry}, {name: scan-odometry}]
   paces: [Lockstep, Realtime]
   realtime: {queue: 1}
   output: {frame: body}
@@ -38,6 +38,11 @@ apiVersion: slamhive.io/v1alpha1
 kind: Dataset
 metadata: {name: fast}
 spec: {recording: {synthetic: {sensors: [Lidar, Stereo], durationSeconds: 30, lidar: {rate: 20}}}}
+---
+apiVersion: slamhive.io/v1alpha1
+kind: Dataset
+metadata: {name: robot}
+spec: {recording: {synthetic: {sensors: [LaserScan, Odometry], durationSeconds: 15}}}
 ---
 apiVersion: slamhive.io/v1alpha1
 kind: Dataset
@@ -109,6 +114,18 @@ def study(known: FixedCatalog, sweep: Callable[..., Sweep]) -> Callable[..., Pla
             "fast",
             {"lidar": {"maxRange": 30}},
             "input.lidar.maxRange: 30 is asked, the mode stereo has no LiDAR",
+        ),
+        (
+            "scan-odometry",
+            "robot",
+            {"frameRate": 15},
+            "input.frameRate: 15 Hz is asked, robot's scan has 10 Hz",
+        ),
+        (
+            "odometry",
+            "robot",
+            {"frameRate": 10},
+            "input.frameRate: 10 Hz is asked, the mode odometry has no frames; samples are never thinned",
         ),
         ("lidar", "slow", {"rate": 2}, "input.rate: 2 is asked, the pace Lockstep has no speed of playback"),
     ],

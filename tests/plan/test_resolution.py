@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
 from slamhive.plan import algorithm_hash, content_hash, resolve, spec_hash
 
@@ -53,6 +54,16 @@ def test_what_changes_a_run_changes_its_hash(catalog: FixedCatalog, more: dict[s
     assert spec_hash(resolve(_spec(**more), algorithm, dataset)) != spec_hash(
         resolve(_spec(), algorithm, dataset)
     )
+
+
+def test_a_dataset_without_sensors_serves_no_mode(catalog: FixedCatalog) -> None:
+    dataset = Dataset.model_validate(
+        {"metadata": {"name": "poses"}, "spec": {"recording": {"files": [{"path": "poses.bag"}]}}}
+    )
+    with pytest.raises(
+        InputError, match="a sensor for the role 'lidar', and poses has none; it has: no sens"
+    ):
+        resolve(_spec(datasetRef={"name": "poses"}), catalog.algorithms["scan-match"], dataset)
 
 
 def test_all_mistakes_of_a_run_are_told_with_their_fields(catalog: FixedCatalog) -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -284,12 +283,15 @@ def _named(source: Path, name: str | None) -> str:
 
 
 def _add_manifest(source: Path, home: Home) -> None:
+    from slamhive.data.inspection import require_usable
     from slamhive.data.store import add_dataset
     from slamhive.model.loading import load_file
 
     datasets = [item for item in load_file(source) if isinstance(item, Dataset)]
     if not datasets:
         raise InputError(f"{source}: no Dataset in it")
+    for dataset in datasets:
+        require_usable(dataset, source.parent.absolute())
     for dataset in datasets:
         _added(add_dataset(dataset, source.parent.absolute(), home.folder("datasets")))
 
@@ -305,7 +307,9 @@ def _suggest(source: Path, name: str) -> None:
     target = Path(f"{name}.yaml")
     if target.exists():
         raise InputError(f"{target} exists already; complete it and add it: slamhive dataset add {target}")
-    suggestion = suggest_dataset(_within_reach(source), name)
+    suggestion = suggest_dataset(source, name)
+    if suggestion.elsewhere is not None:
+        _link(Path(suggestion.file), suggestion.elsewhere)
     target.write_text(suggestion.text, encoding="utf-8")
     out.print(f"wrote {target}", soft_wrap=True)
     for sentence in suggestion.missing:
@@ -313,21 +317,18 @@ def _suggest(source: Path, name: str) -> None:
     remark(f"then: slamhive dataset add {target}")
 
 
-def _within_reach(source: Path) -> Path:
-    """Return a recording's place below this folder, by a link if need be: a manifest's paths start here."""
-    if Path(os.path.abspath(source)).is_relative_to(Path.cwd()):  # noqa: PTH100 - links stay links
-        return source
-    link = Path(source.resolve().name)
-    if not (link.exists() and link.samefile(source)):
-        try:
-            link.symlink_to(source.resolve())
-        except OSError as error:
-            raise InputError(
-                f"{link}: cannot be linked to {source}: {error.strerror}; a manifest's paths start from its "
-                "folder"
-            ) from None
-        out.print(f"linked {link} to {source.resolve()}", soft_wrap=True)
-    return link
+def _link(link: Path, recording: Path) -> None:
+    """Put a link to a recording into this folder: the paths of a manifest start from its own."""
+    if link.exists() and link.samefile(recording):
+        return
+    try:
+        link.symlink_to(recording)
+    except OSError as error:
+        raise InputError(
+            f"{link}: cannot be linked to {recording}: {error.strerror}; a manifest's paths start from its "
+            "folder"
+        ) from None
+    out.print(f"linked {link} to {recording}", soft_wrap=True)
 
 
 def _remark_frames(frames: int, rate: float | None, seconds: float, resolution: float) -> None:
@@ -363,23 +364,32 @@ def _progress() -> Progress:
 
 
 def _print_report(report: DatasetReport) -> None:
+    from slamhive.data.inspection import GAP_PERIODS
+
     duration = f"{report.duration_seconds:.1f} s" if report.duration_seconds is not None else "unknown length"
     out.print(f"[bold]{escape(report.name)}[/] {report.format}, {duration}")
     table = Table()
-    for heading in ("sensor", "topic", "messages", "rate", "size", "gaps", "content"):
-        table.add_column(heading, overflow="fold", no_wrap=heading in {"sensor", "topic"})
+    for heading in ("sensor", "topic", "messages", "rate", "covers", "gaps"):
+        table.add_column(heading, overflow="fold", no_wrap=heading != "topic")
     for sensor in report.sensors:
         table.add_row(*_sensor_cells(sensor))
-    out.print(table)
+    if report.sensors:
+        out.print(table)
+        for sensor in report.sensors:
+            out.print(escape(f"{sensor.name}: {bytes_text(sensor.size_bytes)}, {sensor.content}"))
+        remark(f"a gap: more than {GAP_PERIODS:g} periods of a sensor's mean rate without a message")
     truth = report.ground_truth
     if truth is not None:
         noun = "pose" if truth.kind == "trajectory" else "relation"
         path = f", path {truth.path_metres:.1f} m" if truth.path_metres is not None else ""
         gap = f", longest gap {truth.longest_gap:.2f} s" if truth.longest_gap is not None else ""
-        overlap = f"{truth.overlap_seconds:.1f} s overlap"
-        out.print(f"ground truth: {plural(truth.count, noun)}, {overlap}{path}{gap}")
+        overlap = f", {truth.overlap_seconds:.1f} s overlap" if report.sensors else ""
+        out.print(f"ground truth: {plural(truth.count, noun)}{overlap}{path}{gap}")
     if report.other_topics:
-        out.print(f"other topics: {escape(', '.join(report.other_topics))}", style="dim")
+        listed = ", ".join(f"{topic} ({kind})" for topic, kind in report.other_types.items())
+        out.print(
+            f"other topics, for algorithms that ask for them (modes[].topics): {escape(listed)}", style="dim"
+        )
     for warning in report.warnings:
         out.print(f"[yellow]warning:[/] {escape(warning)}")
     for error in report.errors:
@@ -392,6 +402,5 @@ def _sensor_cells(sensor: SensorReport) -> Iterator[str]:
     yield escape(sensor.topic)
     yield str(sensor.messages)
     yield f"{sensor.rate:.4g} Hz" if sensor.rate else "–"
-    yield bytes_text(sensor.size_bytes)
+    yield f"{sensor.covered:.0%}"
     yield longest
-    yield escape(sensor.content)

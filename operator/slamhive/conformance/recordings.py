@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.model.base import ObjectMeta
 from slamhive.model.dataset import Dataset
-from slamhive.model.sensors import Role, SensorMode
+from slamhive.model.sensors import FOLLOWS, STAND_INS, Role, SensorMode
 from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from slamhive.model.algorithm import Mode
     from slamhive.plan import Catalog
 
-_LIDAR, _STEREO, _RGBD = "check-lidar", "check-stereo", "check-rgbd"
+_LIDAR, _STEREO, _RGBD, _ROBOT = "check-lidar", "check-stereo", "check-rgbd", "check-robot"
 _SHAKEN_STEREO, _SHAKEN_RGBD = "check-stereo-inertial", "check-rgbd-inertial"
 _SHAKEN = {"durationSeconds": 25, "loops": 0.6, "rig": "Euroc", "vibration": {}}
 """Platform that visual-inertial systems need to begin: it shakes, and its IMU is mounted as EuRoC's."""
@@ -42,6 +42,15 @@ RECORDINGS = (
     _generated(
         _LIDAR, 31, ["Lidar", "Imu"], durationSeconds=14, loops=0.4, lidar={"rings": 16, "columns": 360}
     ),
+    _generated(
+        _ROBOT,
+        53,
+        ["Lidar", "Imu", "LaserScan", "Odometry", "Gnss", "Magnetometer", "Barometer"],
+        durationSeconds=14,
+        loops=0.4,
+        motion=0,
+        lidar={"rings": 16, "columns": 360},
+    ),
     _generated(_STEREO, 37, ["Stereo", "Imu"], durationSeconds=14, loops=0.35),
     _generated(_RGBD, 41, ["Rgbd", "Imu"], durationSeconds=14, loops=0.35),
     _generated(_SHAKEN_STEREO, 43, ["Stereo", "Imu"], **_SHAKEN),
@@ -50,8 +59,14 @@ RECORDINGS = (
 """Made once and kept among the generated datasets; in no catalog but that of a check."""
 
 
+_WITHOUT_ROBOT = {*STAND_INS, *FOLLOWS, *FOLLOWS.values(), Role.LIDAR, Role.IMU}
+"""Roles for which no recording of a whole robot is needed."""
+
+
 def recording_for(mode: Mode) -> str:
     """Return which of them has the sensors of a mode."""
+    if set(mode.needs) - _WITHOUT_ROBOT or set(mode.needs) == {Role.IMU}:
+        return _ROBOT
     if Role.LIDAR in mode.needs:
         return _LIDAR
     inertial = Role.IMU in mode.needs

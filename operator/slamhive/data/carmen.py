@@ -223,6 +223,7 @@ def _manifest(log: Log, name: str, *, has_relations: bool) -> dict[str, object]:
     stamps = np.array([scan.stamp for scan in log.scans])
     duration = (stamps[-1] - stamps[0]) / 1e9
     limit = min(scan.limit for scan in log.scans)
+    wheels = {"odometry": {"type": "Odometry", "topic": ODOMETRY, "frameId": _BODY}} if log.odometry else {}
     spec: dict[str, object] = {
         "description": f"{len(stamps)} planar laser scans and odometry from a CARMEN log.",
         "recording": {"format": "Rosbag1", "files": [{"path": "recording.bag"}]},
@@ -240,7 +241,8 @@ def _manifest(log: Log, name: str, *, has_relations: bool) -> dict[str, object]:
                     "maxRange": limit,
                 },
             }
-        },
+        }
+        | wheels,
         "gravityAligned": True,
         "attributes": {"planar": True},
     }

@@ -3,18 +3,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from slamhive.data import recordings
+from slamhive.data import kinds, samples
+from slamhive.data.samples import Look
 from slamhive.data.streams import camera_info_topic
 from slamhive.model.errors import DataError, suggestion
 from slamhive.model.sensors import SensorType
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from slamhive.data.recordings import Recording, Scan
     from slamhive.model.sensors import Sensor
@@ -76,7 +77,7 @@ def check_content(recording: Recording, sensors: Mapping[str, Sensor]) -> None:
         DataError: They aren't.
     """
     errors: list[str] = []
-    quick = {name: sensor for name, sensor in sensors.items() if sensor.type is not SensorType.IMU}
+    quick = {name: sensor for name, sensor in sensors.items() if sensor.type.has_frames}
     content_findings(recording, quick, errors, [])
     if errors:
         raise DataError(errors[0])
@@ -98,31 +99,17 @@ def content_findings(
     """
     described = {}
     for name, sensor in sensors.items():
-        kind = recording.topics[sensor.topic].message_type
-        where = f"sensors.{name}"
+        look = Look(recording, sensor, f"sensors.{name}", errors, warnings)
         try:
-            match kind:
-                case recordings.IMAGE:
-                    described[name] = _image(recording, sensor, where, errors, warnings)
-                case recordings.COMPRESSED_IMAGE:
-                    described[name] = _compressed(recording, sensor, where, errors)
-                case recordings.POINT_CLOUD:
-                    described[name] = _cloud(recording, sensor, where, errors)
-                case recordings.IMU:
-                    described[name] = _imu(recording, sensor, where, errors, warnings)
+            described[name] = _CONTENTS[look.message_type](look)
         except DataError as error:
             errors.append(str(error))
     return described
 
 
-def _first(recording: Recording, topic: str, kind: str) -> Any:
-    for _, _, raw in recording.messages({topic}):
-        return recording.decode(raw, kind)
-    raise DataError(f"{topic} in {recording.label}: no messages")
-
-
-def _image(recording: Recording, sensor: Sensor, where: str, errors: list[str], warnings: list[str]) -> str:
-    message = _first(recording, sensor.topic, recordings.IMAGE)
+def _image(look: Look) -> str:
+    sensor, where, errors, warnings = look.sensor, look.where, look.errors, look.warnings
+    message = look.first()
     camera = sensor.camera
     if camera is None:
         warnings.append(f"{where}.camera: no intrinsics are given, which most algorithms need")
@@ -148,9 +135,9 @@ def _image(recording: Recording, sensor: Sensor, where: str, errors: list[str], 
         warnings.append(
             f"{where}.camera.depthScale: not given; 1000 (millimetres) is common, TUM RGB-D has 5000"
         )
-    info = camera_info_topic(recording, sensor.topic)
+    info = camera_info_topic(look.recording, sensor.topic)
     if info is not None:
-        stated = _first(recording, info, recordings.CAMERA_INFO)
+        stated = look.recording.first(info)
         k = np.reshape(stated.K if hasattr(stated, "K") else stated.k, (3, 3))
         given = (camera.fx, camera.fy, camera.cx, camera.cy)
         found = (k[0, 0], k[1, 1], k[0, 2], k[1, 2])
@@ -160,8 +147,8 @@ def _image(recording: Recording, sensor: Sensor, where: str, errors: list[str], 
     return f"{message.width}×{message.height} {message.encoding}"
 
 
-def _compressed(recording: Recording, sensor: Sensor, where: str, errors: list[str]) -> str:
-    message = _first(recording, sensor.topic, recordings.COMPRESSED_IMAGE)
+def _compressed(look: Look) -> str:
+    sensor, message = look.sensor, look.first()
     pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED) if message.data.size else None
     if pixels is None:
         # Other transports, such as compressedDepth, are the algorithm's own business at full resolution.
@@ -169,15 +156,16 @@ def _compressed(recording: Recording, sensor: Sensor, where: str, errors: list[s
     height, width = pixels.shape[:2]
     camera = sensor.camera
     if camera is not None and (width, height) != (camera.width, camera.height):
-        errors.append(
-            f"{where}.camera: states {camera.width}×{camera.height} pixels, but the images on {sensor.topic} "
-            f"have {width}×{height}"
+        look.errors.append(
+            f"{look.where}.camera: states {camera.width}×{camera.height} pixels, but the images on "
+            f"{sensor.topic} have {width}×{height}"
         )
     return f"{width}×{height} {message.format}"
 
 
-def _cloud(recording: Recording, sensor: Sensor, where: str, errors: list[str]) -> str:
-    message = _first(recording, sensor.topic, recordings.POINT_CLOUD)
+def _cloud(look: Look) -> str:
+    sensor, where, errors = look.sensor, look.where, look.errors
+    message = look.first()
     names = [item.name for item in message.fields]
     lidar = sensor.lidar
     wanted = {"timeField": lidar.time_field, "ringField": lidar.ring_field} if lidar else {}
@@ -191,7 +179,8 @@ def _cloud(recording: Recording, sensor: Sensor, where: str, errors: list[str]) 
         errors.append(
             f"{where}: points on {sensor.topic} have no field {missing[0]!r}{suggestion('', names)}"
         )
-    return f"{message.width * message.height} points with {', '.join(names)}"
+    size = f"{message.width}×{message.height}" if message.height > 1 else f"{message.width}"
+    return f"{size} points with {', '.join(names)}"
 
 
 _IMU_NUMBERS = 37
@@ -199,8 +188,9 @@ _IMU_NUMBERS = 37
 _STANDARD_GRAVITY = 9.80665
 
 
-def _imu(recording: Recording, sensor: Sensor, where: str, errors: list[str], warnings: list[str]) -> str:
-    tails = [raw[-8 * _IMU_NUMBERS :] for _, _, raw in recording.messages({sensor.topic})]
+def _imu(look: Look) -> str:
+    sensor, where, errors, warnings = look.sensor, look.where, look.errors, look.warnings
+    tails = [raw[-8 * _IMU_NUMBERS :] for _, _, raw in look.recording.messages({sensor.topic})]
     table = np.frombuffer(b"".join(tails), dtype="<f8").reshape(-1, _IMU_NUMBERS)
     rate, force = table[:, 13:16], table[:, 25:28]
     wrong = np.flatnonzero(~np.isfinite(np.hstack([rate, force])).all(axis=1))
@@ -218,3 +208,19 @@ def _imu(recording: Recording, sensor: Sensor, where: str, errors: list[str], wa
             f"{where}: the specific force is {typical:.3g} m/s² typically, about 9.8 is expected{hint}"
         )
     return f"{typical:.2f} m/s² typically"
+
+
+_CONTENTS: dict[str, Callable[[Look], str]] = {
+    kinds.IMAGE: _image,
+    kinds.COMPRESSED_IMAGE: _compressed,
+    kinds.POINT_CLOUD: _cloud,
+    kinds.IMU: _imu,
+    kinds.LASER_SCAN: samples.scans,
+    kinds.ODOMETRY: samples.odometry,
+    kinds.TWIST: samples.odometry,
+    kinds.TWIST_WITH_COVARIANCE: samples.odometry,
+    kinds.GNSS_FIX: samples.fixes,
+    kinds.MAGNETIC_FIELD: samples.fields,
+    kinds.FLUID_PRESSURE: samples.pressures,
+}
+"""What is looked at in messages, by their type; says in words what they are like."""

@@ -120,7 +120,7 @@ def all_roles(entry: DatasetEntry, target: DataFormat) -> tuple[Role, ...]:
         cameras = [group for group in _FIRST[target] if all(_fits(spec, role) for role in group)]
         others = [role for role in named if role in {Role.IMU, Role.LIDAR} and _holds_beside(target, role)]
         found = (*cameras[0], *others) if cameras else ()
-    if not holds(target, found) or not set(found) - {Role.IMU}:
+    if not holds(target, found) or not found:
         raise InputError(
             f"dataset {entry.name!r} has no sensors for {target}; it has: {', '.join(sorted(spec.sensors))} "
             "(--sensors names a mode)"

@@ -19,8 +19,8 @@ import numpy as np
 
 from slamhive.data.clouds import cloud_filter, cloud_points, filter_cloud
 from slamhive.data.images import compressed_pixels, image_pixels, resize
+from slamhive.data.kinds import COMPRESSED_IMAGE, IMAGE, IMU, POINT_CLOUD
 from slamhive.data.layouts import DEPTH_FACTOR, LAYOUTS
-from slamhive.data.recordings import COMPRESSED_IMAGE, IMAGE, IMU, POINT_CLOUD
 from slamhive.data.rectifying import rectify
 from slamhive.data.transfer import chosen_messages
 from slamhive.model.errors import DataError, InputError

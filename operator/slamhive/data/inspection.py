@@ -6,14 +6,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.data.checks import check_stamps, content_findings
+from slamhive.data.checks import check_content, check_stamps, content_findings
+from slamhive.data.entries import DatasetEntry
 from slamhive.data.groundtruth import ground_truth, require_overlap, truth_range
-from slamhive.data.posetopics import truth_topic
+from slamhive.data.posetopics import check_pose_topic, truth_topic
 from slamhive.data.recordings import open_recording
 from slamhive.data.streams import STATIC_TRANSFORMS, camera_info_topic, check_topic
 from slamhive.data.thinning import rate_of
@@ -23,11 +24,15 @@ from slamhive_eval import Trajectory
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from slamhive.data.entries import DatasetEntry
     from slamhive.data.recordings import Recording, Scan
+    from slamhive.model.dataset import Dataset
     from slamhive.model.sensors import Sensor
 
-_GAP_PERIODS = 3.0
+GAP_PERIODS = 3.0
+"""Periods of a sensor's mean rate without a message that are called a gap."""
+SMALL_SHARE = 0.9
+"""Share of the recording's length below which a sensor is said to cover little of it: a run lasts as long as
+its first camera, LiDAR or scanner, and an algorithm needs the others all the time."""
 _SHOWN_GAPS = 20
 _RATE_TOLERANCE = 0.05
 
@@ -60,6 +65,8 @@ class SensorReport:
         last: Sensor time of the last message, s.
         gaps: Spans of more than three periods without messages, longest first; the longest 20.
         gap_count: Number of all such spans.
+        gap_threshold: What a span is longer than to be one of them, s; None where the rate isn't known.
+        covered: Share of the recording's length between its first message and its last.
         size_bytes: Size of the messages.
         content: What the first message is like, in words.
     """
@@ -74,6 +81,8 @@ class SensorReport:
     last: float | None = None
     gaps: list[Gap] = field(default_factory=list)
     gap_count: int = 0
+    gap_threshold: float | None = None
+    covered: float = 0.0
     size_bytes: int = 0
     content: str = ""
 
@@ -109,10 +118,11 @@ class DatasetReport:
         name: The dataset's name.
         format: How its recording is stored.
         start: Sensor time of the first message of any sensor, s.
-        duration_seconds: Time from it to the last one.
+        duration_seconds: Time from it to the last one; by the times of recording where there is no sensor.
         sensors: By sensor.
         ground_truth: None when there is none, or it can't be used.
         other_topics: Topics of the recording that no sensor names.
+        other_types: Type and number of their messages, by topic.
         errors: What keeps the dataset from being used, a sentence each.
         warnings: What may be wrong, a sentence each.
     """
@@ -124,6 +134,7 @@ class DatasetReport:
     sensors: list[SensorReport]
     ground_truth: TruthReport | None
     other_topics: list[str]
+    other_types: dict[str, str]
     errors: list[str]
     warnings: list[str]
 
@@ -153,12 +164,21 @@ def inspect(entry: DatasetEntry, cache: Path | None = None) -> DatasetReport:
             used = {sensor.topic for sensor in spec.sensors.values()} | {STATIC_TRANSFORMS}
             used |= {camera_info_topic(recording, sensor.topic) or "" for sensor in spec.sensors.values()}
             used.add((spec.ground_truth and truth_topic(spec.ground_truth.topic)) or "")
-            others = sorted(set(recording.topics) - used)
+            others = {
+                name: f"{topic.message_type}, {topic.count}"
+                for name, topic in sorted(recording.topics.items())
+                if name not in used
+            }
+            recorded = recording.seconds
     except DataError as error:
-        return DatasetReport(entry.name, spec.recording.format, None, None, [], None, [], [str(error)], [])
+        return DatasetReport(
+            entry.name, spec.recording.format, None, None, [], None, [], {}, [str(error)], []
+        )
     firsts = [sensor.first for sensor in sensors if sensor.first is not None]
     lasts = [sensor.last for sensor in sensors if sensor.last is not None]
     span = (min(firsts), max(lasts)) if firsts else None
+    if span is not None:
+        sensors = [_covering(sensor, span, warnings) for sensor in sensors]
     truth = _truth(entry, cache, span, errors)
     stated, length = spec.recording.duration_seconds, span[1] - span[0] if span else None
     if stated and length is not None and abs(stated - length) > max(_RATE_TOLERANCE * stated, 1.0):
@@ -169,13 +189,43 @@ def inspect(entry: DatasetEntry, cache: Path | None = None) -> DatasetReport:
         name=entry.name,
         format=spec.recording.format,
         start=span[0] if span else None,
-        duration_seconds=length,
+        duration_seconds=length if length is not None else recorded,
         sensors=sensors,
         ground_truth=truth,
-        other_topics=others,
+        other_topics=list(others),
+        other_types=others,
         errors=errors,
         warnings=warnings,
     )
+
+
+def require_usable(dataset: Dataset, root: Path) -> None:
+    """Refuse a dataset that no run could work with, before it is known: it may never be changed afterwards.
+
+    What takes reading the whole recording is left to `inspect`. Files that are still to be fetched are not
+    looked at.
+
+    Args:
+        dataset: The dataset as declared.
+        root: The folder that its paths start from.
+
+    Raises:
+        DataError: The recording can't be read, lacks a sensor's topic or isn't what is said of it; the ground
+            truth can't be read.
+    """
+    files = dataset.spec.recording.files
+    if not files or any(file.url and not (root / file.path).exists() for file in files):
+        return
+    entry = DatasetEntry(dataset, root)
+    truth = dataset.spec.ground_truth
+    with open_recording(dataset, root) as recording:
+        for name, sensor in dataset.spec.sensors.items():
+            check_topic(recording, name, sensor)
+        check_content(recording, dataset.spec.sensors)
+        if truth is not None and truth.topic is not None:
+            check_pose_topic(recording, truth.topic)
+    if truth is not None and truth.file is not None:
+        ground_truth(entry)
 
 
 def _sensors(
@@ -210,7 +260,7 @@ def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content
     stamps = np.sort(scan.stamps)
     steps = np.diff(stamps)
     rate = rate_of(stamps)
-    wide = np.flatnonzero(steps > _GAP_PERIODS * 1e9 / rate) if rate else np.array([], dtype=np.intp)
+    wide = np.flatnonzero(steps > GAP_PERIODS * 1e9 / rate) if rate else np.array([], dtype=np.intp)
     longest = wide[np.argsort(-steps[wide], kind="stable")][:_SHOWN_GAPS]
     return SensorReport(
         name=name,
@@ -223,9 +273,25 @@ def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content
         last=float(stamps[-1] / 1e9) + sensor.time_offset if len(stamps) else None,
         gaps=[Gap(float(stamps[k] / 1e9) + sensor.time_offset, float(steps[k] / 1e9)) for k in longest],
         gap_count=len(wide),
+        gap_threshold=round(GAP_PERIODS / rate, 6) if rate else None,
         size_bytes=scan.size_bytes,
         content=content,
     )
+
+
+def _covering(report: SensorReport, span: tuple[float, float], warnings: list[str]) -> SensorReport:
+    """Return a sensor's report with its share of the recording; warn of a small one."""
+    length = span[1] - span[0]
+    if report.first is None or report.last is None or length <= 0:
+        return report
+    share = (report.last - report.first) / length
+    if share < SMALL_SHARE:
+        warnings.append(
+            f"sensors.{report.name}: {report.topic} covers {report.last - report.first:.1f} s of the "
+            f"recording's {length:.1f} s ({share:.0%}), from {report.first:.3f} s to {report.last:.3f} s; "
+            f"said below {SMALL_SHARE:.0%}, as a run with it has no more"
+        )
+    return replace(report, covered=round(share, 4))
 
 
 def _suspicions(report: SensorReport, sensor: Sensor) -> list[str]:
@@ -238,8 +304,8 @@ def _suspicions(report: SensorReport, sensor: Sensor) -> list[str]:
         longest = report.gaps[0]
         problems.append(
             f"sensors.{report.name}: {report.gap_count} gap{'s' if report.gap_count > 1 else ''} in "
-            f"{report.topic}, "
-            f"the longest {longest.seconds:.3f} s at {longest.start:.3f} s"
+            f"{report.topic}, the longest {longest.seconds:.3f} s at {longest.start:.3f} s; a gap is more "
+            f"than {report.gap_threshold:.3g} s, {GAP_PERIODS:g} periods"
         )
     return problems
 

@@ -83,7 +83,7 @@ def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> Wish:
     cameras = types & {SensorType.CAMERA, SensorType.DEPTH_CAMERA}
     lidar = options.lidar if SensorType.LIDAR in types else None
     return Wish(
-        frame_rate=options.frame_rate,
+        frame_rate=options.frame_rate if any(kind.has_frames for kind in types) else None,
         resolution=options.resolution if cameras else 1.0,
         start=seconds(options.start) if options.start else 0.0,
         duration=seconds(options.duration) if options.duration else None,
@@ -115,6 +115,7 @@ class Order:
         target: How it is stored.
         views: The sensors as the options and a folder's form leave them; rates follow from the frames kept.
         folder: What a folder of files is to hold; None for a bag.
+        topics: Topics that are given beside the sensors', as they are.
     """
 
     entry: DatasetEntry
@@ -123,6 +124,7 @@ class Order:
     target: DataFormat
     views: Mapping[Role, SensorView]
     folder: FolderPlan | None
+    topics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,13 @@ class Made:
     views: dict[Role, SensorView]
 
 
-def order_of(entry: DatasetEntry, roles: Sequence[Role], options: InputOptions, target: DataFormat) -> Order:
+def order_of(
+    entry: DatasetEntry,
+    roles: Sequence[Role],
+    options: InputOptions,
+    target: DataFormat,
+    topics: Sequence[str] = (),
+) -> Order:
     """Return an order of a recording.
 
     Raises:
@@ -146,11 +154,13 @@ def order_of(entry: DatasetEntry, roles: Sequence[Role], options: InputOptions, 
     """
     if not holds(target, roles):
         raise InputError(misfit([target], roles, f"these sensors of {entry.name}"))
+    if topics and target.is_folder:
+        raise InputError(f"modes.topics: {target} holds no topics; recording: a bag does")
     sensors = {role: _sensor_for(entry, role, options) for role in roles}
     wish = _wish(options, sensors)
     views = _views(sensors, wish)
     folder = plan_folder(target, entry.name, views) if target.is_folder else None
-    return Order(entry, sensors, wish, target, folder.views if folder else views, folder)
+    return Order(entry, sensors, wish, target, folder.views if folder else views, folder, (*topics,))
 
 
 def make_recording(
@@ -172,7 +182,8 @@ def make_recording(
     path = folder / FILE_NAMES[target]
     truth = entry.dataset.spec.ground_truth
     with open_recording(entry.dataset, entry.root) as recording:
-        streams = streams_of(recording, order.sensors, truth_topic(truth.topic) if truth else None)
+        hidden = truth_topic(truth.topic) if truth else None
+        streams = streams_of(recording, order.sensors, hidden, order.topics)
         check_content(recording, {view.name: view for view in order.sensors.values()})
         selection = select(recording, streams, wish, _share(progress, 0.0, 0.3))
         original = recording_paths(entry.dataset, entry.root)

@@ -46,9 +46,28 @@ def poses_of_topic(recording: Recording, topic: str) -> Trajectory:
     Raises:
         DataError: There is no such topic or frame, it carries no poses, or they are no trajectory.
     """
+    kind = check_pose_topic(recording, topic)
+    name = truth_topic(topic) or topic
+    try:
+        if kind in TF_TYPES:
+            return _transforms(recording, topic)
+        return read_poses((recording.decode(raw, kind) for _, _, raw in recording.messages({name})), kind)
+    except EvaluationError as error:
+        raise DataError(f"{_where(recording, topic)}: {error}") from None
+
+
+def _where(recording: Recording, topic: str) -> str:
+    return f"groundTruth.topic: {truth_topic(topic)} in {recording.label}"
+
+
+def check_pose_topic(recording: Recording, topic: str) -> str:
+    """Check that a topic is there and carries poses; return the type of its messages.
+
+    Raises:
+        DataError: It isn't, or doesn't.
+    """
     name = truth_topic(topic) or topic
     found = recording.topics.get(name)
-    where = f"groundTruth.topic: {name} in {recording.label}"
     if found is None:
         known = [item.name for item in recording.topics.values() if item.message_type in POSE_TYPES]
         raise DataError(
@@ -58,13 +77,8 @@ def poses_of_topic(recording: Recording, topic: str) -> Trajectory:
     kind = found.message_type
     if kind not in (*TF_TYPES, *POSE_TYPES):
         allowed = f"allowed: {', '.join(POSE_TYPES)}, {TF_TYPES[0]}"
-        raise DataError(f"{where}: messages of type {kind} carry no pose; {allowed}")
-    try:
-        if kind in TF_TYPES:
-            return _transforms(recording, topic)
-        return read_poses((recording.decode(raw, kind) for _, _, raw in recording.messages({name})), kind)
-    except EvaluationError as error:
-        raise DataError(f"{where}: {error}") from None
+        raise DataError(f"{_where(recording, topic)}: messages of type {kind} carry no pose; {allowed}")
+    return kind
 
 
 def static_tree(recording: Recording) -> Frames:

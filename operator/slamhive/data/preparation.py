@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from slamhive.model.run import InputOptions
 
 DESCRIPTION = "variant.json"
-PRIMARY = (Role.CAMERA, Role.LEFT, Role.COLOR, Role.LIDAR)
-"""Roles whose frames count as frames and set the window; the first that is there is the primary one."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +108,8 @@ def prepare(  # noqa: PLR0917 - progress comes last everywhere
     formats: Sequence[DataFormat],
     cache: Path,
     progress: Callable[[float], None] | None = None,
+    *,
+    topics: Sequence[str] = (),
 ) -> Variant:
     """Make the variant of a dataset that a run needs, or find it in the cache.
 
@@ -120,6 +120,7 @@ def prepare(  # noqa: PLR0917 - progress comes last everywhere
         formats: Formats that the algorithm reads, the preferred first.
         cache: Folder of the variants. Hashes of files are remembered in ``.hashes`` in it.
         progress: Called with the share done, 0 to 1, while it is made.
+        topics: Topics that the algorithm is given beside its sensors', as they are.
 
     Returns:
         The variant. Hold `Variant.in_use` while a run works with it.
@@ -132,7 +133,7 @@ def prepare(  # noqa: PLR0917 - progress comes last everywhere
     spec = entry.dataset.spec
     recorded = DataFormat(spec.recording.format)
     target = DataFormat(recorded if recorded in formats else formats[0])
-    order = order_of(entry, roles, options, target)
+    order = order_of(entry, roles, options, target, topics)
     sensors, wish = order.sensors, order.wish
     source = recording_sha256(entry, cache / ".hashes")
     key = digest(
@@ -148,6 +149,7 @@ def prepare(  # noqa: PLR0917 - progress comes last everywhere
             "lidar": wish.lidar.as_json() if wish.lidar else None,
             "format": target,
         }
+        | ({"topics": sorted(order.topics)} if order.topics else {})
     )
     folder = cache / key[:32]
 

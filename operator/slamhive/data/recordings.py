@@ -15,6 +15,7 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from slamhive.data.damage import remedy
 from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.errors import DataError
 
@@ -29,11 +30,6 @@ if TYPE_CHECKING:
 
     from slamhive.model.dataset import Dataset
 
-IMAGE = "sensor_msgs/msg/Image"
-COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-IMU = "sensor_msgs/msg/Imu"
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 _HEADER = "std_msgs/msg/Header"
@@ -92,7 +88,7 @@ class Recording:
             self._reader = AnyReader(self.paths, default_typestore=get_typestore(store))
             self._reader.open()
         except Exception as error:  # noqa: BLE001 - parsers raise anything on hostile bytes
-            raise self._unreadable(error) from None
+            raise self._unreadable(error, indexed=False) from None
         try:
             self.topics = self._topics()
         except BaseException:
@@ -119,6 +115,11 @@ class Recording:
         """Return the connections of the recording: a topic may have several."""
         return self._reader.connections
 
+    @property
+    def seconds(self) -> float:
+        """Return the time from the first record to the last, s."""
+        return float(self._reader.duration) / 1e9
+
     def messages(self, topics: Collection[str]) -> Iterator[tuple[Connection, int, bytes]]:
         """Read the messages of some topics in the order of their record times (ns).
 
@@ -135,7 +136,7 @@ class Recording:
             except StopIteration:
                 return
             except Exception as error:  # noqa: BLE001 - parsers raise anything on hostile bytes
-                raise self._unreadable(error) from None
+                raise self._unreadable(error, indexed=True) from None
             yield item
 
     def decode(self, raw: bytes, message_type: str) -> Any:
@@ -150,6 +151,16 @@ class Recording:
             raise DataError(
                 f"{self.label}: a message of type {message_type} is damaged ({_said(error)})"
             ) from None
+
+    def first(self, topic: str) -> Any:
+        """Return the first message of a topic.
+
+        Raises:
+            DataError: There is none, or it is damaged.
+        """
+        for connection, _, raw in self.messages({topic}):
+            return self.decode(raw, connection.msgtype)
+        raise DataError(f"{topic} in {self.label}: no messages")
 
     def encode(self, message: Any, message_type: str) -> memoryview:
         """Encode a message as the recording does it."""
@@ -231,11 +242,9 @@ class Recording:
             raise DataError(f"{self.label}: empty: there is no message in it; record it again")
         return topics
 
-    def _unreadable(self, error: Exception) -> DataError:
-        hint = "it is damaged or cut off, or no recording of this format"
-        if "not indexed" in str(error):
-            hint = "it was not closed properly: run `rosbag reindex` on a copy"
-        return DataError(f"{self.label}: can't be read as {self.format} ({_said(error)}): {hint}")
+    def _unreadable(self, error: Exception, *, indexed: bool) -> DataError:
+        hints = dict.fromkeys(remedy(path, indexed=indexed) for path in self.paths)
+        return DataError(f"{self.label}: can't be read as {self.format} ({_said(error)}): {'; '.join(hints)}")
 
 
 def recording_paths(dataset: Dataset, root: Path) -> list[Path]:

@@ -9,7 +9,8 @@ import numpy as np
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from slamhive.data.recordings import CAMERA_INFO, IMAGE, IMU, POINT_CLOUD, TF_TYPES
+from slamhive.data.kinds import CAMERA_INFO, IMAGE, IMU, ODOMETRY, POINT_CLOUD
+from slamhive.data.recordings import TF_TYPES
 from slamhive_eval.rotation import from_matrix
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
 
-ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = TF_TYPES[0]
 _DATATYPES = {"u1": 2, "u2": 4, "u4": 6, "f4": 7, "f8": 8}
 

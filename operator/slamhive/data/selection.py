@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Mask = npt.NDArray[np.bool_]
 
 MARGIN_SECONDS = 0.25
-"""IMU kept before and after a cut: a scan's last points are taken after its stamp."""
+"""Samples kept before and after a cut: a scan's last points are taken after its stamp."""
 _SPARSE = 0.5
 """A camera_info with fewer messages than this share of its images is a latched one, kept whole."""
 
@@ -124,8 +124,6 @@ def select(
         if stream.sensor is not None:
             check_stamps(scans[stream.topic], f"sensors.{stream.sensor}: {stream.topic} in {recording.label}")
     leaders = [stream for stream in streams if stream.kind is Kind.FRAMES]
-    if not leaders:
-        raise InputError("sensors: a variant needs a camera or a LiDAR, not an IMU alone")
     bounds = _bounds(scans[leaders[0].topic], window, leaders[0])
     masks: dict[str, Mask] = {}
     for leader in leaders:
@@ -137,7 +135,7 @@ def select(
             masks[stream.topic] = _info(
                 scans[stream.topic], scans[stream.follows or ""], masks[stream.follows or ""]
             )
-        elif stream.kind is Kind.INERTIAL:
+        elif stream.kind is Kind.SAMPLES:
             margin = round(MARGIN_SECONDS * 1e9)
             stamps = scans[stream.topic].stamps
             masks[stream.topic] = (stamps >= begin - margin) & (stamps <= end + margin)
@@ -147,9 +145,21 @@ def select(
     kept = scans[primary.topic].stamps[masks[primary.topic]]
     times = [scans[stream.topic].times[masks[stream.topic]] for stream in streams if stream.sensor]
     joined = np.concatenate(times)
-    return Selection(
-        streams, masks, scans, primary, int(kept[0]), int(kept[-1]), (int(joined.min()), int(joined.max()))
-    )
+    recorded = (int(joined.min()), int(joined.max()))
+    for stream in streams:
+        if stream.kind is Kind.TOPIC:
+            masks[stream.topic] = _asked_for(scans[stream.topic], bounds, recorded)
+    return Selection(streams, masks, scans, primary, int(kept[0]), int(kept[-1]), recorded)
+
+
+def _asked_for(scan: Scan, bounds: tuple[int, int], recorded: tuple[int, int]) -> Mask:
+    """Choose the messages of a topic that is no sensor's; without stamps the times of recording decide."""
+    if bounds == (-_FOREVER, _FOREVER):
+        return np.ones(len(scan.times), dtype=np.bool_)
+    stamped = scan.has_header and bool((scan.stamps > 0).all())
+    times, (begin, end) = (scan.stamps, bounds) if stamped else (scan.times, recorded)
+    margin = round(MARGIN_SECONDS * 1e9)
+    return np.asarray((times >= begin - margin) & (times <= end + margin))
 
 
 def complete_frames(selection: Selection) -> Selection:
@@ -161,7 +171,7 @@ def complete_frames(selection: Selection) -> Selection:
         DataError: No frame is complete.
     """
     streams = [stream for stream in selection.streams if stream.sensor is not None]
-    framed = [stream for stream in streams if stream.kind is not Kind.INERTIAL]
+    framed = [stream for stream in streams if stream.kind is not Kind.SAMPLES]
     index = {stream.topic: _distinct(selection, stream) for stream in framed}
     stamps = {topic: selection.scans[topic].stamps[kept] for topic, kept in index.items()}
     primary = selection.primary

@@ -7,24 +7,17 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from slamhive.data.recordings import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, IMU, POINT_CLOUD, TF_TYPES
+from slamhive.data.kinds import CAMERA_INFO, KINDS
+from slamhive.data.recordings import TF_TYPES
 from slamhive.model.errors import DataError, suggestion
 from slamhive.model.sensors import FOLLOWS, Role, SensorType
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from slamhive.data.recordings import Recording
     from slamhive.model.configuration import SensorView
     from slamhive.model.sensors import Sensor
-
-MESSAGE_TYPES: dict[SensorType, tuple[str, ...]] = {
-    SensorType.CAMERA: (IMAGE, COMPRESSED_IMAGE),
-    SensorType.DEPTH_CAMERA: (IMAGE, COMPRESSED_IMAGE),
-    SensorType.LIDAR: (POINT_CLOUD,),
-    SensorType.IMU: (IMU,),
-}
-"""Messages that a sensor of each type may have."""
 
 STATIC_TRANSFORMS = "/tf_static"
 
@@ -35,7 +28,8 @@ class Kind(Enum):
     FRAMES = "frames"  # of the sensor that sets the pace: thinned and cut
     PARTNER = "partner"  # frames kept together with those of another sensor
     INFO = "info"  # camera_info: kept with its images
-    INERTIAL = "inertial"  # never thinned, cut with a margin
+    SAMPLES = "samples"  # never thinned, cut with a margin
+    TOPIC = "topic"  # no sensor's, asked for by its name: cut with a margin
     STATIC = "static"  # kept whole
 
 
@@ -77,7 +71,7 @@ def check_topic(recording: Recording, name: str, sensor: Sensor) -> None:
     """
     where = f"sensors.{name}.topic"
     topic = recording.topics.get(sensor.topic)
-    allowed = MESSAGE_TYPES[sensor.type]
+    allowed = KINDS[sensor.type].messages
     if topic is None:
         fitting = [item.name for item in recording.topics.values() if item.message_type in allowed]
         raise DataError(
@@ -94,7 +88,10 @@ def check_topic(recording: Recording, name: str, sensor: Sensor) -> None:
 
 
 def streams_of(
-    recording: Recording, sensors: Mapping[Role, SensorView], truth_topic: str | None
+    recording: Recording,
+    sensors: Mapping[Role, SensorView],
+    truth_topic: str | None,
+    topics: Sequence[str] = (),
 ) -> list[Stream]:
     """Return the topics that a variant holds, those that set the pace first.
 
@@ -102,11 +99,14 @@ def streams_of(
         recording: The recording.
         sensors: The wanted sensors by role, as the dataset declares them, in the order of the roles.
         truth_topic: Topic with ground truth, which is never among them.
+        topics: Topics that are asked for by their names.
 
     Raises:
         DataError: A topic is missing or doesn't fit its sensor.
     """
     result: dict[str, Stream] = {}
+    # Where nothing has frames, the messages of the first sensor stand for them.
+    alone = None if any(one.type.has_frames for one in sensors.values()) else next(iter(sensors.values()))
     for role, sensor in sensors.items():
         check_topic(recording, sensor.name, sensor)
         if sensor.topic == truth_topic:
@@ -114,7 +114,10 @@ def streams_of(
                 f"sensors.{sensor.name}.topic: {sensor.topic} is the ground truth, which no algorithm may see"
             )
         leader = sensors.get(FOLLOWS.get(role, role)) if role in FOLLOWS else None
-        kind = Kind.INERTIAL if role is Role.IMU else Kind.FRAMES if leader is None else Kind.PARTNER
+        if leader is not None:
+            kind = Kind.PARTNER
+        else:
+            kind = Kind.FRAMES if sensor.type.has_frames or sensor is alone else Kind.SAMPLES
         result.setdefault(
             sensor.topic,
             Stream(
@@ -137,7 +140,21 @@ def streams_of(
     transforms = recording.topics.get(STATIC_TRANSFORMS)
     if transforms and transforms.message_type in TF_TYPES and truth_topic != STATIC_TRANSFORMS:
         result[STATIC_TRANSFORMS] = Stream(STATIC_TRANSFORMS, transforms.message_type, Kind.STATIC)
+    for topic in topics:
+        result.setdefault(topic, _asked_for(recording, topic, truth_topic))
     return sorted(result.values(), key=lambda stream: list(Kind).index(stream.kind))
+
+
+def _asked_for(recording: Recording, name: str, truth_topic: str | None) -> Stream:
+    topic = recording.topics.get(name)
+    if name == truth_topic:
+        raise DataError(f"modes.topics: {name} is the ground truth, which no algorithm may see")
+    if topic is None:
+        raise DataError(
+            f"modes.topics: no topic {name!r} in {recording.label}{suggestion(name, recording.topics)}"
+        )
+    # What is said once holds for all of it, as a map does.
+    return Stream(name, topic.message_type, Kind.STATIC if topic.count == 1 else Kind.TOPIC)
 
 
 def camera_info_topic(recording: Recording, image_topic: str) -> str | None:

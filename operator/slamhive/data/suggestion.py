@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from dataclasses import dataclass, field
@@ -12,13 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from slamhive.data import recordings
+from slamhive.data import kinds
 from slamhive.data.clouds import cloud_points
+from slamhive.data.kinds import KINDS
 from slamhive.data.posetopics import POSE_TYPES, relative_pose, static_tree
-from slamhive.data.recordings import Recording, guess_format
-from slamhive.data.streams import camera_info_topic
+from slamhive.data.recordings import TF_TYPES, Recording, guess_format
+from slamhive.data.streams import STATIC_TRANSFORMS, camera_info_topic
 from slamhive.data.thinning import rate_of
-from slamhive.model.errors import DataError
+from slamhive.model.dataset import fills
+from slamhive.model.sensors import ROLES, Role, SensorType
+from slamhive_eval.posemessages import add_transforms
+from slamhive_eval.transforms import Frames
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,6 +31,10 @@ if TYPE_CHECKING:
     from slamhive.data.recordings import Scan
 
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("infra1", "infra2"), ("image_00", "image_01"))
+_DEPTH_CLOUD = re.compile("depth|camera|color|rgb|registered", re.IGNORECASE)
+_WHEELS = re.compile("odom|wheel|encoder", re.IGNORECASE)
+_LOOKED_AT, _SHOWN_FRAMES = 1000, 20
+"""Messages of /tf to look at, and frames of it to name."""
 _TRUTH = re.compile(r"ground_?truth|(^|/)gt(/|_|$)|vicon|mocap|optitrack|vrpn", re.IGNORECASE)
 _TIMES, _RINGS = ("time", "t", "timestamp", "time_offset", "offset_time"), ("ring", "line", "channel")
 _MODELS = {
@@ -43,10 +52,18 @@ class Suggestion:
     Attributes:
         manifest: A Dataset as plain values.
         missing: What isn't known or was guessed, a sentence each with the field it is about.
+        elsewhere: The recording, where it isn't below the manifest's folder: the manifest names a link to it
+            in that folder, which has to be made.
     """
 
     manifest: dict[str, Any]
     missing: list[str] = field(default_factory=list)
+    elsewhere: Path | None = None
+
+    @property
+    def file(self) -> str:
+        """Return the recording's path in the manifest."""
+        return str(self.manifest["spec"]["recording"]["files"][0]["path"])
 
     @property
     def text(self) -> str:
@@ -67,7 +84,7 @@ def suggest_dataset(path: Path, name: str, base: Path | None = None) -> Suggesti
         base: Folder that the manifest will lie in; default: the working directory.
 
     Raises:
-        DataError: It can't be read, or holds no sensor that is known.
+        DataError: It can't be read, or there is no message in it.
     """
     with Recording([path], guess_format(path)) as recording:
         look = _Look(recording, name)
@@ -77,10 +94,7 @@ def suggest_dataset(path: Path, name: str, base: Path | None = None) -> Suggesti
     if there.is_relative_to(base):
         file = str(there.relative_to(base))
     else:
-        file = path.name
-        found.missing.append(
-            f"recording.files: paths start from the manifest's folder: move it to {path.parent}"
-        )
+        file, found.elsewhere = path.resolve().name, path.resolve()
     found.manifest["spec"]["recording"]["files"] = [{"path": file}]
     return found
 
@@ -96,18 +110,14 @@ class _Look:
         self.body: str | None = None
 
     def suggestion(self) -> Suggestion:
-        roles = self._roles()
-        if not roles:
-            listed = ", ".join(
-                f"{item.name} ({item.message_type})" for item in self.recording.topics.values()
-            )
-            raise DataError(f"{self.recording.label}: no camera, LiDAR or IMU topic among: {listed}")
-        scans = self.recording.scan(set(roles.values()))
-        first = {role: self._first(topic) for role, topic in roles.items()}
-        frames = {role: str(message.header.frame_id).lstrip("/") for role, message in first.items()}
+        found = self._sensors()
+        scans = self.recording.scan({topic for _, topic in found.values()})
+        first = {name: self.recording.first(topic) for name, (_, topic) in found.items()}
+        frames = {name: _frame_of(message) for name, message in first.items()}
         self.body = self._body(frames)
         sensors = {
-            role: self._sensor(role, topic, first[role], scans[topic]) for role, topic in roles.items()
+            name: self._sensor(name, kind, topic, first[name], scans[topic])
+            for name, (kind, topic) in found.items()
         }
         spec: dict[str, Any] = {
             "description": "",
@@ -117,6 +127,8 @@ class _Look:
         truth = self._truth()
         if truth:
             spec["groundTruth"] = truth
+        self._modes({name: kind for name, (kind, _) in found.items()})
+        self._others({topic for _, topic in found.values()}, truth)
         manifest = {
             "apiVersion": "slamhive.io/v1alpha1",
             "kind": "Dataset",
@@ -125,17 +137,38 @@ class _Look:
         }
         return Suggestion(manifest, self.notes)
 
-    def _roles(self) -> dict[str, str]:
-        roles: dict[str, str] = {}
-        for role, kind in (("lidar", recordings.POINT_CLOUD), ("imu", recordings.IMU)):
-            topics = self._of_type(kind)
-            if topics:
-                roles[role] = topics[0]
-                if len(topics) > 1:
-                    self.notes.append(
-                        f"sensors.{role}.topic: {topics[0]} taken; also there: {', '.join(topics[1:])}"
-                    )
-        return roles | self._cameras()
+    def _sensors(self) -> dict[str, tuple[SensorType, str]]:
+        """Return kind and topic of each sensor by the name that is proposed for it."""
+        found: dict[str, tuple[SensorType, str]] = {}
+        for sensor_type, kind in KINDS.items():
+            if kind.role is None:
+                continue
+            topics = [topic for topic in self._of_type(*kind.messages) if self._kind(topic) is sensor_type]
+            names = _names(kind.role, len(topics))
+            found |= {name: (sensor_type, topic) for name, topic in zip(names, topics, strict=True)}
+            if sensor_type is SensorType.ODOMETRY and topics:
+                self.notes.append(
+                    f"sensors.odometry: taken for what wheels measure: {', '.join(topics)}; leave out what "
+                    "another program estimated"
+                )
+        return found | self._cameras()
+
+    def _kind(self, topic: str) -> SensorType | None:
+        """Tell which kind of sensor a topic of a kind's messages belongs to, None for none."""
+        match self.recording.topics[topic].message_type:
+            case kinds.POINT_CLOUD:
+                message = self.recording.first(topic)
+                frame = str(message.header.frame_id)
+                coloured = any(item.name in {"rgb", "rgba"} for item in message.fields)
+                is_depth = coloured or _DEPTH_CLOUD.search(topic) or "optical" in frame
+                return SensorType.POINT_CLOUD if is_depth else SensorType.LIDAR
+            case kinds.ODOMETRY:
+                return None if _TRUTH.search(topic) else SensorType.ODOMETRY
+            case kinds.TWIST | kinds.TWIST_WITH_COVARIANCE:
+                # What a robot is told to do has the same type as what it did.
+                return SensorType.ODOMETRY if _WHEELS.search(topic) else None
+            case message_type:
+                return next((one for one, kind in KINDS.items() if message_type in kind.messages), None)
 
     def _of_type(self, *kinds: str) -> list[str]:
         found = [
@@ -143,8 +176,8 @@ class _Look:
         ]
         return [topic.name for topic in sorted(found, key=lambda topic: (-topic.count, topic.name))]
 
-    def _cameras(self) -> dict[str, str]:
-        images = self._of_type(recordings.IMAGE) or self._of_type(recordings.COMPRESSED_IMAGE)
+    def _cameras(self) -> dict[str, tuple[SensorType, str]]:
+        images = self._of_type(kinds.IMAGE) or self._of_type(kinds.COMPRESSED_IMAGE)
         depth = [topic for topic in images if self._is_depth(topic)]
         others = [topic for topic in images if topic not in depth]
         roles: dict[str, str] = {}
@@ -152,26 +185,48 @@ class _Look:
             color = next((topic for topic in others if re.search("color|rgb", topic)), others[0])
             roles = {"color": color, "depth": depth[0]}
             others.remove(color)
-        for left, right in _SIDES:
-            for topic in others:
-                partner = topic.replace(left, right)
-                if left in topic and partner in others:
-                    return {"left": topic, "right": partner} | roles
-        if roles:
-            return roles
-        if len(others) > 1:
-            self.notes.append(f"sensors.camera.topic: {others[0]} taken; also there: {', '.join(others[1:])}")
-        return {"camera": others[0]} if others else {}
+        elif depth:
+            roles = {"depth": depth[0]}
+        pair = _pair(others)
+        if pair is not None:
+            roles = {"left": pair[0], "right": pair[1]} | roles
+            others = [topic for topic in others if topic not in pair]
+        # A sensor of the name camera would be taken in the place of left and color.
+        further = _names(Role.CAMERA, len(others) + bool(roles))[bool(roles) :]
+        roles |= dict(zip(further, others, strict=True))
+        return {
+            role: (SensorType.DEPTH_CAMERA if role == "depth" else SensorType.CAMERA, topic)
+            for role, topic in roles.items()
+        }
 
     def _is_depth(self, topic: str) -> bool:
-        if self.recording.topics[topic].message_type == recordings.IMAGE:
-            return self._first(topic).encoding in ("16UC1", "32FC1")
+        if self.recording.topics[topic].message_type == kinds.IMAGE:
+            return self.recording.first(topic).encoding in ("16UC1", "32FC1")
         return "depth" in topic
 
-    def _first(self, topic: str) -> Any:
-        for connection, _, raw in self.recording.messages({topic}):
-            return self.recording.decode(raw, connection.msgtype)
-        raise DataError(f"{topic} in {self.recording.label}: no messages")
+    def _modes(self, types: dict[str, SensorType]) -> None:
+        """Note which modes the sensors serve, and what the others lack."""
+        served: list[str] = []
+        lacking: dict[str, list[str]] = {}
+        for mode, roles in ROLES.items():
+            missing = [str(role) for role in roles if not fills(role, types)]
+            (lacking.setdefault(missing[0], []) if missing else served).append(str(mode))
+        if not types:
+            self.notes.append("sensors: no topic is a sensor's that is known here, so no mode is served")
+            return
+        parts = [f"{', '.join(modes)} (no {role})" for role, modes in lacking.items()]
+        self.notes.append(
+            f"modes that it serves: {', '.join(served) or 'none'}; that it can't: {'; '.join(parts)}"
+        )
+
+    def _others(self, used: set[str], truth: dict[str, Any] | None) -> None:
+        """Note the topics that are no sensor's."""
+        used = used | {STATIC_TRANSFORMS, truth["topic"] if truth else ""}
+        used |= {camera_info_topic(self.recording, topic) or "" for topic in used}
+        left = [topic for name, topic in sorted(self.recording.topics.items()) if name not in used]
+        if left:
+            listed = ", ".join(f"{topic.name} ({topic.message_type}, {topic.count})" for topic in left)
+            self.notes.append(f"kept for algorithms that ask for them by topic (modes[].topics): {listed}")
 
     def _body(self, frames: dict[str, str]) -> str | None:
         """Choose the body frame: the base of the static transforms, or a sensor's frame."""
@@ -182,14 +237,13 @@ class _Look:
             if candidate in known:
                 self.notes.append(f"the body frame is {candidate!r}, by /tf_static")
                 return candidate
-        role = next((role for role in ("imu", "lidar", "left", "camera", "color") if role in frames), None)
-        return frames[role] if role else None
+        first = ("imu", "lidar", "left", "camera", "color", *frames)
+        return next((frames[name] for name in first if frames.get(name)), None)
 
-    def _sensor(self, role: str, topic: str, message: Any, scan: Scan) -> dict[str, Any]:
-        kinds = {"lidar": "Lidar", "imu": "Imu", "depth": "DepthCamera"}
-        frame = str(message.header.frame_id).lstrip("/")
+    def _sensor(self, role: str, kind: SensorType, topic: str, message: Any, scan: Scan) -> dict[str, Any]:
+        frame = _frame_of(message)
         rate = rate_of(np.sort(scan.stamps))
-        result: dict[str, Any] = {"type": kinds.get(role, "Camera"), "topic": topic}
+        result: dict[str, Any] = {"type": str(kind), "topic": topic}
         if frame:
             result["frameId"] = frame
         if rate:
@@ -203,19 +257,21 @@ class _Look:
             )
             pose = np.eye(4)
         result["T_body_sensor"] = [[float(number) for number in row] for row in pose]
-        match role:
-            case "lidar":
-                result |= self._lidar(topic, message)
-            case "imu":
+        match kind:
+            case SensorType.LIDAR:
+                result |= self._lidar(role, topic, message)
+            case SensorType.IMU:
                 self.notes.append(
-                    "sensors.imu.imu: noise isn't in the recording; the defaults stand in for it"
+                    f"sensors.{role}.imu: noise isn't in the recording; the defaults stand in for it"
                 )
                 result["imu"] = {}
-            case _:
+            case SensorType.LASER_SCAN:
+                result["stamp"] = "ScanStart"  # sensor_msgs/LaserScan: when the first ray was taken
+            case SensorType.CAMERA | SensorType.DEPTH_CAMERA:
                 result |= self._camera(role, topic, message)
         return result
 
-    def _lidar(self, topic: str, message: Any) -> dict[str, Any]:
+    def _lidar(self, role: str, topic: str, message: Any) -> dict[str, Any]:
         names = [item.name for item in message.fields]
         lidar: dict[str, Any] = {}
         time = next((name for name in _TIMES if name in names), None)
@@ -224,14 +280,14 @@ class _Look:
             lidar["timeField"] = time
         else:
             self.notes.append(
-                f"sensors.lidar.lidar.timeField: points have no time; they have {', '.join(names)}"
+                f"sensors.{role}.lidar.timeField: points have no time; they have {', '.join(names)}"
             )
         if ring:
             lidar["ringField"] = ring
             rings = cloud_points(message, topic)[ring]
             if rings.size:
                 lidar["rings"] = int(rings.max()) + 1
-        self.notes.append("sensors.lidar.stamp: ScanStart is a guess; say what the header stamp means")
+        self.notes.append(f"sensors.{role}.stamp: ScanStart is a guess; say what the header stamp means")
         return {"stamp": "ScanStart", "lidar": lidar}
 
     def _camera(self, role: str, topic: str, message: Any) -> dict[str, Any]:
@@ -240,7 +296,7 @@ class _Look:
         if info is None:
             self.notes.append(f"{where}: no camera_info beside {topic}; write down its intrinsics")
             return {}
-        stated = self._first(info)
+        stated = self.recording.first(info)
         k, d = (stated.K, stated.D) if hasattr(stated, "K") else (stated.k, stated.d)
         if not k[0]:
             self.notes.append(f"{where}: {info} is uncalibrated (K is 0); write down its intrinsics")
@@ -271,15 +327,50 @@ class _Look:
         if named:
             self.notes.append(f"groundTruth: {named[0]} taken by its name; say whose pose it is (frame)")
             return {"topic": named[0], "frame": "body"}
-        also = f"; topics with poses: {', '.join(poses)}" if poses else ""
+        known = [*poses, *self._moving_frames()]
+        also = f"; topics with poses: {', '.join(known)}" if known else ""
         self.notes.append(
             f"groundTruth: none found, so runs can't be evaluated; name a file or a topic{also}"
         )
         return None
 
+    def _moving_frames(self) -> list[str]:
+        """Return frames of /tf as groundTruth.topic names them, by its first messages."""
+        found = Frames()
+        for topic in self._of_type(*TF_TYPES):
+            if topic != STATIC_TRANSFORMS:
+                for connection, _, raw in itertools.islice(self.recording.messages({topic}), _LOOKED_AT):
+                    add_transforms(found, self.recording.decode(raw, connection.msgtype), topic)
+        return [f"/tf:{parent}.{child}" for parent, child in found][:_SHOWN_FRAMES]
+
+
+def _frame_of(message: Any) -> str:
+    """Return the name of the frame whose measurement a message is."""
+    # Odometry is the motion of the child in a world of its own.
+    name = getattr(message, "child_frame_id", "") or message.header.frame_id
+    return str(name).lstrip("/")
+
+
+def _names(role: Role, count: int) -> list[str]:
+    """Return names for several sensors of a kind; the first ones are roles."""
+    return [str(role) if number == 1 else f"{role}{number}" for number in range(1, count + 1)]
+
+
+def _pair(topics: list[str]) -> tuple[str, str] | None:
+    """Return a stereo pair among topics of images, by their names."""
+    for left, right in _SIDES:
+        for topic in topics:
+            partner = topic.replace(left, right)
+            if left in topic and partner in topics:
+                return topic, partner
+    return None
+
 
 def _length(scans: Iterable[Scan]) -> dict[str, float]:
     """Return the time from the first message of any sensor to the last, as a field of the recording."""
-    stamps = np.concatenate([scan.stamps for scan in scans])
+    found = [scan.stamps for scan in scans]
+    if not found:
+        return {}
+    stamps = np.concatenate(found)
     length = int(stamps.max() - stamps.min()) / 1e9
     return {"durationSeconds": round(length, 3)} if length >= 0.001 else {}

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slamhive.data import recordings
+from slamhive.data import kinds
 from slamhive.data.clouds import cloud_filter, filter_cloud
 from slamhive.data.images import scale_camera_info, scale_compressed, scale_image
-from slamhive.data.recordings import POINT_CLOUD
 from slamhive.data.streams import Kind
 from slamhive.data.writing import RecordingWriter
 from slamhive.model.errors import DataError
+from slamhive.model.sensors import SensorType
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -106,17 +106,17 @@ def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | No
     def changed(change: Callable[[Any], Any]) -> Change:
         return lambda raw: recording.encode(change(recording.decode(raw, kind)), kind)
 
-    if kind == POINT_CLOUD and changes.lidar is not None and stream.declared is not None:
+    if changes.lidar is not None and stream.declared and stream.declared.type is SensorType.LIDAR:
         kept, _ = cloud_filter(changes.lidar, stream.declared.lidar, stream.sensor or "")
         return None if kept.is_idle else changed(lambda message: filter_cloud(message, kept, where))
     if scale == 1.0:
         return None
     match kind:
-        case recordings.IMAGE:
+        case kinds.IMAGE:
             return changed(lambda message: _image(stream, message, scale, where))
-        case recordings.COMPRESSED_IMAGE:
+        case kinds.COMPRESSED_IMAGE:
             return changed(lambda message: scale_compressed(message, scale, depth=stream.depth, where=where))
-        case recordings.CAMERA_INFO:
+        case kinds.CAMERA_INFO:
             return changed(lambda message: scale_camera_info(message, scale, where))
     return None
 

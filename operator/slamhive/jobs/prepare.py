@@ -59,6 +59,7 @@ def _work(root: Path) -> str:
     variant = prepare(
         *(entry, request.roles, request.input, request.formats, data / "variants"),
         progress=_teller("preparing the variant"),
+        topics=request.topics or (),
     )
     cache = data / "generated" / "truths"
     truth = ground_truth(entry, cache)

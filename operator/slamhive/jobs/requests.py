@@ -33,6 +33,7 @@ class PrepareRequest(Model):
     input: InputOptions = Field(default_factory=InputOptions)
     formats: list[DataFormat] = Field(min_length=1)
     assets: list[FetchedAsset] = Field(default_factory=list)
+    topics: list[str] | None = None
 
 
 class RenderRequest(Model):

@@ -26,7 +26,7 @@ from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.formats import DataFormat, RecordingFormat, fitting_formats, misfit
 from slamhive.model.posefiles import PoseFile, told_files
 from slamhive.model.ros1 import Ros1
-from slamhive.model.sensors import ROLES, Role, SensorMode
+from slamhive.model.sensors import ROLES, FrameOwner, Role, SensorMode
 from slamhive.model.templates import FILES_LIMIT, TEMPLATE_LIMIT, TEMPLATES_LIMIT, read_template
 
 _BOUND_SEGMENT = r"([^/.:]|\.[^/.:]|\.\.[^/:])[^/:]*"
@@ -42,6 +42,7 @@ SettingsPath = Annotated[
     ),
     Field(description="A path below its folder: letters, digits, . _ - and /, no part beginning with a dot."),
 ]
+Topic = Annotated[str, StringConstraints(min_length=1, max_length=256)]
 TEXT_LIMIT = 16 * 1024
 """Characters of a parameter's text."""
 PARAMETERS_LIMIT = 128 * 1024
@@ -150,9 +151,7 @@ class Poses(Choice):
 class Output(Model):
     """What the poses of an algorithm mean."""
 
-    frame: Literal["body", "camera", "left", "right", "color", "depth", "lidar", "imu"] = Field(
-        description="Whose pose is written: a role's sensor, or the body."
-    )
+    frame: FrameOwner = Field(description="Whose pose is written: a role's sensor, or the body.")
     stamp: PoseStamp = Field(
         default=PoseStamp.HEADER, description="The instant that a pose and its stamp mean."
     )
@@ -184,9 +183,7 @@ class Output(Model):
 class OutputChange(Model):
     """What a mode changes of the algorithm's output."""
 
-    frame: Literal["body", "camera", "left", "right", "color", "depth", "lidar", "imu"] | None = optional(
-        "Whose pose is written in this mode."
-    )
+    frame: FrameOwner | None = optional("Whose pose is written in this mode.")
     stamp: PoseStamp | None = optional("The instant that a pose and its stamp mean in this mode.")
     poses: Poses | None = optional("Every frame or keyframes alone, in this mode.")
     gravity_aligned: bool | None = optional("Whether the world's z axis points up in this mode.")
@@ -202,6 +199,10 @@ class Mode(Model):
 
     name: SensorMode = Field(description="Name of the mode.")
     roles: list[Role] = Field(default_factory=list, description="Roles it needs; default: the mode's own.")
+    topics: list[Topic] = Field(
+        default_factory=list,
+        description="Topics of the recording that it is given beside its sensors', as they are.",
+    )
     output: OutputChange | None = optional("What differs in this mode.")
 
     @property
@@ -342,6 +343,9 @@ class AlgorithmSpec(Model):
             raise ValueError("ros1: needs recording: [Rosbag1], which is what is played")
         self._check_pose_files()
         for mode in self.modes:
+            if mode.topics and all(form.is_folder for form in self.recording):
+                forms = ", ".join(self.recording)
+                raise ValueError(f"modes.topics: only a bag holds topics, and recording names {forms}")
             if not self.formats(mode):
                 raise ValueError(f"recording: {misfit(self.recording, mode.needs, f'the mode {mode.name}')}")
         return self
@@ -393,7 +397,8 @@ class AlgorithmSpec(Model):
 
     def formats(self, mode: Mode) -> list[DataFormat]:
         """Return the formats that it reads and that hold a mode's sensors, the preferred first."""
-        return fitting_formats(self.recording, mode.needs)
+        fitting = fitting_formats(self.recording, mode.needs)
+        return [form for form in fitting if not (mode.topics and form.is_folder)]
 
     def plays(self, pace: str) -> Ros1 | None:
         """Return how a run of a pace is played to as a ROS 1 node, None when it reads by itself."""

@@ -14,12 +14,13 @@ from typing import Any, get_args
 from slamhive.model.algorithm import TEXT_LIMIT, AssetName, SettingsPath
 from slamhive.model.base import Sha256, explain
 from slamhive.model.run import MappingRunSpec
+from slamhive.model.sensors import Role, SensorMode
 from slamhive.model.sweep import IMMUTABLE, MAX_POINTS
-from slamhive.model.synthetic import NOMINAL_LAP_METRES, REST_SECONDS
+from slamhive.model.synthetic import NOMINAL_LAP_METRES, REST_SECONDS, SyntheticSensor
 
 Rule = tuple[str, str]
 
-_ROLES = "'camera', 'left', 'right', 'color', 'depth', 'lidar', 'imu'"
+_ROLES = ", ".join(f"'{role}'" for role in Role)
 MAX_SPEED = 6.0
 """Greatest speed of a synthetic recording's platform, m/s."""
 _SELECTABLE = "'algorithm', 'dataset', 'algorithmRef.name', 'datasetRef.name'"
@@ -67,10 +68,6 @@ RULES: dict[str, tuple[Rule, ...]] = {
     ),
     "GroundTruth": (("has(self.file) != has(self.topic)", "file: give either file or topic"),),
     "DatasetSpec": (
-        (
-            "size(self.sensors) > 0 || has(self.recording.synthetic)",
-            "sensors: name at least one, as only a synthetic recording brings its own",
-        ),
         (
             (
                 "!has(self.groundTruth) || size(self.sensors) == 0 || has(self.groundTruth.T_body_frame)"
@@ -204,18 +201,19 @@ LENGTHS: dict[str, int] = {
     "Axis.values": MAX_POINTS,
     "Axis.path": 512,
     "AlgorithmSpec.paces": 2,
-    "AlgorithmSpec.modes": 8,
+    "AlgorithmSpec.modes": len(SensorMode),
     "AlgorithmSpec.recording": 6,
     "AlgorithmSpec.parameters": 1000,
     "Axis.points": 10_000,
     "DatasetSpec.sensors": _SMALL,
-    "InputOptions.remap": 7,
-    "Mode.roles": 7,
+    "InputOptions.remap": len(Role),
+    "Mode.roles": len(Role),
+    "Mode.topics": _SMALL,
     "Parameter.values": 1000,
     "Recording.files": 1000,
-    "Ros1.topics": 7,
+    "Ros1.topics": len(Role),
     "RunSelector.names": 10_000,
-    "SyntheticRecording.sensors": 4,
+    "SyntheticRecording.sensors": len(SyntheticSensor),
     "GroundTruth.holes": 1000,
 }
 """Greatest length of a field; the API server must know one to bound the cost of rules."""

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from slamhive.model.algorithm import RecordingFormat, RelativePath
 from slamhive.model.base import Choice, Model, Resource, Scalar, Sha256
 from slamhive.model.errors import InputError, suggestion
-from slamhive.model.sensors import STAND_INS, Extrinsics, Role, Sensor
+from slamhive.model.sensors import ROLE_TYPES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
 
 if TYPE_CHECKING:
@@ -96,8 +96,8 @@ class DatasetSpec(Model):
     recording: Recording = Field(description="The sensors' messages.")
     sensors: dict[str, Sensor] = Field(
         default_factory=dict,
-        description="Sensors by name; a name that is a role fills it. Empty for a synthetic recording: it "
-        "brings its own.",
+        description="Sensors by name; a name that is a role fills it. Empty for a synthetic recording, which "
+        "brings its own, and where no topic of the recording is a sensor's.",
     )
     ground_truth: GroundTruth | None = Field(default=None, description="Reference poses.")
     gravity_aligned: bool = Field(default=False, description="Whether the ground truth's z axis points up.")
@@ -106,9 +106,7 @@ class DatasetSpec(Model):
     )
 
     @model_validator(mode="after")
-    def _has_sensors(self) -> Self:
-        if not self.sensors and self.recording.synthetic is None:
-            raise ValueError("sensors: name at least one")
+    def _names_a_frame(self) -> Self:
         truth = self.ground_truth
         known = {"body", *self.sensors}
         if truth and self.sensors and truth.T_body_frame is None and truth.frame not in known:
@@ -151,7 +149,18 @@ def sensor_for(role: Role, sensors: Iterable[str], remap: Mapping[str, str] | No
     for candidate in STAND_INS.get(role, (role,)):
         if candidate in names:
             return candidate
-    raise InputError(f"no sensor for the role {role.value!r}; the dataset has: {', '.join(sorted(names))}")
+    has = ", ".join(sorted(names)) or "no sensor"
+    raise InputError(f"no sensor for the role {role.value!r}; the dataset has: {has}")
+
+
+def fills(role: Role, types: Mapping[str, SensorType]) -> bool:
+    """Tell whether one of a dataset's sensors fills a role by its name.
+
+    Args:
+        role: the role.
+        types: kinds of the sensors by name.
+    """
+    return any(types.get(str(name)) is ROLE_TYPES[role] for name in STAND_INS.get(role, (role,)))
 
 
 class Dataset(Resource):

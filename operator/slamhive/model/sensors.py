@@ -23,6 +23,16 @@ class SensorMode(Choice):
     RGBD_INERTIAL = "rgbd-inertial"
     LIDAR = "lidar"
     LIDAR_INERTIAL = "lidar-inertial"
+    SCAN = "scan"
+    SCAN_INERTIAL = "scan-inertial"
+    SCAN_ODOMETRY = "scan-odometry"
+    SCAN_ODOMETRY_INERTIAL = "scan-odometry-inertial"
+    CLOUD = "cloud"
+    ODOMETRY = "odometry"
+    ODOMETRY_INERTIAL = "odometry-inertial"
+    GNSS = "gnss"
+    GNSS_INERTIAL = "gnss-inertial"
+    INERTIAL = "inertial"
 
     @property
     def has_scale(self) -> bool:
@@ -40,7 +50,59 @@ class Role(Choice):
     DEPTH = "depth"
     LIDAR = "lidar"
     IMU = "imu"
+    SCAN = "scan"
+    CLOUD = "cloud"
+    ODOMETRY = "odometry"
+    GNSS = "gnss"
+    MAGNETOMETER = "magnetometer"
+    BAROMETER = "barometer"
+    # Further ones of a kind.
+    CAMERA2 = "camera2"
+    CAMERA3 = "camera3"
+    CAMERA4 = "camera4"
+    LIDAR2 = "lidar2"
+    LIDAR3 = "lidar3"
+    LIDAR4 = "lidar4"
+    IMU2 = "imu2"
+    IMU3 = "imu3"
+    IMU4 = "imu4"
+    SCAN2 = "scan2"
+    SCAN3 = "scan3"
+    SCAN4 = "scan4"
+    CLOUD2 = "cloud2"
+    CLOUD3 = "cloud3"
+    CLOUD4 = "cloud4"
+    ODOMETRY2 = "odometry2"
+    ODOMETRY3 = "odometry3"
+    ODOMETRY4 = "odometry4"
+    GNSS2 = "gnss2"
+    GNSS3 = "gnss3"
+    GNSS4 = "gnss4"
+    MAGNETOMETER2 = "magnetometer2"
+    MAGNETOMETER3 = "magnetometer3"
+    MAGNETOMETER4 = "magnetometer4"
+    BAROMETER2 = "barometer2"
+    BAROMETER3 = "barometer3"
+    BAROMETER4 = "barometer4"
 
+
+FrameOwner = Literal[
+    "body",
+    "camera",
+    "left",
+    "right",
+    "color",
+    "depth",
+    "lidar",
+    "imu",
+    "scan",
+    "cloud",
+    "odometry",
+    "gnss",
+    "magnetometer",
+    "barometer",
+]
+"""Whose pose an algorithm may write: the body's, or that of the sensor of a role."""
 
 ROLES: dict[SensorMode, tuple[Role, ...]] = {
     SensorMode.MONO: (Role.CAMERA,),
@@ -51,6 +113,16 @@ ROLES: dict[SensorMode, tuple[Role, ...]] = {
     SensorMode.RGBD_INERTIAL: (Role.COLOR, Role.DEPTH, Role.IMU),
     SensorMode.LIDAR: (Role.LIDAR,),
     SensorMode.LIDAR_INERTIAL: (Role.LIDAR, Role.IMU),
+    SensorMode.SCAN: (Role.SCAN,),
+    SensorMode.SCAN_INERTIAL: (Role.SCAN, Role.IMU),
+    SensorMode.SCAN_ODOMETRY: (Role.SCAN, Role.ODOMETRY),
+    SensorMode.SCAN_ODOMETRY_INERTIAL: (Role.SCAN, Role.ODOMETRY, Role.IMU),
+    SensorMode.CLOUD: (Role.CLOUD,),
+    SensorMode.ODOMETRY: (Role.ODOMETRY,),
+    SensorMode.ODOMETRY_INERTIAL: (Role.ODOMETRY, Role.IMU),
+    SensorMode.GNSS: (Role.GNSS,),
+    SensorMode.GNSS_INERTIAL: (Role.GNSS, Role.IMU),
+    SensorMode.INERTIAL: (Role.IMU,),
 }
 """The roles that each mode needs."""
 
@@ -75,17 +147,62 @@ class SensorType(Choice):
     DEPTH_CAMERA = "DepthCamera"
     LIDAR = "Lidar"
     IMU = "Imu"
+    LASER_SCAN = "LaserScan"
+    POINT_CLOUD = "PointCloud"
+    ODOMETRY = "Odometry"
+    GNSS = "Gnss"
+    MAGNETOMETER = "Magnetometer"
+    BAROMETER = "Barometer"
 
+    @property
+    def has_frames(self) -> bool:
+        """Tell whether its messages are frames, which a frame rate thins, and not samples."""
+        return self in _FRAMED
+
+    @property
+    def block(self) -> str | None:
+        """Return the field of a sensor that holds its calibration; None where messages say all of it."""
+        return _BLOCKS.get(self)
+
+
+_FRAMED = {
+    SensorType.CAMERA,
+    SensorType.DEPTH_CAMERA,
+    SensorType.LIDAR,
+    SensorType.LASER_SCAN,
+    SensorType.POINT_CLOUD,
+}
+_BLOCKS = {
+    SensorType.CAMERA: "camera",
+    SensorType.DEPTH_CAMERA: "camera",
+    SensorType.LIDAR: "lidar",
+    SensorType.IMU: "imu",
+}
+
+_FIRST: dict[Role, SensorType] = {
+    Role.CAMERA: SensorType.CAMERA,
+    Role.LIDAR: SensorType.LIDAR,
+    Role.IMU: SensorType.IMU,
+    Role.SCAN: SensorType.LASER_SCAN,
+    Role.CLOUD: SensorType.POINT_CLOUD,
+    Role.ODOMETRY: SensorType.ODOMETRY,
+    Role.GNSS: SensorType.GNSS,
+    Role.MAGNETOMETER: SensorType.MAGNETOMETER,
+    Role.BAROMETER: SensorType.BAROMETER,
+}
+"""Roles of which there may be several, and the kind of device that each takes."""
+
+OF_A_KIND: dict[Role, tuple[Role, ...]] = {
+    first: (first, *(Role(f"{first}{number}") for number in (2, 3, 4))) for first in _FIRST
+}
+"""Roles of several sensors of a kind, by the first of them."""
 
 ROLE_TYPES: dict[Role, SensorType] = {
-    Role.CAMERA: SensorType.CAMERA,
     Role.LEFT: SensorType.CAMERA,
     Role.RIGHT: SensorType.CAMERA,
     Role.COLOR: SensorType.CAMERA,
     Role.DEPTH: SensorType.DEPTH_CAMERA,
-    Role.LIDAR: SensorType.LIDAR,
-    Role.IMU: SensorType.IMU,
-}
+} | {role: _FIRST[first] for first, roles in OF_A_KIND.items() for role in roles}
 """The kind of device that each role takes."""
 
 
@@ -178,14 +295,8 @@ class Sensor(Model):
 
     @model_validator(mode="after")
     def _fits_type(self) -> Sensor:
-        expected = {
-            SensorType.CAMERA: "camera",
-            SensorType.DEPTH_CAMERA: "camera",
-            SensorType.LIDAR: "lidar",
-            SensorType.IMU: "imu",
-        }[self.type]
-        for block in ("camera", "lidar", "imu"):
-            if block != expected and getattr(self, block) is not None:
+        for block in sorted(set(_BLOCKS.values())):
+            if block != self.type.block and getattr(self, block) is not None:
                 raise ValueError(f"a sensor of type {self.type} takes no block {block!r}")
         bottom = self.T_body_sensor[3]
         if bottom != [0, 0, 0, 1]:

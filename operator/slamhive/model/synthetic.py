@@ -30,6 +30,21 @@ class SyntheticSensor(Choice):
     IMU = "Imu"
     STEREO = "Stereo"
     RGBD = "Rgbd"
+    LASER_SCAN = "LaserScan"
+    ODOMETRY = "Odometry"
+    GNSS = "Gnss"
+    MAGNETOMETER = "Magnetometer"
+    BAROMETER = "Barometer"
+
+
+FIXED_RATES = {
+    SyntheticSensor.LASER_SCAN: 10.0,
+    SyntheticSensor.ODOMETRY: 50.0,
+    SyntheticSensor.GNSS: 5.0,
+    SyntheticSensor.MAGNETOMETER: 50.0,
+    SyntheticSensor.BAROMETER: 10.0,
+}
+"""Messages per second of sensors whose rate can't be chosen, Hz."""
 
 
 class SyntheticRig(Choice):

@@ -21,6 +21,7 @@ from slamhive.model.canonical import normalize
 from slamhive.model.dataset import sensor_for
 from slamhive.model.errors import InputError
 from slamhive.model.sensors import FOLLOWS, ROLE_TYPES, SAME_RATE, Role, SensorType
+from slamhive.model.synthetic import FIXED_RATES, SyntheticSensor
 from slamhive.plan.resolution import sensors_of
 
 if TYPE_CHECKING:
@@ -231,7 +232,10 @@ def _idle(options: Mapping[str, Any], seen: Recorded) -> Iterator[tuple[str, Any
 
 def _frame_rate(options: Mapping[str, Any], seen: Recorded) -> Iterator[tuple[str, Any, str]]:
     asked = options.get("frameRate")
-    if asked is not None and seen.frame_rate is not None and asked > seen.frame_rate * SAME_RATE:
+    if asked is not None and not any(kind.has_frames for kind in seen.types):
+        text = f"{asked:g} Hz is asked, the mode {seen.mode} has no frames; samples are never thinned"
+        yield "frameRate", None, text
+    elif asked is not None and seen.frame_rate is not None and asked > seen.frame_rate * SAME_RATE:
         text = f"{asked:g} Hz is asked, {seen.source} has {seen.frame_rate:g} Hz"
         yield "frameRate", normalize(nominal(seen.frame_rate)), text
 
@@ -268,7 +272,7 @@ def _sensors(dataset: Dataset, mode: Mode, options: Mapping[str, Any]) -> dict[R
 
 def _leads(role: Role, mode: Mode) -> bool:
     """Tell whether a frame rate thins a role's frames by itself."""
-    return role is not Role.IMU and FOLLOWS.get(role) not in mode.needs
+    return ROLE_TYPES[role].has_frames and FOLLOWS.get(role) not in mode.needs
 
 
 def _rate(dataset: Dataset, name: str) -> float | None:
@@ -277,7 +281,13 @@ def _rate(dataset: Dataset, name: str) -> float | None:
         return declared.rate
     if synthetic is None:
         return None
-    return synthetic.lidar.rate if sensors_of(dataset)[name] is SensorType.LIDAR else synthetic.camera.rate
+    match sensors_of(dataset)[name]:
+        case SensorType.LIDAR:
+            return synthetic.lidar.rate
+        case SensorType.LASER_SCAN:
+            return FIXED_RATES[SyntheticSensor.LASER_SCAN]
+        case _:
+            return synthetic.camera.rate
 
 
 def _rings(dataset: Dataset, name: str | None) -> int | None:

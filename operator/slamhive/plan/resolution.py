@@ -25,6 +25,11 @@ _SYNTHETIC_SENSORS: dict[SyntheticSensor, dict[str, SensorType]] = {
     SyntheticSensor.IMU: {"imu": SensorType.IMU},
     SyntheticSensor.STEREO: {"left": SensorType.CAMERA, "right": SensorType.CAMERA},
     SyntheticSensor.RGBD: {"color": SensorType.CAMERA, "depth": SensorType.DEPTH_CAMERA},
+    SyntheticSensor.LASER_SCAN: {"scan": SensorType.LASER_SCAN},
+    SyntheticSensor.ODOMETRY: {"odometry": SensorType.ODOMETRY},
+    SyntheticSensor.GNSS: {"gnss": SensorType.GNSS},
+    SyntheticSensor.MAGNETOMETER: {"magnetometer": SensorType.MAGNETOMETER},
+    SyntheticSensor.BAROMETER: {"barometer": SensorType.BAROMETER},
 }
 _FIELDS = [field.alias or name for name, field in MappingRunSpec.model_fields.items()]
 
@@ -138,8 +143,9 @@ def mode_of(algorithm: Algorithm | None, name: str | None) -> tuple[Mode | None,
 def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Iterator[str]:
     """Yield the roles of a mode that a dataset has no sensor for."""
     sensors = sensors_of(dataset)
-    if not sensors:
+    if not sensors and dataset.spec.recording.synthetic is not None:
         return
+    has = ", ".join(sorted(sensors)) or "no sensor"
     for role in mode.needs:
         asked = remap.get(role)
         if asked is not None and asked not in sensors:
@@ -150,7 +156,7 @@ def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Ite
         if name is None:
             yield (
                 f"sensors: {mode.name} needs a sensor for the role {str(role)!r}, and {dataset.name} has "
-                f"none; it has: {', '.join(sorted(sensors))} (input.remap.{role} may name another)"
+                f"none; it has: {has} (input.remap.{role} may name another)"
             )
         elif sensors[name] is not ROLE_TYPES[role]:
             field = f"input.remap.{role}" if asked else "sensors"

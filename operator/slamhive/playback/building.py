@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.model.algorithm import Poses, PoseStamp
 from slamhive.model.base import seconds
-from slamhive.model.sensors import SensorType, Stamp
+from slamhive.model.sensors import ROLE_TYPES, SensorType, Stamp
 from slamhive.playback.protocol import FrameSource, PlayRequest, PoseSource
 
 if TYPE_CHECKING:
@@ -53,7 +53,8 @@ def play_request(
     if ros is None:
         return None
     mode = algorithm.mode(configuration.mode)
-    first = configuration.sensors[mode.needs[0]]
+    leading = next((role for role in mode.needs if ROLE_TYPES[role].has_frames), mode.needs[0])
+    first = configuration.sensors[leading]
     topics = {view.topic: ros.topics.get(role, view.topic) for role, view in configuration.sensors.items()}
     output = algorithm.output_of(mode)
     return PlayRequest(
@@ -116,7 +117,7 @@ def _source(
 
 def _match(sensor: SensorView, stamp: str) -> str:
     """Return which frame a pose belongs to: poses may be stamped with another instant of a scan."""
-    frame = _WHEN.get(sensor.stamp) if sensor.type is SensorType.LIDAR else None
+    frame = _WHEN.get(sensor.stamp) if sensor.type in {SensorType.LIDAR, SensorType.LASER_SCAN} else None
     pose = _POSE_WHEN.get(PoseStamp(stamp))
     if frame is None or pose is None or frame == pose:
         return "At"

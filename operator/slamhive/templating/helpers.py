@@ -11,6 +11,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.errors import UnknownNameError
+from slamhive.model.sensors import ROLE_TYPES, Role, SensorType
 from slamhive.templating import cameras, geometry
 from slamhive.templating.numbers import HelperProblem, Matrix, opencv_matrix, plain, quoted, row_major, shown
 
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 _BODY = "body"
-_ORDER = ("camera", "left", "right", "color", "depth", "lidar", "imu")
-_CAMERAS = _ORDER[:4]
+_ORDER = tuple(str(role) for role in Role)
+_CAMERAS = tuple(str(role) for role in Role if ROLE_TYPES[role] is SensorType.CAMERA)
 
 
 class Helpers:

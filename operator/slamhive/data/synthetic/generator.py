@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rosbags.rosbag1 import Writer
 
-from slamhive.data.synthetic import messages, rig
+from slamhive.data import kinds
+from slamhive.data.synthetic import aiding, messages, rig
 from slamhive.data.synthetic.camera import CameraModel
 from slamhive.data.synthetic.inertial import sample_imu
 from slamhive.data.synthetic.lidar import LidarModel
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.model.synthetic import SyntheticRecording
+
+    Array = npt.NDArray[np.float64]
+    Measure = Callable[[SyntheticRecording, Trajectory, Array], Array]
 
 START = 1_600_000_000 * 10**9
 """Sensor time of the start of every recording, ns."""
@@ -128,6 +132,9 @@ class _Scene:
         if "imu" in self.sensors:
             yield from self._imu()
         yield from self._cameras()
+        if "scan" in self.sensors:
+            yield from self._scans()
+        yield from self._aiding()
 
     def stamps(self, rate: float, room: float = 0.0, offset: float = 0.0) -> list[int]:
         """Give a sensor's stamps since the start, ns, each with `room` s of recording after it."""
@@ -139,8 +146,8 @@ class _Scene:
         """Give every instant at which a pose may be asked for, ns since the start, sorted."""
         result: list[int] = []
         for role, entry in self.sensors.items():
-            if role == "lidar":
-                starts = self._scan_starts()
+            if role in {"lidar", "scan"}:
+                starts = self._scan_starts(entry["rate"])
                 period = 1e9 / entry["rate"]
                 result += [at + round(share * period) for at in starts for share in (0.0, 0.5, 1.0)]
             else:
@@ -150,8 +157,7 @@ class _Scene:
     def _offset(self, role: str) -> float:
         return self.spec.depth_offset_seconds if role == "depth" else 0.0
 
-    def _scan_starts(self) -> list[int]:
-        rate = self.spec.lidar.rate
+    def _scan_starts(self, rate: float) -> list[int]:
         return self.stamps(rate, room=1.0 / rate)
 
     def _lidar(self) -> Iterable[Event]:
@@ -161,8 +167,8 @@ class _Scene:
         def make(index: int, at: int) -> Any:
             return self.maker.points(START + at, entry["frameId"], model.scan(at / 1e9, index))
 
-        for index, at in enumerate(self._scan_starts()):
-            yield Event(START + at, entry["topic"], messages.POINT_CLOUD, _bind(make, index, at))
+        for index, at in enumerate(self._scan_starts(entry["rate"])):
+            yield Event(START + at, entry["topic"], kinds.POINT_CLOUD, _bind(make, index, at))
 
     def _imu(self) -> Iterable[Event]:
         entry = self.sensors["imu"]
@@ -174,7 +180,42 @@ class _Scene:
             return self.maker.imu(START + at, entry["frameId"], force, rate)
 
         for index, at in enumerate(stamps):
-            yield Event(START + at, entry["topic"], messages.IMU, _bind(make, index, at))
+            yield Event(START + at, entry["topic"], kinds.IMU, _bind(make, index, at))
+
+    def _scans(self) -> Iterable[Event]:
+        entry = self.sensors["scan"]
+        period = 1.0 / entry["rate"]
+
+        def make(index: int, at: int) -> Any:
+            ranges = aiding.scan(self.spec, self.world, self.trajectory, at / 1e9, index)
+            return self.maker.laser_scan(START + at, entry["frameId"], ranges, period)
+
+        for index, at in enumerate(self._scan_starts(entry["rate"])):
+            yield Event(START + at, entry["topic"], kinds.LASER_SCAN, _bind(make, index, at))
+
+    def _aiding(self) -> Iterable[Event]:
+        """List the messages of sensors that measure everything at once."""
+        measured_by: dict[str, tuple[str, Measure, Callable[..., Any]]] = {
+            "odometry": (kinds.ODOMETRY, aiding.wheels, self.maker.odometry),
+            "gnss": (kinds.GNSS_FIX, aiding.fixes, self.maker.fix),
+            "magnetometer": (kinds.MAGNETIC_FIELD, aiding.fields, self.maker.field),
+            "barometer": (kinds.FLUID_PRESSURE, aiding.pressures, self.maker.pressure),
+        }
+        for name, (message_type, measure, build) in measured_by.items():
+            if name in self.sensors:
+                yield from self._samples(self.sensors[name], message_type, measure, build)
+
+    def _samples(
+        self, entry: dict[str, Any], message_type: str, measure: Measure, build: Callable[..., Any]
+    ) -> Iterable[Event]:
+        stamps = self.stamps(entry["rate"])
+        measured = measure(self.spec, self.trajectory, np.array(stamps) / 1e9)
+
+        def make(index: int, at: int) -> Any:
+            return build(START + at, entry["frameId"], measured[index])
+
+        for index, at in enumerate(stamps):
+            yield Event(START + at, entry["topic"], message_type, _bind(make, index, at))
 
     def _cameras(self) -> Iterable[Event]:
         cameras = rig.cameras(self.spec)
@@ -204,8 +245,8 @@ class _Scene:
 
         for index, at in enumerate(self.stamps(entry["rate"], offset=self._offset(role))):
             info = topic.replace("image_raw", "camera_info")
-            yield Event(START + at, info, messages.CAMERA_INFO, _bind(describe, index, at))
-            yield Event(START + at, topic, messages.IMAGE, _bind(make, index, at))
+            yield Event(START + at, info, kinds.CAMERA_INFO, _bind(describe, index, at))
+            yield Event(START + at, topic, kinds.IMAGE, _bind(make, index, at))
 
 
 def _bind(make: Callable[[int, int], Any], index: int, at: int) -> Callable[[], Any]:

@@ -8,6 +8,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from slamhive.data.kinds import (
+    CAMERA_INFO,
+    FLUID_PRESSURE,
+    GNSS_FIX,
+    IMAGE,
+    IMU,
+    LASER_SCAN,
+    MAGNETIC_FIELD,
+    ODOMETRY,
+    POINT_CLOUD,
+)
+from slamhive.data.synthetic.aiding import (
+    FIELD_NOISE,
+    GNSS_NOISE,
+    PRESSURE_NOISE,
+    SCAN_LIMITS,
+    SPEED_NOISE,
+    TURN_NOISE,
+)
 from slamhive.data.synthetic.rig import BODY_FRAME
 from slamhive.data.synthetic.trajectory import quaternion_from_rotation
 
@@ -19,10 +38,8 @@ if TYPE_CHECKING:
 
     from slamhive.data.synthetic.rig import Camera
 
-POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-IMU = "sensor_msgs/msg/Imu"
-IMAGE = "sensor_msgs/msg/Image"
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+    Array = npt.NDArray[np.float64]
+
 TF = "tf2_msgs/msg/TFMessage"
 
 _DATATYPES = {"<f4": 7, "<u2": 4}
@@ -123,6 +140,72 @@ class MessageMaker:
                 )
                 for frame, pose in poses.items()
             ]
+        )
+
+    def laser_scan(self, stamp: int, frame: str, ranges: Array, period: float) -> Any:
+        """Build a LaserScan from ranges `(n,)` in m of a whole turn from -180 degrees, in so many s."""
+        count = len(ranges)
+        return self._types[LASER_SCAN](
+            header=self._header(stamp, frame, "scan"),
+            angle_min=-np.pi,
+            angle_max=np.pi - 2.0 * np.pi / count,
+            angle_increment=2.0 * np.pi / count,
+            time_increment=period / count,
+            scan_time=period,
+            range_min=SCAN_LIMITS[0],
+            range_max=SCAN_LIMITS[1],
+            ranges=ranges.astype(np.float32),
+            intensities=np.zeros(0, dtype=np.float32),
+        )
+
+    def odometry(self, stamp: int, frame: str, measured: Array) -> Any:
+        """Build an Odometry from speeds (forward, left, turning) and a pose (x, y, heading), `(6,)`."""
+        types = self._types
+        vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+        ahead, aside, turning, x, y, heading = measured.tolist()
+        turned = quaternion(0.0, 0.0, float(np.sin(0.5 * heading)), float(np.cos(0.5 * heading)))
+        variances = np.zeros(36)
+        variances[[0, 7, 35]] = np.square([SPEED_NOISE, SPEED_NOISE, TURN_NOISE])
+        return types[ODOMETRY](
+            header=self._header(stamp, "odom", "odometry"),
+            child_frame_id=frame,
+            pose=types["geometry_msgs/msg/PoseWithCovariance"](
+                types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](x, y, 0.0), turned),
+                np.zeros(36),
+            ),
+            twist=types["geometry_msgs/msg/TwistWithCovariance"](
+                types["geometry_msgs/msg/Twist"](vector(ahead, aside, 0.0), vector(0.0, 0.0, turning)),
+                variances,
+            ),
+        )
+
+    def fix(self, stamp: int, frame: str, fix: Array) -> Any:
+        """Build a NavSatFix from latitude, longitude (degrees) and height (m), with its known variances."""
+        status = self._types["sensor_msgs/msg/NavSatStatus"](status=0, service=1)
+        return self._types[GNSS_FIX](
+            header=self._header(stamp, frame, "gnss"),
+            status=status,
+            latitude=float(fix[0]),
+            longitude=float(fix[1]),
+            altitude=float(fix[2]),
+            position_covariance=np.diag(np.square(GNSS_NOISE)).reshape(-1),
+            position_covariance_type=2,
+        )
+
+    def field(self, stamp: int, frame: str, field: Array) -> Any:
+        """Build a MagneticField from `(3,)` in T."""
+        return self._types[MAGNETIC_FIELD](
+            header=self._header(stamp, frame, "magnetometer"),
+            magnetic_field=self._types["geometry_msgs/msg/Vector3"](*field.tolist()),
+            magnetic_field_covariance=np.diag([FIELD_NOISE**2] * 3).reshape(-1),
+        )
+
+    def pressure(self, stamp: int, frame: str, pascals: float) -> Any:
+        """Build a FluidPressure."""
+        return self._types[FLUID_PRESSURE](
+            header=self._header(stamp, frame, "barometer"),
+            fluid_pressure=float(pascals),
+            variance=PRESSURE_NOISE**2,
         )
 
     def _header(self, stamp: int, frame: str, counter: str) -> Any:

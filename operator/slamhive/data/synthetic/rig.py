@@ -14,7 +14,7 @@ import numpy as np
 
 from slamhive.data.synthetic.optics import Lens, scale_matrix
 from slamhive.data.synthetic.trajectory import rotation_from_euler
-from slamhive.model.synthetic import SyntheticRig, SyntheticSensor
+from slamhive.model.synthetic import FIXED_RATES, SyntheticRig, SyntheticSensor
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -64,6 +64,25 @@ def pose(degrees: tuple[float, float, float], position: tuple[float, float, floa
     result[:3, 3] = position
     return result
 
+
+MOUNTINGS: dict[str, Array] = {
+    "scan": pose((0.8, -0.6, -7.3), (0.12, -0.05, 0.22)),
+    # Wheels stand on the ground: they are turned and moved in its plane alone.
+    "odometry": pose((0.0, 0.0, 4.0), (-0.21, 0.03, -0.28)),
+    "gnss": pose((0.0, 0.0, 0.0), (-0.11, 0.07, 0.52)),
+    "magnetometer": pose((2.2, -1.4, 17.6), (-0.09, -0.06, 0.41)),
+    "barometer": pose((0.0, 0.0, 0.0), (0.02, 0.01, 0.09)),
+}
+"""T_body_sensor `(4, 4)` of sensors whose place is the same on all rigs."""
+
+_AIDING = {
+    SyntheticSensor.LASER_SCAN: ("scan", "/scan", "ScanStart"),
+    SyntheticSensor.ODOMETRY: ("odometry", "/odom", "Sample"),
+    SyntheticSensor.GNSS: ("gnss", "/fix", "Sample"),
+    SyntheticSensor.MAGNETOMETER: ("magnetometer", "/mag", "Sample"),
+    SyntheticSensor.BAROMETER: ("barometer", "/pressure", "Sample"),
+}
+"""Name, topic and meaning of the stamp of sensors whose rate can't be chosen."""
 
 LIDAR_POSE = pose((1.3, -2.1, 5.2), (0.09, 0.04, 0.31))
 
@@ -179,6 +198,10 @@ def sensors(spec: SyntheticRecording) -> dict[str, dict[str, Any]]:
         depth |= {"name": "depth", "type": "DepthCamera", "topic": "/camera/depth/image_raw"}
         depth["camera"] |= {"encoding": "16UC1", "depthScale": DEPTH_SCALE}
         result["depth"] = depth
+    for sensor, (name, topic, stamp) in _AIDING.items():
+        if sensor in spec.sensors:
+            rate = FIXED_RATES[sensor]
+            result[name] = _entry(name, sensor.value, topic, rate=rate, mounting=MOUNTINGS[name], stamp=stamp)
     return result
 
 

@@ -44,12 +44,13 @@ _SCRATCH = "2Gi"
 _KEPT_SECONDS = 3600
 
 
-def variant_name(
+def variant_name(  # noqa: PLR0917 - all that makes a variant another
     dataset: Dataset,
     roles: Iterable[Role],
     options: InputOptions,
     formats: Iterable[DataFormat],
     assets: Iterable[Asset],
+    topics: Sequence[str] = (),
 ) -> str:
     """Return the name of a variant: equal wishes have equal names.
 
@@ -59,6 +60,7 @@ def variant_name(
         options: the run's input options; pace and rate change nothing of the recording.
         formats: formats that the algorithm reads, the preferred first.
         assets: files that the algorithm needs; those with a url are fetched by the same Job.
+        topics: topics that it is given beside its sensors'.
     """
     declared = dataset.spec.model_dump(mode="json", by_alias=True, exclude_defaults=True)
     parts = {
@@ -72,6 +74,8 @@ def variant_name(
         "assets": sorted([asset["sha256"], asset["url"]] for asset in _fetched(assets)),
         "version": VERSION,
     }
+    if topics:
+        parts["topics"] = sorted(topics)
     return "v-" + digest(normalize(parts))[:_HASH_LENGTH]
 
 
@@ -90,6 +94,7 @@ def variant_request(dataset: Dataset, algorithm: Algorithm, spec: Mapping[str, A
         input=InputOptions.model_validate(_input(InputOptions.model_validate(spec["input"]))),
         formats=algorithm.spec.formats(mode),
         assets=[FetchedAsset.model_validate(asset) for asset in _fetched(algorithm.spec.assets)],
+        topics=mode.topics or None,
     )
 
 
