@@ -176,6 +176,13 @@ class Archive:
         with writing(self._engine) as connection:
             return connection.execute(delete(schema.runs).where(schema.runs.c.uid == uid)).rowcount > 0
 
+    def remove_runs(self, uids: Iterable[str]) -> None:
+        """Remove runs with their results, 500 in a transaction; those that aren't there are no fault."""
+        iterator = iter(uids)
+        while batch := list(islice(iterator, BATCH)):
+            with writing(self._engine) as connection:
+                connection.execute(delete(schema.runs).where(schema.runs.c.uid.in_(batch)))
+
     def put_evaluations(self, uid: str, evaluations: Iterable[IntendedEvaluation]) -> None:
         """Add intended evaluations to a run; they replace earlier ones of their names.
 

@@ -91,8 +91,11 @@ export default function RunPage({ uid }) {
         `
         : html`
           <p class="quiet">
-            The files of this run are not on this machine: its trajectory and its load over time can't be
-            drawn.
+            ${
+              run.absence
+                ? `Of this run, ${run.absence}`
+                : 'The files of this run are not on this machine'
+            }: its trajectory and its load over time can't be drawn.
           </p>
         `
     }
