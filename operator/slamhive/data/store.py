@@ -33,6 +33,7 @@ __all__ = [
     "dataset_sha256",
     "file_sha256",
     "ground_truth",
+    "made_folder",
     "materialise",
     "recording_sha256",
 ]
@@ -59,14 +60,29 @@ def materialise(
     spec = dataset.spec.recording.synthetic
     if spec is None:
         return _with_recording(dataset, root, datasets)
-    key = digest({"recording": spec.model_dump(mode="json", by_alias=True), "generator": _generator_hash()})
-    folder = datasets / f"{dataset.name}-{key[:16]}"
+    folder = made_folder(dataset, datasets)
 
     def make(aside: Path) -> None:
         synthetic.generate(spec, aside, progress)
 
     make_once(folder, make)
     return DatasetEntry(_with_files(dataset, folder), folder)
+
+
+def made_folder(dataset: Dataset, datasets: Path) -> Path:
+    """Return the folder of what is generated or fetched of a dataset, ``NAME-HASH``, made or not.
+
+    Args:
+        dataset: The dataset as declared.
+        datasets: The home's folder for datasets.
+    """
+    spec = dataset.spec.recording.synthetic
+    if spec is None:
+        key = digest(normalize(dataset.spec.recording.as_json()))
+    else:
+        generator = _generator_hash()
+        key = digest({"recording": spec.model_dump(mode="json", by_alias=True), "generator": generator})
+    return datasets / f"{dataset.name}-{key[:16]}"
 
 
 def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntry:
@@ -78,7 +94,7 @@ def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntr
             where = f"dataset {dataset.name!r}: recording.files"
             raise DataError(f"{where}: {root / file.path} does not exist")
     if missing:
-        folder = datasets / f"{dataset.name}-{digest(normalize(dataset.spec.recording.as_json()))[:16]}"
+        folder = made_folder(dataset, datasets)
         make_once(folder, lambda aside: _gather(dataset, root, aside))
         root = folder
     for file in files:
@@ -146,7 +162,8 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
     if manifest.exists() and manifest.read_text(encoding="utf-8") != text:
         raise InputError(
             f"dataset {dataset.name!r} is known already and differs; results stay valid only if a "
-            f"dataset never changes: give it another name, or remove {folder}"
+            f"dataset never changes: give it another name, or forget the one that is known: "
+            f"slamhive dataset remove {dataset.name}"
         )
     fetched = {file.path for file in dataset.spec.recording.files if file.url}
     for relative in _paths(dataset):

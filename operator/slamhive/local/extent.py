@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What files take on the disk: blocks, not lengths, and a file that has several names once."""
+"""Room that files take on the disk: blocks, not lengths, and a file that has several names once."""
 
 from __future__ import annotations
 
