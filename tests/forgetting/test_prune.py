@@ -217,7 +217,7 @@ def test_wherever_it_is_killed_the_home_reads_right_and_a_second_call_goes_on(
     with monkeypatch.context() as patched:
         patched.setattr(removed, "remove", dying(removed.remove))
         patched.setattr(forgetting, "remove", dying(forgetting.remove))
-        patched.setattr(removed, "_write", dying(removed._write))
+        patched.setattr(removed, "write_whole", dying(removed.write_whole))
         patched.setattr(Archive, "remove_runs", dying(Archive.remove_runs))
         try:
             slamhive(*words)

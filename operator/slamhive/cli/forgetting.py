@@ -1,25 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``slamhive results prune``, and what all commands share that remove something: they say what, and ask."""
+"""``slamhive results prune``: forgetting runs, for it and for ``slamhive sweep remove``."""
 
 from __future__ import annotations
 
 import re
-import sys
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
-from rich.progress import Progress
 
 from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.frame import DERIVED
 from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.selection import Selection, choose, first_rows
-from slamhive.archive.connection import file_of
-from slamhive.cli.console import bytes_text, err, open_archive, out, plural, remark
-from slamhive.cli.exits import FAILED
+from slamhive.cli.asking import DryRun, Yes, agreed, progress, require_archive
+from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
 from slamhive.cli.tables import show
 from slamhive.local.forgetting import Known, alone, forget, plan_forgetting
 from slamhive.local.home import Home
@@ -29,14 +25,11 @@ from slamhive.model.results import Phase
 from slamhive.tables.reading import read_archive
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable, Collection
 
     from slamhive.analysis.frame import Frame
     from slamhive.archive import Archive
     from slamhive.local.forgetting import Forgetting
-
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Remove without being asked.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would go, and remove nothing.")]
 
 _DAYS = {"d": 1.0, "w": 7.0, "h": 1 / 24, "m": 1 / 1440}
 _SHOWN = 15
@@ -147,36 +140,6 @@ def prune_chosen(
     out.print(f"removed: {_counted(plan)}, {bytes_text(extent.size)} in {plural(extent.files, 'file')}")
 
 
-def require_archive(home: Home) -> None:
-    """Refuse a home without an archive: its runs are unknown, not forgotten.
-
-    Raises:
-        InputError: there is none.
-    """
-    file = file_of(home.archive_url)
-    if file is not None and not file.exists():
-        raise InputError(f"no archive at {file}: nothing is known of any run, so nothing is removed")
-
-
-def agreed(question: str, *, yes: bool, dry_run: bool) -> bool:
-    """Ask whether to remove what was shown; tells whether to.
-
-    Raises:
-        InputError: nobody can be asked.
-    """
-    if dry_run:
-        remark("a dry run: nothing was removed")
-        return False
-    if yes:
-        return True
-    if not sys.stdin.isatty():
-        raise InputError("nobody can be asked here: --yes removes this, --dry-run only shows it")
-    if not typer.confirm(question, err=True):
-        remark("nothing was removed")
-        raise typer.Exit(FAILED)
-    return True
-
-
 def uids_of(frame: Frame) -> list[str]:
     """Return the UIDs of the runs of some rows."""
     return [str(row["uid"]) for row in frame.select(first_rows(frame)).records(["uid"])]
@@ -187,14 +150,6 @@ def known_runs(frame: Frame) -> list[Known]:
     names = ("uid", "name", "sweep", "folder", "label.source")
     rows = frame.select(first_rows(frame)).records(names)
     return [Known(*(row[name] and str(row[name]) for name in names)) for row in rows]
-
-
-@contextmanager
-def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a bar on a terminal; yields what is told how much is done."""
-    with Progress(console=err, disable=not err.is_terminal, transient=True) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda done: bar.update(task, completed=done)
 
 
 def _plan(

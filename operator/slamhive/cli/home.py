@@ -11,8 +11,9 @@ import typer
 
 from slamhive.archive import Archive
 from slamhive.archive.connection import file_of, shown
+from slamhive.cli.asking import DryRun, Yes, agreed, progress, require_archive
 from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
-from slamhive.cli.forgetting import DryRun, Yes, agreed, known_runs, progress, require_archive
+from slamhive.cli.forgetting import known_runs
 from slamhive.cli.tables import show, write_json
 from slamhive.local.catalog import load_workshop
 from slamhive.local.collecting import Asked, collect, survey

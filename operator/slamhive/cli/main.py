@@ -75,6 +75,7 @@ COMMANDS = {
         "cluster", "fetch", "Copy finished runs of a cluster into the archive here, for slamhive results."
     ),
     "results": _Command("results", "app", "Finished runs: lists, tables, files."),
+    "sweep": _Command("sweeps", "app", "Sweeps in the archive: list, rename and remove them."),
     "dataset": _Command("datasets", "app", "Datasets: list, add, check, prepare and export them."),
     "algorithm": _Command("algorithms", "app", "Algorithms: list, add and check them."),
     "home": _Command(

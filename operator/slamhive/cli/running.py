@@ -27,6 +27,7 @@ from slamhive.local.evaluations import bring_up_to_date, evaluate_again
 from slamhive.local.home import Home
 from slamhive.local.programs import unavailable
 from slamhive.local.runner import Job, Runner
+from slamhive.local.sweeping import require_own_name
 from slamhive.local.unavailable import Unavailable
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
@@ -233,6 +234,7 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in zip(sweeps, plans, strict=True)]
     bench = open_workbench(home, workshop, how.container)
     with bench.archive:
+        require_own_name(bench.archive, sweeps)
         interrupted, faults = False, False
         if jobs:
             # Before the display, as engines draw their own progress.

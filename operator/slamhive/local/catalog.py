@@ -118,7 +118,8 @@ def load_workshop(home: Home | None = None) -> Workshop:
     for folder, pattern in sources:
         found = folder.glob(pattern if "*" in pattern else f"*/{pattern}")
         for path in sorted(found):
-            workshop.add(load_file(path), path.parent)
+            if not path.parent.name.startswith("."):  # half made, or half removed
+                workshop.add(load_file(path), path.parent)
     return workshop
 
 

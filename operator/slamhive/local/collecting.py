@@ -42,6 +42,8 @@ CHECKS = "check"
 """Folder of ``slamhive algorithm check``, which removes it itself unless it is killed."""
 MADE = re.compile(r"(?P<name>.+)-[0-9a-f]{16}")
 """Names of folders of recordings that were generated or fetched."""
+REMOVING = ".removing"
+"""End of the name of what is being removed from the catalog."""
 
 _KEY = re.compile(r"[0-9a-f]{16,64}")
 _ENVIRONMENT = re.compile(rb"/environments/([0-9a-f]{16})/")
@@ -309,6 +311,8 @@ class _Surveyor:
             "assets/.fetching-*",
             "datasets/*/.dataset.*",
         )
+        for folder in (*path.glob(f"datasets/.*{REMOVING}"), *path.glob(f"algorithms/.*{REMOVING}")):
+            yield self._find(Kind.LEFTOVERS, folder, "a removal was interrupted", goes=True)
         for file in (file for pattern in patterns for file in sorted(path.glob(pattern))):
             linked = self._linked(file)
             if self._now - file.lstat().st_mtime >= GRACE_SECONDS:

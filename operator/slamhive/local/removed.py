@@ -89,7 +89,7 @@ def remove_files(folder: Path, size: int) -> None:
     """
     try:
         if removed_from(folder) is None:
-            _write(folder / NOTE, json.dumps({"removed": datetime.now(UTC).isoformat(), "bytes": size}))
+            write_whole(folder / NOTE, json.dumps({"removed": datetime.now(UTC).isoformat(), "bytes": size}))
         for entry in list(folder.iterdir()):
             if entry.name != NOTE:
                 remove(entry)
@@ -120,8 +120,13 @@ def remove(path: Path) -> None:
             raise
 
 
-def _write(path: Path, text: str) -> None:
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
+def write_whole(path: Path, text: str) -> None:
+    """Write a small file that is there whole or not at all.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    aside = path.with_name(f".{path.name.lstrip('.')}.{os.getpid()}")
     try:
         aside.write_text(text, encoding="utf-8")
         flush(aside)
