@@ -52,7 +52,7 @@ ELSEWHERE = {
 """Commands that are not run here, and why."""
 SMALLER = {"dim.yaml": ("rate: 5,", "rate: 1,")}
 """What stands in files of the documents, and what makes them quicker to render."""
-BEFORE = {"results.md": "README.md"}
+BEFORE = {"home.md": "README.md", "results.md": "README.md"}
 """Documents whose commands ask for what those of another one made."""
 
 

@@ -111,7 +111,7 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
     if not superseded:
         left_out = inside & frame.column("superseded").present
         inside = inside & ~left_out
-    old = _runs(frame, left_out)
+    old = count_runs(frame, left_out)
     notes = []
     if old:
         notes.append(f"{_counted(old)} of earlier versions left out ({_why(frame, left_out)})")
@@ -121,10 +121,10 @@ def meeting(frame: Frame, node: Node | None, *, superseded: bool = False, each: 
     if not each:
         unfinished = _among(frame.column("phase"), _UNFINISHED)
         if unfinished.any():
-            notes.append(f"{_counted(_runs(frame, unfinished))} not finished yet")
+            notes.append(f"{_counted(count_runs(frame, unfinished))} not finished yet")
             frame = frame.select(~unfinished)
         kept = once(frame)
-        again = _runs(frame, ~kept)
+        again = count_runs(frame, ~kept)
         if again:
             repeat = "repeats" if again == 1 else "repeat"
             notes.append(f"{_counted(again)} {repeat} the content of others: equal content counts once")
@@ -142,12 +142,13 @@ def _why_alone(note: str) -> str:
     return note.partition("(")[2].rstrip(")")
 
 
+def count_runs(frame: Frame, mask: Mask) -> int:
+    """Return how many runs some rows are of."""
+    return count_distinct(frame.column("id").floats()[mask])
+
+
 def _counted(count: int) -> str:
     return "1 run" if count == 1 else f"{count:,} runs"
-
-
-def _runs(frame: Frame, mask: Mask) -> int:
-    return count_distinct(frame.column("id").floats()[mask])
 
 
 def _why(frame: Frame, mask: Mask) -> str:

@@ -180,6 +180,13 @@ class Archive:
         with writing(self._engine) as connection:
             return connection.execute(delete(schema.runs).where(schema.runs.c.uid == uid)).rowcount > 0
 
+    def remove_runs(self, uids: Iterable[str]) -> None:
+        """Remove runs with their results, 500 in a transaction; those that aren't there are no fault."""
+        iterator = iter(uids)
+        while batch := list(islice(iterator, BATCH)):
+            with writing(self._engine) as connection:
+                connection.execute(delete(schema.runs).where(schema.runs.c.uid.in_(batch)))
+
     def put_evaluations(self, uid: str, evaluations: Iterable[IntendedEvaluation]) -> None:
         """Add intended evaluations to a run; they replace earlier ones of their names.
 
@@ -206,6 +213,40 @@ class Archive:
         row = run_row(record)
         with writing(self._engine) as connection:
             connection.execute(update(schema.runs).where(schema.runs.c.uid == uid).values(**row))
+
+    def rewrite_runs(self, records: Iterable[RunRecord]) -> None:
+        """Write records in the places of those of their UIDs, 500 in a transaction; results stay."""
+        iterator = iter(records)
+        while batch := [run_row(record) for record in islice(iterator, BATCH)]:
+            with writing(self._engine) as connection:
+                for row in batch:
+                    connection.execute(
+                        update(schema.runs).where(schema.runs.c.uid == row["uid"]).values(**row)
+                    )
+
+    def rename_dataset(self, old: str, new: str) -> None:
+        """Give the stored versions of a Dataset a name; those of the old one stay while a run has it."""
+        columns = schema.datasets.c
+        with writing(self._engine) as connection:
+            rows = connection.execute(select(schema.datasets).where(columns.name == old)).mappings().all()
+            if rows:
+                copies = [dict(row) | {"name": new} for row in rows]
+                connection.execute(self._insert(schema.datasets).on_conflict_do_nothing(), copies)
+            if not connection.execute(select(schema.runs.c.id).where(schema.runs.c.dataset == old)).first():
+                connection.execute(delete(schema.datasets).where(columns.name == old))
+
+    def rename_sweep(self, uids: Iterable[str], new: str) -> int:
+        """Give sweeps and their runs a name, and return the number of the runs."""
+        wanted, sweeps, runs = list(uids), schema.sweeps, schema.runs
+        with writing(self._engine) as connection:
+            connection.execute(update(sweeps).where(sweeps.c.uid.in_(wanted)).values(name=new))
+            change = update(runs).where(runs.c.sweep_uid.in_(wanted)).values(sweep=new)
+            return connection.execute(change).rowcount
+
+    def remove_sweeps(self, uids: Iterable[str]) -> None:
+        """Remove sweeps, not their runs."""
+        with writing(self._engine) as connection:
+            connection.execute(delete(schema.sweeps).where(schema.sweeps.c.uid.in_(list(uids))))
 
     def get(self, uid: str) -> RunRecord | None:
         """Return a run by its UID."""

@@ -14,6 +14,7 @@ from rich.table import Table
 from slamhive.cli.checking import check
 from slamhive.cli.console import command_name, listing, open_workbench, out, remark
 from slamhive.cli.listing import show_catalog
+from slamhive.cli.unlisting import remove_algorithm
 from slamhive.cli.vocabulary import train
 from slamhive.local.catalog import link_algorithm, load_workshop
 from slamhive.local.home import Home
@@ -143,6 +144,7 @@ def new_algorithm(
         out.print(f"{'Next:' if number == 0 else '     '}  {step}", soft_wrap=True, markup=False)
 
 
+app.command("remove")(remove_algorithm)
 app.command("check")(check)
 
 

@@ -18,6 +18,7 @@ from rich.table import Table
 from slamhive.cli.console import bytes_text, complain, err, listing, open_workbench, out, plural, remark
 from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
+from slamhive.cli.unlisting import remove_dataset, rename
 from slamhive.local.catalog import load_workshop
 from slamhive.local.home import Home
 from slamhive.model.base import explain
@@ -119,6 +120,10 @@ def add(
         _added(home.path / "datasets" / chosen / "dataset.yaml")
     else:
         _suggest(source, _named(source, name))
+
+
+app.command("remove")(remove_dataset)
+app.command("rename")(rename)
 
 
 @app.command("make")

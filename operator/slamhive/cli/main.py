@@ -80,8 +80,19 @@ COMMANDS = {
         "cluster", "fetch", "Copy finished runs of a cluster into the archive here, for slamhive results."
     ),
     "results": _Command("results", "app", "Finished runs: lists, tables, files."),
+    "sweep": _Command("sweeps", "app", "Sweeps in the archive: list, rename and remove them."),
     "dataset": _Command("datasets", "app", "Datasets: list, add, check, prepare and export them."),
     "algorithm": _Command("algorithms", "app", "Algorithms: list, add and check them."),
+    "home": _Command(
+        "home",
+        "home",
+        "Say where everything is kept: $SLAMHIVE_HOME. With --size: what takes its room, and what frees it.",
+    ),
+    "gc": _Command(
+        "home",
+        "gc",
+        "Remove what nothing refers to: variants, environments, assets, and what killed work left.",
+    ),
     "import": _Command("importing", "app", "Bring results of other systems into the archive."),
     "archive": _Command(
         "archive",

@@ -21,8 +21,10 @@ from slamhive.archive import Archive
 from slamhive.archive.connection import file_of, shown
 from slamhive.archive.records import run_row
 from slamhive.cli.console import out, remark
+from slamhive.cli.forgetting import prune
 from slamhive.cli.tables import Format, show, write_json, write_markdown
 from slamhive.local.home import Home
+from slamhive.local.removed import absence
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import constants, flat_cells, implied, key_text, table_lines, value_text
@@ -119,6 +121,8 @@ def show_run(
     for record in records:
         rows = _rows_of(record)
         if as_json:
+            gone = absence(Home.from_environment().path, record.folder)
+            rows = [row | {"files.absence": gone} for row in rows] if gone else rows
             write_json(sys.stdout, rows)
             continue
         _show_record(record, rows)
@@ -223,6 +227,9 @@ def export(
         remark(note)
 
 
+app.command("prune")(prune)
+
+
 @contextmanager
 def _archive() -> Iterator[Archive]:
     with Archive.open(Home.from_environment().archive_url, read_only=True) as archive:
@@ -288,6 +295,9 @@ def _show_record(record: RunRecord, rows: Sequence[Row]) -> None:
         show(out, ["by evaluation", *(str(row["evaluation"]) for row in rows)], lines)
     for result in record.results:
         _show_relations(result)
+    gone = absence(Home.from_environment().path, record.folder)
+    if gone:
+        out.print(f"{gone}: only the record is left", style="bold", markup=False)
     if record.log_tail:
         out.print("last lines of its log", style="bold")
         out.print(record.log_tail, markup=False)

@@ -47,6 +47,7 @@ from slamhive.local.home import Home
 from slamhive.local.outlook import Looking, sentences
 from slamhive.local.programs import unavailable
 from slamhive.local.runner import Job, Runner
+from slamhive.local.sweeping import require_own_name
 from slamhive.local.unavailable import Unavailable
 from slamhive.local.workbench import Workbench
 from slamhive.model.base import Choice
@@ -358,6 +359,7 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     jobs = _jobs(sweeps, plans, workshop, how)
     bench = open_workbench(home, workshop, how.container)
     with bench.archive:
+        require_own_name(bench.archive, sweeps)
         interrupted, faults = False, False
         if jobs:
             if how.rerun_where is not None:

@@ -17,6 +17,7 @@ from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.data.erasing import erase
 from slamhive.local.attempt import end_left_behind
 from slamhive.local.catalog import Workshop
+from slamhive.local.collecting import CHECKS
 from slamhive.local.cores import CorePool
 from slamhive.local.engines import ContainerChoice, find_engine
 from slamhive.local.environments import availability
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from slamhive.model.results import RunRecord
     from slamhive.plan import Point
 
-_FOLDER = "check"
 _SHARED = ("environments", "datasets", "variants", "truths", "assets")
 """Folders that are caches: what is made once for a check serves runs too, and the other way round."""
 _LOOK_SECONDS = 0.02
@@ -79,7 +79,7 @@ def bench_for_checks(
         workshop: the catalog.
         notify: told in a sentence of what takes long.
     """
-    place = home.path / _FOLDER
+    place = home.path / CHECKS
     _remove(place)  # a slamhive that was killed may have left it
     place.mkdir(parents=True)
     try:

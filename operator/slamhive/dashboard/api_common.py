@@ -94,6 +94,7 @@ class Material:
         meant: the results.
         records: of their runs, by UID.
         places: folders of those that have one.
+        absences: why those have none whose files were removed.
         truths: ground truth of each group of ``meant.rows``.
         algorithms: the catalog's.
     """
@@ -101,6 +102,7 @@ class Material:
     meant: Meant
     records: dict[str, RunRecord]
     places: dict[str, Place]
+    absences: dict[str, str]
     truths: list[Truth | None]
     algorithms: list[CatalogEntry]
 
@@ -137,7 +139,7 @@ def meant(snapshot: Snapshot, pairs: Pairs, by: str | None, which: str) -> Meant
 
 def material(source: Source, meant: Meant) -> Material:
     """Look up what results are measured again by: records, folders, ground truth."""
-    records, places = {}, {}
+    records, places, absences = {}, {}, {}
     truths = []
     for rows in meant.rows:
         label = None
@@ -150,8 +152,10 @@ def material(source: Source, meant: Meant) -> Material:
                 place = source.place(record)
                 if place is not None:
                     places[uid] = place
+                elif absence := source.absence(record):
+                    absences[uid] = absence
         truths.append(source.truth(str(rows[0]["dataset"]), label))
-    return Material(meant, records, places, truths, source.catalog("Algorithm"))
+    return Material(meant, records, places, absences, truths, source.catalog("Algorithm"))
 
 
 def common(snapshot: Snapshot, given: Material) -> Body:
@@ -225,7 +229,7 @@ def _poses(given: Material, uid: str) -> tuple[Place, Trajectory]:
     """
     place = given.places.get(uid)
     if place is None:
-        raise Missing("the run has no files here")
+        raise Missing(given.absences.get(uid, "the run has no files here"))
     path = read_poses(place)
     if path.every > 1:
         raise TooLarge(f"its {path.count:,} poses are too many to be measured again here")

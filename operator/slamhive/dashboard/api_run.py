@@ -52,6 +52,7 @@ def place_of(source: Source, record: RunRecord) -> Place:
     if place is None:
         reused = record.provenance.reused_from
         where = "its result was taken over from an equal run" if reused else "none is here"
+        where = source.absence(record) or where
         raise Missing(f"the run {record.name} has no files: {where}", "uid")
     return place
 
@@ -84,6 +85,7 @@ def detail(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
         "logTail": record.log_tail,
         "manifest": manifest(record),
         "files": source.place(record) is not None,
+        "absence": source.absence(record),
         "links": {
             name: f"/api/v1/runs/{record.uid}/{name}" for name in ("manifest", "files", "trajectory", "usage")
         },

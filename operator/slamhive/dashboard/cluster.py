@@ -218,6 +218,10 @@ class ClusterSource:
             return None
         return Place(self._results, parts)
 
+    def absence(self, record: RunRecord) -> str | None:  # noqa: ARG002 - a workstation's source needs it
+        """Return None: a cluster's collector leaves no word of what it removed."""
+        return None
+
     def truth(self, dataset: str, label: str | None) -> Truth | None:
         """Return the ground truth of a dataset, if its volume is mounted."""
         return self._truths.find(dataset, label)

@@ -23,6 +23,7 @@ from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.ground_truth import Truths
 from slamhive.dashboard.problems import Unavailable
 from slamhive.data import slamhive1
+from slamhive.local.removed import absence, run_parts
 from slamhive.model.errors import SlamHiveError
 from slamhive.tables import snapshots
 from slamhive.tables.loading import Loaded, change_mark, load
@@ -107,6 +108,9 @@ class Source(Protocol):
 
     def place(self, record: RunRecord) -> Place | None:
         """Return the folder that holds a run's files, if it is there."""
+
+    def absence(self, record: RunRecord) -> str | None:
+        """Return why the files of a run are not here, where somebody removed them: part of a sentence."""
 
     def truth(self, dataset: str, label: str | None) -> Truth | None:
         """Return the ground truth of a dataset, if it is at hand."""
@@ -358,12 +362,15 @@ class Workstation:
         folder = Path(record.folder)
         if record.labels.get("source") == slamhive1.SOURCE:
             return Place(folder, allowed=_IMPORTED) if folder.is_dir() else None
-        # The home may have moved since: a folder of a run is RUNS/SWEEP/RUN.
-        parts = folder.parts[-2:]
-        if self._home is None or len(parts) < 2 or any(part in {"/", ".", ".."} for part in parts):
+        parts = run_parts(record.folder)
+        if self._home is None or parts is None or self.absence(record) is not None:
             return None
         runs = self._home / "runs"
         return Place(runs, parts) if runs.joinpath(*parts).is_dir() else None
+
+    def absence(self, record: RunRecord) -> str | None:
+        """Return why the files of a run are not here, where somebody removed them."""
+        return absence(self._home, record.folder)
 
     def truth(self, dataset: str, label: str | None) -> Truth | None:
         """Return the ground truth of a dataset, if it is at hand."""

@@ -89,8 +89,8 @@ def evict(parent: Path, limit_bytes: int, now: float | None = None) -> list[str]
         Names of what was removed.
     """
     now = time.time() if now is None else now
-    for leftover in parent.glob(".*.making"):
-        _remove_free(parent / leftover.name[1:].removesuffix(".making"), leftover)
+    for leftover in leftovers(parent):
+        remove_leftover(leftover)
     folders = [folder for folder in parent.iterdir() if folder.is_dir() and not folder.name.startswith(".")]
     sizes = {folder: _size(folder) for folder in folders}
     total = sum(sizes.values())
@@ -102,6 +102,16 @@ def evict(parent: Path, limit_bytes: int, now: float | None = None) -> list[str]
             total -= sizes[folder]
             removed.append(folder.name)
     return removed
+
+
+def leftovers(parent: Path) -> list[Path]:
+    """Return what is being made among the folders of a folder, or was left half made by dead processes."""
+    return sorted(parent.glob(".*.making"))
+
+
+def remove_leftover(leftover: Path) -> bool:
+    """Remove what was left half made unless somebody makes it, and tell whether it was removed."""
+    return _remove_free(leftover.with_name(leftover.name[1:].removesuffix(".making")), leftover)
 
 
 def remove_free(folder: Path) -> bool:

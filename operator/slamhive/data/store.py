@@ -34,6 +34,7 @@ __all__ = [
     "file_sha256",
     "ground_truth",
     "is_made",
+    "made_folder",
     "materialise",
     "recording_sha256",
 ]
@@ -60,7 +61,7 @@ def materialise(
     spec = dataset.spec.recording.synthetic
     if spec is None:
         return _with_recording(dataset, root, datasets)
-    folder = _generated(dataset, datasets)
+    folder = made_folder(dataset, datasets)
 
     def make(aside: Path) -> None:
         synthetic.generate(spec, aside, progress)
@@ -71,21 +72,26 @@ def materialise(
 
 def is_made(dataset: Dataset, root: Path, datasets: Path) -> bool:
     """Tell whether a dataset's files are at hand: whether `materialise` would neither generate nor fetch."""
+    there = made_folder(dataset, datasets).is_dir()
     if dataset.spec.recording.synthetic is not None:
-        return _generated(dataset, datasets).is_dir()
-    files = dataset.spec.recording.files
-    return all((root / file.path).exists() for file in files) or _fetched(dataset, datasets).is_dir()
+        return there
+    return there or all((root / file.path).exists() for file in dataset.spec.recording.files)
 
 
-def _generated(dataset: Dataset, datasets: Path) -> Path:
+def made_folder(dataset: Dataset, datasets: Path) -> Path:
+    """Return the folder of what is generated or fetched of a dataset, ``NAME-HASH``, made or not.
+
+    Args:
+        dataset: The dataset as declared.
+        datasets: The home's folder for datasets.
+    """
     spec = dataset.spec.recording.synthetic
-    told = spec.model_dump(mode="json", by_alias=True) if spec is not None else None
-    key = digest({"recording": told, "generator": _generator_hash()})
+    if spec is None:
+        key = digest(normalize(dataset.spec.recording.as_json()))
+    else:
+        generator = _generator_hash()
+        key = digest({"recording": spec.model_dump(mode="json", by_alias=True), "generator": generator})
     return datasets / f"{dataset.name}-{key[:16]}"
-
-
-def _fetched(dataset: Dataset, datasets: Path) -> Path:
-    return datasets / f"{dataset.name}-{digest(normalize(dataset.spec.recording.as_json()))[:16]}"
 
 
 def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntry:
@@ -97,7 +103,7 @@ def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntr
             where = f"dataset {dataset.name!r}: recording.files"
             raise DataError(f"{where}: {root / file.path} does not exist")
     if missing:
-        folder = _fetched(dataset, datasets)
+        folder = made_folder(dataset, datasets)
         make_once(folder, lambda aside: _gather(dataset, root, aside))
         root = folder
     for file in files:
@@ -165,7 +171,8 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
     if manifest.exists() and manifest.read_text(encoding="utf-8") != text:
         raise InputError(
             f"dataset {dataset.name!r} is known already and differs; results stay valid only if a "
-            f"dataset never changes: give it another name, or remove {folder}"
+            f"dataset never changes: give it another name, or forget the one that is known: "
+            f"slamhive dataset remove {dataset.name}"
         )
     fetched = {file.path for file in dataset.spec.recording.files if file.url}
     for relative in _paths(dataset):

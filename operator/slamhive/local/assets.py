@@ -47,6 +47,15 @@ def place_assets(entry: AlgorithmEntry, target: Path, cache: Path, *, fetched_al
         place.symlink_to(source.resolve())
 
 
+def remove_asset(place: Path) -> bool:
+    """Remove a fetched file unless it is being fetched, and tell whether it was removed."""
+    with lock(place.with_name(f"{place.name}.lock"), wait=False) as held:
+        if held is None:
+            return False
+        place.unlink(missing_ok=True)
+    return True
+
+
 def _fetched(asset: Asset, cache: Path) -> Path:
     """Return a file of the cache, which all runs share: one that a program changed is fetched again."""
     checksum = asset.sha256 or ""

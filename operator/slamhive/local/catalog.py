@@ -118,7 +118,8 @@ def load_workshop(home: Home | None = None) -> Workshop:
     for folder, pattern in sources:
         found = folder.glob(pattern if "*" in pattern else f"*/{pattern}")
         for path in sorted(found):
-            workshop.add(load_file(path), path.parent)
+            if not path.parent.name.startswith("."):  # half made, or half removed
+                workshop.add(load_file(path), path.parent)
     return workshop
 
 
@@ -149,7 +150,10 @@ def link_algorithm(folder: Path, home: Home, *, built: bool = True) -> str:
     if link.is_symlink() and link.resolve() == folder.resolve():
         return algorithms[0].name
     if link.exists() or link.is_symlink():
-        raise InputError(f"algorithm {algorithms[0].name!r} is known already: {link}; remove it first")
+        raise InputError(
+            f"algorithm {algorithms[0].name!r} is known already: {link}; forget it first: "
+            f"slamhive algorithm remove {algorithms[0].name}"
+        )
     link.symlink_to(folder.resolve(), target_is_directory=True)
     return algorithms[0].name
 

@@ -183,12 +183,9 @@ class Environments:
             return Environment(entry.folder, self.digest(entry))
         python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
         requirements = entry.folder / program.requirements
-        key = hashlib.sha256(
-            "\n".join([python.path, str(python.version), _sha256(requirements), *python.beside]).encode()
-        ).hexdigest()[:16]
-        path = self._folder / key
+        path = self._folder / _key(python, requirements)
         if not (path / _MARKER).exists():
-            with lock(self._folder / f"{key}.lock") as held:
+            with lock(_lock_of(path)) as held:
                 # Looked at again under the lock: another slamhive may have made it while this one waited.
                 if not (path / _MARKER).exists():
                     self._make(entry.name, path, python, requirements, held)
@@ -197,6 +194,18 @@ class Environments:
             _check_libraries(entry, program, environment.python)
             self._usable.add((entry.name, path))
         return environment
+
+    def folder_of(self, entry: AlgorithmEntry) -> Path | None:
+        """Return where an algorithm's environment is, made or not; None where it has none.
+
+        Raises:
+            Unavailable: this machine can't run the algorithm, or a file of it can't be read.
+        """
+        if entry.algorithm.spec.local is None or entry.algorithm.spec.local.command is not None:
+            return None
+        program = _program(entry)
+        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        return self._folder / _key(python, entry.folder / program.requirements)
 
     def _make(self, name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
         if path in self._impossible:
@@ -244,6 +253,30 @@ class Interpreter:
     path: str
     version: tuple[int, int]
     beside: tuple[str, ...] = ()
+
+
+def is_whole(path: Path) -> bool:
+    """Tell whether an environment was made to its end."""
+    return (path / _MARKER).exists()
+
+
+def remove_environment(path: Path) -> bool:
+    """Remove an environment unless it is being made, and tell whether it was; nobody may be running in it."""
+    with lock(_lock_of(path), wait=False) as held:
+        if held is None:
+            return False
+        (path / _MARKER).unlink(missing_ok=True)  # first: half of one is not to be used
+        shutil.rmtree(path)
+    return True
+
+
+def _lock_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.lock")
+
+
+def _key(python: Interpreter, requirements: Path) -> str:
+    parts = [python.path, str(python.version), _sha256(requirements), *python.beside]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
 def availability(entry: AlgorithmEntry) -> str | None:

@@ -12,6 +12,7 @@ from slamhive.analysis.measuring import SEGMENTS, SETTINGS_KEY, measure, read_es
 from slamhive.analysis.subjects import Surroundings, subject_of
 from slamhive.contract.files import compression_problem, open_below
 from slamhive.data.entries import file_sha256
+from slamhive.local.removed import run_parts
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.sensors import SensorMode
 from slamhive_eval import EvaluationError, read_segments
@@ -117,10 +118,9 @@ class Evaluator:
         """Return the trajectory that a run wrote; None when it is gone or another one lies in its place."""
         if not record.folder:
             return None
-        folder = Path(record.folder)
-        # The home may have moved since: a folder of a run is RUNS/SWEEP/RUN.
-        moved = self._bench.home.path.joinpath("runs", *folder.parts[-2:])
-        for place in (folder, moved):
+        parts = run_parts(record.folder)
+        moved = [self._bench.home.path.joinpath("runs", *parts)] if parts else []
+        for place in (Path(record.folder), *moved):
             path = place / "run" / "output" / "trajectory.txt"
             try:
                 # The run folder may hold a later attempt by now, or an edited file: the checksum decides.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.analysis.measuring import SETTINGS_KEY, intended_evaluations, settings_hash
 from slamhive.local.evaluating import Evaluator
+from slamhive.local.removed import absence
 from slamhive.model.errors import SlamHiveError, SystemFault, sentence
 from slamhive.model.results import NOT_EVALUATED, Phase, RunRecord
 from slamhive.model.sensors import SensorMode
@@ -90,7 +91,8 @@ def measure_record(
         return Unmeasured(f"{record.phase}, it has no trajectory")
     path = Evaluator(bench).trajectory_of(record)
     if path is None:
-        return Unmeasured("its trajectory is not on this machine any more")
+        gone = absence(bench.home.path, record.folder)
+        return Unmeasured(gone or "its trajectory is not on this machine any more")
     dataset, known = record.spec["datasetRef"]["name"], record.provenance.dataset_sha256
     try:
         # Measured against a ground truth of later, an old trajectory would get errors that it doesn't have.

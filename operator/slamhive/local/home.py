@@ -9,6 +9,8 @@
     variants/           prepared recordings, by content
     environments/       virtual environments of algorithms, by content
     runs/SWEEP/RUN/     one folder a run
+
+docs/home.md has all of them, and what may go.
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ from slamhive.engine import (
 from slamhive.local.attempt import Attempt
 from slamhive.local.configuring import configured
 from slamhive.local.evaluating import Evaluator
+from slamhive.local.linking import link_to_earlier
 from slamhive.local.prepared import AttemptOrder
 from slamhive.local.unavailable import ImageMissing, Unavailable
 from slamhive.model.base import Choice
@@ -370,6 +371,8 @@ class RunDriver:
         progress, order, attempt = self._progress, self._order, self._attempt
         ended = progress.attempt_state is AttemptState.ENDED
         kept = attempt.collect() if ended else None
+        if ended:
+            link_to_earlier(attempt.folder)
         base = RunRecord(
             uid=order.uid,
             name=order.point.name,

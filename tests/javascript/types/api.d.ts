@@ -87,6 +87,7 @@ declare namespace Api {
     manifest: string | null;
     logTail: string | null;
     files: boolean;
+    absence: string | null;
     links: Record<string, string>;
   } & Record<string, any>;
 

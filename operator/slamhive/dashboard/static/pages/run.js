@@ -91,8 +91,7 @@ export default function RunPage({ uid }) {
         `
         : html`
           <p class="quiet">
-            The files of this run are not on this machine: its trajectory and its load over time can't be
-            drawn.
+            Nothing to draw, as ${clip(run.absence ?? 'the files of this run are not on this machine', 200)}.
           </p>
         `
     }

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive home`` and ``slamhive gc``: what takes a home's room, and removal of what nothing refers to."""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slamhive.archive import Archive
+from slamhive.archive.connection import file_of, shown
+from slamhive.cli.asking import DryRun, Yes, agreed, progress, require_archive
+from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
+from slamhive.cli.forgetting import known_runs
+from slamhive.cli.tables import show, write_json
+from slamhive.local.catalog import load_workshop
+from slamhive.local.collecting import Asked, collect, survey
+from slamhive.local.extent import total
+from slamhive.local.forgetting import alone
+from slamhive.local.home import Home
+from slamhive.local.occupancy import occupancy
+from slamhive.tables.reading import read_archive
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from slamhive.local.collecting import Find
+
+
+def home(
+    *,
+    size: Annotated[bool, typer.Option("--size", help="What takes its room, the largest first.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Say where everything is kept: $SLAMHIVE_HOME. With --size: what takes its room, and what frees it.
+
+    Example: slamhive home --size
+    """
+    place = Home.from_environment()
+    _require_readable(place)
+    rooms = occupancy(place.path) if size else []
+    if as_json:
+        kinds = [
+            {"kind": room.kind, "items": room.items, "bytes": room.extent.size, "files": room.extent.files}
+            | ({"removedBy": room.remedy} if room.remedy else {})
+            for room in rooms
+        ]
+        told = {"home": str(place.path), "archive": shown(place.archive_url)}
+        write_json(sys.stdout, [told | ({"size": kinds} if size else {})])
+        return
+    out.print(f"home:     {place.path}", soft_wrap=True, markup=False)
+    out.print(f"archive:  {shown(place.archive_url)}", soft_wrap=True, markup=False)
+    if not size:
+        remark("what takes its room: slamhive home --size")
+        return
+    whole = total(room.extent for room in rooms)
+    lines = [
+        [room.kind, f"{room.items:,}", bytes_text(room.extent.size), f"{room.extent.files:,}", room.remedy]
+        for room in rooms
+    ]
+    show(out, ["what", "items", "size", "files", "what gives it back"], lines)
+    out.print(f"together: {bytes_text(whole.size)} in {plural(whole.files, 'file')}")
+
+
+def gc(
+    *,
+    made_again: Annotated[
+        bool, typer.Option("--all", help="What is made again when it is needed, too: all that is not in use.")
+    ] = False,
+    unrecorded: Annotated[
+        bool,
+        typer.Option("--unrecorded", help="Folders of runs that no record in the archive refers to, too."),
+    ] = False,
+    yes: Yes = False,
+    dry_run: DryRun = False,
+) -> None:
+    """Remove what nothing refers to: variants, environments, assets, and what killed work left.
+
+    What is in use or referred to stays, and is said. Files of runs that have a record: results prune.
+
+    Example: slamhive gc --dry-run
+    """
+    place = Home.from_environment()
+    require_archive(place)
+    asked = Asked(made_again, unrecorded)
+    finds = _survey(place, asked)
+    _tell(finds)
+    going = {find.path for find in finds if find.goes}
+    if not going:
+        out.print("nothing to remove")
+        return
+    if not agreed("Remove these?", yes=yes, dry_run=dry_run):
+        return
+    with alone(place):
+        # Looked at again, as nobody was kept from anything while the user thought about it.
+        finds = [find for find in _survey(place, asked) if find.goes and find.path in going]
+        with progress("removing", len(finds)) as step:
+            gone, kept = collect(place, finds, step)
+    extent = total(find.extent for find in gone)
+    out.print(f"removed: {_counted(gone)}, {bytes_text(extent.size)} in {plural(extent.files, 'file')}")
+    if kept:
+        remark(f"{_counted(kept)} stayed, as somebody works with it")
+
+
+def _survey(place: Home, asked: Asked) -> list[Find]:
+    open_archive(place).close()  # brings an earlier version up to date, and refuses a newer one
+    frame = read_archive(place.archive_url)
+    datasets = {str(name) for name in frame.column("dataset").factorized()[1] if name is not None}
+    return survey(place, load_workshop(place), known_runs(frame), datasets, asked)
+
+
+def _require_readable(place: Home) -> None:
+    """Refuse a home whose archive a newer slamhive wrote, as its folders may mean other things there."""
+    file = file_of(place.archive_url)
+    if file is None or file.exists():
+        Archive.open(place.archive_url, read_only=True).close()
+
+
+def _tell(finds: Iterable[Find]) -> None:
+    for goes, heading in ((False, "stays because"), (True, "goes because")):
+        groups: dict[tuple[str, str], list[Find]] = defaultdict(list)
+        for find in finds:
+            if find.goes is goes:
+                groups[find.kind, find.why].append(find)
+        sizes = {key: total(find.extent for find in found) for key, found in groups.items()}
+        lines = [
+            [kind, f"{len(groups[kind, why]):,}", bytes_text(sizes[kind, why].size), why]
+            for kind, why in sorted(groups, key=lambda key: -sizes[key].size)
+        ]
+        if lines:
+            show(out, ["what", "items", "size", heading], lines)
+    extent = total(find.extent for find in finds if find.goes)
+    if extent.files:
+        out.print(f"to remove: {bytes_text(extent.size)} in {plural(extent.files, 'file')}")
+
+
+def _counted(finds: Iterable[Find]) -> str:
+    return plural(len(list(finds)), "thing")
