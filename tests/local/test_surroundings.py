@@ -115,6 +115,48 @@ def test_packages_that_do_not_exist_are_asked_for_once(run_acts: Callable, home,
     assert len(told) == 1
 
 
+PIP_SAYS = """\
+Collecting numpy==2.3.4 (from -r requirements.txt (line 1))
+  Downloading numpy-2.3.4-cp311-cp311-manylinux_2_28_x86_64.whl (16.9 MB)
+Collecting typing-extensions>=4 (from -r requirements.txt (line 2))
+  Using cached typing_extensions-4.15.0-py3-none-any.whl (44 kB)
+Installing collected packages: typing-extensions, numpy
+Successfully installed numpy-2.3.4 typing-extensions-4.15.0
+"""
+
+
+def test_it_shows_which_packages_come(tmp_path: Path) -> None:
+    requirements = tmp_path / "requirements.txt"
+    requirements.write_text("numpy==2.3.4 --hash=sha256:0\ntyping-extensions==4.15.0 --hash=sha256:1\n")
+    making: dict[str, float] = {}
+    seen = []
+    with environments_module._Steps("x", requirements, making) as steps:
+        seen.append(dict(making))
+        for line in PIP_SAYS.splitlines():
+            steps.tell(line)
+            if seen[-1] != making:
+                seen.append(dict(making))
+    what = "making the environment of x"
+    assert seen == [
+        {what: 0.0},
+        {f"{what}: collecting numpy": 0.0},
+        {f"{what}: downloading numpy (16.9 MB)": 1 / 3},
+        {f"{what}: collecting typing-extensions": 1 / 3},
+        {f"{what}: installing 2 packages": 2 / 3},
+    ]
+    assert making == {}
+
+
+def test_pip_is_followed_while_it_works(tmp_path: Path) -> None:
+    told: list[str] = []
+    program = "import sys; print('Collecting x'); print('ERROR: No such x', file=sys.stderr); sys.exit(1)"
+    with pytest.raises(Unavailable, match="packages of x can't be installed: No such x"):
+        environments_module._command(
+            [sys.executable, "-c", program], "packages of x", tmp_path, None, told.append
+        )
+    assert told == ["Collecting x"]
+
+
 _BACKEND = """
 import json, os, zipfile
 def build_wheel(folder, config_settings=None, metadata_directory=None):

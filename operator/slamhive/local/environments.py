@@ -13,7 +13,7 @@ import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from slamhive.contract.environment import program_variables
 from slamhive.local.assets import place_assets
@@ -21,6 +21,7 @@ from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
 from slamhive.local.playing import own_player
 from slamhive.local.unavailable import Unavailable
+from slamhive.local.words import Words
 from slamhive.model.base import RELATIVE_PATH
 from slamhive.model.errors import SlamHiveError, SystemFault
 from slamhive.playback.ros import find_ros, what_it_takes
@@ -42,6 +43,9 @@ _PASSING = re.compile(
 )
 """Words of pip about what another try may mend; without any, another try ends as the first did."""
 _BROKEN = re.compile(r"after connection broken by '(\w+)")
+_PIP_STEP = re.compile(
+    r"\s*(?P<verb>Collecting|Downloading|Installing) (?:collected packages: )?(?P<rest>.+)"
+)
 _NO_WHEEL = re.compile(r"No matching distribution found for ([\w.-]+).*")
 _PASSED_ON = re.compile(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TZ|TMPDIR|LD_LIBRARY_PATH|XDG_(CONFIG|CACHE)_(HOME|DIRS)|PIP_\w+"
@@ -128,11 +132,18 @@ class Environments:
     Args:
         folder: where they are kept.
         notify: told in a sentence when one is being made, as that takes time.
+        making: gets what is being done to make one, in words, and the share of it that is done.
     """
 
-    def __init__(self, folder: Path, notify: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        notify: Callable[[str], None] = lambda _: None,
+        making: dict[str, float] | None = None,
+    ) -> None:
         self._folder = folder
         self._notify = notify
+        self._making = {} if making is None else making
         self._usable: set[tuple[str, Path]] = set()
         self._impossible: dict[Path, str] = {}
 
@@ -189,7 +200,8 @@ class Environments:
         self._notify(f"making the environment of {name} (once)")
         shutil.rmtree(path, ignore_errors=True)
         try:
-            self._fill(name, path, python, requirements, held)
+            with _Steps(name, requirements, self._making) as steps:
+                self._fill(name, path, python, requirements, held, steps)
         except Unavailable as error:
             self._impossible[path] = str(error)
             raise
@@ -198,22 +210,25 @@ class Environments:
                 shutil.rmtree(path, ignore_errors=True)  # half of one is of no use, and may fill the disk
 
     @staticmethod
-    def _fill(name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
+    def _fill(  # noqa: PLR0917 - what is told comes last
+        name: str, path: Path, python: Interpreter, requirements: Path, held: int | None, steps: _Steps
+    ) -> None:
         seeing = ["--system-site-packages"] if python.beside else []
         needed = _anything_in(requirements)
         # pip alone takes seconds to be installed, and nobody needs it where there is nothing to install.
         make = [python.path, "-m", "venv", *seeing, *([] if needed else ["--without-pip"]), str(path)]
         _command(make, f"environment of {name}", requirements.parent, held)
         if needed:
-            Environments._install(name, path, requirements, held)
+            Environments._install(name, path, requirements, held, steps)
         (path / _MARKER).touch()
 
     @staticmethod
-    def _install(name: str, path: Path, requirements: Path, held: int | None) -> None:
+    def _install(name: str, path: Path, requirements: Path, held: int | None, steps: _Steps) -> None:
         pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
         # Wheels alone: a source package runs a program of its own to install itself.
-        install = [*pip, "install", "--quiet", "--only-binary", ":all:", "-r", str(requirements)]
-        _command(install, f"packages of {name}", requirements.parent, held)
+        install = [*pip, "install", "--progress-bar", "off", "--only-binary", ":all:"]
+        wanted = ["-r", str(requirements)]
+        _command([*install, *wanted], f"packages of {name}", requirements.parent, held, steps.tell)
 
 
 @dataclass(frozen=True)
@@ -364,7 +379,55 @@ def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, python: Path)
         raise Unavailable(f"{entry.name} needs {', '.join(missing)}: apt-get install {packages}")
 
 
-def _command(argv: list[str], what: str, folder: Path, held: int | None = None) -> None:
+class _Steps:
+    """How far the making of an environment is, by what pip prints; a context manager.
+
+    Args:
+        name: of the algorithm.
+        requirements: its packages, each on a line.
+        making: gets it.
+    """
+
+    def __init__(self, name: str, requirements: Path, making: dict[str, float]) -> None:
+        self._what = f"making the environment of {name}"
+        self._said = self._what
+        self._stated = requirements.read_bytes().count(b"==")
+        self._seen = 0
+        self._making = making
+
+    def __enter__(self) -> Self:
+        self._making[self._said] = 0.0
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._making.pop(self._said, None)
+
+    def tell(self, line: str) -> None:
+        """Take a line that pip printed."""
+        found = _PIP_STEP.match(line)
+        if found is None:
+            return
+        verb, rest = found["verb"].lower(), found["rest"]
+        size = re.search(r" \([\d.]+ [kMG]?B\)", rest)
+        what = re.split(r"[\s=<>~!\[;]|-\d", rest, maxsplit=1)[0] + (size[0] if size else "")
+        if verb == "collecting":
+            self._seen += 1
+        elif verb == "installing":
+            what = f"{rest.count(',') + 1} packages"
+        # All that is stated is fetched, then all of it is installed at once.
+        share = (self._seen - (verb == "collecting")) / (max(self._stated, self._seen) + 1)
+        self._making.pop(self._said, None)
+        self._said = f"{self._what}: {verb} {what}"
+        self._making[self._said] = share
+
+
+def _command(
+    argv: list[str],
+    what: str,
+    folder: Path,
+    held: int | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> None:
     """Run a command in a folder.
 
     Args:
@@ -373,22 +436,35 @@ def _command(argv: list[str], what: str, folder: Path, held: int | None = None) 
         folder: where it runs.
         held: descriptor of a lock that it shall hold as long as it runs: it may outlive a slamhive that is
             killed, and another one must not begin to make the same meanwhile.
+        tell: given each line of its standard output, which then says nothing of errors.
     """
+    words, printed = Words(), []
     try:
-        result = subprocess.run(
+        process = subprocess.Popen(
             argv,
-            capture_output=True,
             text=True,
-            check=False,
+            errors="replace",
             cwd=folder,
             env=_surroundings(),
             stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=words.descriptor,
             pass_fds=() if held is None else (held,),
         )
     except OSError as error:
         raise SystemFault(f"{what}: {error}") from None
-    if result.returncode != 0:
-        raise _explained(what, result.stderr + result.stdout, by_itself=result.returncode > 0)
+    with process:
+        try:
+            for line in process.stdout or ():
+                if tell is None:
+                    printed.append(line)
+                else:
+                    tell(line.rstrip())
+        except BaseException:
+            process.kill()
+            raise
+    if process.returncode != 0:
+        raise _explained(what, words.text() + "".join(printed), by_itself=process.returncode > 0)
 
 
 def _explained(what: str, told: str, *, by_itself: bool) -> SlamHiveError:

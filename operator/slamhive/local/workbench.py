@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import platform
 import threading
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive import __version__
@@ -23,7 +24,7 @@ from slamhive.monitor.machine import cpu_model
 from slamhive.plan import algorithm_hash, content_hash
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from slamhive.archive import Archive
     from slamhive.data.groundtruth import GroundTruthPoses
@@ -72,7 +73,9 @@ class Workbench:
         self.home = home
         self.workshop = workshop
         self.archive = archive
-        self.programs = Programs(home, container, notify)
+        self.making: dict[str, float] = {}
+        """What is being made that runs wait for, in words, and the share of it that is done."""
+        self.programs = Programs(home, container, notify, self.making)
         self._notify = notify
         self._datasets: dict[str, DatasetEntry] = {}
         self._checksums: dict[str, str] = {}
@@ -92,9 +95,10 @@ class Workbench:
         # wait.
         with self.lock(name):
             if name not in self._datasets:
-                self._datasets[name] = materialise(
-                    place.dataset, place.folder, self.home.folder("datasets"), self._generating(name)
-                )
+                with self._making(f"generating the dataset {name} (once)", self._notify) as progress:
+                    self._datasets[name] = materialise(
+                        place.dataset, place.folder, self.home.folder("datasets"), progress
+                    )
             return self._datasets[name]
 
     def checksum(self, name: str) -> str:
@@ -186,16 +190,19 @@ class Workbench:
         dataset = entry.dataset if entry else self.workshop.dataset(name).dataset
         return dict(dataset.spec.attributes)
 
-    def _generating(self, name: str) -> Callable[[float], None]:
-        told = False
+    @contextmanager
+    def _making(self, what: str, notify: Callable[[str], None]) -> Iterator[Callable[[float], None]]:
+        """Note in `making` how far something is while it is made; what is there already is not told of."""
 
-        def progress(_share: float) -> None:
-            nonlocal told
-            if not told:
-                told = True
-                self._notify(f"generating the dataset {name} (once)")
+        def progress(share: float) -> None:
+            if what not in self.making:
+                notify(what)
+            self.making[what] = share
 
-        return progress
+        try:
+            yield progress
+        finally:
+            self.making.pop(what, None)
 
     def prepare(self, spec: dict[str, Any], algorithm: Algorithm) -> Variant:
         """Return the variant of the dataset that a run's spec asks for, made when it isn't there.
@@ -204,10 +211,14 @@ class Workbench:
             InputError: the dataset can't be prepared like this.
         """
         mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
-        return prepare(
-            self.dataset(spec["datasetRef"]["name"]),
-            mode.needs,
-            InputOptions.model_validate(spec["input"]),
-            algorithm.spec.formats(mode),
-            self.home.folder("variants"),
-        )
+        name = spec["datasetRef"]["name"]
+        entry = self.dataset(name)
+        with self._making(f"preparing a recording of {name} (once)", lambda _: None) as progress:
+            return prepare(
+                entry,
+                mode.needs,
+                InputOptions.model_validate(spec["input"]),
+                algorithm.spec.formats(mode),
+                self.home.folder("variants"),
+                progress,
+            )
