@@ -78,6 +78,11 @@ COMMANDS = {
     "dataset": _Command("datasets", "app", "Datasets: list, add, check, prepare and export them."),
     "algorithm": _Command("algorithms", "app", "Algorithms: list, add and check them."),
     "import": _Command("importing", "app", "Bring results of other systems into the archive."),
+    "doctor": _Command(
+        "doctor",
+        "doctor",
+        "Look at what there is to work with: what is missing, what that costs, and what helps.",
+    ),
     "archive": _Command(
         "archive",
         "app",
