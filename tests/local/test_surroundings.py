@@ -73,6 +73,36 @@ def test_modules_in_the_working_folder_are_not_ours(
     assert notes.records[0].phase is Phase.SUCCEEDED, notes.records[0].message
 
 
+_IMPORTING = """
+import json, cv2
+from slamhive.contract.environment import own_variables
+print(json.dumps(own_variables(["LD_LIBRARY_PATH", "TZ"])))
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "kept"),
+    [(None, {}), ("", {}), ("/opt/mine/lib:/usr/cv2/lib", {"LD_LIBRARY_PATH": "/opt/mine/lib:/usr/cv2/lib"})],
+)
+def test_what_our_libraries_add_to_the_variables_is_not_passed_on(
+    before: str | None, kept: dict[str, str]
+) -> None:
+    surroundings = {key: value for key, value in os.environ.items() if key not in {"LD_LIBRARY_PATH", "TZ"}}
+    surroundings |= {"TZ": "UTC"} | ({} if before is None else {"LD_LIBRARY_PATH": before})
+    command = [sys.executable, "-c", _IMPORTING]
+    told = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True).stdout
+    assert json.loads(told) == {"TZ": "UTC"} | kept
+
+
+def test_no_run_looks_for_libraries_where_ours_are_or_in_its_own_folder(
+    run_acts: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LD_LIBRARY_PATH", "/site-packages/cv2/../../lib64:/opt/mine/lib:")
+    _, notes = run_acts(["good"])
+    supervised = json.loads((Path(notes.records[0].folder) / "supervisor.json").read_text())
+    assert supervised["env"]["LD_LIBRARY_PATH"] == "/opt/mine/lib"
+
+
 _KILLED = """
 import sys
 from pathlib import Path

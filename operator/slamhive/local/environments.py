@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from slamhive.contract.environment import program_variables
+from slamhive.contract.environment import own_variables, program_variables
 from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
@@ -117,9 +117,8 @@ class Environment:
             scratch=str(folder / "tmp"),
             settings_files=bool(order.entry.algorithm.spec.files),
         )
-        passed_on = {name: os.environ[name] for name in _TO_PROGRAMS if name in os.environ}
         return {
-            **passed_on,
+            **own_variables(_TO_PROGRAMS),
             **own,
             "PATH": f"{self.path / 'bin'}:/usr/local/bin:/usr/bin:/bin",
             "PYTHONPATH": f"{order.entry.folder.parent}:{bundled('algorithms')}",
@@ -503,8 +502,7 @@ def _surroundings() -> dict[str, str]:
     Packages may bring programs of their own for their setup: tokens and keys that are ours are not for them,
     nor what makes Python import what merely lies about.
     """
-    kept = {key: value for key, value in os.environ.items() if _PASSED_ON.fullmatch(key)}
-    return kept | {"PYTHONSAFEPATH": "1"}
+    return own_variables(filter(_PASSED_ON.fullmatch, os.environ)) | {"PYTHONSAFEPATH": "1"}
 
 
 def _anything_in(requirements: Path) -> bool:
