@@ -160,17 +160,17 @@ def test_it_shows_which_packages_come(tmp_path: Path) -> None:
     requirements.write_text("numpy==2.3.4 --hash=sha256:0\ntyping-extensions==4.15.0 --hash=sha256:1\n")
     making: dict[str, float] = {}
     seen = []
-    with environments_module._Steps("x", requirements, making) as steps:
+    with environments_module._Made("x", requirements, making) as made:
         seen.append(dict(making))
         for line in PIP_SAYS.splitlines():
-            steps.tell(line)
+            made.tell(line)
             if seen[-1] != making:
                 seen.append(dict(making))
     what = "making the environment of x"
     assert seen == [
         {what: 0.0},
         {f"{what}: collecting numpy": 0.0},
-        {f"{what}: downloading numpy (16.9 MB)": 1 / 3},
+        {f"{what}: downloading numpy (16.9 MB)": 0.0},
         {f"{what}: collecting typing-extensions": 1 / 3},
         {f"{what}: installing 2 packages": 2 / 3},
     ]

@@ -19,6 +19,7 @@ from slamhive.contract.environment import own_variables, program_variables
 from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
+from slamhive.local.installing import PipSteps
 from slamhive.local.playing import own_player
 from slamhive.local.unavailable import Unavailable
 from slamhive.local.words import Words
@@ -43,9 +44,6 @@ _PASSING = re.compile(
 )
 """Words of pip about what another try may mend; without any, another try ends as the first did."""
 _BROKEN = re.compile(r"after connection broken by '(\w+)")
-_PIP_STEP = re.compile(
-    r"\s*(?P<verb>Collecting|Downloading|Installing) (?:collected packages: )?(?P<rest>.+)"
-)
 _NO_WHEEL = re.compile(r"No matching distribution found for ([\w.-]+).*")
 _PASSED_ON = re.compile(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TZ|TMPDIR|LD_LIBRARY_PATH|XDG_(CONFIG|CACHE)_(HOME|DIRS)|PIP_\w+"
@@ -199,8 +197,8 @@ class Environments:
         self._notify(f"making the environment of {name} (once)")
         shutil.rmtree(path, ignore_errors=True)
         try:
-            with _Steps(name, requirements, self._making) as steps:
-                self._fill(name, path, python, requirements, held, steps)
+            with _Made(name, requirements, self._making) as made:
+                self._fill(name, path, python, requirements, held, made)
         except Unavailable as error:
             self._impossible[path] = str(error)
             raise
@@ -210,7 +208,7 @@ class Environments:
 
     @staticmethod
     def _fill(  # noqa: PLR0917 - what is told comes last
-        name: str, path: Path, python: Interpreter, requirements: Path, held: int | None, steps: _Steps
+        name: str, path: Path, python: Interpreter, requirements: Path, held: int | None, made: _Made
     ) -> None:
         seeing = ["--system-site-packages"] if python.beside else []
         needed = _anything_in(requirements)
@@ -218,16 +216,16 @@ class Environments:
         make = [python.path, "-m", "venv", *seeing, *([] if needed else ["--without-pip"]), str(path)]
         _command(make, f"environment of {name}", requirements.parent, held)
         if needed:
-            Environments._install(name, path, requirements, held, steps)
+            Environments._install(name, path, requirements, held, made)
         (path / _MARKER).touch()
 
     @staticmethod
-    def _install(name: str, path: Path, requirements: Path, held: int | None, steps: _Steps) -> None:
+    def _install(name: str, path: Path, requirements: Path, held: int | None, made: _Made) -> None:
         pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
         # Wheels alone: a source package runs a program of its own to install itself.
         install = [*pip, "install", "--progress-bar", "off", "--only-binary", ":all:"]
         wanted = ["-r", str(requirements)]
-        _command([*install, *wanted], f"packages of {name}", requirements.parent, held, steps.tell)
+        _command([*install, *wanted], f"packages of {name}", requirements.parent, held, made.tell)
 
 
 @dataclass(frozen=True)
@@ -378,20 +376,18 @@ def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, python: Path)
         raise Unavailable(f"{entry.name} needs {', '.join(missing)}: apt-get install {packages}")
 
 
-class _Steps:
-    """How far the making of an environment is, by what pip prints; a context manager.
+class _Made:
+    """What is being done to make an environment, for who waits for it; a context manager.
 
     Args:
         name: of the algorithm.
-        requirements: its packages, each on a line.
-        making: gets it.
+        requirements: its packages.
+        making: gets it in words, and the share of it that is done.
     """
 
     def __init__(self, name: str, requirements: Path, making: dict[str, float]) -> None:
-        self._what = f"making the environment of {name}"
-        self._said = self._what
-        self._stated = requirements.read_bytes().count(b"==")
-        self._seen = 0
+        self._what = self._said = f"making the environment of {name}"
+        self._pip = PipSteps(requirements)
         self._making = making
 
     def __enter__(self) -> Self:
@@ -403,21 +399,11 @@ class _Steps:
 
     def tell(self, line: str) -> None:
         """Take a line that pip printed."""
-        found = _PIP_STEP.match(line)
-        if found is None:
-            return
-        verb, rest = found["verb"].lower(), found["rest"]
-        size = re.search(r" \([\d.]+ [kMG]?B\)", rest)
-        what = re.split(r"[\s=<>~!\[;]|-\d", rest, maxsplit=1)[0] + (size[0] if size else "")
-        if verb == "collecting":
-            self._seen += 1
-        elif verb == "installing":
-            what = f"{rest.count(',') + 1} packages"
-        # All that is stated is fetched, then all of it is installed at once.
-        share = (self._seen - (verb == "collecting")) / (max(self._stated, self._seen) + 1)
-        self._making.pop(self._said, None)
-        self._said = f"{self._what}: {verb} {what}"
-        self._making[self._said] = share
+        step = self._pip.step(line)
+        if step is not None:
+            self._making.pop(self._said, None)
+            self._said = f"{self._what}: {step.what}"
+            self._making[self._said] = step.share
 
 
 def _command(
