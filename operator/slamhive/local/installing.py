@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pip is doing, by what it prints: for environments of algorithms, and for ``make install``.
+"""Progress of pip, by what it prints: for environments of algorithms, and for ``make install``.
 
 The standard library alone: ``make install`` runs this file before there is anything else.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Looks at this machine for ``slamhive doctor``: packages, ROS, engines, cgroups, cores, disk, archive.
+"""Readiness of this machine for ``slamhive doctor``: packages, ROS, engines, cgroups, cores, archive.
 
 Each look returns rows and changes nothing that stays. Some ask other programs and may take long: whoever
 calls them bounds their time.

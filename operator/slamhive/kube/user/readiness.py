@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Looks at a cluster for ``slamhive doctor``: does it answer, our kinds, the operator, figures, rights."""
+"""Readiness of a cluster for ``slamhive doctor``: its answer, our kinds, operator, figures and rights."""
 
 from __future__ import annotations
 
