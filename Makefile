@@ -45,8 +45,9 @@ $(STAMP): pyproject.toml evaluator/pyproject.toml hatch_build.py constraints.txt
 	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get install -y -q python3-venv; } || \
 	  { echo 'Python has no venv module: sudo apt-get install python3-venv'; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	@echo "Installing $$(grep -c == constraints.txt) packages into $(VENV); nothing is printed for a minute or three."
-	$(BIN)/python -m pip install --quiet --require-hashes --only-binary :all: --requirement constraints.txt
+	@echo "Installing $$(grep -c == constraints.txt) packages into $(VENV), which takes a minute or three."
+	@$(BIN)/python -P operator/slamhive/local/installing.py constraints.txt $(BIN)/python -m pip install \
+	  --progress-bar off --require-hashes --only-binary :all: --requirement constraints.txt
 	$(BIN)/python -m pip install --quiet --no-index --no-deps --no-build-isolation --editable .
 	$(BIN)/python -m pip install --quiet --no-index --no-deps --no-build-isolation --editable ./evaluator
 	@touch $@

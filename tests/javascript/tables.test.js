@@ -178,6 +178,14 @@ test('questions that the runs cannot answer say what they need', () => {
   assert.equal(loops.settings.x, 'metrics.loops');
 });
 
+test('a question about loops says that datasets with one value of them do not answer it', () => {
+  const needs = (columns) => questions(columns).find((one) => one.title === 'Loops vs ATE').needs;
+  const all = 'datasets that differ in an attribute loops, or runs in a metric or parameter of that name';
+  assert.equal(needs([]), all);
+  const alike = [column('dataset.attributes.loops', 'dataset', 0.5)];
+  assert.equal(needs(alike), `${all}; the runs here have loops 0.5 alone`);
+});
+
 test('questions are asked apart for each dataset where there are several', () => {
   const rates = column('input.frameRate', 'input', 5, 10);
   const of = (columns) => questions(columns).find((one) => one.title === 'Frame rate vs CPU').settings;

@@ -73,6 +73,36 @@ def test_modules_in_the_working_folder_are_not_ours(
     assert notes.records[0].phase is Phase.SUCCEEDED, notes.records[0].message
 
 
+_IMPORTING = """
+import json, cv2
+from slamhive.contract.environment import own_variables
+print(json.dumps(own_variables(["LD_LIBRARY_PATH", "TZ"])))
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "kept"),
+    [(None, {}), ("", {}), ("/opt/mine/lib:/usr/cv2/lib", {"LD_LIBRARY_PATH": "/opt/mine/lib:/usr/cv2/lib"})],
+)
+def test_what_our_libraries_add_to_the_variables_is_not_passed_on(
+    before: str | None, kept: dict[str, str]
+) -> None:
+    surroundings = {key: value for key, value in os.environ.items() if key not in {"LD_LIBRARY_PATH", "TZ"}}
+    surroundings |= {"TZ": "UTC"} | ({} if before is None else {"LD_LIBRARY_PATH": before})
+    command = [sys.executable, "-c", _IMPORTING]
+    told = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True).stdout
+    assert json.loads(told) == {"TZ": "UTC"} | kept
+
+
+def test_no_run_looks_for_libraries_where_ours_are_or_in_its_own_folder(
+    run_acts: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LD_LIBRARY_PATH", "/site-packages/cv2/../../lib64:/opt/mine/lib:")
+    _, notes = run_acts(["good"])
+    supervised = json.loads((Path(notes.records[0].folder) / "supervisor.json").read_text())
+    assert supervised["env"]["LD_LIBRARY_PATH"] == "/opt/mine/lib"
+
+
 _KILLED = """
 import sys
 from pathlib import Path
@@ -113,6 +143,48 @@ def test_packages_that_do_not_exist_are_asked_for_once(run_acts: Callable, home,
             "requirements lets its own setup program run"
         )
     assert len(told) == 1
+
+
+PIP_SAYS = """\
+Collecting numpy==2.3.4 (from -r requirements.txt (line 1))
+  Downloading numpy-2.3.4-cp311-cp311-manylinux_2_28_x86_64.whl (16.9 MB)
+Collecting typing-extensions>=4 (from -r requirements.txt (line 2))
+  Using cached typing_extensions-4.15.0-py3-none-any.whl (44 kB)
+Installing collected packages: typing-extensions, numpy
+Successfully installed numpy-2.3.4 typing-extensions-4.15.0
+"""
+
+
+def test_it_shows_which_packages_come(tmp_path: Path) -> None:
+    requirements = tmp_path / "requirements.txt"
+    requirements.write_text("numpy==2.3.4 --hash=sha256:0\ntyping-extensions==4.15.0 --hash=sha256:1\n")
+    making: dict[str, float] = {}
+    seen = []
+    with environments_module._Made("x", requirements, making) as made:
+        seen.append(dict(making))
+        for line in PIP_SAYS.splitlines():
+            made.tell(line)
+            if seen[-1] != making:
+                seen.append(dict(making))
+    what = "making the environment of x"
+    assert seen == [
+        {what: 0.0},
+        {f"{what}: collecting numpy": 0.0},
+        {f"{what}: downloading numpy (16.9 MB)": 0.0},
+        {f"{what}: collecting typing-extensions": 1 / 3},
+        {f"{what}: installing 2 packages": 2 / 3},
+    ]
+    assert making == {}
+
+
+def test_pip_is_followed_while_it_works(tmp_path: Path) -> None:
+    told: list[str] = []
+    program = "import sys; print('Collecting x'); print('ERROR: No such x', file=sys.stderr); sys.exit(1)"
+    with pytest.raises(Unavailable, match="packages of x can't be installed: No such x"):
+        environments_module._command(
+            [sys.executable, "-c", program], "packages of x", tmp_path, None, told.append
+        )
+    assert told == ["Collecting x"]
 
 
 _BACKEND = """

@@ -31,6 +31,7 @@ from slamhive.archive.connection import (
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from sqlalchemy import Connection, Engine
@@ -49,11 +50,12 @@ class Upgrade(NamedTuple):
     copy: Path | None
 
 
-def upgrade(url: str) -> Upgrade | None:
+def upgrade(url: str, tell: Callable[[str], None] = lambda _: None) -> Upgrade | None:
     """Bring an archive's tables to this version, all of it or nothing.
 
     Args:
         url: the database's URL.
+        tell: told what is being done, as that may take minutes.
 
     Returns:
         What was done; None where nothing was to be done, or there is no archive yet.
@@ -72,7 +74,7 @@ def upgrade(url: str) -> Upgrade | None:
     try:
         with reading(engine) as connection:
             found = version_of(connection)
-        return None if found in {None, schema.VERSION} else _upgrade(engine, file)
+        return None if found in {None, schema.VERSION} else _upgrade(engine, file, tell)
     finally:
         engine.dispose()
 
@@ -103,7 +105,7 @@ def copy_database(origin: sqlite3.Connection, target: Path) -> bool:
         remove_database(aside)
 
 
-def _upgrade(engine: Engine, file: Path | None) -> Upgrade | None:
+def _upgrade(engine: Engine, file: Path | None, tell: Callable[[str], None]) -> Upgrade | None:
     with exclusively(engine) as connection:
         alone_with_tables(connection)
         column = schema.schema_version.c.version
@@ -113,14 +115,16 @@ def _upgrade(engine: Engine, file: Path | None) -> Upgrade | None:
             return None
         if found > schema.VERSION or found not in migrations.STEPS:
             raise wrong_version(engine.url, found)
+        tell("copying the archive")
         copy = _keep(file, found) if file is not None else None
-        migrate(connection, found)
+        migrate(connection, found, tell)
     return Upgrade(found, schema.VERSION, copy)
 
 
-def migrate(connection: Connection, found: int) -> None:
+def migrate(connection: Connection, found: int, tell: Callable[[str], None] = lambda _: None) -> None:
     """Bring tables of a version to this one in the transaction of a connection."""
     for version in range(found, schema.VERSION):
+        tell(f"bringing the archive from schema {version} to {version + 1}")
         migrations.STEPS[version](connection)
     connection.execute(update(schema.schema_version).values(version=schema.VERSION))
 

@@ -13,6 +13,7 @@ from slamhive.archive.connection import shown
 from slamhive.archive.upgrading import upgrade
 from slamhive.cli.console import complain, out, plural, remark
 from slamhive.cli.exits import FAILED
+from slamhive.cli.waiting import Work
 from slamhive.local.home import Home
 
 app = typer.Typer(
@@ -29,7 +30,8 @@ def check() -> None:
     Example: slamhive archive check
     """
     url = Home.from_environment().archive_url
-    found = keeping.check(url)
+    with Work("checking the archive"):
+        found = keeping.check(url)
     for note in found.notes:
         remark(note)
     for fault in found.faults[:_SHOWN]:
@@ -51,7 +53,8 @@ def backup(
     Example: slamhive archive backup archive-monday.sqlite
     """
     url = Home.from_environment().archive_url
-    keeping.backup(url, file)
+    with Work("copying the archive"):
+        keeping.backup(url, file)
     out.print(f"{shown(url)} copied to {file}", markup=False)
 
 
@@ -66,7 +69,8 @@ def restore(
     Example: slamhive archive restore archive-monday.sqlite
     """
     url = Home.from_environment().archive_url
-    counts = keeping.restore(url, file, force=force)
+    with Work("restoring the archive"):
+        counts = keeping.restore(url, file, force=force)
     out.print(f"{shown(url)}: {_counted(counts)} restored from {file}", markup=False)
 
 
@@ -77,7 +81,8 @@ def upgrade_archive() -> None:
     Example: slamhive archive upgrade
     """
     url = Home.from_environment().archive_url
-    done = upgrade(url)
+    with Work("opening the archive") as work:
+        done = upgrade(url, work.at)
     if done is None:
         out.print(f"{shown(url)}: nothing to do", markup=False)
         return

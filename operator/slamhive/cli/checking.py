@@ -13,14 +13,14 @@ import typer
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from slamhive.cli import tables
 from slamhive.cli.cluster import Context, Namespace
-from slamhive.cli.console import err, out, remark
+from slamhive.cli.console import out, remark
 from slamhive.cli.exits import FAILED, INTERRUPTED
 from slamhive.cli.tables import Format
+from slamhive.cli.waiting import Work
 from slamhive.local.catalog import AlgorithmEntry, load_workshop
 from slamhive.local.home import Home
 from slamhive.model.base import Choice, seconds
@@ -53,21 +53,21 @@ _WIDTH = 160
 
 
 class _Watcher:
-    """Shows how far a check is: a bar on a terminal, a line a finding where lines are asked for."""
+    """Shows how far a check is, by its starts."""
 
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._task = progress.add_task("", total=None)
+    def __init__(self, work: Work) -> None:
+        self._work = work
+        self._steps = 0
         self._done = -1
 
     def begin(self, steps: int) -> None:
         """So many starts are to come."""
-        self._progress.update(self._task, total=steps)
+        self._steps = steps
 
     def step(self, what: str) -> None:
         """One of them begins."""
         self._done += 1
-        self._progress.update(self._task, completed=self._done, description=escape(what))
+        self._work.count(self._done, self._steps, what=what)
 
     def found(self, finding: Finding) -> None:
         """Something was found: the table says it in the end."""
@@ -117,10 +117,11 @@ def check(
     try:
         with ExitStack() as stack:
             stack.enter_context(home.exclusive())
+            work = stack.enter_context(Work(f"checking {name}"))
             bench = stack.enter_context(bench_for_checks(home, workshop, remark))
+            work.follow(bench.making)
             executors = _executors(_Wish(bench, name, dataset, on, image, context, namespace), stack)
-            with _bars() as progress:
-                findings = check_algorithm(bench, executors, Asked(name, dataset, limit), _Watcher(progress))
+            findings = check_algorithm(bench, executors, Asked(name, dataset, limit), _Watcher(work))
     except KeyboardInterrupt:
         remark("interrupted; what was started has ended, and what was made is removed")
         raise typer.Exit(INTERRUPTED) from None
@@ -230,11 +231,6 @@ def _on_cluster(wish: _Wish) -> OnCluster | str:
     place = Namespaced(wish.context, wish.namespace)
     executor = OnCluster(wish.bench, wish.name, wish.dataset, place.connect)
     return executor.unavailable() or executor
-
-
-def _bars() -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=err, refresh_per_second=4, disable=not err.is_terminal, transient=True)
 
 
 def show(findings: Sequence[Finding], form: Format) -> None:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-from slamhive.cli.console import bytes_text, command_name, complain, err, open_archive, out, plural, remark
+from slamhive.cli.console import bytes_text, command_name, complain, open_archive, out, plural, remark
 from slamhive.cli.exits import FAILED, INTERRUPTED
+from slamhive.cli.waiting import Work
 from slamhive.kube.kinds import Kind
 from slamhive.kube.user.fetching import Fetched, Fetcher, put_folder, remarks
 from slamhive.kube.user.queries import find
@@ -79,19 +79,14 @@ def fetch(names: Sequence[str], place: Place, *, files: bool) -> None:
 
 
 async def fetch_into(archive: Archive, cluster: Cluster, names: Sequence[str]) -> Copied:
-    """Copy finished runs of Sweeps and runs into an archive, with a bar on a terminal."""
+    """Copy finished runs of Sweeps and runs into an archive, and show how far that is."""
     objects = await find(cluster, names, (Kind.SWEEP, Kind.MAPPING_RUN))
     catalog = await read_catalog(cluster)
     copied = Copied([], [])
-    with _bars() as progress:
+    with Work("fetching") as work:
         for kind, body in objects:
-            name = body["metadata"]["name"]
-            task = progress.add_task(f"fetching {escape(name)}", total=None, notes="")
-
-            def step(done: int, total: int, task: TaskID = task) -> None:
-                progress.update(task, completed=done, total=total)
-
-            fetcher = Fetcher(cluster, catalog, archive, step)
+            work.at(f"fetching {body['metadata']['name']}")
+            fetcher = Fetcher(cluster, catalog, archive, work.count)
             copied.fetched.append(await fetcher.sweep(body) if kind is Kind.SWEEP else fetcher.run(body))
             copied.absent.extend(fetcher.absent)
     for one in copied.fetched:
@@ -110,11 +105,10 @@ async def _fetch_files(home: Home, archive: Archive, cluster: Cluster, wanted: S
     with lock(home.path / "fetch.lock", wait=False) as held:
         if held is None:
             raise InputError(f"another slamhive fetch --files is at work in {home.path}; wait for it")
-        with _bars() as progress:
-            task = progress.add_task("fetching files", total=None, notes="")
+        with Work("fetching files") as work:
 
             def step(done: int, total: int, size: int) -> None:
-                progress.update(task, completed=done, total=total, notes=bytes_text(size))
+                work.count(done, total, bytes_text(size))
 
             keep = partial(put_folder, archive)
             filed = await Filing(cluster, runs, keep=keep, step=step, tell=remark).fetch(wanted)
@@ -127,9 +121,3 @@ async def _fetch_files(home: Home, archive: Archive, cluster: Cluster, wanted: S
         done if filed.runs or filed.problems else f"all files are in {runs}", markup=False, soft_wrap=True
     )
     return filed
-
-
-def _bars() -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    notes = TextColumn("{task.fields[notes]}")
-    return Progress(*columns, notes, console=err, disable=not err.is_terminal, transient=True)

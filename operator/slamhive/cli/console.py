@@ -90,7 +90,7 @@ def open_archive(home: Home) -> Archive:
     from slamhive.archive.connection import file_of
     from slamhive.archive.upgrading import upgrade
 
-    done = upgrade(home.archive_url) if file_of(home.archive_url) is not None else None
+    done = upgrade(home.archive_url, remark) if file_of(home.archive_url) is not None else None
     if done is not None:
         remark(f"the archive was brought from schema {done.before} to {done.after}; as it was: {done.copy}")
     return Archive.open(home.archive_url)

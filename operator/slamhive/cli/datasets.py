@@ -12,13 +12,13 @@ import typer
 import yaml
 from pydantic import ValidationError
 from rich.markup import escape
-from rich.progress import Progress
 from rich.table import Table
 
-from slamhive.cli.console import bytes_text, complain, err, listing, open_workbench, out, plural, remark
+from slamhive.cli.console import bytes_text, complain, listing, open_workbench, out, plural, remark
 from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
 from slamhive.cli.unlisting import remove_dataset, rename
+from slamhive.cli.waiting import Work
 from slamhive.local.catalog import load_workshop
 from slamhive.local.home import Home
 from slamhive.model.base import explain
@@ -138,15 +138,8 @@ def make(name: Name) -> None:
     place = load_workshop(home).dataset(name)
     if place.dataset.spec.recording.synthetic is None:
         raise InputError(f"dataset {name}: it is not synthetic, there is nothing to generate")
-    with _progress() as progress:
-        task = progress.add_task(f"generating {name}", total=1.0)
-        entry = materialise(
-            place.dataset,
-            place.folder,
-            home.folder("datasets"),
-            lambda share: progress.update(task, completed=share),
-        )
-        progress.update(task, completed=1.0)
+    with Work(f"generating {name}") as work:
+        entry = materialise(place.dataset, place.folder, home.folder("datasets"), work.share)
     out.print(str(entry.root), soft_wrap=True)
 
 
@@ -170,18 +163,18 @@ def prepare_variant(
     from slamhive.data.preparation import prepare
 
     options = _input(frame_rate, resolution, start, duration, max_range, rings)
-    bench = open_workbench(Home.from_environment())
-    with bench.archive:
-        entry = bench.dataset(name)
-        with _progress() as progress:
-            task = progress.add_task(f"preparing {name}", total=1.0)
+    with Work(f"preparing {name}") as work:
+        bench = open_workbench(Home.from_environment())
+        work.follow(bench.making)
+        with bench.archive:
+            entry = bench.dataset(name)
             variant = prepare(
                 entry,
                 ROLES[sensors],
                 options,
                 [form or DataFormat(entry.dataset.spec.recording.format)],
                 bench.home.folder("variants"),
-                lambda share: progress.update(task, completed=share),
+                work.share,
             )
     _remark_frames(variant.frames, variant.frame_rate, variant.duration_seconds, variant.resolution)
     out.print(str(variant.path), soft_wrap=True)
@@ -218,14 +211,14 @@ def export(
     require_new(folder)
     # Ended like this it would leave the half of a folder behind.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    bench = open_workbench(Home.from_environment())
-    with bench.archive:
-        entry = bench.dataset(name)
-        truth = bench.truth(name) if ground_truth else None
-        if ground_truth and truth is None:
-            raise InputError(f"--ground-truth: dataset {name} has none; leave it out")
-        with _progress() as progress:
-            task = progress.add_task(f"exporting {name}", total=1.0)
+    with Work(f"exporting {name}") as work:
+        bench = open_workbench(Home.from_environment())
+        work.follow(bench.making)
+        with bench.archive:
+            entry = bench.dataset(name)
+            truth = bench.truth(name) if ground_truth else None
+            if ground_truth and truth is None:
+                raise InputError(f"--ground-truth: dataset {name} has none; leave it out")
             made = export_dataset(
                 entry,
                 ROLES[sensors] if sensors else all_roles(entry, form),
@@ -234,7 +227,7 @@ def export(
                 folder,
                 truth=truth,
                 cache=bench.home.folder("truths"),
-                progress=lambda share: progress.update(task, completed=share),
+                progress=work.share,
             )
     chosen = made.selection
     seconds = (chosen.last - chosen.first) / 1e9
@@ -251,9 +244,11 @@ def check(name: Name, *, as_json: AsJson = False) -> None:
     """
     from slamhive.data.inspection import inspect
 
-    bench = open_workbench(Home.from_environment())
-    with bench.archive:
-        report = inspect(bench.dataset(name), bench.home.folder("truths"))
+    with Work(f"checking {name}") as work:
+        bench = open_workbench(Home.from_environment())
+        work.follow(bench.making)
+        with bench.archive:
+            report = inspect(bench.dataset(name), bench.home.folder("truths"), work.share)
     if as_json:
         typer.echo(json.dumps(report.as_json(), indent=2))
     else:
@@ -362,10 +357,6 @@ def _input(  # noqa: PLR0917 - one for each option
     except ValidationError as error:
         first = error.errors()[0]
         raise InputError(f"--{first['loc'][0]}: {explain(first)}, found {first['input']!r}") from None
-
-
-def _progress() -> Progress:
-    return Progress(console=err, disable=not err.is_terminal)
 
 
 def _print_report(report: DatasetReport) -> None:

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import track
 from typer.core import TyperGroup
 
 from slamhive.analysis.measuring import Subject, intended_evaluations, measure, method
 from slamhive.archive import CatalogEntry, SweepRecord
-from slamhive.cli.console import complain, err, open_archive, out, plural
+from slamhive.cli.console import complain, open_archive, out, plural
 from slamhive.cli.exits import FAILED
+from slamhive.cli.waiting import Work
 from slamhive.data import slamhive1
 from slamhive.local.home import Home
 from slamhive.model.errors import DataError, InputError
@@ -25,7 +25,7 @@ from slamhive.model.sensors import SensorMode
 from slamhive_eval import EvaluationError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator, Sequence
 
     from slamhive.archive import Archive
     from slamhive_eval import Trajectory
@@ -90,7 +90,8 @@ def import_slam_hive(
     with open_archive(home) as archive:
         truth = slamhive1.GroundTruthFolder(ground_truth)
         importer = SlamHiveImporter(archive, truth, settings)
-        report = importer.take(track(folders, "importing", console=err, transient=True))
+        with Work("importing") as work:
+            report = importer.take(_counted(folders, work))
         location = archive.location
     for sentence in (*report.sentences(), *keep_ground_truth(truth, report.datasets, home)):
         complain(sentence)
@@ -251,6 +252,13 @@ def keep_ground_truth(truth: slamhive1.GroundTruthFolder, datasets: Iterable[str
         except OSError as error:
             sentences.append(f"{folder}: ground truth of {dataset} is not kept: {error.strerror}")
     return sentences
+
+
+def _counted(folders: Sequence[Path], work: Work) -> Iterator[Path]:
+    """Yield folders, and say how many are done."""
+    for done, folder in enumerate(folders):
+        work.count(done, len(folders))
+        yield folder
 
 
 def _trajectory_info(estimate: Trajectory, sha256: str) -> TrajectoryInfo:

@@ -94,6 +94,11 @@ COMMANDS = {
         "Remove what nothing refers to: variants, environments, assets, and what killed work left.",
     ),
     "import": _Command("importing", "app", "Bring results of other systems into the archive."),
+    "doctor": _Command(
+        "doctor",
+        "doctor",
+        "Look at what there is to work with: what is missing, what that costs, and what helps.",
+    ),
     "archive": _Command(
         "archive",
         "app",

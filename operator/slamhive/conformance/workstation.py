@@ -58,7 +58,9 @@ class Bench(Workbench):
 
     def another(self, **options: Any) -> Bench:
         """Return a bench for another executor of this machine, in the same home."""
-        return Bench(self.home, self.workshop, self.archive, self.tell, **options)
+        bench = Bench(self.home, self.workshop, self.archive, self.tell, **options)
+        bench.making = self.making
+        return bench
 
     def prepare(self, spec: dict[str, Any], algorithm: Algorithm) -> Variant:
         """Return the variant that a run's spec asks for, as damaged as is asked for."""

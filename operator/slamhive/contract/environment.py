@@ -3,6 +3,12 @@
 
 from __future__ import annotations
 
+import os
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -14,6 +20,22 @@ THREAD_VARIABLES = (
 
 SETTINGS_FOLDER = "files"
 """Folder of the run folder with the settings files that were rendered for an algorithm."""
+
+LIBRARY_PATH = "LD_LIBRARY_PATH"
+_OF_OPENCV = "/cv2/../../lib64"
+"""End of what importing OpenCV's Python package puts in front of `LIBRARY_PATH`."""
+
+
+def own_variables(names: Iterable[str]) -> dict[str, str]:
+    """Return those of our variables that are passed on, as they were before our libraries were imported.
+
+    An empty entry of `LIBRARY_PATH`, which stands for the working folder, goes as well: a program's working
+    folder is its run folder, where what it writes itself would be taken for a library.
+    """
+    kept = {name: os.environ[name] for name in names if name in os.environ}
+    entries = kept.pop(LIBRARY_PATH, "").split(os.pathsep)
+    libraries = [entry for entry in entries if entry and not entry.endswith(_OF_OPENCV)]
+    return kept | ({LIBRARY_PATH: os.pathsep.join(libraries)} if libraries else {})
 
 
 def program_variables(

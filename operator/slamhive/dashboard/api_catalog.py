@@ -131,7 +131,7 @@ def _sweep(
         "name": name,
         "namespace": namespace or None,
         "superseded": len(everything) - len(inside),
-        "versions": len({one.uid for one in records} | ({live["uid"]} if live else set())),
+        "versions": len({one.uid for one in records} | ({live["uid"]} if live.get("uid") else set())),
         "uid": live.get("uid") or (record.uid if record else None),
         "created": created,
         "live": bool(live.get("live")) or bool(_LIVE & phases.keys()),

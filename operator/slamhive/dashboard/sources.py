@@ -22,6 +22,7 @@ from slamhive.archive.connection import connect, file_of, reading, require_versi
 from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.ground_truth import Truths
 from slamhive.dashboard.problems import Unavailable
+from slamhive.dashboard.underway import UnderWay
 from slamhive.data import slamhive1
 from slamhive.local.removed import absence, run_parts
 from slamhive.model.errors import SlamHiveError
@@ -67,7 +68,7 @@ class Snapshot:
         frame: one row a run and evaluation.
         revision: differs whenever anything differs.
         problems: sentences on what does not answer at present.
-        sweeps: live sweeps of the cluster: their status by (namespace, name).
+        sweeps: live sweeps: their status by (namespace, name), of a workstation as far as it is known.
         asked: (namespace, name) of the sweeps that the archive knows, whether they have runs or not.
     """
 
@@ -316,6 +317,7 @@ class Workstation:
 
     def __init__(self, url: str, home: Path | None = None, ground_truth: Path | None = None) -> None:
         self._data = ArchiveData(url, home / "cache" if home is not None else None)
+        self._under_way = UnderWay(home)
         self._home = home
         self._truths = Truths(ground_truth, home)
         self._executor: Executor | None = None
@@ -331,8 +333,12 @@ class Workstation:
     async def fresh(self) -> Snapshot:
         """Return the archive as it is now."""
         await self._data.follow(self._executor)
+        now = self._under_way
+        if now.is_due:
+            await asyncio.get_running_loop().run_in_executor(self._executor, now.look)
         problems = (self._data.said,) if self._data.said else ()
-        return Snapshot(self._data.frame, self._data.revision, problems, asked=self._data.asked)
+        revision = self._data.revision + (f"-{now.changes}" if now.changes else "")
+        return Snapshot(self._data.frame, revision, problems, now.sweeps, self._data.asked)
 
     @property
     def ready(self) -> bool:
@@ -377,8 +383,8 @@ class Workstation:
         return self._truths.find(dataset, label)
 
     def live_runs(self) -> int:
-        """Return 0: an archive holds finished runs."""
-        return 0
+        """Return the number of runs that are at work in the home."""
+        return self._under_way.runs
 
 
 def _is_missing(url: str) -> bool:

@@ -22,6 +22,7 @@ from slamhive.model.errors import DataError
 from slamhive_eval import Trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from slamhive.data.recordings import Recording, Scan
@@ -148,19 +149,22 @@ class DatasetReport:
         return asdict(self)
 
 
-def inspect(entry: DatasetEntry, cache: Path | None = None) -> DatasetReport:
+def inspect(
+    entry: DatasetEntry, cache: Path | None = None, progress: Callable[[float], None] | None = None
+) -> DatasetReport:
     """Read a dataset through and say what it holds; what is wrong is collected, not raised.
 
     Args:
         entry: The dataset, materialised.
         cache: Folder for converted ground truth.
+        progress: Called with the share read, 0 to 1.
     """
     errors: list[str] = []
     warnings: list[str] = []
     spec = entry.dataset.spec
     try:
         with open_recording(entry.dataset, entry.root) as recording:
-            sensors = _sensors(entry, recording, errors, warnings)
+            sensors = _sensors(entry, recording, errors, warnings, progress)
             used = {sensor.topic for sensor in spec.sensors.values()} | {STATIC_TRANSFORMS}
             used |= {camera_info_topic(recording, sensor.topic) or "" for sensor in spec.sensors.values()}
             used.add((spec.ground_truth and truth_topic(spec.ground_truth.topic)) or "")
@@ -229,7 +233,11 @@ def require_usable(dataset: Dataset, root: Path) -> None:
 
 
 def _sensors(
-    entry: DatasetEntry, recording: Recording, errors: list[str], warnings: list[str]
+    entry: DatasetEntry,
+    recording: Recording,
+    errors: list[str],
+    warnings: list[str],
+    progress: Callable[[float], None] | None,
 ) -> list[SensorReport]:
     sound: dict[str, Sensor] = {}
     for name, sensor in entry.dataset.spec.sensors.items():
@@ -239,7 +247,7 @@ def _sensors(
         except DataError as error:
             errors.append(str(error))
     contents = content_findings(recording, sound, errors, warnings)
-    scans = recording.scan({sensor.topic for sensor in sound.values()})
+    scans = recording.scan({sensor.topic for sensor in sound.values()}, progress)
     reports = []
     for name, sensor in entry.dataset.spec.sensors.items():
         if name not in sound:

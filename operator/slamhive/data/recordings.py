@@ -179,12 +179,14 @@ class Recording:
             return None
         return _ros2_stamp if self.is_ros2 else _ros1_stamp
 
-    def scan(self, topics: Collection[str], progress: Callable[[int], None] | None = None) -> dict[str, Scan]:
+    def scan(
+        self, topics: Collection[str], progress: Callable[[float], None] | None = None
+    ) -> dict[str, Scan]:
         """Read the times of all messages of some topics.
 
         Args:
             topics: What to scan.
-            progress: Called with the bytes read so far, now and then.
+            progress: Called with the share of the messages that are read, 0 to 1, now and then.
 
         Raises:
             DataError: The recording is damaged.
@@ -193,7 +195,7 @@ class Recording:
         times: dict[str, list[int]] = {name: [] for name in topics}
         stamps: dict[str, list[int]] = {name: [] for name in topics}
         sizes = dict.fromkeys(topics, 0)
-        total = 0
+        total = max(1, sum(self.topics[name].count for name in topics))
         for number, (connection, time, raw) in enumerate(self.messages(topics)):
             name = connection.topic
             reader = readers[name]
@@ -205,9 +207,8 @@ class Recording:
                     f"{self.label}: {name}: message {len(times[name])} is cut off after {len(raw)} bytes"
                 ) from None
             sizes[name] += len(raw)
-            total += len(raw)
             if progress and number % 256 == 0:
-                progress(total)
+                progress(min(1.0, number / total))
         return {
             name: Scan(np.array(times[name]), np.array(stamps[name]), readers[name] is not None, sizes[name])
             for name in topics

@@ -117,9 +117,7 @@ def select(
         DataError: Stamps are unsorted or absurd, or cameras of a pair share no frames.
         InputError: The cut leaves nothing.
     """
-    total = max(sum(path.stat().st_size for path in recording.paths if path.is_file()), 1)
-    report = (lambda done: progress(done / total)) if progress else None
-    scans = recording.scan([stream.topic for stream in streams], report)
+    scans = recording.scan([stream.topic for stream in streams], progress)
     for stream in streams:
         if stream.sensor is not None:
             check_stamps(scans[stream.topic], f"sensors.{stream.sensor}: {stream.topic} in {recording.label}")

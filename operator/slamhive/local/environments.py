@@ -13,14 +13,16 @@ import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
-from slamhive.contract.environment import program_variables
+from slamhive.contract.environment import own_variables, program_variables
 from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
+from slamhive.local.installing import PipSteps
 from slamhive.local.playing import own_player
 from slamhive.local.unavailable import Unavailable
+from slamhive.local.words import Words
 from slamhive.model.base import RELATIVE_PATH
 from slamhive.model.errors import SlamHiveError, SystemFault
 from slamhive.playback.ros import find_ros, what_it_takes
@@ -125,9 +127,8 @@ class Environment:
             scratch=str(folder / "tmp"),
             settings_files=bool(order.entry.algorithm.spec.files),
         )
-        passed_on = {name: os.environ[name] for name in _TO_PROGRAMS if name in os.environ}
         return {
-            **passed_on,
+            **own_variables(_TO_PROGRAMS),
             **own,
             "PATH": f"{self.path / 'bin'}:/usr/local/bin:/usr/bin:/bin",
             "PYTHONPATH": f"{order.entry.folder.parent}:{bundled('algorithms')}",
@@ -140,11 +141,18 @@ class Environments:
     Args:
         folder: where they are kept.
         notify: told in a sentence when one is being made, as that takes time.
+        making: gets what is being done to make one, in words, and the share of it that is done.
     """
 
-    def __init__(self, folder: Path, notify: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        notify: Callable[[str], None] = lambda _: None,
+        making: dict[str, float] | None = None,
+    ) -> None:
         self._folder = folder
         self._notify = notify
+        self._making = {} if making is None else making
         self._usable: set[tuple[str, Path]] = set()
         self._impossible: dict[Path, str] = {}
 
@@ -213,7 +221,8 @@ class Environments:
         self._notify(f"making the environment of {name} (once)")
         shutil.rmtree(path, ignore_errors=True)
         try:
-            self._fill(name, path, python, requirements, held)
+            with _Made(name, requirements, self._making) as made:
+                self._fill(name, path, python, requirements, held, made)
         except Unavailable as error:
             self._impossible[path] = str(error)
             raise
@@ -222,22 +231,25 @@ class Environments:
                 shutil.rmtree(path, ignore_errors=True)  # half of one is of no use, and may fill the disk
 
     @staticmethod
-    def _fill(name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
+    def _fill(  # noqa: PLR0917 - what is told comes last
+        name: str, path: Path, python: Interpreter, requirements: Path, held: int | None, made: _Made
+    ) -> None:
         seeing = ["--system-site-packages"] if python.beside else []
         needed = _anything_in(requirements)
         # pip alone takes seconds to be installed, and nobody needs it where there is nothing to install.
         make = [python.path, "-m", "venv", *seeing, *([] if needed else ["--without-pip"]), str(path)]
         _command(make, f"environment of {name}", requirements.parent, held)
         if needed:
-            Environments._install(name, path, requirements, held)
+            Environments._install(name, path, requirements, held, made)
         (path / _MARKER).touch()
 
     @staticmethod
-    def _install(name: str, path: Path, requirements: Path, held: int | None) -> None:
+    def _install(name: str, path: Path, requirements: Path, held: int | None, made: _Made) -> None:
         pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
         # Wheels alone: a source package runs a program of its own to install itself.
-        install = [*pip, "install", "--quiet", "--only-binary", ":all:", "-r", str(requirements)]
-        _command(install, f"packages of {name}", requirements.parent, held)
+        install = [*pip, "install", "--progress-bar", "off", "--only-binary", ":all:"]
+        wanted = ["-r", str(requirements)]
+        _command([*install, *wanted], f"packages of {name}", requirements.parent, held, made.tell)
 
 
 @dataclass(frozen=True)
@@ -434,7 +446,43 @@ def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, python: Path)
         raise Unavailable(f"{entry.name} needs {', '.join(missing)}: apt-get install {packages}")
 
 
-def _command(argv: list[str], what: str, folder: Path, held: int | None = None) -> None:
+class _Made:
+    """What is being done to make an environment, for who waits for it; a context manager.
+
+    Args:
+        name: of the algorithm.
+        requirements: its packages.
+        making: gets it in words, and the share of it that is done.
+    """
+
+    def __init__(self, name: str, requirements: Path, making: dict[str, float]) -> None:
+        self._what = self._said = f"making the environment of {name}"
+        self._pip = PipSteps(requirements)
+        self._making = making
+
+    def __enter__(self) -> Self:
+        self._making[self._said] = 0.0
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._making.pop(self._said, None)
+
+    def tell(self, line: str) -> None:
+        """Take a line that pip printed."""
+        step = self._pip.step(line)
+        if step is not None:
+            self._making.pop(self._said, None)
+            self._said = f"{self._what}: {step.what}"
+            self._making[self._said] = step.share
+
+
+def _command(
+    argv: list[str],
+    what: str,
+    folder: Path,
+    held: int | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> None:
     """Run a command in a folder.
 
     Args:
@@ -443,22 +491,35 @@ def _command(argv: list[str], what: str, folder: Path, held: int | None = None) 
         folder: where it runs.
         held: descriptor of a lock that it shall hold as long as it runs: it may outlive a slamhive that is
             killed, and another one must not begin to make the same meanwhile.
+        tell: given each line of its standard output, which then says nothing of errors.
     """
+    words, printed = Words(), []
     try:
-        result = subprocess.run(
+        process = subprocess.Popen(
             argv,
-            capture_output=True,
             text=True,
-            check=False,
+            errors="replace",
             cwd=folder,
             env=_surroundings(),
             stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=words.descriptor,
             pass_fds=() if held is None else (held,),
         )
     except OSError as error:
         raise SystemFault(f"{what}: {error}") from None
-    if result.returncode != 0:
-        raise _explained(what, result.stderr + result.stdout, by_itself=result.returncode > 0)
+    with process:
+        try:
+            for line in process.stdout or ():
+                if tell is None:
+                    printed.append(line)
+                else:
+                    tell(line.rstrip())
+        except BaseException:
+            process.kill()
+            raise
+    if process.returncode != 0:
+        raise _explained(what, words.text() + "".join(printed), by_itself=process.returncode > 0)
 
 
 def _explained(what: str, told: str, *, by_itself: bool) -> SlamHiveError:
@@ -497,8 +558,7 @@ def _surroundings() -> dict[str, str]:
     Packages may bring programs of their own for their setup: tokens and keys that are ours are not for them,
     nor what makes Python import what merely lies about.
     """
-    kept = {key: value for key, value in os.environ.items() if _PASSED_ON.fullmatch(key)}
-    return kept | {"PYTHONSAFEPATH": "1"}
+    return own_variables(filter(_PASSED_ON.fullmatch, os.environ)) | {"PYTHONSAFEPATH": "1"}
 
 
 def _anything_in(requirements: Path) -> bool:

@@ -58,6 +58,7 @@ class Programs:
         home: where environments are kept, and whose containers these are.
         container: what the user says of containers; None: they are for algorithms that have nothing else.
         notify: told in a sentence of what takes long.
+        making: gets what is being made, in words, and the share of it that is done.
     """
 
     def __init__(
@@ -65,9 +66,10 @@ class Programs:
         home: Home,
         container: ContainerChoice | None = None,
         notify: Callable[[str], None] = lambda _: None,
+        making: dict[str, float] | None = None,
     ) -> None:
         self._choice = container
-        self.environments = Environments(home.folder("environments"), notify)
+        self.environments = Environments(home.folder("environments"), notify, making)
         self.containers = Containers(home, container, notify)
 
     def executor(self, entry: AlgorithmEntry) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory file for a supervisor's standard error: on a full disk its message would be lost in a file."""
+"""Memory file for a child's standard error: on a full disk its message would be lost in a file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ class Words:
 
     def last(self, count: int = 1) -> str:
         """Return its last lines that say something, in one line; empty where it said nothing."""
-        size = os.fstat(self.descriptor).st_size
-        text = os.pread(self.descriptor, _LIMIT, max(0, size - _LIMIT)).decode("utf-8", "replace")
-        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        lines = [line.strip() for line in self.text().splitlines() if line.strip()]
         return " ".join(lines[-count:])
+
+    def text(self) -> str:
+        """Return all of it; of much the end."""
+        size = os.fstat(self.descriptor).st_size
+        return os.pread(self.descriptor, _LIMIT, max(0, size - _LIMIT)).decode("utf-8", "replace")

@@ -75,11 +75,11 @@ class Workbench:
         self.home = home
         self.workshop = workshop
         self.archive = archive
-        self.programs = Programs(home, container, notify)
-        self.versions = Versions(home.path / "versions")
-        self._notify = notify
         self.making: dict[str, float] = {}
         """What is being made that runs wait for, in words, and the share of it that is done."""
+        self.programs = Programs(home, container, notify, self.making)
+        self.versions = Versions(home.path / "versions")
+        self._notify = notify
         self._datasets: dict[str, DatasetEntry] = {}
         self._checksums: dict[str, str] = {}
         self._truths: dict[str, GroundTruthPoses | None] = {}

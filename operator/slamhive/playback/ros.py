@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from slamhive.contract.environment import own_variables
+
 PACKAGES = (
     "python3-rospy",
     "python3-rosbag",
@@ -73,7 +75,7 @@ def find_ros() -> Ros | None:
         return None
     entries = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     paths = tuple(entry for entry in entries if entry and (Path(entry) / "rospy").is_dir())
-    variables = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
+    variables = own_variables(_PASSED_ON)
     for name in _PYTHONS:
         python = shutil.which(name)
         found = _probe(python, variables | {"PYTHONPATH": os.pathsep.join(paths)}) if python else None

@@ -26,6 +26,19 @@ const has = (columns, name, values) =>
 const first = (columns, pattern, groups) =>
   columns.find((one) => pattern.test(one.name) && groups.includes(one.group) && one.distinct > 1)?.name;
 
+/**
+ * Return what all runs share of a property that a question needs to vary, such as "loops 0.5"; '' where it
+ * isn't known of any.
+ * @param {Api.Column[]} columns
+ * @param {RegExp} pattern
+ * @param {string[]} groups
+ */
+const shared = (columns, pattern, groups) => {
+  const one = columns.find((found) => pattern.test(found.name) && groups.includes(found.group));
+  const [only] = one?.distinct === 1 ? (one.values ?? []) : [];
+  return one && only ? `${one.name.split('.').at(-1)} ${only.value}` : '';
+};
+
 /** The tables of the ICRA 2023 paper, which averaged over all runs but a few. */
 const PUBLISHED = [
   {
@@ -103,6 +116,7 @@ export function questions(columns) {
     first(columns, /loop/i, ['dataset']) ??
     first(columns, /loop/i, ['metrics']) ??
     first(columns, /loop/i, ['parameters']);
+  const equal = shared(columns, /loop/i, ['dataset', 'metrics', 'parameters']);
   const camera = cameras(columns);
   return [
     ask(
@@ -138,7 +152,8 @@ export function questions(columns) {
     ),
     ask(
       'Loops vs ATE',
-      'datasets with an attribute loops, or a metric or parameter of the algorithm of that name',
+      'datasets that differ in an attribute loops, or runs in a metric or parameter of that name' +
+        (equal ? `; the runs here have ${equal} alone` : ''),
       loops ? { kind: 'scatter', x: loops, y: 'ate.rmse', colour: 'algorithm' } : null,
     ),
     ask(
