@@ -10,7 +10,14 @@ declare namespace Api {
   type Numbers = Array<number | null>;
 
   /** A column as tables and charts need it; `kind` is number, integer, time, text, boolean or other. */
-  type Heading = { name: string; title: string; kind?: string; unit?: string | null; factor?: number };
+  type Heading = {
+    name: string;
+    title: string;
+    label?: string;
+    kind?: string;
+    unit?: string | null;
+    factor?: number;
+  };
   type Column = Heading & {
     kind: string;
     group: string;

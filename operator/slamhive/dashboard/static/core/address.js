@@ -10,6 +10,8 @@ const OWN = new Set([
   'colour',
   'size',
   'facet',
+  'down',
+  'across',
   'outcomes',
   'figure',
   'xlog',

@@ -13,6 +13,7 @@ import { Choice, Fault, Link, Notes, NothingFits, Outcomes, Tick, useTitle, Wait
 import { html, useMemo, useState } from '../core/ui.js';
 import { groupTable, GroupTable } from './groups.js';
 import { Heat } from './heat.js';
+import { SmallMultiples } from './multiples.js';
 import { Parallel } from './parallel.js';
 import { Pareto } from './pareto.js';
 import { RunRows } from './runrows.js';
@@ -20,6 +21,7 @@ import { RunRows } from './runrows.js';
 const KINDS = [
   ['scatter', 'points'],
   ['line', 'lines'],
+  ['multiples', 'small multiples'],
   ['box', 'boxes'],
   ['heat', 'heat map'],
   ['parallel', 'parallel axes'],
@@ -27,13 +29,13 @@ const KINDS = [
 ];
 const KIND_NAMES = KINDS.map(([kind]) => kind).join(', ');
 /** @type {Record<string, ((props: any) => Shown) | undefined>} */
-const OTHERS = { heat: Heat, parallel: Parallel, pareto: Pareto };
-const LOG_X = ['scatter', 'line', 'pareto'];
+const OTHERS = { heat: Heat, multiples: SmallMultiples, parallel: Parallel, pareto: Pareto };
+const LOG_X = ['scatter', 'line', 'multiples', 'pareto'];
 /** Which field shows an error of a parameter. @type {Record<string, string>} */
 const FIELD_OF = { by: 'x', metrics: 'y', metric: 'y' };
 /** @type {Record<string, string>} */
 const COLOUR_LABELS = { heat: 'Rows', pareto: 'Competitors' };
-const FIELDS = ['x', 'y', 'colour', 'facet', 'outcomes'];
+const FIELDS = ['x', 'y', 'colour', 'facet', 'down', 'across', 'outcomes'];
 
 /**
  * Return the settings of an address, with what is shown where it names nothing.
@@ -60,6 +62,8 @@ function settingsOf(query, columns) {
     y: kind === 'line' ? y : y.split(',')[0], // only lines are drawn of several columns
     colour: at('colour'),
     facet: at('facet'),
+    down: at('down'),
+    across: at('across'),
     outcomes: at('outcomes', 'tracked'),
     figure: at('figure') === 'mean' ? 'mean' : 'median',
     xlog: at('xlog') === '1',
@@ -247,6 +251,25 @@ function Controls({ columns, set, change, error, field }) {
           `
         }
         ${
+          set.kind === 'multiples' &&
+          [
+            ['down', 'Rows of charts', set.down],
+            ['across', 'Columns of charts', set.across],
+          ].map(
+            ([name, label, value]) => html`
+              <${Choice}
+                key=${name}
+                label=${label}
+                value=${value}
+                options=${any}
+                none="one"
+                error=${wrong(name)}
+                onChange=${(chosen) => change({ [name]: chosen })}
+              />
+            `,
+          )
+        }
+        ${
           !['scatter', 'parallel', 'pareto'].includes(set.kind) &&
           html`
             <${Outcomes}
@@ -257,7 +280,7 @@ function Controls({ columns, set, change, error, field }) {
           `
         }
         ${
-          ['line', 'heat'].includes(set.kind) &&
+          ['line', 'heat', 'multiples'].includes(set.kind) &&
           html`
             <${Choice}
               label="Figure"

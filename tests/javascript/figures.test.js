@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Small multiples, cumulative shares, timelines, contours: what is computed of answers, and that it draws. */
+import assert from 'node:assert/strict';
+import test from 'node:test';
+import * as echarts from '/vendor/echarts.mjs';
+import {
+  outsideText,
+  robustLimits,
+  roundEnds,
+} from '../../operator/slamhive/dashboard/static/charts/limits.js';
+import { arranged, multiples, tooMany } from '../../operator/slamhive/dashboard/static/charts/multiples.js';
+import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
+import { HOSTILE } from './helpers.js';
+
+/** Draw an option as the page does; return the SVG. */
+function drawn({ option, height = 400 }, width = 800) {
+  const paper = echarts.init(null, null, { renderer: 'svg', ssr: true, width, height });
+  paper.setOption(dressed(typeof option === 'function' ? option({ width, height }) : option, false));
+  const svg = paper.renderToSVGString();
+  paper.dispose();
+  return svg;
+}
+
+const forty = Array.from({ length: 40 }, (_, at) => 0.008 + (0.008 * at) / 39);
+
+// The cases of tests/analysis/test_limits.py: pages and figures have the same limits.
+test('two diverged runs stay outside of the limits, and are counted', () => {
+  assert.deepEqual(robustLimits([...forty, 3.9, 4.2, null]), { low: 0.008, high: 0.016, below: 0, above: 2 });
+  assert.deepEqual(robustLimits([...forty, -4.2]), { low: 0.008, high: 0.016, below: 1, above: 0 });
+  assert.deepEqual(robustLimits([...Array(20).fill(1), ...Array(6).fill(1.1), ...Array(6).fill(1.2), 90]), {
+    low: 1,
+    high: 1.2,
+    below: 0,
+    above: 1,
+  });
+});
+
+for (const [what, values] of Object.entries({
+  'a few': [1, 1.1, 1.2, 50],
+  'a second group': [...forty, ...Array.from({ length: 15 }, (_, at) => 4 + at / 14)],
+  'one not far': [...forty, 0.02],
+  'equal ones': Array(20).fill(1),
+  'one beside equal ones': [...Array(20).fill(1), 9],
+}))
+  test(`limits hold all of ${what}`, () => {
+    assert.deepEqual(robustLimits(values), {
+      low: Math.min(...values),
+      high: Math.max(...values),
+      below: 0,
+      above: 0,
+    });
+  });
+
+test('limits of logarithms leave out what has none', () => {
+  assert.deepEqual(robustLimits([0, 2, -1], { log: true }), { low: 2, high: 2, below: 0, above: 0 });
+  assert.equal(robustLimits([NaN, null, Infinity]), null);
+});
+
+test('axes end at round numbers around their limits', () => {
+  assert.deepEqual(roundEnds({ low: 0.0182, high: 0.0321 }), { min: 0.015, max: 0.035, interval: 0.005 });
+  assert.deepEqual(roundEnds({ low: 0.003, high: 0.9 }, { log: true }), { min: 0.001, max: 1 });
+  assert.deepEqual(roundEnds(null), {});
+  const { min, max } = roundEnds({ low: 5, high: 5 });
+  assert.ok(min < 5 && max > 5);
+});
+
+test('what lies outside is said', () => {
+  assert.equal(outsideText({ low: 0, high: 1, below: 0, above: 0 }, 'run'), '');
+  assert.match(outsideText({ low: 0, high: 1, below: 1, above: 1 }, 'run'), /^2 runs lie outside/);
+});
+
+const figure = (median) => ({ n: 2, median, mean: median, min: median, max: median, std: 0 });
+const group = (keys, median) => ({
+  keys,
+  runs: 3,
+  n: median === null ? 0 : 2,
+  failed: median === null ? 3 : 1,
+  failures: {},
+  deterministic: false,
+  coverage: null,
+  figures: { 'ate.rmse': figure(median) },
+});
+const grid = (medians) => ({
+  keys: ['parameters.p', 'input.resolution', 'sensors'].map((name) => ({
+    name,
+    title: name,
+    kind: 'number',
+  })),
+  metrics: [{ name: 'ate.rmse', title: 'ATE [m]', label: 'ATE RMSE [m]', factor: 1 }],
+  groups: medians.map((median, at) =>
+    group(
+      {
+        'parameters.p': 100 * (1 + (at % 4)),
+        'input.resolution': at % 8 < 4 ? 1 : 0.5,
+        sensors: at < 8 ? 'mono' : HOSTILE,
+      },
+      median,
+    ),
+  ),
+  notes: [],
+});
+const SET = {
+  x: 'parameters.p',
+  y: 'ate.rmse',
+  down: 'sensors',
+  across: 'input.resolution',
+  figure: 'median',
+  xlog: false,
+  ylog: false,
+};
+
+test('small multiples have a chart for each pair of values, with one pair of axes', () => {
+  const data = grid([...Array(15).keys()].map((at) => 0.01 + at / 1000).concat([4]));
+  const found = arranged(data, SET);
+  assert.deepEqual([found.down.length, found.across], [2, [0.5, 1]]);
+  assert.equal(found.cells.length, 4);
+  assert.ok(found.cells.every((one) => one.lines[0].points.length === 4));
+  assert.equal(found.limits.above, 1);
+  assert.ok(found.ends.max < 0.1);
+  const all = multiples(data, SET, found);
+  assert.match(all.notes[0], /^1 median lies outside/);
+  const option = all.option({ width: 800, height: all.height });
+  assert.equal(new Set(option.yAxis.map((axis) => `${axis.min} ${axis.max}`)).size, 1);
+  assert.equal(new Set(option.xAxis.map((axis) => `${axis.min} ${axis.max}`)).size, 1);
+  const marks = option.series.filter((one) => one.type === 'scatter').flatMap((one) => one.data);
+  assert.deepEqual(
+    marks.map((one) => [one.value, one.symbol]),
+    [[[400, found.ends.max], 'triangle']],
+  );
+  const svg = drawn(all);
+  assert.match(svg, /ATE RMSE \[m\], median/);
+  assert.match(svg, /resolution 0\.5/);
+});
+
+test('settings whose runs all failed are marked, not passed over', () => {
+  const data = grid(Array(16).fill(0.02).fill(null, 3, 4));
+  const found = arranged(data, SET);
+  const all = multiples(data, SET, found);
+  const marks = all
+    .option({ width: 800, height: 400 })
+    .series.filter((one) => one.type === 'scatter')
+    .flatMap((one) => one.data);
+  assert.equal(marks.length, 1);
+  assert.match(all.notes.join(), /none of them counts/);
+});
+
+test('too many charts are refused in a sentence', () => {
+  const data = grid([0.1]);
+  data.groups = Array.from({ length: 200 }, (_, at) =>
+    group({ 'parameters.p': 1, 'input.resolution': at, sensors: 'mono' }, 0.1),
+  );
+  assert.match(
+    tooMany(arranged(data, SET), SET),
+    /^input\.resolution has 200 values, and there are at most 12 columns/,
+  );
+});
