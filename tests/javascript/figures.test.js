@@ -8,6 +8,7 @@ import {
   robustLimits,
   roundEnds,
 } from '../../operator/slamhive/dashboard/static/charts/limits.js';
+import { curveCharts, ecdfChart, steps } from '../../operator/slamhive/dashboard/static/charts/ecdf.js';
 import { arranged, multiples, tooMany } from '../../operator/slamhive/dashboard/static/charts/multiples.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
 import { HOSTILE } from './helpers.js';
@@ -153,4 +154,59 @@ test('too many charts are refused in a sentence', () => {
     tooMany(arranged(data, SET), SET),
     /^input\.resolution has 200 values, and there are at most 12 columns/,
   );
+});
+
+const curve = (keys, x, total) => ({
+  keys,
+  runs: total,
+  total,
+  n: x.length,
+  failures: {},
+  leftOut: {},
+  median: x[0] ?? null,
+  x,
+  share: x.map((_, at) => (at + 1) / total),
+});
+const ECDF = {
+  metric: { name: 'ate.rmse', title: 'ATE [cm]', factor: 100 },
+  keys: ['dataset', 'algorithm'].map((name) => ({ name, title: name })),
+  curves: [
+    curve({ dataset: 'hall', algorithm: 'a' }, [0.01, 0.02], 4),
+    curve({ dataset: 'hall', algorithm: HOSTILE[0] }, [0.03, 0.04], 2),
+    curve({ dataset: 'yard', algorithm: HOSTILE[0] }, [], 3),
+  ],
+  notes: [],
+};
+
+test('cumulative shares have a chart a dataset, and a name looks the same in all', () => {
+  const { charts, limits } = curveCharts(ECDF, { facet: '', xlog: false });
+  assert.deepEqual(
+    charts.map(({ name, curves }) => [name, curves.map((one) => one.place)]),
+    [
+      ['hall', [0, 1]],
+      ['yard', [1]],
+    ],
+  );
+  assert.deepEqual([limits.low, limits.high], [1, 4]);
+  for (const one of charts) assert.ok(drawn({ option: ecdfChart(ECDF.metric, one.curves, limits, false) }));
+});
+
+test('a curve ends below 1 by the share of the runs that failed', () => {
+  const ended = steps({ x: [1, 2], share: [0.25, 0.5] }, 0, 10);
+  assert.deepEqual(ended, [
+    [0, 0],
+    [1, 0.25],
+    [2, 0.5],
+    [10, 0.5],
+  ]);
+  assert.deepEqual(steps({ x: [], share: [] }, 0, 10), [
+    [0, 0],
+    [10, 0],
+  ]);
+  // What lies beyond the axes is not drawn at their ends.
+  assert.deepEqual(steps({ x: [1, 2, 30], share: [0.2, 0.4, 0.6] }, 1.5, 10), [
+    [1.5, 0.2],
+    [2, 0.4],
+    [10, 0.4],
+  ]);
 });

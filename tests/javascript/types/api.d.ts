@@ -163,6 +163,24 @@ declare namespace Api {
     notes: string[];
   };
 
+  type Curve = {
+    keys: Keys;
+    runs: number;
+    total: number;
+    n: number;
+    failures: Failures;
+    leftOut: Failures;
+    median: number | null;
+    x: number[];
+    share: number[];
+  };
+  type Ecdf = {
+    metric: Heading;
+    keys: Array<Heading & { facet?: boolean }>;
+    curves: Curve[];
+    notes: string[];
+  };
+
   type CommonEntry = {
     keys: Keys;
     runs: number;

@@ -78,6 +78,9 @@ type ReadAxis = {
 };
 type CategoryAxis = ReadAxis & { categories: string[] };
 
+/** A curve of cumulative shares in shown units; `place` says how it looks. */
+type DrawnCurve = Api.Curve & { name: string; place: number };
+
 type ErrorRange = { low: number; high: number } | null;
 type View = { azimuth: number; elevation: number; zoom: number };
 

@@ -12,6 +12,7 @@ const OWN = new Set([
   'facet',
   'down',
   'across',
+  'over',
   'outcomes',
   'figure',
   'xlog',

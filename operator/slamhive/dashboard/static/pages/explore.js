@@ -12,6 +12,7 @@ import { clip, headingOf, namedValue } from '../core/format.js';
 import { Choice, Fault, Link, Notes, NothingFits, Outcomes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
 import { groupTable, GroupTable } from './groups.js';
+import { Ecdf } from './ecdf.js';
 import { Heat } from './heat.js';
 import { SmallMultiples } from './multiples.js';
 import { Parallel } from './parallel.js';
@@ -23,18 +24,21 @@ const KINDS = [
   ['line', 'lines'],
   ['multiples', 'small multiples'],
   ['box', 'boxes'],
+  ['ecdf', 'cumulative shares'],
   ['heat', 'heat map'],
   ['parallel', 'parallel axes'],
   ['pareto', 'Pareto front'],
 ];
 const KIND_NAMES = KINDS.map(([kind]) => kind).join(', ');
 /** @type {Record<string, ((props: any) => Shown) | undefined>} */
-const OTHERS = { heat: Heat, multiples: SmallMultiples, parallel: Parallel, pareto: Pareto };
-const LOG_X = ['scatter', 'line', 'multiples', 'pareto'];
+const OTHERS = { ecdf: Ecdf, heat: Heat, multiples: SmallMultiples, parallel: Parallel, pareto: Pareto };
+const LOG_X = ['scatter', 'line', 'multiples', 'pareto', 'ecdf'];
+/** Drawings that have no column along x. */
+const NO_X = ['ecdf'];
 /** Which field shows an error of a parameter. @type {Record<string, string>} */
 const FIELD_OF = { by: 'x', metrics: 'y', metric: 'y' };
 /** @type {Record<string, string>} */
-const COLOUR_LABELS = { heat: 'Rows', pareto: 'Competitors' };
+const COLOUR_LABELS = { ecdf: 'Curves', heat: 'Rows', pareto: 'Competitors' };
 const FIELDS = ['x', 'y', 'colour', 'facet', 'down', 'across', 'outcomes'];
 
 /**
@@ -120,7 +124,11 @@ function Explored({ columns }) {
           filters.with({ x: set.x, y: set.y, colour: set.colour, facet: set.facet }),
         );
   const state = useData(drawn);
-  const title = query.get('title') || `${titleOf(columns, set.y)} over ${titleOf(columns, set.x)}`;
+  const title =
+    query.get('title') ||
+    (NO_X.includes(set.kind)
+      ? `${titleOf(columns, set.y)}: cumulative shares of runs`
+      : `${titleOf(columns, set.y)} over ${titleOf(columns, set.x)}`);
   const [otherError, setOtherError] = useState(null);
   const error = Other ? otherError : state.error;
   const at = FIELD_OF[error?.field ?? ''] ?? error?.field;
@@ -178,7 +186,7 @@ function Explored({ columns }) {
       !error &&
       !['scatter', 'parallel'].includes(set.kind) &&
       html`
-        <${RunRows} filters=${filters} extra=${[set.x, ...set.y.split(','), set.colour]} />
+        <${RunRows} filters=${filters} extra=${[NO_X.includes(set.kind) ? '' : set.x, ...set.y.split(','), set.colour]} />
       `
     }
   `;
@@ -215,13 +223,18 @@ function Controls({ columns, set, change, error, field }) {
           error=${wrong('kind')}
           onChange=${(kind) => change({ kind })}
         />
-        <${Choice}
-          label="x"
-          value=${set.x}
-          options=${any}
-          error=${wrong('x')}
-          onChange=${(x) => change({ x })}
-        />
+        ${
+          !NO_X.includes(set.kind) &&
+          html`
+            <${Choice}
+              label="x"
+              value=${set.x}
+              options=${any}
+              error=${wrong('x')}
+              onChange=${(x) => change({ x })}
+            />
+          `
+        }
         <${Choice}
           label="y"
           value=${set.y}
@@ -233,12 +246,12 @@ function Controls({ columns, set, change, error, field }) {
           label=${COLOUR_LABELS[set.kind] ?? 'Colour'}
           value=${set.colour}
           options=${any}
-          none="none"
+          none=${set.kind === 'ecdf' ? 'algorithm' : 'none'}
           error=${wrong('colour')}
           onChange=${(colour) => change({ colour })}
         />
         ${
-          !OTHERS[set.kind] &&
+          (!OTHERS[set.kind] || set.kind === 'ecdf') &&
           html`
             <${Choice}
               label="One chart each"
@@ -306,6 +319,7 @@ function Controls({ columns, set, change, error, field }) {
           }
           ${
             [...LOG_X, 'box'].includes(set.kind) &&
+            !NO_X.includes(set.kind) &&
             html`
               <${Tick}
                 label="log y"

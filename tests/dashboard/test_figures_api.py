@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is behind single pictures, over HTTP: failed runs are among those that a share is of."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slamhive.archive import Archive
+from slamhive.dashboard.sources import Workstation
+from slamhive.model.results import Outcome, Phase, Reason, Result
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+    from pathlib import Path
+
+    from slamhive.model.results import RunRecord
+
+TRACKED, PARTIAL = Outcome.TRACKED, Outcome.PARTIAL
+
+
+def measured(error: float, outcome: Outcome = TRACKED) -> list[Result]:
+    values = {"alignment": "se3", "ate": {"rmse": error}}
+    return [Result(evaluation="se3", outcome=outcome, coverage=0.95, values=values)]
+
+
+def spec(algorithm: str, dataset: str = "hall") -> dict[str, Any]:
+    return {"algorithmRef": {"name": algorithm}, "datasetRef": {"name": dataset}, "repetition": 0}
+
+
+BROKEN = {
+    "phase": Phase.FAILED,
+    "results": [],
+    "trajectory": None,
+    "evaluations": [{"evaluation": "se3", "alignment": "se3"}],
+}
+
+
+@pytest.fixture
+async def judged(
+    url: str, tmp_path: Path, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
+) -> AsyncIterator[Any]:
+    """An API over four runs of a and three of b: of each, some failed, in several ways."""
+    runs = [
+        make_run(0, spec=spec("a"), results=measured(0.1)),
+        make_run(1, spec=spec("a"), results=measured(0.3)),
+        make_run(2, spec=spec("a"), results=measured(0.01, PARTIAL)),
+        make_run(3, spec=spec("a"), reason=Reason.OUT_OF_MEMORY, **BROKEN),
+        make_run(4, spec=spec("b"), results=measured(0.2)),
+        make_run(5, spec=spec("b"), reason=Reason.NODE_LOST, **BROKEN),
+        make_run(6, spec=spec("b", "yard"), results=measured(0.4)),
+    ]
+    with Archive.open(url) as archive:
+        archive.put_runs(runs)
+    async with open_app(Workstation(url, tmp_path)) as client:
+        yield client
+
+
+async def test_a_share_is_of_all_runs_failed_ones_among_them(judged: Any) -> None:
+    answer = await judged.get("/analysis/ecdf?dataset=hall")
+    a, b = answer["curves"]
+    assert (a["keys"], a["x"], a["share"]) == ({"algorithm": "a"}, [0.1, 0.3], [0.25, 0.5])
+    assert (a["total"], a["n"], a["failures"]) == (4, 2, {"OutOfMemory": 1, "Partial": 1})
+    assert a["median"] is None  # the second best of four is known, the third failed
+    # The machine lost it: it says nothing of the algorithm.
+    assert (b["share"], b["total"], b["leftOut"]) == ([1.0], 1, {"NodeLost": 1})
+    assert any("NodeLost: no rank" in note for note in answer["notes"])
+
+
+async def test_what_counts_for_all_evaluated_runs(judged: Any) -> None:
+    answer = await judged.get("/analysis/ecdf?dataset=hall&outcomes=all&algorithm=a")
+    [curve] = answer["curves"]
+    assert (curve["x"], curve["share"]) == ([0.01, 0.1, 0.3], [0.25, 0.5, 0.75])
+
+
+async def test_datasets_are_in_one_curve_only_where_that_is_asked_for(judged: Any) -> None:
+    apart = await judged.get("/analysis/ecdf")
+    assert [curve["keys"] for curve in apart["curves"]] == [
+        {"dataset": "hall", "algorithm": "a"},
+        {"dataset": "hall", "algorithm": "b"},
+        {"dataset": "yard", "algorithm": "b"},
+    ]
+    together = await judged.get("/analysis/ecdf?over=dataset")
+    assert [curve["x"] for curve in together["curves"]] == [[0.1, 0.3], [0.2, 0.4]]
+    assert any("not the same: curves of other runs can't be compared" in note for note in together["notes"])
+
+
+async def test_a_table_of_shares_has_all_steps(judged: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_STEPS", 2)
+    thinned = await judged.get("/analysis/ecdf?outcomes=all&algorithm=a")
+    assert thinned["curves"][0]["share"] == [0.25, 0.75]
+    table = await judged.raw.get("/api/v1/analysis/ecdf?outcomes=all&algorithm=a&format=csv")
+    rows = list(csv.DictReader(io.StringIO(table.text)))
+    assert [(row["value"], row["share"]) for row in rows] == [
+        ("0.01", "0.25"),
+        ("0.1", "0.5"),
+        ("0.3", "0.75"),
+    ]
+
+
+async def test_curves_beyond_number_are_refused(judged: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_CURVES", 2)
+    answer = await judged.get("/analysis/ecdf?by=uid", 413)
+    assert "7 curves are asked for" in answer["error"]
+
+
+PICTURES = ("ecdf",)
+
+
+@pytest.mark.parametrize("picture", PICTURES)
+async def test_every_picture_is_json_and_a_table_of_whatever_there_is(api: Any, picture: str) -> None:
+    sign = "&" if "?" in picture else "?"
+    for where in ("", "seed < 0", "seed == 24", "seed == 3", "outcome is null"):
+        answer = await api.get(f"/analysis/{picture}{sign}where={where}")
+        assert answer["revision"]
+        assert "NaN" not in json.dumps(answer)
+        table = await api.raw.get(f"/api/v1/analysis/{picture}{sign}where={where}&format=csv")
+        assert table.status_code == 200
+        cells = {cell for row in csv.reader(io.StringIO(table.text)) for cell in row}
+        assert not {"nan", "inf"} & cells
+
+
+@pytest.mark.parametrize(
+    ("query", "field", "part"),
+    [
+        ("ecdf?metric=name", "metric", "numbers"),
+        ("ecdf?by=algoritm", "by", "did you mean"),
+        ("ecdf?over=datset", "over", "did you mean"),
+        ("ecdf?outcomes=some", "outcomes", "known: all, tracked"),
+    ],
+)
+async def test_mistakes_say_where_they_are(api: Any, query: str, field: str, part: str) -> None:
+    answer = await api.get(f"/analysis/{query}", 400)
+    assert answer["field"] == field
+    assert part in answer["error"]
