@@ -137,3 +137,35 @@ async def test_mistakes_say_where_they_are(api: Any, query: str, field: str, par
     answer = await api.get(f"/analysis/{query}", 400)
     assert answer["field"] == field
     assert part in answer["error"]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("", 30),
+        ("uid-025", 1),
+        ("ALGORITHM-0 dataset-2 1000", 4),
+        ("algorithm-0 nfeatures=500", 5),
+        ("nfeatures=5", 0),
+        ("memory", 1),  # OutOfMemory
+        ("loop=true algorithm-1", 0),
+        ("nothing of the kind", 0),
+        ("script>", 1),
+    ],
+)
+async def test_runs_are_found_by_words(api: Any, words: str, found: int) -> None:
+    answer = await api.get("/search", params={"words": words, "limit": 3})
+    assert answer["total"] == found
+    assert len(answer["items"]) == min(found, 3)
+
+
+async def test_what_was_found_says_in_what_it_differs(api: Any) -> None:
+    answer = await api.get("/search", params={"words": "algorithm-0 dataset-2"})
+    assert {"parameters.nFeatures", "repetition"} <= answer["items"][0]["keys"].keys()
+    assert "input.pace" not in answer["items"][0]["keys"]  # the same in all of them
+    assert answer["items"][0]["uid"] > answer["items"][1]["uid"]
+
+
+async def test_more_words_than_can_be_looked_for(api: Any) -> None:
+    answer = await api.get("/search", 400, params={"words": "a " * 11})
+    assert (answer["field"], "10 at most" in answer["error"]) == ("words", True)

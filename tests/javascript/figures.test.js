@@ -10,6 +10,7 @@ import {
 } from '../../operator/slamhive/dashboard/static/charts/limits.js';
 import { curveCharts, ecdfChart, steps } from '../../operator/slamhive/dashboard/static/charts/ecdf.js';
 import { arranged, multiples, tooMany } from '../../operator/slamhive/dashboard/static/charts/multiples.js';
+import { labelsOf } from '../../operator/slamhive/dashboard/static/core/labels.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
 import { HOSTILE } from './helpers.js';
 
@@ -209,4 +210,35 @@ test('a curve ends below 1 by the share of the runs that failed', () => {
     [2, 0.4],
     [10, 0.4],
   ]);
+});
+
+const made = (uid, algorithm, parameters, more = {}) => ({
+  uid,
+  run: uid,
+  configuration: { algorithm, sensors: 'mono', dataset: 'hall', parameters, repetition: 0, ...more },
+});
+
+test('runs are called by the settings in which they differ', () => {
+  assert.deepEqual(labelsOf([made('1', 'orb', { n: 500, k: 8 }), made('2', 'orb', { n: 1000, k: 8 })]), [
+    'n 500',
+    'n 1000',
+  ]);
+  // What only another algorithm has tells nothing of this one.
+  assert.deepEqual(labelsOf([made('1', 'orb', { n: 500 }), made('2', 'icp', { voxel: 0.5 })]), [
+    'orb',
+    'icp',
+  ]);
+});
+
+test('equal settings are told apart by repetition, then by the number of the run', () => {
+  assert.deepEqual(
+    labelsOf([
+      made('1', 'orb', { n: 5 }),
+      made('2', 'orb', { n: 5 }, { repetition: 1 }),
+      made('3', 'orb', { n: 5 }),
+    ]),
+    ['repetition 0, run 1', 'repetition 1', 'repetition 0, run 3'],
+  );
+  assert.deepEqual(labelsOf([made('1', 'orb', {})]), ['repetition 0']);
+  assert.deepEqual(labelsOf([]), []);
 });

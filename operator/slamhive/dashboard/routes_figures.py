@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Addresses of what single pictures need: cumulative shares."""
+"""Addresses of what single pictures need: cumulative shares, runs by what is remembered of them."""
 
 # FastAPI reads the annotations of these functions, so they are no mere texts here.
-from fastapi import APIRouter, Request, Response
+from typing import Annotated
 
-from slamhive.dashboard import api_figures
+from fastapi import APIRouter, Query, Request, Response
+
+from slamhive.dashboard import api_figures, api_search
 from slamhive.dashboard.costs import costs_little
 from slamhive.dashboard.routes import FormatName, Names, Superseded, Where, Which, pairs
 from slamhive.dashboard.routes_studies import ERROR, Metric
@@ -33,6 +35,24 @@ def router(service: Service) -> APIRouter:
             request,
             lambda data: api_figures.ecdf(data, asked, metric, (by, over), outcomes),
             lambda data: costs_little(data, request.url.query, by, ("algorithm",)),
+        )
+
+    @routes.get("/search", summary="Runs by words: of their names, their settings, their numbers")
+    async def search(
+        request: Request,
+        *,
+        words: Annotated[str, Query(max_length=300, description="Words that must all fit a run.")] = "",
+        limit: Annotated[int, Query(ge=1, le=api_search.MOST_FOUND)] = 20,
+        where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """`nFeatures=1000` fits that setting alone; the latest run is the first."""
+        asked = pairs(request)
+        return await service.answer(
+            request,
+            lambda data: api_search.search(data, asked, words, limit),
+            lambda data: costs_little(data, request.url.query),
         )
 
     return routes

@@ -97,6 +97,13 @@ declare namespace Api {
     links: Record<string, string>;
   } & Record<string, any>;
 
+  type Search = {
+    total: number;
+    keys: Heading[];
+    items: Array<{ uid: string; run: Value; status: string; keys: Keys }>;
+    notes: string[];
+  };
+
   type Clock = { start: number; of: string };
   type Track = { t: number[]; x: number[]; y: number[]; z: number[]; error?: Numbers | null };
   type Trajectory = {
