@@ -108,7 +108,7 @@ async def test_curves_beyond_number_are_refused(judged: Any, monkeypatch: pytest
     assert "7 curves are asked for" in answer["error"]
 
 
-PICTURES = ("ecdf",)
+PICTURES = ("ecdf", "paths")
 
 
 @pytest.mark.parametrize("picture", PICTURES)
@@ -169,3 +169,71 @@ async def test_what_was_found_says_in_what_it_differs(api: Any) -> None:
 async def test_more_words_than_can_be_looked_for(api: Any) -> None:
     answer = await api.get("/search", 400, params={"words": "a " * 11})
     assert (answer["field"], "10 at most" in answer["error"]) == ("words", True)
+
+
+def write_path(home: Path, run: RunRecord, shift: float) -> RunRecord:
+    """Write a run's path of four poses along x, and return the run with its folder."""
+    output = home / "runs" / "study" / run.name / "run" / "output"
+    output.mkdir(parents=True)
+    lines = [f"{t} {t + shift} 0 0 0 0 0 1" for t in range(4)]
+    (output / "trajectory.txt").write_text("\n".join(lines) + "\n")
+    return run.replace(folder=f"runs/study/{run.name}")
+
+
+@pytest.fixture
+async def repeated(
+    url: str, tmp_path: Path, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
+) -> AsyncIterator[Any]:
+    """An API over three repetitions of a setting, one of them without a path, and one run of another."""
+
+    def made(number: int, repetition: int, parameters: dict[str, Any], **changes: Any) -> RunRecord:
+        given = spec("a") | {"repetition": repetition}
+        return make_run(number, spec=given, parameters=parameters, **changes)
+
+    transform = {"alignment": "se3", "transform": [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}
+    aligned = [Result(evaluation="se3", outcome=TRACKED, coverage=1.0, values=transform)]
+    runs = [
+        write_path(tmp_path, made(0, 0, {"n": 500}, results=aligned), 0.0),
+        write_path(tmp_path, made(1, 1, {"n": 500}, results=aligned), 0.5),
+        made(2, 2, {"n": 500}, reason=Reason.OUT_OF_MEMORY, **BROKEN),
+        write_path(tmp_path, made(3, 0, {"n": 900}, results=aligned), 9.0),
+    ]
+    with Archive.open(url) as archive:
+        archive.put_runs(runs)
+    async with open_app(Workstation(url, tmp_path)) as client:
+        yield client
+
+
+async def test_paths_of_all_repetitions_of_a_run(repeated: Any) -> None:
+    answer = await repeated.get("/analysis/paths?of=uid-001")
+    runs = [run for group in answer["groups"] for run in group["runs"]]
+    assert answer["by"] == ["repetition"]
+    assert {run["uid"]: run["track"] and run["track"]["x"] for run in runs} == {
+        "uid-000": [5.0, 6.0, 7.0, 8.0],  # aligned
+        "uid-001": [5.5, 6.5, 7.5, 8.5],
+        "uid-002": None,
+    }
+    [problem] = [run["problem"] for run in runs if run["problem"]]
+    assert "no files" in problem
+
+
+async def test_paths_of_what_filters_leave_say_in_what_they_differ(repeated: Any) -> None:
+    answer = await repeated.get("/analysis/paths?where=repetition == 0&points=3")
+    [group] = answer["groups"]
+    assert [run["keys"] for run in group["runs"]] == [
+        {"parameters.n": 500, "repetition": 0},
+        {"parameters.n": 900, "repetition": 0},
+    ]
+    assert group["runs"][0]["track"]["t"] == [0.0, 3.0]
+    assert group["reference"] is None
+    assert "the ground truth of this dataset is not at hand here" in group["notes"]
+
+
+async def test_of_many_paths_the_first_are_drawn(repeated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slamhive.dashboard.api_paths.MOST_PATHS", 2)
+    answer = await repeated.get("/analysis/paths")
+    assert (answer["rows"], answer["notes"]) == (2, ["of 4 runs the first 2 are drawn: choose fewer"])
+
+
+async def test_repetitions_of_a_run_that_is_not_there(repeated: Any) -> None:
+    assert (await repeated.get("/analysis/paths?of=uid-9", 404))["field"] == "of"

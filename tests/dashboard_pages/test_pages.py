@@ -40,6 +40,7 @@ PAGES = {
     "/studies?kind=suspects": "calibration suspect: in",
     "/table?by=algorithm&figures=mean": "failures",
     "/compare?uid=run-000&uid=run-001": "Memory since the program",
+    "/paths?of=run-000": "All repetitions of a run",
     "/algorithms": "first",
     "/algorithms/first": "Leaderboard",
     "/datasets": "Datasets",

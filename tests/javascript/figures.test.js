@@ -8,6 +8,7 @@ import {
   robustLimits,
   roundEnds,
 } from '../../operator/slamhive/dashboard/static/charts/limits.js';
+import { cropped } from '../../operator/slamhive/dashboard/static/charts/cropping.js';
 import { curveCharts, ecdfChart, steps } from '../../operator/slamhive/dashboard/static/charts/ecdf.js';
 import { arranged, multiples, tooMany } from '../../operator/slamhive/dashboard/static/charts/multiples.js';
 import { labelsOf } from '../../operator/slamhive/dashboard/static/core/labels.js';
@@ -241,4 +242,22 @@ test('equal settings are told apart by repetition, then by the number of the run
   );
   assert.deepEqual(labelsOf([made('1', 'orb', {})]), ['repetition 0']);
   assert.deepEqual(labelsOf([]), []);
+});
+
+const path = (length) => ({
+  t: [0, 1, 2],
+  x: [0, length / 2, length],
+  y: [0, 1, 0],
+  z: [0, 0, 0],
+  error: [0, null, 1],
+});
+
+test('a path that diverges is cut, and the others stay whole', () => {
+  const found = cropped([path(10), path(5000)], path(10));
+  assert.deepEqual(found.cut, [0, 2]);
+  assert.equal(found.tracks[0].t.length, 3);
+  assert.deepEqual([found.tracks[1].t, found.tracks[1].error], [[0], [0]]);
+  // Without a ground truth the path of middling size says what is far.
+  assert.deepEqual(cropped([path(10), path(9), path(11), path(5000)], null).cut, [0, 0, 0, 2]);
+  assert.deepEqual(cropped([], null).tracks, []);
 });

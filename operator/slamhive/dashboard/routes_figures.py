@@ -6,11 +6,12 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from slamhive.dashboard import api_figures, api_search
+from slamhive.dashboard import api_common, api_figures, api_paths, api_search
 from slamhive.dashboard.costs import costs_little
 from slamhive.dashboard.routes import FormatName, Names, Superseded, Where, Which, pairs
 from slamhive.dashboard.routes_studies import ERROR, Metric
-from slamhive.dashboard.service import Service
+from slamhive.dashboard.service import Service, client_of
+from slamhive.dashboard.sources import Snapshot
 
 
 def router(service: Service) -> APIRouter:
@@ -35,6 +36,30 @@ def router(service: Service) -> APIRouter:
             request,
             lambda data: api_figures.ecdf(data, asked, metric, (by, over), outcomes),
             lambda data: costs_little(data, request.url.query, by, ("algorithm",)),
+        )
+
+    @routes.get("/analysis/paths", summary="Paths of several runs over their ground truth")
+    async def paths(
+        request: Request,
+        *,
+        of: Annotated[
+            str | None, Query(max_length=1000, description="A run whose repetitions are meant.")
+        ] = None,
+        points: Annotated[int, Query(ge=3, le=1000, description="Poses of each path at most.")] = 400,
+        where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Runs without a path stay in the list, with the reason."""
+        asked = pairs(request)
+        client = client_of(request)
+
+        async def material(data: Snapshot) -> api_common.Material:
+            meant = await service.workers.compute(lambda: api_paths.meant(data, asked, of), client)
+            return await service.run(lambda: api_common.material(service.source, meant))
+
+        return await service.answer_with(
+            request, material, lambda data, given: api_paths.paths(data, given, points)
         )
 
     @routes.get("/search", summary="Runs by words: of their names, their settings, their numbers")

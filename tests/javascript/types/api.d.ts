@@ -116,6 +116,22 @@ declare namespace Api {
     reference: Track | null;
     notes: string[];
   };
+  type PathGroup = {
+    facets: Keys;
+    reference: Track | null;
+    runs: Array<{
+      uid: string;
+      run: Value;
+      status: string;
+      coverage: number | null;
+      keys: Keys;
+      error: number | null;
+      track: Track | null;
+      problem: string | null;
+    }>;
+    notes: string[];
+  };
+  type Paths = { rows: number; by: string[]; groups: PathGroup[]; notes: string[] };
   type Usage = {
     clock: Clock | null;
     t: number[];

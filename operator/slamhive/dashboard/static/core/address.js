@@ -13,6 +13,7 @@ const OWN = new Set([
   'down',
   'across',
   'over',
+  'of',
   'outcomes',
   'figure',
   'xlog',

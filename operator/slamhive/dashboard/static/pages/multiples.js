@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Small multiples as a drawing of Explore: rows and columns by two settings, a chart in each cell. */
 import { arranged, multiples, tooMany } from '../charts/multiples.js';
-import { address } from '../core/address.js';
+import { address, go } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { NothingFits, Notes, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo } from '../core/ui.js';
-import { groupTable } from './groups.js';
+import { groupTable, pathsOf } from './groups.js';
 
 /**
  * @param {{set: Settings, filters: import('../core/address.js').Query, title: string, onError: (error:
@@ -41,6 +41,8 @@ export function SmallMultiples({ set, filters, title, onError }) {
           option=${drawn.option}
           height=${drawn.height}
           csv=${csvOf(url)}
+          onClick=${(/** @type {Item} */ item) =>
+            item.data?.point && go(pathsOf(filters, item.data.point.group.keys))}
           table=${groupTable(data)}
           summary=${`${title}, ${found.down.length} by ${found.across.length} charts; the table has their numbers`}
         />
@@ -49,7 +51,8 @@ export function SmallMultiples({ set, filters, title, onError }) {
     <${Notes} notes=${[...drawn.notes, ...(data.notes ?? [])]} />
     <p class="quiet">
       Lines are ${set.figure}s over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs, bands their
-      intervals or, below 10 runs, the least and the largest. All charts have the same axes.
+      intervals or, below 10 runs, the least and the largest. All charts have the same axes. A click on a point shows the
+      paths of its runs.
     </p>
   `;
 }
