@@ -6,12 +6,16 @@ from __future__ import annotations
 import csv
 import io
 import json
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.analysis.columns import Column
+from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.api_timeline import timeline
+from slamhive.dashboard.sources import Snapshot, Workstation
 from slamhive.model.results import Outcome, Phase, Reason, Result
 
 if TYPE_CHECKING:
@@ -108,7 +112,7 @@ async def test_curves_beyond_number_are_refused(judged: Any, monkeypatch: pytest
     assert "7 curves are asked for" in answer["error"]
 
 
-PICTURES = ("ecdf", "paths")
+PICTURES = ("ecdf", "paths", "timeline")
 
 
 @pytest.mark.parametrize("picture", PICTURES)
@@ -131,6 +135,8 @@ async def test_every_picture_is_json_and_a_table_of_whatever_there_is(api: Any, 
         ("ecdf?by=algoritm", "by", "did you mean"),
         ("ecdf?over=datset", "over", "did you mean"),
         ("ecdf?outcomes=some", "outcomes", "known: all, tracked"),
+        ("timeline?from=20&to=10", "to", "after that of from"),
+        ("timeline?from=yesterday", "from", "valid number"),
     ],
 )
 async def test_mistakes_say_where_they_are(api: Any, query: str, field: str, part: str) -> None:
@@ -237,3 +243,92 @@ async def test_of_many_paths_the_first_are_drawn(repeated: Any, monkeypatch: pyt
 
 async def test_repetitions_of_a_run_that_is_not_there(repeated: Any) -> None:
     assert (await repeated.get("/analysis/paths?of=uid-9", 404))["field"] == "of"
+
+
+NOON = datetime(2026, 1, 2, 12, tzinfo=UTC)
+
+
+def at(seconds: float) -> str:
+    return (NOON + timedelta(seconds=seconds)).isoformat()
+
+
+@pytest.fixture
+async def timed(
+    url: str, tmp_path: Path, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
+) -> AsyncIterator[Any]:
+    """An API over runs on two nodes: one knows the cores of its runs, on the other two overlap."""
+
+    def made(number: int, begin: float, start: float | None, end: float, **more: Any) -> RunRecord:
+        times = {"created": at(begin), "started": start and at(start), "finished": at(end)}
+        node = {"provenance": {"node": more.pop("node")} | more.pop("provenance", {})}
+        return make_run(number, **times, **node, **more)
+
+    runs = [
+        made(0, 0, 10, 50, node="b"),
+        made(1, 0, None, 20, node="b", reason=Reason.DATASET_MISSING, **BROKEN),
+        made(2, 20, 30, 60, node="b"),
+        made(3, 60, 70, 100, node="a", reason=Reason.OUT_OF_MEMORY, **BROKEN),
+        made(4, 0, 10, 50, node="b", provenance={"reusedFrom": "run-000"}),
+    ]
+    with Archive.open(url) as archive:
+        archive.put_runs(runs)
+    async with open_app(Workstation(url, tmp_path)) as client:
+        yield client
+
+
+async def test_a_timeline_has_a_lane_for_what_goes_on_at_a_time(timed: Any) -> None:
+    answer = await timed.get("/analysis/timeline")
+    bars = answer["bars"]
+    assert answer["lanes"] == ["a", "b, place 1", "b, place 2"]
+    assert dict(zip(bars["uid"], bars["lane"], strict=True)) == {
+        "uid-000": 1,
+        "uid-001": 2,
+        "uid-002": 2,
+        "uid-003": 0,
+    }
+    noon = NOON.timestamp()
+    assert [value and value - noon for value in bars["start"]] == [10, None, 30, 70]
+    assert [value - noon for value in answer["extent"]] == [0, 100]
+    assert (bars["failed"], answer["failed"]) == ([False, True, False, True], 2)
+    # What was taken over was not done again.
+    assert any("1 runs took over" in note for note in answer["notes"])
+
+
+async def test_a_part_of_the_time(timed: Any) -> None:
+    noon = NOON.timestamp()
+    answer = await timed.get(f"/analysis/timeline?from={noon + 55}&to={noon + 65}")
+    assert answer["bars"]["uid"] == ["uid-002", "uid-003"]
+    assert [value - noon for value in answer["whole"] + answer["extent"]] == [0, 100, 55, 65]
+
+
+async def test_many_runs_are_summed_up(timed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slamhive.dashboard.api_timeline.MOST_BARS", 2)
+    monkeypatch.setattr("slamhive.dashboard.api_timeline.BINS", 4)
+    answer = await timed.get("/analysis/timeline")
+    assert answer["bars"] is None
+    bins = answer["bins"]
+    # By hand, over quarters of 100 s: one ran from 10 to 50, one from 30 to 60, prepared from 20 on.
+    assert bins["running"] == [[0, 0, 0.2, 1], [0.6, 1, 0, 0], [0, 0.8, 0.4, 0]]
+    assert bins["preparing"] == [[0, 0, 0.4, 0], [0.4, 0, 0, 0], [1, 0.2, 0, 0]]
+    assert bins["ended"] == [[0, 0, 0, 1], [0, 0, 1, 0], [1, 0, 1, 0]]
+    assert bins["failed"] == [[0, 0, 0, 1], [0, 0, 0, 0], [1, 0, 0, 0]]
+    table = await timed.raw.get("/api/v1/analysis/timeline?format=csv")
+    assert len(table.text.splitlines()) == 5  # each run, whatever is drawn
+
+
+def test_runs_that_go_on_last_until_now() -> None:
+    noon = NOON.timestamp()
+    columns = {
+        "id": [1, 2],
+        "uid": ["x", "y"],
+        "phase": ["Running", "Pending"],
+        "created": [noon, noon + 5],
+        "started": [noon + 1, None],
+        "provenance.node": ["a", "a"],
+        "usage.processors": ["0-1", None],
+    }
+    frame = Frame({name: Column.of(values) for name, values in columns.items()}, 2)
+    answer = timeline(Snapshot(frame), [], (None, None), lambda: noon + 60).content
+    assert answer["live"] == 2
+    assert answer["lanes"] == ["a, cores 0-1", "a, place 1"]
+    assert answer["bars"]["end"].tolist() == [noon + 60, noon + 60]

@@ -40,6 +40,7 @@ PAGES = {
     "/studies?kind=suspects": "calibration suspect: in",
     "/table?by=algorithm&figures=mean": "failures",
     "/compare?uid=run-000&uid=run-001": "Memory since the program",
+    "/timeline": "48 runs, 8 failed",
     "/paths?of=run-000": "All repetitions of a run",
     "/algorithms": "first",
     "/algorithms/first": "Leaderboard",

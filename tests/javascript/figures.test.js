@@ -12,6 +12,13 @@ import { cropped } from '../../operator/slamhive/dashboard/static/charts/croppin
 import { curveCharts, ecdfChart, steps } from '../../operator/slamhive/dashboard/static/charts/ecdf.js';
 import { arranged, multiples, tooMany } from '../../operator/slamhive/dashboard/static/charts/multiples.js';
 import { labelsOf } from '../../operator/slamhive/dashboard/static/core/labels.js';
+import {
+  binCells,
+  fullShare,
+  moved,
+  timelineChart,
+  usedText,
+} from '../../operator/slamhive/dashboard/static/charts/timeline.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
 import { HOSTILE } from './helpers.js';
 
@@ -260,4 +267,82 @@ test('a path that diverges is cut, and the others stay whole', () => {
   // Without a ground truth the path of middling size says what is far.
   assert.deepEqual(cropped([path(10), path(9), path(11), path(5000)], null).cut, [0, 0, 0, 2]);
   assert.deepEqual(cropped([], null).tracks, []);
+});
+
+const timed = (more) => ({
+  runs: 2,
+  failed: 1,
+  live: 0,
+  whole: [0, 100],
+  extent: [0, 100],
+  lanes: ['one', HOSTILE[0]],
+  bars: null,
+  bins: null,
+  notes: [],
+  ...more,
+});
+const BARS = {
+  keys: [],
+  settings: [{ 'parameters.n': 1 }, { 'parameters.n': HOSTILE[1] }],
+  uid: ['a', 'b'],
+  run: ['a', 'b'],
+  status: ['Tracked', 'OutOfMemory'],
+  lane: [0, 1],
+  begin: [0, 50],
+  start: [20, null],
+  end: [100, 70],
+  failed: [false, true],
+  live: [false, false],
+};
+const BINS = {
+  edges: [0, 50, 100],
+  running: [
+    [0.1, 0],
+    [0, 0.05],
+  ],
+  preparing: [
+    [0, 0],
+    [0, 0],
+  ],
+  ended: [
+    [2, 0],
+    [0, 1],
+  ],
+  failed: [
+    [1, 0],
+    [0, 0],
+  ],
+};
+
+test('a timeline says of what the used share is', () => {
+  // Running 80 of 200, preparing 20 + 20: a program that never started was prepared all the time.
+  assert.match(
+    usedText(timed({ bars: BARS })),
+    /^Of the 100 s of the 2 lanes, 40 % were spent running and 20 % /,
+  );
+  assert.match(usedText(timed({ bins: BINS })), / 3\.75 % were spent running/);
+  // Of what is only partly in view, that part counts.
+  assert.match(usedText(timed({ bars: BARS, extent: [90, 110] })), / 25 % were spent running/);
+});
+
+test('columns of a timeline of many runs are where something was done, and are seen', () => {
+  const cells = binCells(timed({ bins: BINS }));
+  assert.deepEqual(cells, [
+    [0, 0, 50_000, 0.1, 0, 2, 1],
+    [1, 50_000, 100_000, 0.05, 0, 1, 0],
+  ]);
+  assert.equal(fullShare(timed({ bins: BINS })), 0.1);
+});
+
+for (const [what, more] of Object.entries({ bars: { bars: BARS }, columns: { bins: BINS } }))
+  test(`a timeline of ${what} is drawn`, () => {
+    const svg = drawn(timelineChart(timed(more)));
+    assert.match(svg, /#c0392b/);
+    assert.match(svg, /#009e73/);
+  });
+
+test('steps lead through time', () => {
+  assert.deepEqual(moved([0, 80], 'later'), [40, 120]);
+  assert.deepEqual(moved([0, 80], 'closer', 60), [50, 70]);
+  assert.deepEqual(moved([50, 70], 'wider'), [20, 100]);
 });

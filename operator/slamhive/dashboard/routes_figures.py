@@ -6,12 +6,14 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from slamhive.dashboard import api_common, api_figures, api_paths, api_search
+from slamhive.dashboard import api_common, api_figures, api_paths, api_search, api_timeline
 from slamhive.dashboard.costs import costs_little
 from slamhive.dashboard.routes import FormatName, Names, Superseded, Where, Which, pairs
 from slamhive.dashboard.routes_studies import ERROR, Metric
 from slamhive.dashboard.service import Service, client_of
 from slamhive.dashboard.sources import Snapshot
+
+Moment = Annotated[float | None, Query(ge=0, le=1e11, allow_inf_nan=False)]
 
 
 def router(service: Service) -> APIRouter:
@@ -61,6 +63,20 @@ def router(service: Service) -> APIRouter:
         return await service.answer_with(
             request, material, lambda data, given: api_paths.paths(data, given, points)
         )
+
+    @routes.get("/analysis/timeline", summary="Which node and core did what, and when")
+    async def timeline(
+        request: Request,
+        *,
+        low: Annotated[Moment, Query(alias="from", description="Begin, in s since 1970.")] = None,
+        high: Annotated[Moment, Query(alias="to", description="End, in s since 1970.")] = None,
+        where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Up to 1,500 runs one by one; of more, shares of time, ends and failures in 240 parts of it."""
+        asked = pairs(request)
+        return await service.answer(request, lambda data: api_timeline.timeline(data, asked, (low, high)))
 
     @routes.get("/search", summary="Runs by words: of their names, their settings, their numbers")
     async def search(

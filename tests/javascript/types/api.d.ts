@@ -132,6 +132,35 @@ declare namespace Api {
     notes: string[];
   };
   type Paths = { rows: number; by: string[]; groups: PathGroup[]; notes: string[] };
+  type Timeline = {
+    runs: number;
+    failed: number;
+    live: number;
+    whole: [number | null, number | null];
+    extent: [number | null, number | null];
+    lanes: string[];
+    bars: {
+      keys: Heading[];
+      settings: Keys[];
+      uid: string[];
+      run: Value[];
+      status: string[];
+      lane: number[];
+      begin: number[];
+      start: Numbers;
+      end: number[];
+      failed: boolean[];
+      live: boolean[];
+    } | null;
+    bins: {
+      edges: number[];
+      running: number[][];
+      preparing: number[][];
+      ended: number[][];
+      failed: number[][];
+    } | null;
+    notes: string[];
+  };
   type Usage = {
     clock: Clock | null;
     t: number[];

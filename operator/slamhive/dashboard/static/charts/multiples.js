@@ -108,7 +108,8 @@ export function multiples(data, set, found) {
   const numbers = category ? [] : xs.map(placeX);
   const xEnds = category ? {} : spread(numbers, set.xlog);
   // A few values have a label each.
-  const labelled = numbers.length && numbers.length <= FEW ? { customValues: numbers } : {};
+  const few = numbers.length > 0 && numbers.length <= FEW;
+  const labelled = few ? { customValues: numbers } : {};
   const [floor, ceiling] = [ends.min ?? 0, ends.max ?? 1];
   const notes = [
     outsideText(limits, set.figure),
@@ -200,9 +201,7 @@ export function multiples(data, set, found) {
           axisLabel: {
             show: one.atRow === down.length - 1,
             fontSize: 11,
-            showMinLabel: false,
-            showMaxLabel: false,
-            ...(category ? { interval: 0, showMinLabel: true, showMaxLabel: true } : {}),
+            ...(category ? { interval: 0 } : { showMinLabel: few, showMaxLabel: few }),
             ...labelled,
           },
           axisTick: { show: one.atRow === down.length - 1, ...labelled },

@@ -14,6 +14,8 @@ const OWN = new Set([
   'across',
   'over',
   'of',
+  'from',
+  'to',
   'outcomes',
   'figure',
   'xlog',
