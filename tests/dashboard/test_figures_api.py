@@ -112,7 +112,7 @@ async def test_curves_beyond_number_are_refused(judged: Any, monkeypatch: pytest
     assert "7 curves are asked for" in answer["error"]
 
 
-PICTURES = ("ecdf", "paths", "timeline")
+PICTURES = ("ecdf", "paths", "timeline", "slices", "surface?x=parameters.nFeatures&y=seed")
 
 
 @pytest.mark.parametrize("picture", PICTURES)
@@ -135,6 +135,10 @@ async def test_every_picture_is_json_and_a_table_of_whatever_there_is(api: Any, 
         ("ecdf?by=algoritm", "by", "did you mean"),
         ("ecdf?over=datset", "over", "did you mean"),
         ("ecdf?outcomes=some", "outcomes", "known: all, tracked"),
+        ("surface?x=seed", "y", "required"),
+        ("surface?x=seed&y=seed", "y", "along x already"),
+        ("surface?x=seed&y=sed", "y", "did you mean"),
+        ("slices?metric=name", "metric", "numbers"),
         ("timeline?from=20&to=10", "to", "after that of from"),
         ("timeline?from=yesterday", "from", "valid number"),
     ],
@@ -332,3 +336,53 @@ def test_runs_that_go_on_last_until_now() -> None:
     assert answer["live"] == 2
     assert answer["lanes"] == ["a, cores 0-1", "a, place 1"]
     assert answer["bars"]["end"].tolist() == [noon + 60, noon + 60]
+
+
+@pytest.fixture
+async def varied(
+    url: str, tmp_path: Path, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
+) -> AsyncIterator[Any]:
+    """An API over runs of two settings: of the dearer ones most failed."""
+
+    def made(number: int, n: int, k: int, error: float | None) -> RunRecord:
+        more = BROKEN | {"reason": Reason.OUT_OF_MEMORY} if error is None else {"results": measured(error)}
+        given = spec("a") | {"repetition": number}
+        return make_run(number, spec=given, parameters={"n": n, "k": k}, attributes={}, **more)
+
+    rows = [(1, 1, 0.1), (1, 1, 0.3), (1, 2, 0.5), (2, 1, 0.7), (2, 2, None), (2, 2, None), (2, 2, 0.2)]
+    with Archive.open(url) as archive:
+        archive.put_runs(made(number, *row) for number, row in enumerate(rows))
+    async with open_app(Workstation(url, tmp_path)) as client:
+        yield client
+
+
+async def test_a_surface_has_medians_with_failed_runs_last(varied: Any) -> None:
+    answer = await varied.get("/analysis/surface?x=parameters.n&y=parameters.k")
+    [board] = answer["boards"]
+    found = {tuple(cell["at"]): (cell["median"], cell["n"], cell["total"]) for cell in board["cells"]}
+    assert found == {(1, 1): (0.2, 2, 2), (1, 2): (0.5, 1, 1), (2, 1): (0.7, 1, 1), (2, 2): (None, 1, 3)}
+
+
+async def test_slices_are_over_all_values_of_the_other_settings(varied: Any) -> None:
+    answer = await varied.get("/analysis/slices")
+    assert "each chart is over all values of the other settings" in answer["notes"]
+    [board] = answer["boards"]
+    one, two = board["slices"]["parameters.n"]
+    assert (one["best"], one["low"], one["median"], one["high"]) == (0.1, 0.2, 0.3, 0.4)
+    assert (two["best"], two["median"], two["n"], two["total"]) == (0.2, None, 2, 4)
+    assert two["failures"] == {"OutOfMemory": 2}
+
+
+async def test_many_values_of_a_setting_are_taken_together(
+    varied: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_PLACES", 2)
+    answer = await varied.get("/analysis/surface?x=ate.rmse&y=parameters.k")
+    assert any("the 5 values of ate.rmse are taken together in 2 stretches" in n for n in answer["notes"])
+    places = {cell["at"][0] for cell in answer["boards"][0]["cells"]} - {None}
+    assert sorted(places) == pytest.approx([0.15, 0.5])
+
+
+async def test_more_pictures_than_can_be_looked_at(varied: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_BOARDS", 0)
+    assert "pictures are asked for" in (await varied.get("/analysis/slices", 413))["error"]

@@ -29,6 +29,8 @@ PAGES = {
     "/explore?kind=box&x=algorithm&colour=dataset": "Behind it",
     "/explore?kind=heat&x=parameters.nFeatures": "Runs",
     "/explore?kind=parallel": "over",
+    "/explore?kind=contour&x=parameters.nFeatures&colour=label.camera": "failed ones ranked last",
+    "/explore?kind=slices": "the middle half of the runs",
     "/explore?kind=ecdf": "never reach one",
     "/explore?kind=multiples&x=parameters.nFeatures&down=sensors&across=dataset": "the same axes",
     "/explore?kind=pareto&x=usage.cpu.meanCores": "nobody has both",

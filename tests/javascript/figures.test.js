@@ -8,6 +8,13 @@ import {
   robustLimits,
   roundEnds,
 } from '../../operator/slamhive/dashboard/static/charts/limits.js';
+import {
+  contourChart,
+  fields,
+  gridOf,
+  levelsOf,
+  pieces,
+} from '../../operator/slamhive/dashboard/static/charts/contour.js';
 import { cropped } from '../../operator/slamhive/dashboard/static/charts/cropping.js';
 import { curveCharts, ecdfChart, steps } from '../../operator/slamhive/dashboard/static/charts/ecdf.js';
 import { arranged, multiples, tooMany } from '../../operator/slamhive/dashboard/static/charts/multiples.js';
@@ -19,6 +26,7 @@ import {
   timelineChart,
   usedText,
 } from '../../operator/slamhive/dashboard/static/charts/timeline.js';
+import { sharedLimits, sliceChart } from '../../operator/slamhive/dashboard/static/charts/slices.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
 import { HOSTILE } from './helpers.js';
 
@@ -345,4 +353,81 @@ test('steps lead through time', () => {
   assert.deepEqual(moved([0, 80], 'later'), [40, 120]);
   assert.deepEqual(moved([0, 80], 'closer', 60), [50, 70]);
   assert.deepEqual(moved([50, 70], 'wider'), [20, 100]);
+});
+
+const cell = (at, median, more = {}) => ({
+  at,
+  runs: 3,
+  total: 3,
+  n: median === null ? 1 : 3,
+  failures: {},
+  best: 0.01,
+  low: 0.01,
+  median,
+  high: median,
+  ...more,
+});
+const METRIC = { name: 'ate.rmse', title: 'ATE [cm]', factor: 100 };
+const AXES = ['parameters.n', 'input.resolution'].map((name) => ({ name, title: name, kind: 'number' }));
+
+test('contours lie where the figure has their level', () => {
+  // A plane that rises by 1 a step of x: the line of 0.5 goes straight up its middle.
+  const all = fields(
+    [0, 1],
+    [0, 2],
+    [
+      [0, 1],
+      [0, 1],
+    ],
+  );
+  const ends = all.flatMap((field) => pieces(field, 0.501)).flat();
+  assert.ok(ends.length >= 2 * 12);
+  assert.ok(ends.every(([x]) => Math.abs(x - 0.501) < 1e-9));
+  assert.deepEqual([Math.min(...ends.map(([, y]) => y)), Math.max(...ends.map(([, y]) => y))], [0, 2]);
+  // A saddle has two lines in one field.
+  assert.equal(pieces({ x: [0, 1], y: [0, 1], corners: [0, 1, 1, 0] }, 0.5).length, 2);
+  assert.deepEqual(levelsOf(1, 1), []);
+});
+
+test('nothing is made up beside a place where runs failed', () => {
+  assert.equal(
+    fields(
+      [0, 1, 2],
+      [0, 1],
+      [
+        [0, 1, null],
+        [1, 2, 3],
+      ],
+    ).length,
+    144,
+  );
+  const cells = [cell([500, 1], 0.02), cell([500, 0.5], null), cell([900, 1], 0.03), cell([900, 0.5], 0.04)];
+  assert.deepEqual(gridOf(cells, 100).values, [
+    [null, 4],
+    [2, 3],
+  ]);
+  const { option, notes } = contourChart({ metric: METRIC, axes: AXES }, cells);
+  assert.match(notes.join(), /A cross: the median run failed there/);
+  assert.equal(option.series[3].data.length, 1);
+  assert.ok(drawn({ option }));
+});
+
+test('contours of texts and of a single value are drawn', () => {
+  const cells = [cell(['a', true], 0.02), cell([HOSTILE[0], true], 0.03), cell([null, false], 0.03)];
+  assert.ok(drawn(contourChart({ metric: METRIC, axes: AXES }, cells)));
+});
+
+test('slices share their limits, and what failed stands at the top', () => {
+  const slices = {
+    a: [cell([1], 0.02), cell([2], null, { low: null, best: null, high: null })],
+    b: [cell([HOSTILE[0]], 0.05)],
+  };
+  const limits = sharedLimits(slices, 100, false);
+  assert.equal(limits.high, 5);
+  const option = sliceChart(METRIC, AXES[0], slices.a, limits, false);
+  const [dot, cross] = option.series[1].data;
+  assert.deepEqual(dot.value, [0, 2]);
+  assert.deepEqual(cross.value, [1, option.yAxis.max]);
+  assert.match(cross.symbol, /^path/);
+  assert.ok(drawn({ option: sliceChart(METRIC, AXES[1], slices.b, limits, true) }));
 });

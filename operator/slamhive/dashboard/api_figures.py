@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.columns import Column
 from slamhive.analysis.grouping import (
     Groups,
     apart,
@@ -23,9 +25,9 @@ from slamhive.analysis.grouping import (
 )
 from slamhive.analysis.statistics import median_of_sorted
 from slamhive.dashboard.encoding import Body, plain
-from slamhive.dashboard.problems import TooLarge
+from slamhive.dashboard.problems import BadRequest, TooLarge
 from slamhive.dashboard.tables import heading
-from slamhive.tables.queries import columns, number_column, outcomes, select
+from slamhive.tables.queries import column, columns, number_column, outcomes, select
 from slamhive.tables.text import as_columns
 
 if TYPE_CHECKING:
@@ -38,7 +40,16 @@ if TYPE_CHECKING:
     from slamhive.tables.queries import Pairs
 
 ECDF_RESERVED = ("metric", "by", "over", "outcomes", "format")
+SURFACE_RESERVED = ("x", "y", "metric", "outcomes", "format")
+SLICES_RESERVED = ("metric", "outcomes", "format")
 MOST_CURVES = 200
+MOST_BOARDS = 24
+"""What must not be pooled tells boards apart; more pictures than these say nothing."""
+
+MOST_PLACES = 24
+"""Values of a setting along an axis; of more, neighbours are taken together."""
+
+MOST_SLICES = 16
 MOST_STEPS = 300
 """Steps of a curve that are sent: more could not be seen."""
 
@@ -180,3 +191,170 @@ def _steps(found: list[tuple[dict[str, Any], Ranked]]) -> Iterator[dict[str, Any
         shared = {**keys, "runs": ranked.runs, "total": total, "n": ranked.n}
         for place, value in enumerate(ranked.values[: ranked.n].tolist(), 1):
             yield shared | {"value": value, "share": place / total}
+
+
+def surface(snapshot: Snapshot, pairs: Pairs, axes: tuple[str, str], metric: str, which: str) -> Body:
+    """Return the median of a figure over two settings, failed runs ranked last.
+
+    Args:
+        snapshot: the data.
+        pairs: the query string: filters.
+        axes: columns of the settings, x and y.
+        metric: column of numbers, small is good.
+        which: tracked or all.
+    """
+    x, y = (column(snapshot.frame, name, field) for name, field in zip(axes, "xy", strict=True))
+    if x == y:
+        raise BadRequest(f"y: {y} is along x already, expected another column", "y")
+    number_column(snapshot.frame, metric, "metric")
+    chosen = select(snapshot.frame, pairs, SURFACE_RESERVED)
+    counted = outcomes(which)
+    frame, facets = apart(chosen.frame, [x, y], [metric])
+    frame, binned = _placed(frame, [x, y])
+    boards = _boards(frame, facets, metric, counted, [[x, y]])
+    mixed = [name for name in varying(frame) if name not in (*facets, x, y)]
+    content = {
+        "revision": snapshot.revision,
+        "rows": len(frame),
+        "metric": heading(snapshot.frame, metric),
+        "axes": [heading(snapshot.frame, name) for name in (x, y)],
+        "boards": [{"keys": keys, "cells": cells[0]} for keys, cells in boards],
+        "notes": [*chosen.notes, *binned, *pooling_notes(mixed), *_load_notes(frame, metric, counted)],
+    }
+    rows = [keys | cell for keys, cells in boards for cell in _flat(cells[0], [x, y])]
+    return Body(content, lambda: as_columns(rows))
+
+
+def slices(snapshot: Snapshot, pairs: Pairs, metric: str, which: str) -> Body:
+    """Return how a figure is distributed over the values of each setting, whatever the others are.
+
+    Args:
+        snapshot: the data.
+        pairs: the query string: filters.
+        metric: column of numbers, small is good.
+        which: tracked or all.
+    """
+    number_column(snapshot.frame, metric, "metric")
+    chosen = select(snapshot.frame, pairs, SLICES_RESERVED)
+    counted = outcomes(which)
+    settings = [name for name in varying(chosen.frame) if not name.startswith("dataset.attributes.")]
+    shown = settings[:MOST_SLICES]
+    frame, facets = apart(chosen.frame, shown, [metric])
+    frame, binned = _placed(frame, shown)
+    boards = _boards(frame, facets, metric, counted, [[name] for name in shown])
+    notes = [*chosen.notes, *binned, *_load_notes(frame, metric, counted)]
+    if len(settings) > len(shown):
+        notes.append(f"of {len(settings)} settings the first {len(shown)} are drawn")
+    if len(shown) > 1:
+        notes.append("each chart is over all values of the other settings")
+    content = {
+        "revision": snapshot.revision,
+        "rows": len(frame),
+        "metric": heading(snapshot.frame, metric),
+        "settings": [heading(snapshot.frame, name) for name in shown],
+        "boards": [{"keys": keys, "slices": dict(zip(shown, cells, strict=True))} for keys, cells in boards],
+        "notes": notes,
+    }
+    rows = [
+        keys | {"setting": name} | cell
+        for keys, cells in boards
+        for name, found in zip(shown, cells, strict=True)
+        for cell in _flat(found, ["value"])
+    ]
+    return Body(content, lambda: as_columns(rows))
+
+
+def _load_notes(frame: Frame, metric: str, which: Outcomes) -> list[str]:
+    return [*disturbance_notes(frame, [metric]), *unranked_notes(frame, which)]
+
+
+def _placed(frame: Frame, names: list[str]) -> tuple[Frame, list[str]]:
+    """Return rows whose many numbers of some columns are taken together with their neighbours, and notes.
+
+    Each stretch holds about equally many runs, and its median stands for it.
+    """
+    changed, notes = {}, []
+    for name in names:
+        held = frame.column(name)
+        if not held.kind.is_numeric:
+            continue
+        numbers = held.floats()
+        uniques, codes = np.unique(numbers[~np.isnan(numbers)], return_inverse=True)
+        if len(uniques) <= MOST_PLACES:
+            continue
+        edges = np.unique(np.quantile(uniques[codes], np.linspace(0, 1, MOST_PLACES + 1))[1:-1])
+        part = np.searchsorted(edges, numbers, side="right")
+        placed = numbers.copy()
+        for number in np.unique(part[~np.isnan(numbers)]):
+            inside = (part == number) & ~np.isnan(numbers)
+            placed[inside] = np.median(numbers[inside])
+        changed[name] = Column.of_numbers(placed)
+        notes.append(f"the {len(uniques):,} values of {name} are taken together in {MOST_PLACES} stretches")
+    return frame.replaced(changed), notes
+
+
+def _boards(
+    frame: Frame, facets: list[str], metric: str, which: Outcomes, asked: list[list[str]]
+) -> list[tuple[dict[str, Any], list[list[dict[str, Any]]]]]:
+    """Return for each combination of facets the cells by each list of columns.
+
+    Raises:
+        TooLarge: there are too many combinations.
+    """
+    apart_ = Groups(frame, facets)
+    if apart_.count > MOST_BOARDS:
+        raise TooLarge(
+            f"{apart_.count:,} pictures are asked for, by {', '.join(facets)}, and an answer has at most "
+            f"{MOST_BOARDS}: choose fewer runs",
+            "where",
+        )
+    found = []
+    for rows, keys in zip(apart_.members(), apart_.keys, strict=True):
+        board = frame.select(rows)
+        ranking = Ranking(board, metric, which)
+        found.append((keys, [_cells(board, ranking, names) for names in asked]))
+    return found
+
+
+def _cells(board: Frame, ranking: Ranking, names: list[str]) -> list[dict[str, Any]]:
+    groups = Groups(board, names)
+    cells = []
+    for rows, keys in zip(groups.members(), groups.keys, strict=True):
+        ranked = ranking.of(rows)
+        low, middle, high = _quartiles(ranked.values)
+        cells.append(
+            {
+                "at": [keys[name] for name in names],
+                "runs": ranked.runs,
+                "total": len(ranked.values),
+                "n": ranked.n,
+                "failures": ranked.failures,
+                "best": plain(ranked.values[0]) if len(ranked.values) else None,
+                "low": low,
+                "median": middle,
+                "high": high,
+            }
+        )
+    return cells
+
+
+def _quartiles(ordered: Floats) -> list[float | None]:
+    """Return quartiles of sorted numbers, None where they are failed runs' or there is none."""
+    if not len(ordered):
+        return [None, None, None]
+    last = len(ordered) - 1
+    found: list[float | None] = []
+    for share in (0.25, 0.5, 0.75):
+        below, above = ordered[math.floor(last * share)], ordered[math.ceil(last * share)]
+        found.append(
+            plain(float(below + (above - below) * (last * share % 1)) if below < above else float(below))
+        )
+    return found
+
+
+def _flat(cells: list[dict[str, Any]], names: list[str]) -> list[dict[str, Any]]:
+    return [
+        dict(zip(names, cell["at"], strict=True))
+        | {name: cell[name] for name in ("runs", "total", "n", "best", "low", "median", "high")}
+        for cell in cells
+    ]

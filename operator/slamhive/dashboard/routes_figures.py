@@ -40,6 +40,38 @@ def router(service: Service) -> APIRouter:
             lambda data: costs_little(data, request.url.query, by, ("algorithm",)),
         )
 
+    @routes.get("/analysis/surface", summary="A figure over two settings")
+    async def surface(
+        request: Request,
+        *,
+        x: Annotated[str, Query(max_length=10_000, description="A column.")],
+        y: Annotated[str, Query(max_length=10_000, description="Another column.")],
+        metric: Metric = ERROR,
+        outcomes: Which = "tracked",
+        where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Medians, failed runs last; of more than 24 values of a setting, neighbours are taken together."""
+        asked = pairs(request)
+        return await service.answer(
+            request, lambda data: api_figures.surface(data, asked, (x, y), metric, outcomes)
+        )
+
+    @routes.get("/analysis/slices", summary="A figure over each setting that varies")
+    async def slices(
+        request: Request,
+        *,
+        metric: Metric = ERROR,
+        outcomes: Which = "tracked",
+        where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Quartiles for each value, whatever the other settings are, failed runs last."""
+        asked = pairs(request)
+        return await service.answer(request, lambda data: api_figures.slices(data, asked, metric, outcomes))
+
     @routes.get("/analysis/paths", summary="Paths of several runs over their ground truth")
     async def paths(
         request: Request,

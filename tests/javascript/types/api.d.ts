@@ -233,6 +233,23 @@ declare namespace Api {
     notes: string[];
   };
 
+  /** The runs at a place of one setting or two, failed ones ranked last: null figures are failed runs'. */
+  type SurfaceCell = {
+    at: Value[];
+    runs: number;
+    total: number;
+    n: number;
+    failures: Failures;
+    best: number | null;
+    low: number | null;
+    median: number | null;
+    high: number | null;
+  };
+  type SurfaceBoard = { keys: Keys; cells: SurfaceCell[] };
+  type Surface = { metric: Heading; axes: Heading[]; boards: SurfaceBoard[]; notes: string[] };
+  type SliceBoard = { keys: Keys; slices: Record<string, SurfaceCell[]> };
+  type Slices = { metric: Heading; settings: Heading[]; boards: SliceBoard[]; notes: string[] };
+
   type CommonEntry = {
     keys: Keys;
     runs: number;

@@ -18,6 +18,7 @@ import { SmallMultiples } from './multiples.js';
 import { Parallel } from './parallel.js';
 import { Pareto } from './pareto.js';
 import { RunRows } from './runrows.js';
+import { Contours, Slices } from './surface.js';
 
 const KINDS = [
   ['scatter', 'points'],
@@ -26,19 +27,31 @@ const KINDS = [
   ['box', 'boxes'],
   ['ecdf', 'cumulative shares'],
   ['heat', 'heat map'],
+  ['contour', 'contours'],
+  ['slices', 'slices'],
   ['parallel', 'parallel axes'],
   ['pareto', 'Pareto front'],
 ];
 const KIND_NAMES = KINDS.map(([kind]) => kind).join(', ');
 /** @type {Record<string, ((props: any) => Shown) | undefined>} */
-const OTHERS = { ecdf: Ecdf, heat: Heat, multiples: SmallMultiples, parallel: Parallel, pareto: Pareto };
+const OTHERS = {
+  contour: Contours,
+  slices: Slices,
+  ecdf: Ecdf,
+  heat: Heat,
+  multiples: SmallMultiples,
+  parallel: Parallel,
+  pareto: Pareto,
+};
 const LOG_X = ['scatter', 'line', 'multiples', 'pareto', 'ecdf'];
 /** Drawings that have no column along x. */
-const NO_X = ['ecdf'];
+const NO_X = ['ecdf', 'slices'];
 /** Which field shows an error of a parameter. @type {Record<string, string>} */
 const FIELD_OF = { by: 'x', metrics: 'y', metric: 'y' };
 /** @type {Record<string, string>} */
-const COLOUR_LABELS = { ecdf: 'Curves', heat: 'Rows', pareto: 'Competitors' };
+const COLOUR_LABELS = { contour: 'Other setting', ecdf: 'Curves', heat: 'Rows', pareto: 'Competitors' };
+/** What stands in the place of a column of colours that isn't chosen. @type {Record<string, string>} */
+const NO_COLOUR = { contour: 'the first that varies', ecdf: 'algorithm' };
 const FIELDS = ['x', 'y', 'colour', 'facet', 'down', 'across', 'outcomes'];
 
 /**
@@ -127,7 +140,7 @@ function Explored({ columns }) {
   const title =
     query.get('title') ||
     (NO_X.includes(set.kind)
-      ? `${titleOf(columns, set.y)}: cumulative shares of runs`
+      ? `${titleOf(columns, set.y)}: ${set.kind === 'ecdf' ? 'cumulative shares of runs' : 'slices'}`
       : `${titleOf(columns, set.y)} over ${titleOf(columns, set.x)}`);
   const [otherError, setOtherError] = useState(null);
   const error = Other ? otherError : state.error;
@@ -242,14 +255,18 @@ function Controls({ columns, set, change, error, field }) {
           error=${wrong('y')}
           onChange=${(y) => change({ y })}
         />
+        ${
+          set.kind !== 'slices' &&
+          html`
         <${Choice}
           label=${COLOUR_LABELS[set.kind] ?? 'Colour'}
           value=${set.colour}
           options=${any}
-          none=${set.kind === 'ecdf' ? 'algorithm' : 'none'}
+          none=${NO_COLOUR[set.kind] ?? 'none'}
           error=${wrong('colour')}
           onChange=${(colour) => change({ colour })}
-        />
+        />`
+        }
         ${
           (!OTHERS[set.kind] || set.kind === 'ecdf') &&
           html`
@@ -318,8 +335,8 @@ function Controls({ columns, set, change, error, field }) {
             `
           }
           ${
-            [...LOG_X, 'box'].includes(set.kind) &&
-            !NO_X.includes(set.kind) &&
+            [...LOG_X, 'box', 'slices'].includes(set.kind) &&
+            set.kind !== 'ecdf' &&
             html`
               <${Tick}
                 label="log y"
