@@ -224,3 +224,12 @@ def test_new_runs_come_by_themselves(
     browser.wait("document.body.innerText.includes('2 of 2 runs finished')")
     browser.wait("document.body.innerText.includes('Points 2')")
     browser.call("Page.navigate", url="about:blank")
+
+
+def test_on_a_phone_the_score_stands_before_the_name(browser: Any, site: str) -> None:
+    heads = "[...document.querySelectorAll('th')].slice(0, 4).map((one) => one.innerText)"
+    browser.open(f"{site}/leaderboard", width=390)
+    browser.wait("document.querySelectorAll('th').length > 4")
+    assert browser.run(heads)[:3] == ["rank", "score (0 best)", "over the best"]
+    browser.look(width=1280)
+    browser.wait(f"{heads}[2] === 'algorithm'")

@@ -27,6 +27,7 @@ import {
   usedText,
 } from '../../operator/slamhive/dashboard/static/charts/timeline.js';
 import { sharedLimits, sliceChart } from '../../operator/slamhive/dashboard/static/charts/slices.js';
+import { foremost } from '../../operator/slamhive/dashboard/static/core/narrow.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
 import { HOSTILE } from './helpers.js';
 
@@ -430,4 +431,12 @@ test('slices share their limits, and what failed stands at the top', () => {
   assert.deepEqual(cross.value, [1, option.yAxis.max]);
   assert.match(cross.symbol, /^path/);
   assert.ok(drawn({ option: sliceChart(METRIC, AXES[1], slices.b, limits, true) }));
+});
+
+test('what matters comes first on a phone, and nothing is lost', () => {
+  const all = ['rank', 'name', 'score', 'n'].map((name) => ({ name }));
+  assert.deepEqual(
+    foremost(all, ['rank', 'score', 'unknown']).map((one) => one.name),
+    ['rank', 'score', 'name', 'n'],
+  );
 });
