@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +28,7 @@ MOST_FOUND = 50
 _MOST_SETTINGS = 12
 _NAMED = ("uid", "run", "name", "sweep", "status", "repetition", *SUBJECT)
 _SETTINGS = (*CONFIGURATION, "label.")
+_WORDS = {"true": 1.0, "false": 0.0}
 
 
 def search(snapshot: Snapshot, pairs: Pairs, words: str, limit: int) -> Body:
@@ -49,10 +51,7 @@ def search(snapshot: Snapshot, pairs: Pairs, words: str, limit: int) -> Body:
         raise BadRequest(f"words: {len(asked)} are too many, expected {MOST_WORDS} at most", "words")
     chosen = select(snapshot.frame, pairs, RESERVED, each=True)
     frame = chosen.frame.select(first_rows(chosen.frame))
-    fitting = np.ones(len(frame), dtype=bool)
-    for word in asked:
-        fitting &= _fits(frame, word)
-    found = frame.select(fitting)
+    found = frame.select(_fitting(frame, asked))
     # The latest come first: they are looked for most.
     shown = found.select(np.arange(len(found))[::-1][:limit])
     names = [*SUBJECT, *varying(shown)[:_MOST_SETTINGS], "repetition"]
@@ -71,42 +70,43 @@ def search(snapshot: Snapshot, pairs: Pairs, words: str, limit: int) -> Body:
     return Body(content, lambda: as_columns(rows))
 
 
-def _fits(frame: Frame, word: str) -> Mask:
-    """Tell which runs a word fits, (n,)."""
-    fits = np.zeros(len(frame), dtype=bool)
-    name, equals, value = word.partition("=")
-    for column in frame.names:
-        setting = column.startswith(_SETTINGS)
-        if not setting and column not in _NAMED:
+def _fitting(frame: Frame, words: list[str]) -> Mask:
+    """Tell which runs all words fit, (n,)."""
+    fits = [np.zeros(len(frame), dtype=bool) for _ in words]
+    for name in frame.names:
+        setting = name.startswith(_SETTINGS)
+        if not setting and name not in _NAMED:
             continue
-        own = column.lower()
-        if equals:
-            if own == name or own.endswith(f".{name}"):
-                fits |= _holding(frame.glance(column), value, whole=True)
-            continue
-        held = frame.glance(column)
-        if setting and word in own.rpartition(".")[2]:
-            fits |= held.present
-        fits |= _holding(held, word)
-    return fits
+        own = name.lower()
+        column = frame.glance(name)
+        texts = None if column.kind.is_numeric else [str(value).lower() for value in column.values]
+        for fit, word in zip(fits, words, strict=True):
+            asked, equals, value = word.partition("=")
+            if equals:
+                if own == asked or own.endswith(f".{asked}"):
+                    np.logical_or(fit, _holding(column, texts, value, whole=True), out=fit)
+                continue
+            if setting and word in own.rpartition(".")[2]:
+                np.logical_or(fit, column.present, out=fit)
+            np.logical_or(fit, _holding(column, texts, word, whole=False), out=fit)
+    found: Mask = np.logical_and.reduce(fits) if fits else np.ones(len(frame), dtype=bool)
+    return found
 
 
-def _holding(column: Column, word: str, *, whole: bool = False) -> Mask:
+def _holding(column: Column, texts: list[str] | None, word: str, *, whole: bool) -> Mask:
     """Tell which values hold a word, (n,): as a part of a text unless as the whole, numbers as they are."""
-    codes, values = column.factorized()
-    verdicts = np.array([_is(value, word, whole=whole) for value in values], dtype=bool)
-    mask: Mask = verdicts[codes] if len(values) else np.zeros(len(codes), dtype=bool)
+    mask: Mask
+    if texts is None:
+        mask = column.numbers == _number(word)
+        return mask
+    verdicts = [word == text if whole else word in text for text in texts]
+    mask = np.array([*verdicts, False], dtype=bool)[column.codes]
     return mask
 
 
-def _is(value: Any, word: str, *, whole: bool) -> bool:
-    if value is None:
-        return False
-    if isinstance(value, str):
-        return value.lower() == word if whole else word in value.lower()
-    if isinstance(value, bool):
-        return word == str(value).lower()
+def _number(word: str) -> float:
+    """Return the number that a word is, NaN where it is none."""
     try:
-        return float(word) == float(value)
-    except (TypeError, ValueError):
-        return False
+        return float(_WORDS.get(word, word))
+    except ValueError:
+        return math.nan

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import heapq
 import time
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -169,21 +170,29 @@ def _lanes(frame: Frame, begin: Floats, end: Floats) -> tuple[npt.NDArray[np.int
     """Return the lane of each run, and the lanes' names: node and cores, or a free place there."""
     nodes, names = frame.column(_NODE).factorized()
     cores, sets = frame.column(_PROCESSORS).factorized()
+    pair = nodes.astype(np.intp) * max(1, len(sets)) + cores
     places = np.zeros(len(frame), dtype=np.intp)
-    keys: list[tuple[str, int, str, int]] = [("", 0, "", 0)] * len(frame)
-    for node, name in enumerate(names):
-        for core, held in enumerate(sets):
-            rows = np.flatnonzero((nodes == node) & (cores == core))
-            places[rows] = 0 if held is not None else _packed(begin[rows], end[rows])
-            for row in rows.tolist():
-                place = int(places[row])
-                text = f"cores {held}" if held is not None else (f"place {place + 1}")
-                keys[row] = (str(name or "this machine"), int(held is None), text, place)
-    ordered = sorted(set(keys), key=lambda key: (_natural(key[0]), key[1], key[3], _natural(key[2])))
-    number = {key: at for at, key in enumerate(ordered)}
-    alone = {key[0] for key in ordered if sum(other[0] == key[0] for other in ordered) == 1}
-    lane = np.array([number[key] for key in keys], dtype=np.intp)
-    return lane, [key[0] if key[0] in alone and key[1] else f"{key[0]}, {key[2]}" for key in ordered]
+    for number in np.unique(pair).tolist():
+        if sets[number % len(sets)] is None:
+            rows = np.flatnonzero(pair == number)
+            places[rows] = _packed(begin[rows], end[rows])
+    used, of_row = np.unique(np.stack([pair, places], axis=1), axis=0, return_inverse=True)
+    keys = []
+    for number, place in used.tolist():
+        held = sets[number % len(sets)]
+        text = f"place {place + 1}" if held is None else f"cores {held}"
+        keys.append((str(names[number // len(sets)] or "this machine"), held is None, text))
+    order = sorted(
+        range(len(keys)), key=lambda at: (_natural(keys[at][0]), keys[at][1], _natural(keys[at][2]))
+    )
+    rank = np.empty(len(keys), dtype=np.intp)
+    rank[order] = np.arange(len(keys))
+    nodes_with = Counter(node for node, _, _ in keys)
+    shown = [
+        node if free and nodes_with[node] == 1 else f"{node}, {text}"
+        for node, free, text in (keys[at] for at in order)
+    ]
+    return rank[of_row.ravel()], shown
 
 
 def _natural(text: str) -> list[tuple[bool, int, str]]:

@@ -108,7 +108,11 @@ def router(service: Service) -> APIRouter:
     ) -> Response:
         """Up to 1,500 runs one by one; of more, shares of time, ends and failures in 240 parts of it."""
         asked = pairs(request)
-        return await service.answer(request, lambda data: api_timeline.timeline(data, asked, (low, high)))
+        return await service.answer(
+            request,
+            lambda data: api_timeline.timeline(data, asked, (low, high)),
+            lambda data: costs_little(data, request.url.query),
+        )
 
     @routes.get("/search", summary="Runs by words: of their names, their settings, their numbers")
     async def search(
