@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Self
 
+from slamhive.analysis.names import label_of, name_of, with_unit
 from slamhive.model.errors import InputError
 
 UNITS: dict[str, dict[str, float]] = {
@@ -18,27 +19,7 @@ UNITS: dict[str, dict[str, float]] = {
 """By the unit of the stored number: what it can be shown in, and the factor."""
 
 _SHOWN_IN = {"B": "MiB"}
-_TITLES = {
-    "ate.rmse": "ATE",
-    "rpe[0].rmse": "RPE",
-    "relations.translation.mean": "relations",
-    "relations.rotationDeg.mean": "relations [°]",
-    "usage.cpu.meanCores": "CPU [cores]",
-    "usage.cpu.maxCores": "CPU max [cores]",
-    "usage.cpu.secondsPerDataSecond": "CPU [s/s]",
-    "usage.memory.peakBytes": "peak memory",
-    "usage.includesReader": "reader included",
-    "input.frameRate": "frame rate [Hz]",
-    "input.resolution": "resolution",
-    "input.pace": "pace",
-    "provenance.cpuModel": "processor",
-    "usage.memory.anonymousPeakBytes": "peak anonymous memory",
-    "usage.memory.workingSetPeakBytes": "peak working set",
-}
 _FORMAT = re.compile(r"\.\d{1,2}[efg]")
-_ERRORS = re.compile(
-    r"(beside\.\w+\.)?(ate|rpe\[\d+\]|relations(\.byTime\[\d+\])?\.translation)\.(rmse|mean|median|std|min|max)"
-)
 
 
 @dataclass(frozen=True)
@@ -85,8 +66,13 @@ class Metric:
     @property
     def title(self) -> str:
         """Return what people call the column, with the unit."""
-        title = _TITLES.get(self.column, self.column)
-        return f"{title} [{self.unit}]" if self.unit else title
+        name = name_of(self.column)
+        return with_unit(name.short, self.unit or name.unit)
+
+    @property
+    def label(self) -> str:
+        """Return the name of an axis along which the numbers are drawn, with the unit."""
+        return label_of(self.column, self.unit or None)
 
     def show(self, value: float | None) -> str:
         """Return a stored number as it is shown, a dash for none."""
@@ -96,11 +82,6 @@ class Metric:
 
 
 def stored_unit(column: str) -> str:
-    """Return the unit of a column's numbers: m, B, s, or nothing."""
-    if _ERRORS.fullmatch(column):
-        return "m"
-    if column.endswith("Bytes"):
-        return "B"
-    if column.endswith(("Seconds", ".seconds")):
-        return "s"
-    return ""
+    """Return the unit of a column's numbers, of those that can be shown in several: m, B, s, or nothing."""
+    unit = name_of(column).unit
+    return unit if unit in UNITS else ""

@@ -30,6 +30,7 @@ def heading(frame: Frame, name: str) -> dict[str, Any]:
         "name": name,
         "kind": str(frame.column(name).kind),
         "title": metric.title,
+        "label": metric.label,
         "unit": metric.unit or None,
         "factor": metric.factor,
     }

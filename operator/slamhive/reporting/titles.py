@@ -3,16 +3,15 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.grouping import SUBJECT
+from slamhive.analysis.names import title_of
 from slamhive.reporting.markup import parse_metric, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-_PREFIXES = re.compile(r"(parameters|input|resources|dataset\.attributes|label)\.(.+)")
 _READER = {True: "reader included", False: "reader not included"}
 
 
@@ -23,11 +22,7 @@ def column_title(name: str, among: Iterable[str] = ()) -> str:
         name: of the column.
         among: names of the columns beside it, from which it must stay apart.
     """
-    title = parse_metric(name).title
-    match = _PREFIXES.fullmatch(name)
-    if title != name or match is None or sum(other.endswith(f".{match[2]}") for other in among) > 1:
-        return title
-    return match[2]
+    return title_of(name, parse_metric(name).unit or None, among)
 
 
 def keys_text(
