@@ -59,6 +59,26 @@ QUESTIONS = (
 )
 
 
+PICTURES = (
+    (
+        "small multiples: sensors by frame rate over a parameter, one dataset",
+        "analysis/aggregate?by=sensors,input.frameRate,parameters.p1&metrics=ate.rmse&dataset=sequence-03",
+        500,
+    ),
+    ("timeline of all", "analysis/timeline", 500),
+    ("timeline of a part of the time, run by run", "analysis/timeline?from=1767225600&to=1767260000", 500),
+    ("cumulative shares of all, an algorithm and a dataset each", "analysis/ecdf", 500),
+    (
+        "contours of one algorithm on one dataset",
+        "analysis/surface?x=parameters.p1&y=parameters.p2&algorithm=dso&dataset=sequence-00",
+        500,
+    ),
+    ("slices of one algorithm on one dataset", "analysis/slices?algorithm=dso&dataset=sequence-00", 1000),
+    ("runs by words", "search?words=orb-slam3+parameters+2000", 1000),
+)
+"""What single pictures ask, measured one at a time; the crowd asks the above."""
+
+
 def make_record(number: int) -> RunRecord:
     """Return a run as a study of many parameters leaves them, the same for the same number."""
     chance = random.Random(number)
@@ -262,7 +282,7 @@ def measure(name: str, url: str, home: Path) -> None:
         server.get("runs?limit=1")
         took = time.perf_counter() - server.started
         report(f"{name}: start to first answer, warm archive", took * 1e3, "ms", 3000)
-        for what, question, limit in QUESTIONS:
+        for what, question, limit in (*QUESTIONS, *PICTURES):
             times = []
             size = 0
             if question == "LAST":

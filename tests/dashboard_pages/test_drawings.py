@@ -85,12 +85,13 @@ def test_columns_are_chosen(browser: Any, site: str) -> None:
 
 def test_runs_are_added_to_the_compared_and_taken_away(browser: Any, site: str) -> None:
     browser.open(f"{site}/compare?uid=run-000")
-    browser.choose("Add a run by its uid", "run-002")
-    browser.run("document.querySelector('form').requestSubmit()")
+    browser.choose("Add a run", "FIRST nFeatures=1000 hall front")
+    browser.click(".offers button", "<b>run</b> 18")
     browser.wait("document.querySelectorAll('.chip').length === 2")
+    browser.wait("document.querySelectorAll('.chip')[1].innerText.startsWith('nFeatures 1000')")
     browser.wait("document.querySelector('main').innerText.includes('parameters.nFeatures')")
     browser.click(".chip button")
-    browser.wait("document.querySelectorAll('.chip').length === 1 && location.search === '?uid=run-002'")
+    browser.wait("document.querySelectorAll('.chip').length === 1 && location.search === '?uid=run-018'")
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,10 @@ PAGES = {
     "/explore?kind=box&x=algorithm&colour=dataset": "Behind it",
     "/explore?kind=heat&x=parameters.nFeatures": "Runs",
     "/explore?kind=parallel": "over",
+    "/explore?kind=contour&x=parameters.nFeatures&colour=label.camera": "failed ones ranked last",
+    "/explore?kind=slices": "the middle half of the runs",
+    "/explore?kind=ecdf": "never reach one",
+    "/explore?kind=multiples&x=parameters.nFeatures&down=sensors&across=dataset": "the same axes",
     "/explore?kind=pareto&x=usage.cpu.meanCores": "nobody has both",
     "/leaderboard": "over the best",
     "/studies": "p after Holm",
@@ -38,6 +42,8 @@ PAGES = {
     "/studies?kind=suspects": "calibration suspect: in",
     "/table?by=algorithm&figures=mean": "failures",
     "/compare?uid=run-000&uid=run-001": "Memory since the program",
+    "/timeline": "48 runs, 8 failed",
+    "/paths?of=run-000": "All repetitions of a run",
     "/algorithms": "first",
     "/algorithms/first": "Leaderboard",
     "/datasets": "Datasets",
@@ -218,3 +224,12 @@ def test_new_runs_come_by_themselves(
     browser.wait("document.body.innerText.includes('2 of 2 runs finished')")
     browser.wait("document.body.innerText.includes('Points 2')")
     browser.call("Page.navigate", url="about:blank")
+
+
+def test_on_a_phone_the_score_stands_before_the_name(browser: Any, site: str) -> None:
+    heads = "[...document.querySelectorAll('th')].slice(0, 4).map((one) => one.innerText)"
+    browser.open(f"{site}/leaderboard", width=390)
+    browser.wait("document.querySelectorAll('th').length > 4")
+    assert browser.run(heads)[:3] == ["rank", "score (0 best)", "over the best"]
+    browser.look(width=1280)
+    browser.wait(f"{heads}[2] === 'algorithm'")

@@ -12,7 +12,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
 from slamhive import __version__
-from slamhive.dashboard import routes, routes_catalog, routes_studies
+from slamhive.dashboard import routes, routes_catalog, routes_figures, routes_studies
 from slamhive.dashboard.encoding import encode_json
 from slamhive.dashboard.events import Events
 from slamhive.dashboard.pages import Pages, docs_page
@@ -59,7 +59,12 @@ def create_app(source: Source, *, hosts: Collection[str] | None = None) -> FastA
         lifespan=life,
     )
     app.state.service = service
-    parts = (routes.router(service), routes_studies.router(service), routes_catalog.router(service, events))
+    parts = (
+        routes.router(service),
+        routes_studies.router(service),
+        routes_figures.router(service),
+        routes_catalog.router(service, events),
+    )
     for part in parts:
         app.router.routes.extend(part.routes)  # include_router would read all their annotations again
     _describe(app, service)

@@ -10,7 +10,14 @@ declare namespace Api {
   type Numbers = Array<number | null>;
 
   /** A column as tables and charts need it; `kind` is number, integer, time, text, boolean or other. */
-  type Heading = { name: string; title: string; kind?: string; unit?: string | null; factor?: number };
+  type Heading = {
+    name: string;
+    title: string;
+    label?: string;
+    kind?: string;
+    unit?: string | null;
+    factor?: number;
+  };
   type Column = Heading & {
     kind: string;
     group: string;
@@ -91,6 +98,13 @@ declare namespace Api {
     links: Record<string, string>;
   } & Record<string, any>;
 
+  type Search = {
+    total: number;
+    keys: Heading[];
+    items: Array<{ uid: string; run: Value; status: string; keys: Keys }>;
+    notes: string[];
+  };
+
   type Clock = { start: number; of: string };
   type Track = { t: number[]; x: number[]; y: number[]; z: number[]; error?: Numbers | null };
   type Trajectory = {
@@ -101,6 +115,51 @@ declare namespace Api {
     shown: number;
     estimate: Track;
     reference: Track | null;
+    notes: string[];
+  };
+  type PathGroup = {
+    facets: Keys;
+    reference: Track | null;
+    runs: Array<{
+      uid: string;
+      run: Value;
+      status: string;
+      coverage: number | null;
+      keys: Keys;
+      error: number | null;
+      track: Track | null;
+      problem: string | null;
+    }>;
+    notes: string[];
+  };
+  type Paths = { rows: number; by: string[]; groups: PathGroup[]; notes: string[] };
+  type Timeline = {
+    runs: number;
+    failed: number;
+    live: number;
+    whole: [number | null, number | null];
+    extent: [number | null, number | null];
+    lanes: string[];
+    bars: {
+      keys: Heading[];
+      settings: Keys[];
+      uid: string[];
+      run: Value[];
+      status: string[];
+      lane: number[];
+      begin: number[];
+      start: Numbers;
+      end: number[];
+      failed: boolean[];
+      live: boolean[];
+    } | null;
+    bins: {
+      edges: number[];
+      running: number[][];
+      preparing: number[][];
+      ended: number[][];
+      failed: number[][];
+    } | null;
     notes: string[];
   };
   type Usage = {
@@ -156,6 +215,41 @@ declare namespace Api {
     mixed: Array<{ sentence: string }>;
     notes: string[];
   };
+
+  type Curve = {
+    keys: Keys;
+    runs: number;
+    total: number;
+    n: number;
+    failures: Failures;
+    leftOut: Failures;
+    median: number | null;
+    x: number[];
+    share: number[];
+  };
+  type Ecdf = {
+    metric: Heading;
+    keys: Array<Heading & { facet?: boolean }>;
+    curves: Curve[];
+    notes: string[];
+  };
+
+  /** The runs at a place of one setting or two, failed ones ranked last: null figures are failed runs'. */
+  type SurfaceCell = {
+    at: Value[];
+    runs: number;
+    total: number;
+    n: number;
+    failures: Failures;
+    best: number | null;
+    low: number | null;
+    median: number | null;
+    high: number | null;
+  };
+  type SurfaceBoard = { keys: Keys; cells: SurfaceCell[] };
+  type Surface = { metric: Heading; axes: Heading[]; boards: SurfaceBoard[]; notes: string[] };
+  type SliceBoard = { keys: Keys; slices: Record<string, SurfaceCell[]> };
+  type Slices = { metric: Heading; settings: Heading[]; boards: SliceBoard[]; notes: string[] };
 
   type CommonEntry = {
     keys: Keys;

@@ -43,10 +43,30 @@ type Settings = {
   y: string;
   colour: string;
   facet: string;
+  down: string;
+  across: string;
   outcomes: string;
   figure: 'mean' | 'median';
   xlog: boolean;
   ylog: boolean;
+};
+
+/** What an axis has to hold, and how many values lie beyond. */
+type Limits = { low: number; high: number; below: number; above: number };
+
+/** Small multiples: the settings of their charts, and what is drawn in each. */
+type MultiplesSettings = Pick<Settings, 'x' | 'y' | 'down' | 'across' | 'figure' | 'xlog' | 'ylog'>;
+type Multiples = {
+  down: Api.Value[];
+  across: Api.Value[];
+  names: string[];
+  cells: Array<{
+    atRow: number;
+    atColumn: number;
+    lines: Array<{ name: string; points: Array<LinePoint & Omit<Reached, 'x'>> }>;
+  }>;
+  limits: Limits | null;
+  ends: { min?: number; max?: number; interval?: number };
 };
 
 /** An axis of points as charts read it: places are numbers in the shown unit, or numbers of categories. */
@@ -57,6 +77,9 @@ type ReadAxis = {
   text: (index: number) => string;
 };
 type CategoryAxis = ReadAxis & { categories: string[] };
+
+/** A curve of cumulative shares in shown units; `place` says how it looks. */
+type DrawnCurve = Api.Curve & { name: string; place: number };
 
 type ErrorRange = { low: number; high: number } | null;
 type View = { azimuth: number; elevation: number; zoom: number };

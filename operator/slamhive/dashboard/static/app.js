@@ -17,6 +17,8 @@ const PAGES = {
   table: () => import('./pages/table.js'),
   runs: () => import('./pages/runs.js'),
   compare: () => import('./pages/compare.js'),
+  timeline: () => import('./pages/timeline.js'),
+  paths: () => import('./pages/paths.js'),
   algorithms: () => import('./pages/catalog.js'),
   datasets: () => import('./pages/catalog.js'),
 };

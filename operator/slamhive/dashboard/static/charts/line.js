@@ -17,10 +17,22 @@ export function lines(data, x, y, facet, facetValue) {
     .map((key) => key.name)
     .filter((name) => name !== x && name !== facet)
     .filter((name) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
+  const groups = data.groups.filter((group) => !facet || String(group.keys[facet]) === facetValue);
+  return linesOf(groups, x, y, others);
+}
+
+/**
+ * Return one line a combination of some keys.
+ * @param {Api.Group[]} groups
+ * @param {string} x
+ * @param {string} y
+ * @param {string[]} others the keys
+ * @returns {Array<{name: string, points: LinePoint[]}>}
+ */
+export function linesOf(groups, x, y, others) {
   /** @type {Map<string, LinePoint[]>} */
   const found = new Map();
-  for (const group of data.groups) {
-    if (facet && String(group.keys[facet]) !== facetValue) continue;
+  for (const group of groups) {
     const name = keysText(Object.fromEntries(others.map((key) => [key, group.keys[key]]))) || 'runs';
     const points = found.get(name) ?? [];
     found.set(name, points);
@@ -102,7 +114,7 @@ export function line(data, settings) {
  * @param {'median'|'mean'} which
  * @param {number} factor
  */
-function reach(figure, which, factor) {
+export function reach(figure, which, factor) {
   const interval = figure?.[`${which}Interval`];
   const [low, high] = interval ? [interval.low, interval.high] : [figure?.min, figure?.max];
   /** @param {number|null|undefined} value */
@@ -122,7 +134,7 @@ function reach(figure, which, factor) {
  * @param {string} colour
  * @returns {ChartOption}
  */
-function band(name, points, colour) {
+export function band(name, points, colour) {
   return {
     type: 'custom',
     name: clip(name, 50),
@@ -152,7 +164,7 @@ function band(name, points, colour) {
  * @param {Api.Heading} heading
  * @param {string} which
  */
-function tell(point, name, heading, which) {
+export function tell(point, name, heading, which) {
   if (!point) return '';
   const { group, figure } = point;
   const failures = Object.entries(group.failures ?? {})

@@ -80,7 +80,7 @@ const broken = (track, point) =>
 
 /**
  * Return the option of a plane, metres equally long on both axes: a function of the chart's size.
- * @param {Array<{name: string, track: Api.Track}>} estimates
+ * @param {Array<{name: string, track: Api.Track, colour?: string}>} estimates
  * @param {Api.Track|null} reference ground truth
  * @param {Axis} a horizontal axis
  * @param {Axis} b vertical axis
@@ -140,7 +140,7 @@ export function plane(estimates, reference, a, b, range) {
               showSymbol: false,
               silent: true,
               data: points(one.track),
-              color: COLOURS[index % COLOURS.length],
+              color: one.colour ?? COLOURS[index % COLOURS.length],
               lineStyle: { width: 1 },
               z: 2,
             }))
@@ -164,7 +164,7 @@ export function plane(estimates, reference, a, b, range) {
                 name: clip(one.name, 40),
                 showSymbol: false,
                 data: points(one.track),
-                color: COLOURS[index % COLOURS.length],
+                color: one.colour ?? COLOURS[index % COLOURS.length],
                 lineStyle: { width: 1.8 },
               },
         ),

@@ -70,6 +70,11 @@ export function dressed(option, dark) {
       pageIconColor: ink.text,
       ...option.legend,
     };
+  if (option.graphic)
+    out.graphic = option.graphic.map((/** @type {any} */ one) => ({
+      ...one,
+      style: { fill: ink.text, fontFamily: 'system-ui, sans-serif', ...one.style },
+    }));
   if (option.visualMap) out.visualMap = { textStyle: { color: ink.text }, ...option.visualMap };
   if (option.parallel) {
     out.parallelAxis = option.parallelAxis.map((/** @type {any} */ one) => ({

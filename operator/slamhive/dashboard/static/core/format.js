@@ -109,6 +109,12 @@ export const headingOf = (headings, name) =>
   headings.find((one) => one.name === name) ?? { name, title: name };
 
 /**
+ * Return what stands at an axis of a column: its name where there is room, with its unit.
+ * @param {Api.Heading} heading
+ */
+export const axisName = (heading) => heading.label ?? heading.title;
+
+/**
  * Return a value of a column with its name, unless it says by itself what it is: "mono", "frame rate 7.5 Hz",
  * "reader not included".
  * @param {string} name

@@ -204,6 +204,7 @@ export function Space({ title, paths, range, height = 380, csv, table, view: tol
         }
         ${paths
           .filter((path) => !range || !path.error)
+          .filter((path, at, all) => all.findIndex((one) => one.name === path.name) === at)
           .map(
             (path) => html`
               <span>

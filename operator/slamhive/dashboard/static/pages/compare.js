@@ -1,22 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Runs side by side: trajectories over the ground truth, error, CPU and memory with one cursor. */
 import { overTime, shared, since, spanOf } from '../charts/trajectory.js';
-import { useAddress } from '../core/address.js';
-import { useAll } from '../core/api.js';
+import { address, useAddress } from '../core/address.js';
+import { useAll, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
-import { bytes, cell, clip, number } from '../core/format.js';
+import { bytes, cell, clip, keysText, number } from '../core/format.js';
 import { Choice, Fault, Link, Notes, runLink, Status, Table, useTitle, Waiting } from '../core/parts.js';
+import { differing, labelsOf, settingOf } from '../core/labels.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
-import { html, useMemo, useState } from '../core/ui.js';
+import { html, useEffect, useMemo, useState } from '../core/ui.js';
 import { CommonLink } from './common.js';
 import { loads } from './loads.js';
 import { Tracks, trackTable } from './tracks.js';
 
 const MOST = 8;
+const OFFERED = 8;
+const PAUSE_MS = 200;
 
 export default function Compare() {
   const { query, change } = useAddress();
-  const [draft, setDraft] = useState('');
   useTitle('Compare');
   const given = [...new Set(query.all('uid').filter(Boolean))];
   const uids = given.slice(0, MOST);
@@ -26,27 +28,28 @@ export default function Compare() {
     base.map((one, at) => (runs?.[at].data?.files ? `${one}/trajectory?points=1500` : null)),
   );
   const usage = useAll(base.map((one, at) => (runs?.[at].data?.files ? `${one}/usage` : null)));
-  /** @param {Event} event */
-  const add = async (event) => {
-    event.preventDefault();
-    if (draft.trim()) change({ uid: [...uids, draft.trim()] });
-    setDraft('');
-  };
+  const labels = useMemo(() => {
+    const known = (runs ?? []).flatMap((one) => (one.data ? [one.data] : []));
+    const texts = labelsOf(known);
+    return new Map(known.map((run, at) => [run.uid, texts[at]]));
+  }, [runs]);
+  /** @param {string} uid */
+  const add = (uid) => change({ uid: [...uids, uid] });
   const embedded = query.get('embed') === '1';
   return html`
     <h1>Compare runs</h1>
     ${
       !embedded &&
       html`
-        <form class="controls" onSubmit=${add}>
+        <section class="controls" aria-label="What is compared">
           <div class="row middle">
             ${uids.map(
               (uid, at) => html`
                 <span class=${`chip ${runs?.[at].error ? 'wrong' : ''}`}>
-                  ${clip(runs?.[at].data?.name ?? uid, 60)}
+                  ${clip(labels.get(uid) ?? uid, 90)}
                   <button
                     type="button"
-                    aria-label=${`Remove ${clip(uid, 80)}`}
+                    aria-label=${`Remove ${clip(labels.get(uid) ?? uid, 90)}`}
                     onClick=${() => change({ uid: uids.filter((one) => one !== uid) })}
                   >
                     ×
@@ -58,14 +61,7 @@ export default function Compare() {
             ${runs && html`<${CommonLink} runs=${runs.filter((one) => one.data).map((one) => one.data)} />`}
           </div>
           <div class="row">
-            <label class="field wide">
-              <span>Add a run by its uid, then Enter</span>
-              <input
-                type="text"
-                value=${draft}
-                onInput=${(event) => setDraft(event.target.value)}
-              />
-            </label>
+            <${Finder} taken=${uids} onAdd=${add} full=${uids.length >= MOST} />
             <${Choice}
               label="Colours tell"
               value=${query.get('colour', 'run')}
@@ -78,7 +74,7 @@ export default function Compare() {
               <${Fault} error=${one.error} />
             `,
           )}
-        </form>
+        </section>
       `
     }
     ${
@@ -117,21 +113,83 @@ export default function Compare() {
 }
 
 /**
- * What a run is called in a legend: its number, and what tells it apart from the others.
- * @param {Api.Run[]} runs
+ * A field that finds runs by words of their names and settings.
+ * @param {{taken: string[], onAdd: (uid: string) => void, full: boolean}} props
  */
-function namesOf(runs) {
-  const told = ['algorithm', 'sensors', 'dataset', 'repetition'].filter(
-    (key) => new Set(runs.map((run) => String(run.configuration?.[key]))).size > 1,
+function Finder({ taken, onAdd, full }) {
+  const [draft, setDraft] = useState('');
+  const [asked, setAsked] = useState('');
+  useEffect(() => {
+    const timer = setTimeout(() => setAsked(draft.trim()), PAUSE_MS);
+    return () => clearTimeout(timer);
+  }, [draft]);
+  const { data, error } = useData(
+    asked && !full ? address('/api/v1/search', { words: asked, limit: OFFERED + MOST }) : null,
   );
-  return runs.map((run) =>
-    [
-      `run ${clip(run.run ?? run.uid, 40)}`,
-      ...told.map(
-        (key) => `${key === 'repetition' ? 'repetition ' : ''}${clip(cell(run.configuration?.[key]), 40)}`,
-      ),
-    ].join(', '),
+  const offered = /** @type {Api.Search} */ (data)?.items
+    .filter((one) => !taken.includes(one.uid))
+    .slice(0, OFFERED);
+  // What all share needs no telling.
+  const told = Object.keys(offered?.[0]?.keys ?? {}).filter(
+    (name) => name === 'algorithm' || new Set((offered ?? []).map((one) => String(one.keys[name]))).size > 1,
   );
+  /** @param {Api.Keys} keys */
+  const text = (keys) =>
+    keysText(
+      Object.fromEntries(told.filter((name) => keys[name] !== null).map((name) => [name, keys[name]])),
+    );
+  /** @param {string} uid */
+  const take = (uid) => {
+    onAdd(uid);
+    setDraft('');
+  };
+  /** @param {Event} event */
+  const submit = (event) => {
+    event.preventDefault();
+    if (offered?.length && asked === draft.trim()) take(offered[0].uid);
+  };
+  return html`
+    <form class="field wide finder" onSubmit=${submit}>
+      <label class="field">
+        <span>Add a run: words of its algorithm, dataset, settings</span>
+        <input
+          type="text"
+          spellcheck="false"
+          maxlength="300"
+          disabled=${full}
+          placeholder=${full ? `${MOST} runs at most` : 'mono nFeatures=1000 resolution=0.5'}
+          value=${draft}
+          onInput=${(event) => setDraft(event.target.value)}
+        />
+      </label>
+      <${Fault} error=${error} />
+      ${
+        asked &&
+        offered &&
+        html`
+          <ul class="offers" aria-label="Runs that fit">
+            ${offered.map(
+              (one) => html`
+                <li key=${one.uid}>
+                  <button type="button" onClick=${() => take(one.uid)}>
+                    ${clip(text(one.keys), 90)} <${Status} value=${one.status} />
+                    <small>run ${clip(cell(one.run ?? one.uid), 40)}</small>
+                  </button>
+                </li>
+              `,
+            )}
+            <li class="quiet">
+              ${
+                data.total
+                  ? `${number(data.total)} runs fit${data.total > offered.length ? '; more words leave fewer' : ''}`
+                  : 'No run fits all these words.'
+              }
+            </li>
+          </ul>
+        `
+      }
+    </form>
+  `;
 }
 
 /**
@@ -141,6 +199,8 @@ function namesOf(runs) {
 function Compared({ runs, tracks, usage, byError }) {
   const suspects = useSuspects();
   const drawn = useMemo(() => pictures(runs, tracks, usage), [runs, tracks, usage]);
+  const present = runs.flatMap((one) => (one.data ? [one.data] : []));
+  const labels = labelsOf(present);
   /** @param {Api.Run} run */
   const keys = (run) => ({
     algorithm: run.configuration?.algorithm,
@@ -150,7 +210,11 @@ function Compared({ runs, tracks, usage, byError }) {
   });
   /** @type {TableColumn[]} */
   const columns = [
-    { name: 'run', title: 'run', show: (_, run) => runLink(run.uid, cell(run.run ?? run.uid)) },
+    {
+      name: 'run',
+      title: 'run',
+      show: (_, run) => runLink(run.uid, labels[present.indexOf(run)] ?? cell(run.run ?? run.uid)),
+    },
     {
       name: 'algorithm',
       title: 'algorithm',
@@ -222,7 +286,6 @@ function Compared({ runs, tracks, usage, byError }) {
           : '–',
     },
   ];
-  const present = runs.filter((one) => one.data).map((one) => one.data);
   if (present.length === 0) return null;
   return html`
     <${Table} columns=${columns} rows=${present} caption="The runs compared" />
@@ -265,29 +328,13 @@ function Compared({ runs, tracks, usage, byError }) {
  * @param {{runs: Api.Run[]}} props
  */
 function Different({ runs }) {
-  const names = [
-    ...new Set(
-      runs.flatMap((run) =>
-        ['parameters', 'input', 'resources'].flatMap((part) =>
-          Object.keys(run.configuration?.[part] ?? {}).map((name) => `${part}.${name}`),
-        ),
-      ),
-    ),
-  ];
-  /**
-   * @param {Api.Run} run
-   * @param {string} name
-   */
-  const value = (run, name) => {
-    const dot = name.indexOf('.');
-    return run.configuration?.[name.slice(0, dot)]?.[name.slice(dot + 1)] ?? null;
-  };
-  const told = names.filter((name) => new Set(runs.map((run) => JSON.stringify(value(run, name)))).size > 1);
+  const told = differing(runs);
   if (told.length === 0) return null;
+  const labels = labelsOf(runs);
   /** @type {TableColumn[]} */
   const columns = [
     { name: 'setting', title: 'differs', show: (name) => clip(name, 60) },
-    ...runs.map((run) => ({ name: run.uid, title: `run ${cell(run.run ?? run.uid)}` })),
+    ...runs.map((run, at) => ({ name: run.uid, title: labels[at] })),
   ];
   return html`
     <p></p>
@@ -295,7 +342,7 @@ function Different({ runs }) {
       columns=${columns}
       rows=${told.map((name) => ({
         setting: name,
-        ...Object.fromEntries(runs.map((run) => [run.uid, value(run, name)])),
+        ...Object.fromEntries(runs.map((run) => [run.uid, settingOf(run, name)])),
       }))}
       caption="Settings in which the runs differ"
     />
@@ -311,7 +358,7 @@ function pictures(runs, tracks, usage) {
   const found = runs.flatMap(({ data: run }, at) =>
     run ? [{ run, track: tracks[at].data, usage: usage[at].data, why: tracks[at].error?.message }] : [],
   );
-  const names = namesOf(found.map((one) => one.run));
+  const names = labelsOf(found.map((one) => one.run));
   const present = found.map((one, at) => ({
     ...one,
     name: names[at],

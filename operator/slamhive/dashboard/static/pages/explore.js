@@ -12,28 +12,47 @@ import { clip, headingOf, namedValue } from '../core/format.js';
 import { Choice, Fault, Link, Notes, NothingFits, Outcomes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
 import { groupTable, GroupTable } from './groups.js';
+import { Ecdf } from './ecdf.js';
 import { Heat } from './heat.js';
+import { SmallMultiples } from './multiples.js';
 import { Parallel } from './parallel.js';
 import { Pareto } from './pareto.js';
 import { RunRows } from './runrows.js';
+import { Contours, Slices } from './surface.js';
 
 const KINDS = [
   ['scatter', 'points'],
   ['line', 'lines'],
+  ['multiples', 'small multiples'],
   ['box', 'boxes'],
+  ['ecdf', 'cumulative shares'],
   ['heat', 'heat map'],
+  ['contour', 'contours'],
+  ['slices', 'slices'],
   ['parallel', 'parallel axes'],
   ['pareto', 'Pareto front'],
 ];
 const KIND_NAMES = KINDS.map(([kind]) => kind).join(', ');
 /** @type {Record<string, ((props: any) => Shown) | undefined>} */
-const OTHERS = { heat: Heat, parallel: Parallel, pareto: Pareto };
-const LOG_X = ['scatter', 'line', 'pareto'];
+const OTHERS = {
+  contour: Contours,
+  slices: Slices,
+  ecdf: Ecdf,
+  heat: Heat,
+  multiples: SmallMultiples,
+  parallel: Parallel,
+  pareto: Pareto,
+};
+const LOG_X = ['scatter', 'line', 'multiples', 'pareto', 'ecdf'];
+/** Drawings that have no column along x. */
+const NO_X = ['ecdf', 'slices'];
 /** Which field shows an error of a parameter. @type {Record<string, string>} */
 const FIELD_OF = { by: 'x', metrics: 'y', metric: 'y' };
 /** @type {Record<string, string>} */
-const COLOUR_LABELS = { heat: 'Rows', pareto: 'Competitors' };
-const FIELDS = ['x', 'y', 'colour', 'facet', 'outcomes'];
+const COLOUR_LABELS = { contour: 'Other setting', ecdf: 'Curves', heat: 'Rows', pareto: 'Competitors' };
+/** What stands in the place of a column of colours that isn't chosen. @type {Record<string, string>} */
+const NO_COLOUR = { contour: 'the first that varies', ecdf: 'algorithm' };
+const FIELDS = ['x', 'y', 'colour', 'facet', 'down', 'across', 'outcomes'];
 
 /**
  * Return the settings of an address, with what is shown where it names nothing.
@@ -60,6 +79,8 @@ function settingsOf(query, columns) {
     y: kind === 'line' ? y : y.split(',')[0], // only lines are drawn of several columns
     colour: at('colour'),
     facet: at('facet'),
+    down: at('down'),
+    across: at('across'),
     outcomes: at('outcomes', 'tracked'),
     figure: at('figure') === 'mean' ? 'mean' : 'median',
     xlog: at('xlog') === '1',
@@ -116,7 +137,11 @@ function Explored({ columns }) {
           filters.with({ x: set.x, y: set.y, colour: set.colour, facet: set.facet }),
         );
   const state = useData(drawn);
-  const title = query.get('title') || `${titleOf(columns, set.y)} over ${titleOf(columns, set.x)}`;
+  const title =
+    query.get('title') ||
+    (NO_X.includes(set.kind)
+      ? `${titleOf(columns, set.y)}: ${set.kind === 'ecdf' ? 'cumulative shares of runs' : 'slices'}`
+      : `${titleOf(columns, set.y)} over ${titleOf(columns, set.x)}`);
   const [otherError, setOtherError] = useState(null);
   const error = Other ? otherError : state.error;
   const at = FIELD_OF[error?.field ?? ''] ?? error?.field;
@@ -174,7 +199,7 @@ function Explored({ columns }) {
       !error &&
       !['scatter', 'parallel'].includes(set.kind) &&
       html`
-        <${RunRows} filters=${filters} extra=${[set.x, ...set.y.split(','), set.colour]} />
+        <${RunRows} filters=${filters} extra=${[NO_X.includes(set.kind) ? '' : set.x, ...set.y.split(','), set.colour]} />
       `
     }
   `;
@@ -211,13 +236,18 @@ function Controls({ columns, set, change, error, field }) {
           error=${wrong('kind')}
           onChange=${(kind) => change({ kind })}
         />
-        <${Choice}
-          label="x"
-          value=${set.x}
-          options=${any}
-          error=${wrong('x')}
-          onChange=${(x) => change({ x })}
-        />
+        ${
+          !NO_X.includes(set.kind) &&
+          html`
+            <${Choice}
+              label="x"
+              value=${set.x}
+              options=${any}
+              error=${wrong('x')}
+              onChange=${(x) => change({ x })}
+            />
+          `
+        }
         <${Choice}
           label="y"
           value=${set.y}
@@ -225,16 +255,20 @@ function Controls({ columns, set, change, error, field }) {
           error=${wrong('y')}
           onChange=${(y) => change({ y })}
         />
+        ${
+          set.kind !== 'slices' &&
+          html`
         <${Choice}
           label=${COLOUR_LABELS[set.kind] ?? 'Colour'}
           value=${set.colour}
           options=${any}
-          none="none"
+          none=${NO_COLOUR[set.kind] ?? 'none'}
           error=${wrong('colour')}
           onChange=${(colour) => change({ colour })}
-        />
+        />`
+        }
         ${
-          !OTHERS[set.kind] &&
+          (!OTHERS[set.kind] || set.kind === 'ecdf') &&
           html`
             <${Choice}
               label="One chart each"
@@ -247,6 +281,25 @@ function Controls({ columns, set, change, error, field }) {
           `
         }
         ${
+          set.kind === 'multiples' &&
+          [
+            ['down', 'Rows of charts', set.down],
+            ['across', 'Columns of charts', set.across],
+          ].map(
+            ([name, label, value]) => html`
+              <${Choice}
+                key=${name}
+                label=${label}
+                value=${value}
+                options=${any}
+                none="one"
+                error=${wrong(name)}
+                onChange=${(chosen) => change({ [name]: chosen })}
+              />
+            `,
+          )
+        }
+        ${
           !['scatter', 'parallel', 'pareto'].includes(set.kind) &&
           html`
             <${Outcomes}
@@ -257,7 +310,7 @@ function Controls({ columns, set, change, error, field }) {
           `
         }
         ${
-          ['line', 'heat'].includes(set.kind) &&
+          ['line', 'heat', 'multiples'].includes(set.kind) &&
           html`
             <${Choice}
               label="Figure"
@@ -282,7 +335,8 @@ function Controls({ columns, set, change, error, field }) {
             `
           }
           ${
-            [...LOG_X, 'box'].includes(set.kind) &&
+            [...LOG_X, 'box', 'slices'].includes(set.kind) &&
+            set.kind !== 'ecdf' &&
             html`
               <${Tick}
                 label="log y"

@@ -3,7 +3,7 @@
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { clip, number } from '../core/format.js';
-import { Fault, Notes, Table } from '../core/parts.js';
+import { Fault, Link, Notes, Table } from '../core/parts.js';
 import { html } from '../core/ui.js';
 
 /** The figures of a group. @type {Array<'median'|'mean'|'std'|'min'|'max'>} */
@@ -73,6 +73,17 @@ export const failureText = (failures) =>
     .join(', ') || 'none';
 
 /**
+ * Return the address of the page that shows the paths of a group's runs.
+ * @param {import('../core/address.js').Query} filters
+ * @param {Api.Keys} keys
+ */
+export const pathsOf = (filters, keys) =>
+  address(
+    '/paths',
+    filters.with(Object.fromEntries(Object.entries(keys).map(([name, value]) => [name, String(value)]))),
+  );
+
+/**
  * The groups of what a chart shows, with their n, failures and coverage.
  * @param {{columns: Api.Column[], set: Settings, filters: import('../core/address.js').Query}} props
  */
@@ -106,8 +117,19 @@ export function GroupTable({ columns, set, filters }) {
         shown &&
         html`
           <${Table}
-            columns=${shown.columns}
-            rows=${shown.rows.slice(0, 200)}
+            columns=${[
+              ...shown.columns,
+              {
+                name: 'paths',
+                title: 'paths',
+                show: (/** @type {unknown} */ _, /** @type {{keys: Api.Keys}} */ row) =>
+                  html`<${Link} href=${pathsOf(filters, row.keys)}>show</${Link}>`,
+              },
+            ]}
+            rows=${shown.rows.slice(0, 200).map((/** @type {any} */ row, /** @type {number} */ at) => ({
+              ...row,
+              keys: state.data.groups[at].keys,
+            }))}
             caption=${`Groups by ${clip(by.join(', '), 100)}`}
           />
         `

@@ -7,6 +7,7 @@ import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '.
 import { cell, clip, columnTitle, keysText, number } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Table, useTitle, Waiting } from '../core/parts.js';
 import { published } from '../core/questions.js';
+import { foremost, useNarrow } from '../core/narrow.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
 import { html } from '../core/ui.js';
 import { failureText } from './groups.js';
@@ -119,6 +120,7 @@ export default function Leaderboard() {
  * @param {{board: Api.Board, metric: Api.Heading, by: string[], csv: string, suspects: Api.Suspect[]}} props
  */
 function Board({ board, metric, by, csv, suspects }) {
+  const narrow = useNarrow();
   const facets = keysText(board.facets);
   const factor = metric.factor ?? 1;
   // What is suspect on one dataset is marked there, what is so on all beside the competitor.
@@ -203,7 +205,7 @@ function Board({ board, metric, by, csv, suspects }) {
         ${facets && html`<span class="quiet">${clip(facets, 200)}</span>`}
       </h2>
       <${Table}
-        columns=${columns}
+        columns=${narrow ? foremost(columns, ['rank', 'score', 'ratio']) : columns}
         rows=${rows}
         caption=${`Leaderboard on ${clip(board.datasets.join(', '), 100)}`}
       />

@@ -59,7 +59,8 @@ export default function RunPage({ uid }) {
           </span>
         `
       }
-      <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}>
+      <${Link} href=${`/compare?uid=${encodeURIComponent(uid)}`}>Compare</${Link}>${' · '}
+      <${Link} href=${address('/paths', { of: uid })}>All its repetitions</${Link}>
       <a href=${`${base}/manifest`} download>
         YAML to run it again
       </a>

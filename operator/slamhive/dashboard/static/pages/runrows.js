@@ -3,6 +3,7 @@
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { number } from '../core/format.js';
+import { foremost, useNarrow } from '../core/narrow.js';
 import { Fault, Link, runLink, Status, Table } from '../core/parts.js';
 import { html } from '../core/ui.js';
 
@@ -14,6 +15,7 @@ const SHOWN = ['uid', 'run', 'algorithm', 'sensors', 'dataset', 'status', 'cover
  *   sort?: string}} props
  */
 export function RunRows({ filters, extra, selected = false, title = 'Runs', sort = '' }) {
+  const narrow = useNarrow();
   const columns = [...new Set([...SHOWN, ...extra.filter(Boolean)])];
   const url = address('/api/v1/runs', filters.with({ columns: columns.join(','), sort, limit: 25 }));
   const state = useData(url);
@@ -37,7 +39,9 @@ export function RunRows({ filters, extra, selected = false, title = 'Runs', sort
       ${
         state.data &&
         html`
-          <${Table} columns=${dressed(state.data.columns)} rows=${state.data.items} caption="Runs" />
+          <${Table}
+            columns=${narrow ? foremost(dressed(state.data.columns), ['run', 'status', ...extra]) : dressed(state.data.columns)}
+            rows=${state.data.items} caption="Runs" />
         `
       }
     </section>

@@ -4,6 +4,7 @@ import { address, Query, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { columnOptions, Filters, isEmpty, shownByFilters, useColumns } from '../core/filters.js';
 import { clip, number } from '../core/format.js';
+import { foremost, useNarrow } from '../core/narrow.js';
 import { Empty, Fault, Link, NothingFits, Notes, Table, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useState } from '../core/ui.js';
 import RunPage from './run.js';
@@ -23,6 +24,8 @@ const USUAL = [
   'usage.memory.peakBytes',
   'finished',
 ];
+/** What comes first where little is seen. */
+const ON_A_PHONE = ['run', 'status', 'ate.rmse'];
 const MOST_COMPARED = 8;
 
 export default function Runs() {
@@ -36,7 +39,13 @@ function AllRuns() {
   useTitle('Runs');
   const columns = useColumns();
   const known = columns.data?.items ?? [];
-  const usual = USUAL.filter((name) => known.some((one) => one.name === name));
+  const narrow = useNarrow();
+  const usual = foremost(
+    USUAL.map((name) => ({ name })),
+    narrow ? ON_A_PHONE : [],
+  )
+    .map((one) => one.name)
+    .filter((name) => known.some((one) => one.name === name));
   const chosen = query.get('columns')
     ? query.get('columns').split(',')
     : usual.length

@@ -299,6 +299,7 @@ function One({ name, namespace }) {
           <${Link} href=${address('/studies', only.with({ kind: 'versions' }))}>
             Before and after
           </${Link}>
+          <${Link} href=${address('/timeline', only)}>Timeline</${Link}>
           <${Link} href=${address('/explore', only)}>Explore</${Link}>
         </p>
       </section>

@@ -42,7 +42,7 @@ export const trackTable = (estimates, columns = FIGURES) => ({
 });
 
 /**
- * @param {{estimates: Array<{name: string, track: Api.Track}>, reference: Api.Track|null, byError: boolean,
+ * @param {{estimates: Array<{name: string, track: Api.Track, colour?: string}>, reference: Api.Track|null, byError: boolean,
  *   csv?: string|true, title: string, aligned?: string}} props byError: colours tell the error instead of the
  *   run
  */
@@ -69,7 +69,7 @@ export function Tracks({ estimates, reference, byError, csv, title }) {
         ...estimates.map((one, at) => ({
           name: one.name,
           track: one.track,
-          colour: COLOURS[at % COLOURS.length],
+          colour: one.colour ?? COLOURS[at % COLOURS.length],
           width: 2,
           ...(range ? { error: one.track.error } : {}),
         })),

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+/** Limits of axes: such that a few values far away don't flatten all others, and that end at round numbers. */
+import { quantile } from './points.js';
+
+/** Quartile distances beyond the quartiles from which on a value is far out. The rule is `analysis/limits.py`'s. */
+const FAR = 3;
+/** Values below which none is left outside: of a few, none is the exception. */
+const LEAST = 8;
+/** Share of the values that may be left outside; more of them are a second group, not exceptions. */
+const MOST = 0.2;
+/** How many times as long the axis must be with them as without. */
+const GAIN = 2;
+
+/**
+ * Return what an axis over some values has to hold, and how many lie beyond.
+ * @param {Array<number|null|undefined>} values
+ * @param {{log?: boolean}} [how] log: distances are those of an axis of logarithms, which has no place for 0
+ * @returns {Limits|null} null where there is no value
+ */
+export function robustLimits(values, { log = false } = {}) {
+  const known = /** @type {number[]} */ (
+    values.filter((value) => typeof value === 'number' && Number.isFinite(value) && (!log || value > 0))
+  ).sort((a, b) => a - b);
+  if (!known.length) return null;
+  const places = log ? known.map(Math.log10) : known;
+  const [low, high] = fences(places);
+  const first = places.findIndex((place) => place >= low);
+  const last = places.findLastIndex((place) => place <= high);
+  const outside = places.length - (last - first + 1);
+  const [whole, kept] = [places[places.length - 1] - places[0], places[last] - places[first]];
+  const cut = places.length >= LEAST && outside <= MOST * places.length && whole >= GAIN * kept && kept > 0;
+  const [from, to] = cut ? [first, last] : [0, places.length - 1];
+  return { low: known[from], high: known[to], below: from, above: places.length - 1 - to };
+}
+
+/**
+ * Return between what sorted values are not far out.
+ * @param {number[]} sorted
+ */
+function fences(sorted) {
+  let [first, third] = [quantile(sorted, 0.25), quantile(sorted, 0.75)];
+  // Half of them are equal: the middle four fifths tell.
+  if (first === third) [first, third] = [quantile(sorted, 0.1), quantile(sorted, 0.9)];
+  const distance = third - first || Infinity;
+  return [first - FAR * distance, third + FAR * distance];
+}
+
+/**
+ * Return ends of an axis that hold some limits and are round, with the step between its labels.
+ * @param {{low: number, high: number}|null} limits
+ * @param {{log?: boolean, steps?: number}} [how] steps: about how many there are to be
+ * @returns {{min?: number, max?: number, interval?: number}} {} where nothing is known
+ */
+export function roundEnds(limits, { log = false, steps = 4 } = {}) {
+  if (!limits) return {};
+  if (log) {
+    const [low, high] = [Math.floor(Math.log10(limits.low)), Math.ceil(Math.log10(limits.high))];
+    return { min: 10 ** low, max: 10 ** Math.max(high, low + 1) };
+  }
+  const low = limits.low > 0 && limits.low < 0.4 * limits.high ? 0 : limits.low;
+  const span = limits.high - low || Math.abs(low) || 1;
+  const rough = span / steps;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 2.5, 5, 10].find((one) => one * power >= rough) ?? 10;
+  const interval = step * power;
+  // A value at the very end would be half hidden.
+  const min = low === 0 ? 0 : Math.floor(low / interval) * interval;
+  const max = Math.ceil((limits.high + span * 0.02) / interval) * interval;
+  return { min: clean(min), max: clean(max), interval };
+}
+
+/** Take off what floating point adds in the last digits. @param {number} value */
+const clean = (value) => Number(value.toPrecision(12));
+
+/**
+ * Say what lies beyond some limits, in words; '' where nothing does.
+ * @param {Limits|null} limits
+ * @param {string} what of them there are: "median", "run"
+ */
+export function outsideText(limits, what) {
+  const count = limits ? limits.below + limits.above : 0;
+  if (!count) return '';
+  return count === 1
+    ? `1 ${what} lies outside the limits of the axis: a triangle at its end marks it`
+    : `${count} ${what}s lie outside the limits of the axis: triangles at its ends mark them`;
+}
