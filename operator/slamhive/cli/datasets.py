@@ -19,7 +19,7 @@ from rich.table import Table
 from slamhive.cli.console import bytes_text, complain, err, listing, open_workbench, out, plural, remark
 from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
-from slamhive.local.catalog import load_workshop
+from slamhive.local.catalog import editor_line, load_workshop
 from slamhive.local.home import Home
 from slamhive.model.base import explain
 from slamhive.model.dataset import Dataset
@@ -306,7 +306,7 @@ def _suggest(source: Path, name: str) -> None:
     if target.exists():
         raise InputError(f"{target} exists already; complete it and add it: slamhive dataset add {target}")
     suggestion = suggest_dataset(_within_reach(source), name)
-    target.write_text(suggestion.text, encoding="utf-8")
+    target.write_text(editor_line("Dataset") + suggestion.text, encoding="utf-8")
     out.print(f"wrote {target}", soft_wrap=True)
     for sentence in suggestion.missing:
         remark(f"- {sentence}")

@@ -40,6 +40,12 @@ COMMANDS = {
         "validate",
         "Check manifests: everything that run would refuse, and what is missing here.",
     ),
+    "schema": _Command(
+        "schemas",
+        "schema",
+        "Print the JSON Schema of a kind, by which an editor completes and checks manifests.",
+    ),
+    "new": _Command("new", "app", "New manifests by questions: a sweep, a dataset, an algorithm."),
     "dashboard": _Command(
         "dashboard",
         "dashboard",
