@@ -20,7 +20,8 @@ from slamhive.analysis.selection import Chosen, Selection, choose
 from slamhive.archive import Archive
 from slamhive.archive.connection import file_of, shown
 from slamhive.archive.records import run_row
-from slamhive.cli.console import out, remark
+from slamhive.bridges.targets import Target
+from slamhive.cli.console import err, out, plural, remark
 from slamhive.cli.tables import Format, show, write_json, write_markdown
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError, UnknownNameError
@@ -184,7 +185,13 @@ def show_table(
 @app.command("export")
 def export(
     *,
-    form: Annotated[Format, typer.Option("--format", help="csv, json or markdown.")] = Format.CSV,
+    form: Annotated[
+        Format | None, typer.Option("--format", help="csv, json or markdown; default: csv.")
+    ] = None,
+    to: Annotated[
+        Target | None,
+        typer.Option(help="Runs for another program instead, offline, in the folder that -o names."),
+    ] = None,
     output: Output = None,
     where: Where = None,
     sweep: SweepName = None,
@@ -202,17 +209,19 @@ def export(
 
     Example: slamhive results export --format json --sweep demo -o demo.json
     """
+    selection = Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=reused, option="--")
+    if to is not None:
+        _hand_over(to, output, selection, {"--format": form, "--sort": sort, "--columns": columns})
+        return
     if form is Format.TABLE:
         raise InputError("--format: export writes csv, json or markdown; results list prints a table")
-    chosen = _select(
-        Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=reused, option="--")
-    )
+    chosen = _select(selection)
     frame = chosen.frame
     wanted = _names(columns) or frame.names
     frame.require(wanted)
     rows = _sorted(frame, sort).records(wanted)
     with _stream(output) as stream:
-        match form:
+        match form or Format.CSV:
             case Format.JSON:
                 write_json(stream, rows)
             case Format.CSV:
@@ -221,6 +230,37 @@ def export(
                 write_markdown(stream, wanted, ([key_text(row[name]) for name in wanted] for row in rows))
     for note in chosen.notes:
         remark(note)
+
+
+def _hand_over(to: Target, output: Path | None, selection: Selection, unused: dict[str, Any]) -> None:
+    """Write runs for another program."""
+    from rich.progress import Progress
+
+    from slamhive.bridges.exporting import export, next_step
+    from slamhive.bridges.places import Here
+
+    for option, value in unused.items():
+        if value is not None:
+            raise InputError(f"{option}: is for rows; --to {to} writes whole runs")
+    if output is None:
+        raise InputError(f"--output: --to {to} writes a folder: name it by -o DIR")
+    if output.exists() and not output.is_dir():
+        raise InputError(f"--output: {output} is there and no folder")
+    chosen = _select(selection)
+    home = Home.from_environment()
+    total = len(set(chosen.frame.column("uid").tolist()))
+    with Progress(console=err, disable=not err.is_terminal) as progress:
+        task = progress.add_task(f"writing for {to}", total=total)
+        done = lambda count: progress.update(task, completed=count)  # noqa: E731
+        if total:
+            with Here.open(home.archive_url, home.path) as here:
+                new, same = export(chosen.frame, to, output, here, done)
+        else:
+            new = same = 0
+    out.print(f"{output}: {plural(new, 'run')} written, {same} there already", soft_wrap=True, markup=False)
+    _remark(chosen)
+    if total:
+        out.print(f"Next:  {next_step(to, output)}", soft_wrap=True, markup=False)
 
 
 @contextmanager
