@@ -26,10 +26,13 @@ class Here:
         archive: the archive, open.
         url: of the archive.
         home: folder that holds the runs' folders.
+
+    Attributes:
+        archive: the archive.
     """
 
     def __init__(self, archive: Archive, url: str, home: Path) -> None:
-        self._archive = archive
+        self.archive = archive
         self._workstation = Workstation(url, home)
 
     @classmethod
@@ -41,7 +44,7 @@ class Here:
 
     def record(self, uid: str) -> RunRecord | None:
         """Return a run by its UID."""
-        return self._archive.get(uid)
+        return self.archive.get(uid)
 
     def place(self, record: RunRecord) -> Place | None:
         """Return a run's folder, if it is there."""
@@ -54,4 +57,4 @@ class Here:
 
     def algorithms(self) -> list[CatalogEntry]:
         """Return the algorithms as runs used them."""
-        return self._archive.catalog("Algorithm")
+        return self.archive.catalog("Algorithm")

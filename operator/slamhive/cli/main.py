@@ -80,6 +80,9 @@ COMMANDS = {
     "fetch": _Command(
         "cluster", "fetch", "Copy finished runs of a cluster into the archive here, for slamhive results."
     ),
+    "view": _Command(
+        "view", "view", "Show a run in Rerun's viewer: truth, estimate, error, images and usage over time."
+    ),
     "results": _Command("results", "app", "Finished runs: lists, tables, files."),
     "dataset": _Command("datasets", "app", "Datasets: list, add, check, prepare and export them."),
     "algorithm": _Command("algorithms", "app", "Algorithms: list, add and check them."),

@@ -116,7 +116,7 @@ def show_run(
     Example: slamhive results show demo-3f2a
     """
     with _archive() as archive:
-        records = _find(archive, run)
+        records = find_runs(archive, run)
     for record in records:
         rows = _rows_of(record)
         if as_json:
@@ -291,7 +291,12 @@ def _rows_of(record: RunRecord) -> list[Row]:
     return frame.records([name for name in frame.names if not frame.column(name).is_empty])
 
 
-def _find(archive: Archive, run: str) -> list[RunRecord]:
+def find_runs(archive: Archive, run: str) -> list[RunRecord]:
+    """Return the runs that a UID, a name or a label `run` means.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
     record = archive.get(run)
     if record is not None:
         return [record]
