@@ -133,9 +133,10 @@ pins: $(STAMP)
 audit: $(STAMP)
 	PATH="$(BIN):$$PATH" $(BIN)/python tests/audit/run.py $(if $(SERVICE),--service $(SERVICE))
 
-# The CRDs from the models, and the chart's copies of them and of the catalog.
+# The CRDs and the editors' schemas from the models, and the chart's copies of them and of the catalog.
 crds: $(STAMP)
 	$(BIN)/python -m slamhive.model.crd crds
+	$(BIN)/python -m slamhive.model.schemas schemas
 	SLAMHIVE_UPDATE=1 $(BIN)/python -m pytest -q tests/helm -k copies_are_equal
 
 clean:

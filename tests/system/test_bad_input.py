@@ -106,11 +106,11 @@ def test_a_wrong_manifest_is_refused(
         ),
         (
             "  matrix: [{path: parameters.act, values: [good]}]\n  exclude: [{parameters.act: good}]",
-            ["Sweep s: spec.exclude", "nothing is left to run"],
+            ["sweep.yaml:7: spec.exclude", "nothing is left to run"],
         ),
         (
             f"  matrix: [{{path: parameters.number, values: {LONG}}}, {{path: seed, values: {LONG}}}]",
-            ["Sweep s: ", "160000", "100000"],
+            ["sweep.yaml:6: spec.matrix: ", "160000", "100000"],
         ),
         ("  repetitions: 100001", ["sweep.yaml:6: spec.repetitions", "10000"]),
     ],

@@ -19,7 +19,7 @@ from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
 from slamhive.cli.unlisting import remove_dataset, rename
 from slamhive.cli.waiting import Work
-from slamhive.local.catalog import load_workshop
+from slamhive.local.catalog import editor_line, load_workshop
 from slamhive.local.home import Home
 from slamhive.model.base import explain
 from slamhive.model.dataset import Dataset
@@ -310,7 +310,7 @@ def _suggest(source: Path, name: str) -> None:
     suggestion = suggest_dataset(source, name)
     if suggestion.elsewhere is not None:
         _link(Path(suggestion.file), suggestion.elsewhere)
-    target.write_text(suggestion.text, encoding="utf-8")
+    target.write_text(editor_line("Dataset") + suggestion.text, encoding="utf-8")
     out.print(f"wrote {target}", soft_wrap=True)
     for sentence in suggestion.missing:
         remark(f"- {sentence}")

@@ -40,6 +40,12 @@ COMMANDS = {
         "validate",
         "Check manifests: everything that run would refuse, and what is missing here.",
     ),
+    "schema": _Command(
+        "schemas",
+        "schema",
+        "Print the JSON Schema of a kind, by which an editor completes and checks manifests.",
+    ),
+    "new": _Command("new", "app", "New manifests by questions: a sweep, a dataset, an algorithm."),
     "dashboard": _Command(
         "dashboard",
         "dashboard",
@@ -78,6 +84,9 @@ COMMANDS = {
     ),
     "fetch": _Command(
         "cluster", "fetch", "Copy finished runs of a cluster into the archive here, for slamhive results."
+    ),
+    "view": _Command(
+        "view", "view", "Show a run in Rerun's viewer: truth, estimate, error, images and usage over time."
     ),
     "results": _Command("results", "app", "Finished runs: lists, tables, files."),
     "sweep": _Command("sweeps", "app", "Sweeps in the archive: list, rename and remove them."),

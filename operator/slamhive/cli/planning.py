@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from slamhive.plan import Catalog
 
 
+CANCELLED = "spec.cancel: true; a cancelled run is not started"
+
+
 def sweeps_of(objects: Sequence[Kind]) -> list[Sweep]:
     """Return the sweeps among objects; a single run is a sweep of one.
 
@@ -25,7 +28,7 @@ def sweeps_of(objects: Sequence[Kind]) -> list[Sweep]:
     """
     for item in objects:
         if isinstance(item, MappingRun) and item.spec.cancel:
-            raise InputError(f"MappingRun {item.name}: spec.cancel: true; a cancelled run is not started")
+            raise InputError(f"MappingRun {item.name}: {CANCELLED}")
     return [
         item if isinstance(item, Sweep) else _as_sweep(item)
         for item in objects

@@ -20,9 +20,11 @@ from slamhive.analysis.selection import Chosen, Selection, choose
 from slamhive.archive import Archive
 from slamhive.archive.connection import file_of, shown
 from slamhive.archive.records import run_row
-from slamhive.cli.console import out, remark
+from slamhive.bridges.targets import Target
+from slamhive.cli.console import out, plural, remark
 from slamhive.cli.forgetting import prune
 from slamhive.cli.tables import Format, show, write_json, write_markdown
+from slamhive.cli.waiting import Work
 from slamhive.local.home import Home
 from slamhive.local.removed import absence
 from slamhive.model.errors import InputError, UnknownNameError
@@ -117,7 +119,7 @@ def show_run(
     Example: slamhive results show demo-3f2a
     """
     with _archive() as archive:
-        records = _find(archive, run)
+        records = find_runs(archive, run)
     for record in records:
         rows = _rows_of(record)
         if as_json:
@@ -188,7 +190,13 @@ def show_table(
 @app.command("export")
 def export(
     *,
-    form: Annotated[Format, typer.Option("--format", help="csv, json or markdown.")] = Format.CSV,
+    form: Annotated[
+        Format | None, typer.Option("--format", help="csv, json or markdown; default: csv.")
+    ] = None,
+    to: Annotated[
+        Target | None,
+        typer.Option(help="Runs for another program instead, offline, in the folder that -o names."),
+    ] = None,
     output: Output = None,
     where: Where = None,
     sweep: SweepName = None,
@@ -206,17 +214,19 @@ def export(
 
     Example: slamhive results export --format json --sweep demo -o demo.json
     """
+    selection = Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=reused, option="--")
+    if to is not None:
+        _hand_over(to, output, selection, {"--format": form, "--sort": sort, "--columns": columns})
+        return
     if form is Format.TABLE:
         raise InputError("--format: export writes csv, json or markdown; results list prints a table")
-    chosen = _select(
-        Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=reused, option="--")
-    )
+    chosen = _select(selection)
     frame = chosen.frame
     wanted = _names(columns) or frame.names
     frame.require(wanted)
     rows = _sorted(frame, sort).records(wanted)
     with _stream(output) as stream:
-        match form:
+        match form or Format.CSV:
             case Format.JSON:
                 write_json(stream, rows)
             case Format.CSV:
@@ -225,6 +235,34 @@ def export(
                 write_markdown(stream, wanted, ([key_text(row[name]) for name in wanted] for row in rows))
     for note in chosen.notes:
         remark(note)
+
+
+def _hand_over(to: Target, output: Path | None, selection: Selection, unused: dict[str, Any]) -> None:
+    """Write runs for another program."""
+    from slamhive.bridges.exporting import export, next_step
+    from slamhive.bridges.places import Here
+
+    for option, value in unused.items():
+        if value is not None:
+            raise InputError(f"{option}: is for rows; --to {to} writes whole runs")
+    if output is None:
+        raise InputError(f"--output: --to {to} writes a folder: name it by -o DIR")
+    if output.exists() and not output.is_dir():
+        raise InputError(f"--output: {output} is there and no folder")
+    chosen = _select(selection)
+    home = Home.from_environment()
+    total = len(set(chosen.frame.column("uid").tolist()))
+    with Work(f"writing for {to}") as work:
+        done = lambda count: work.count(count, total)  # noqa: E731
+        if total:
+            with Here.open(home.archive_url, home.path) as here:
+                new, same = export(chosen.frame, to, output, here, done)
+        else:
+            new = same = 0
+    out.print(f"{output}: {plural(new, 'run')} written, {same} there already", soft_wrap=True, markup=False)
+    _remark(chosen)
+    if total:
+        out.print(f"Next:  {next_step(to, output)}", soft_wrap=True, markup=False)
 
 
 app.command("prune")(prune)
@@ -258,7 +296,12 @@ def _rows_of(record: RunRecord) -> list[Row]:
     return frame.records([name for name in frame.names if not frame.column(name).is_empty])
 
 
-def _find(archive: Archive, run: str) -> list[RunRecord]:
+def find_runs(archive: Archive, run: str) -> list[RunRecord]:
+    """Return the runs that a UID, a name or a label `run` means.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
     record = archive.get(run)
     if record is not None:
         return [record]

@@ -19,6 +19,7 @@ from rich.markup import escape
 from slamhive.archive import Archive
 from slamhive.archive.connection import file_of
 from slamhive.cli import tables
+from slamhive.cli.checked import check_files
 from slamhive.cli.cluster import Context, Namespace, cluster_client
 from slamhive.cli.console import (
     command_name,
@@ -34,12 +35,11 @@ from slamhive.cli.console import (
 )
 from slamhive.cli.daily import errors_before, show_edits, to_do_again
 from slamhive.cli.exits import FAILED, INTERRUPTED, WRONG_INPUT
-from slamhive.cli.planning import planned, sweeps_of
 from slamhive.cli.progress import Display
 from slamhive.cli.results import show_table
 from slamhive.cli.watching import Watched, half_saved
 from slamhive.engine import PointState, Verdict
-from slamhive.local.catalog import bundled, load_workshop, read_files
+from slamhive.local.catalog import bundled, load_workshop
 from slamhive.local.choosing import Wish, ask
 from slamhive.local.engines import ContainerChoice, find_engine
 from slamhive.local.evaluations import bring_up_to_date, evaluate_again
@@ -56,14 +56,13 @@ from slamhive.model.evaluation import Evaluation
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep
 from slamhive.monitor.processes import forbid_inspection
-from slamhive.plan import local_uid, plan_problems
+from slamhive.plan import local_uid
 from slamhive.tables.text import short_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.local.catalog import Workshop
-    from slamhive.model.loading import Kind
     from slamhive.plan import Plan
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]
@@ -238,9 +237,9 @@ def plan(
     Example: slamhive plan sweep.yaml --head 10
     """
     workshop = load_workshop(Home.from_environment())
-    plans = [
-        (sweep, planned(sweep, workshop, strict=False)) for sweep in sweeps_of(read_files(files, workshop))
-    ]
+    checked = check_files(files, workshop, strict=False)
+    checked.refuse()
+    plans = checked.plans
     if not plans:
         raise InputError(f"{files[0]}: no Sweep or MappingRun in it")
     if count:
@@ -278,23 +277,14 @@ def validate(files: Files) -> None:
 
     Example: slamhive validate sweep.yaml
     """
-    workshop = load_workshop(Home.from_environment())
-    objects = read_files(files, workshop)
-    problems = 0
-    for sweep in sweeps_of(objects):
-        points = planned(sweep, workshop, strict=True)
-        found = plan_problems(points)
-        problems += len(found)
-        for problem in found:
-            complain(f"{sweep.kind} {sweep.name}: {problem}")
-        if not found:
-            out.print(f"{sweep.kind} {escape(sweep.name)}: {plural(len(points), 'run')}")
-            _tell_of_idle(sweep, points)
-    for item in objects:
+    checked = check_files(files, load_workshop(Home.from_environment()))
+    for sweep, points in checked.plans:
+        out.print(f"{sweep.kind} {escape(sweep.name)}: {plural(len(points), 'run')}")
+        _tell_of_idle(sweep, points)
+    for item in checked.objects:
         if not isinstance(item, Sweep | MappingRun):
             out.print(f"{item.kind} {escape(item.name)}: valid")
-    if problems:
-        raise typer.Exit(WRONG_INPUT)
+    checked.refuse()
 
 
 def demo(
@@ -351,12 +341,17 @@ class _How:
 
 def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     workshop = load_workshop(home)
-    objects = read_files(files, workshop)
-    evaluations, sweeps = _asked_for(objects, files)
-    plans = [_plan(sweep, workshop, how.container) for sweep in sweeps]
+    checked = check_files(files, workshop)
+    checked.refuse()
+    evaluations = [item for item in checked.objects if isinstance(item, Evaluation)]
+    if not checked.plans and not evaluations:
+        raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
+    for sweep, points in checked.plans:
+        _tell_of(sweep, points, workshop, how.container)
+    sweeps, plans = [sweep for sweep, _ in checked.plans], [points for _, points in checked.plans]
     if how.watched is not None:
         _follow(how.watched, workshop, plans)
-    jobs = _jobs(sweeps, plans, workshop, how)
+    jobs = _jobs(checked.plans, workshop, how)
     bench = open_workbench(home, workshop, how.container)
     with bench.archive:
         require_own_name(bench.archive, sweeps)
@@ -381,17 +376,7 @@ def _run_files(files: Sequence[Path], home: Home, how: _How) -> int:
     return FAILED if failed or faults else 0
 
 
-def _asked_for(objects: Sequence[Kind], files: Sequence[Path]) -> tuple[list[Evaluation], list[Sweep]]:
-    """Return the Evaluations and Sweeps among objects."""
-    evaluations = [item for item in objects if isinstance(item, Evaluation)]
-    sweeps = sweeps_of(objects)
-    if not sweeps and not evaluations:
-        raise InputError(f"{files[0]}: no Sweep, MappingRun or Evaluation in it")
-    return evaluations, sweeps
-
-
-def _jobs(sweeps: Sequence[Sweep], plans: Sequence[Plan], workshop: Workshop, how: _How) -> list[Job]:
-    both = list(zip(sweeps, plans, strict=True))
+def _jobs(both: Sequence[tuple[Sweep, Plan]], workshop: Workshop, how: _How) -> list[Job]:
     jobs = [Job(sweep, local_uid(sweep), points) for sweep, points in both]
     for job, asked in zip(jobs, ask(both, workshop, how.only, how.datasets), strict=True):
         job.asked = asked
@@ -472,11 +457,8 @@ def _drive(jobs: Sequence[Job], bench: Workbench, how: _How) -> int:
     return INTERRUPTED if interrupted else 0
 
 
-def _plan(sweep: Sweep, workshop: Workshop, container: ContainerChoice | None) -> Plan:
-    points = planned(sweep, workshop, strict=True)
-    problems = plan_problems(points)
-    if problems:
-        raise InputError("\n".join(f"{sweep.kind} {sweep.name}: {problem}" for problem in problems))
+def _tell_of(sweep: Sweep, points: Plan, workshop: Workshop, container: ContainerChoice | None) -> None:
+    """Say which algorithms can't run here, and which settings have no effect."""
     for name in points.algorithm_names():
         reason = unavailable(workshop.algorithm(name), container)
         if reason:
@@ -485,7 +467,6 @@ def _plan(sweep: Sweep, workshop: Workshop, container: ContainerChoice | None) -
             else:
                 err.print(f"[yellow]{escape(name)} can't run here: {escape(reason)}[/]")
     _tell_of_idle(sweep, points)
-    return points
 
 
 def _tell_of_idle(sweep: Sweep, points: Plan) -> None:

@@ -95,13 +95,21 @@ class Workshop:
 
 @cache
 def bundled(name: str) -> Path:
-    """Return a folder that comes with slamhive: ``algorithms``, ``examples`` or ``crds``."""
+    """Return a folder that comes with slamhive: ``algorithms``, ``examples``, ``crds`` or ``schemas``."""
     package = Path(__file__).resolve().parent.parent
     in_wheel = package / "_bundled" / name
     if in_wheel.is_dir():
         return in_wheel
     checkout = package.parent.parent
     return checkout / ("images/algorithms" if name == "algorithms" else name)
+
+
+def editor_line(kind: str) -> str:
+    """Return the first line of a manifest of a kind, by which an editor finds its schema."""
+    from slamhive.model import schemas  # noqa: PLC0415 - for those who write manifests alone
+
+    path = bundled("schemas") / schemas.file_name(kind)
+    return schemas.editor_line(str(path)) if path.is_file() else ""
 
 
 def load_workshop(home: Home | None = None) -> Workshop:

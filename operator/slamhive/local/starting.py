@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import tempfile
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter, ValidationError
 
-from slamhive.local.catalog import bundled, link_algorithm
+from slamhive.local.catalog import bundled, editor_line, link_algorithm
 from slamhive.model.base import NAME_LIMIT, Choice, Name
 from slamhive.model.errors import InputError
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from slamhive.local.home import Home
 
 _BUILD_SECONDS = 60
+EDITOR_LINE = re.compile(r"^# yaml-language-server: .*\n", re.MULTILINE)
+"""The line of a manifest that leads an editor to its schema."""
 
 
 class Kind(Choice):
@@ -98,6 +101,8 @@ def _fill(folder: Path, name: str, kind: Kind) -> None:
     for path in files:
         target = folder / path.name
         text = path.read_text(encoding="utf-8").replace(f"my-{kind.value}", name)
+        # The example's own line leads to a schema beside the examples.
+        text = EDITOR_LINE.sub(lambda _: editor_line("Algorithm"), text)
         target.write_text(text, encoding="utf-8")
         target.chmod(0o755 if text.startswith("#!") else 0o644)
 

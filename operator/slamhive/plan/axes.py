@@ -13,13 +13,14 @@ from slamhive.model.canonical import normalize
 from slamhive.model.errors import InputError
 from slamhive.model.sweep import MAX_POINTS
 from slamhive.plan.catalog import select
-from slamhive.plan.paths import ALGORITHM, DATASET, Settings, assign, flatten, parse_path, written
+from slamhive.plan.paths import ALGORITHM, DATASET, Collected, Settings, assign, flatten, parse_path, written
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.model.sweep import Axis, Range
     from slamhive.plan.catalog import Catalog
+    from slamhive.plan.findings import Findings
     from slamhive.plan.paths import Path
 
 _LOG_DIGITS = 12
@@ -85,8 +86,9 @@ def spread(span: Range, where: str) -> list[float]:
     return [span.from_, *inner, span.to][:count]
 
 
-def compile_axes(axes: Sequence[Axis], catalog: Catalog, problems: list[str]) -> list[Dimension]:
-    """Compile the axes of a matrix; mistakes are added to problems, one sentence each."""
+def compile_axes(axes: Sequence[Axis], catalog: Catalog, findings: Findings) -> list[Dimension]:
+    """Compile the axes of a matrix; mistakes go to the findings, axes without a right value are left out."""
+    problems = findings.problems
     dimensions: list[Dimension] = []
     labels: dict[str, str] = {}
     setters: dict[Path, str] = {}
@@ -94,14 +96,16 @@ def compile_axes(axes: Sequence[Axis], catalog: Catalog, problems: list[str]) ->
         where = f"spec.matrix[{number}]"
         if axis.label in labels:
             problems.append(f"{where}: {labels[axis.label]} has the label {axis.label!r} already")
+            findings.lose_axis(axis.label, axis.path)
             continue
         labels[axis.label] = where
-        try:
+        dimension = None
+        with Collected(problems):
             dimension = (
-                _points(axis, where, problems) if axis.points else _steps(axis, where, catalog, problems)
+                _points(axis, where, findings) if axis.points else _steps(axis, where, catalog, findings)
             )
-        except InputError as error:
-            problems.append(str(error))
+        if dimension is None or not dimension.values:
+            findings.lose_axis(axis.label, axis.path)
             continue
         for path in sorted(dimension.paths):
             if path in setters:
@@ -111,7 +115,7 @@ def compile_axes(axes: Sequence[Axis], catalog: Catalog, problems: list[str]) ->
     return dimensions
 
 
-def _points(axis: Axis, where: str, problems: list[str]) -> Dimension:
+def _points(axis: Axis, where: str, findings: Findings) -> Dimension:
     # The order of keys doesn't survive an API server, so points are sorted by name.
     points = sorted((axis.points or {}).items())
     return Dimension(
@@ -119,32 +123,37 @@ def _points(axis: Axis, where: str, problems: list[str]) -> Dimension:
         where=where,
         source="points",
         values=tuple(name for name, _ in points),
-        settings=tuple(flatten(fields, f"{where}.points.{name}", problems) for name, fields in points),
+        settings=tuple(
+            flatten(fields, f"{where}.points.{name}", findings.problems, lose=findings.lose)
+            for name, fields in points
+        ),
     )
 
 
-def _steps(axis: Axis, where: str, catalog: Catalog, problems: list[str]) -> Dimension:
+def _steps(axis: Axis, where: str, catalog: Catalog, findings: Findings) -> Dimension:
     path = parse_path(axis.path or "", f"{where}.path")
-    values, source = _values(axis, path, where, catalog)
+    values, source = _values(axis, path, where, catalog, findings)
     seen: set[str] = set()
     plain, settings = [], []
     for number, value in enumerate(values):
         place = f"{where}.values[{number}]" if source == "values" else f"{where}.{source}"
-        try:
+        setting: Settings | None = None
+        with Collected(findings.problems):
             setting = assign(path, value, place)
-        except InputError as error:
-            problems.append(str(error))
+        if setting is None:
             continue
         key = json.dumps(sorted(setting.items()))
         if key in seen:
-            problems.append(f"{place}: the value {value!r} stands twice")
+            findings.problems.append(f"{place}: the value {value!r} stands twice")
         seen.add(key)
         plain.append(normalize(value, place))
         settings.append(setting)
     return Dimension(axis.label, where, source, tuple(plain), tuple(settings), path)
 
 
-def _values(axis: Axis, path: Path, where: str, catalog: Catalog) -> tuple[list[Any], str]:
+def _values(
+    axis: Axis, path: Path, where: str, catalog: Catalog, findings: Findings
+) -> tuple[list[Any], str]:
     if axis.values is not None:
         return axis.values, "values"
     if axis.range is not None:
@@ -154,7 +163,7 @@ def _values(axis: Axis, path: Path, where: str, catalog: Catalog) -> tuple[list[
     kind = "algorithm" if path == ALGORITHM else "dataset"
     labels = axis.selector.match_labels if axis.selector else {}
     names = select(catalog, kind, labels)
-    if not names:
+    if not names and not findings.hidden(kind, ""):
         wanted = ", ".join(f"{key}: {value}" for key, value in sorted(labels.items()))
         raise InputError(f"{where}.selector: no {kind} has the labels {wanted}")
     return list(names), "selector"

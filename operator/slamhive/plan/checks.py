@@ -87,7 +87,7 @@ class _Check:
 
     def _row(self, row: int) -> None:
         plan = self._plan
-        settings = plan.given(row)
+        settings, unsure = plan.given(row), plan.findings.unsure
         value = plan.assembler.value
         name, data = value(settings, ALGORITHM), value(settings, DATASET)
         mode, pace = value(settings, SENSORS), value(settings, PACE)
@@ -100,23 +100,27 @@ class _Check:
                     self._parameter(row, algorithm, path, setting)
             self._once((name, pace), row, PACE, lambda: pace_problem(algorithm, pace))
             chosen, problem = mode_of(algorithm, mode)
-            self._once(("mode", name, mode), row, SENSORS, lambda: [problem] if problem else [])
-            if chosen is not None and dataset is not None:
+            if mode is not None or not unsure(SENSORS):
+                self._once(("mode", name, mode), row, SENSORS, lambda: [problem] if problem else [])
+            if chosen is not None and dataset is not None and not unsure(SENSORS, REMAP):
                 remap = self._remap(settings)
                 key = ("roles", name, chosen.name, data, *sorted(remap.items()))
                 self._once(key, row, SENSORS, lambda: role_problems(chosen, dataset, remap))
-        self._lidar(row, settings)
-        self._input(row)
+        if not unsure(PACE):
+            self._lidar(row, settings)
+        if not unsure(PACE, SENSORS, ALGORITHM, DATASET):
+            self._input(row)
 
     def _reference(self, row: int, path: Path, kind: str, name: str | None, known: Mapping[str, Any]) -> None:
-        if name is None:
+        findings = self._plan.findings
+        if name is None and not findings.unsure(path):
             self._once(
                 ("none", kind),
                 row,
                 path,
                 lambda: [f"{written(path)}: needed, but no axis and no template sets it"],
             )
-        elif name not in known and self._plan.strict:
+        elif name is not None and name not in known and self._plan.strict and not findings.hidden(kind, name):
             self._once(
                 (kind, name),
                 row,

@@ -16,6 +16,7 @@ from slamhive.model.sweep import MAX_POINTS
 from slamhive.plan.assembly import Assembler
 from slamhive.plan.axes import compile_axes
 from slamhive.plan.effects import Reading, recorded
+from slamhive.plan.findings import Findings
 from slamhive.plan.grid import Coordinates, Grid
 from slamhive.plan.hashes import local_uid, run_name
 from slamhive.plan.paths import ALGORITHM, DATASET, INPUT, PACE, REMAP, SEED, Settings, bounded, flatten
@@ -97,13 +98,21 @@ class Plan:
         catalog: Algorithms and Datasets.
         strict: whether ``check`` reports names that are not in the catalog.
         uid: identity of the Sweep; default: the server's, or else one that follows from its spec.
+        findings: receives mistakes; the plan is then one of what is right, to be looked at and not to be run.
 
     Raises:
-        InputError: the Sweep's template, matrix, include or exclude is wrong, with one sentence a line.
+        InputError: the Sweep's template, matrix, include or exclude is wrong, with one sentence a line; with
+            findings, it is so wrong that nothing of it can be looked at.
     """
 
     def __init__(
-        self, sweep: Sweep, catalog: Catalog, *, strict: bool = True, uid: str | None = None
+        self,
+        sweep: Sweep,
+        catalog: Catalog,
+        *,
+        strict: bool = True,
+        uid: str | None = None,
+        findings: Findings | None = None,
     ) -> None:
         self.sweep = sweep
         self.strict = strict
@@ -111,18 +120,24 @@ class Plan:
         self.datasets = catalog.datasets
         self.repetitions = sweep.spec.repetitions
         self._uid = uid or sweep.metadata.uid
-        problems: list[str] = []
-        self.template = flatten(sweep.spec.template.spec, "spec.template.spec", problems, strict=True)
-        dimensions = compile_axes(sweep.spec.matrix, catalog, problems)
-        if problems:
-            raise InputError("\n".join(bounded(problems)))
-        self.grid = Grid(dimensions, self.template, sweep.spec.include, sweep.spec.exclude)
+        self.findings = Findings() if findings is None else findings
+        self.template = flatten(
+            sweep.spec.template.spec,
+            "spec.template.spec",
+            self.findings.problems,
+            strict=True,
+            lose=self.findings.lose,
+        )
+        dimensions = compile_axes(sweep.spec.matrix, catalog, self.findings)
+        if findings is None:
+            self.findings.refuse()
+        self.grid = Grid(dimensions, self.template, sweep.spec.include, sweep.spec.exclude, findings)
         self.assembler = Assembler(self.template, self.algorithms)
         self._readings: dict[object, Reading | None] = {}
         self._bounded()
 
     def _bounded(self) -> None:
-        if len(self) == 0:
+        if len(self) == 0 and not self.findings.lost:
             raise InputError("spec.exclude: drops every combination of the matrix; nothing is left to run")
         if len(self) > MAX_POINTS:
             raise InputError(

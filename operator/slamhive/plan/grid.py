@@ -25,10 +25,11 @@ import numpy as np
 
 from slamhive.model.errors import InputError, suggestion
 from slamhive.model.sweep import MAX_POINTS
-from slamhive.plan.paths import Settings, assign, bounded, parse_path, written
+from slamhive.plan.findings import Findings
+from slamhive.plan.paths import Collected, Settings, assign, parse_path, written
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     import numpy.typing as npt
 
@@ -67,6 +68,7 @@ class _Entry:
     coordinates: Coordinates = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)
     matched: set[str] = field(default_factory=set)
+    is_known: bool = True
 
     def allow(self, axis: int, steps: Sequence[bool]) -> None:
         flags = np.asarray(steps, dtype=bool)
@@ -81,6 +83,7 @@ class Grid:
         template: fields that the template sets.
         include: entries as they stand in the Sweep.
         exclude: entries as they stand in the Sweep.
+        findings: receives mistakes of entries, which are then left out; None: they are raised.
 
     Attributes:
         matrix_rows: number of combinations of the matrix that exclude left.
@@ -95,24 +98,27 @@ class Grid:
         template: Settings,
         include: Sequence[Mapping[str, Any]],
         exclude: Sequence[Mapping[str, Any]],
+        findings: Findings | None = None,
     ) -> None:
+        self._findings = findings or Findings()
         self.dimensions = list(dimensions)
         self.shape = tuple(len(axis.values) for axis in self.dimensions)
         self._template = template
         self._setter = {path: number for number, axis in enumerate(self.dimensions) for path in axis.paths}
         self._labels = {axis.label: number for number, axis in enumerate(self.dimensions)}
         self._strides = [int(np.prod(self.shape[n + 1 :], dtype=object)) for n in range(len(self.shape))]
-        problems: list[str] = []
-        excluded = [self._exclusion(item, f"spec.exclude[{n}]", problems) for n, item in enumerate(exclude)]
-        included = [self._inclusion(item, f"spec.include[{n}]", problems) for n, item in enumerate(include)]
-        if problems:
-            raise InputError("\n".join(bounded(problems)))
+        excluded = self._entries(exclude, "spec.exclude", self._exclude_key)
+        included = self._entries(include, "spec.include", self._include_key)
+        if findings is None:
+            self._findings.refuse()
         self._kept = self._keep(excluded, only_include=not self.dimensions and bool(included))
         self.matrix_rows = math.prod(self.shape) if self._kept is None else len(self._kept)
         self._additions: list[Addition] = [Addition()]
         self._addition_of: npt.NDArray[np.int32] | None = None
         self._extra: list[Addition] = []
         self._extend(included)
+        if findings is None:
+            self._findings.refuse()
 
     def __len__(self) -> int:
         return self.matrix_rows + len(self._extra)
@@ -181,7 +187,8 @@ class Grid:
             addition = Addition(entry.coordinates, entry.settings, (entry.where,))
             key = json.dumps([[written(path), value] for path, value in sorted(entry.settings.items())])
             if key in made:
-                raise InputError(f"{entry.where}: makes the same combination as {made[key]}")
+                self._findings.problems.append(f"{entry.where}: makes the same combination as {made[key]}")
+                continue
             made[key] = entry.where
             self._extra.append(addition)
 
@@ -199,16 +206,35 @@ class Grid:
             path: entry.settings[path] for path in entry.settings if written(path) not in entry.matched
         }
 
-    def _inclusion(self, item: Mapping[str, Any], where: str, problems: list[str]) -> _Entry:
+    def _entries(
+        self,
+        items: Sequence[Mapping[str, Any]],
+        where: str,
+        take: Callable[[_Entry, str, Any, str], None],
+    ) -> list[_Entry]:
+        found = (self._entry(item, f"{where}[{number}]", take) for number, item in enumerate(items))
+        return [entry for entry in found if entry is not None]
+
+    def _entry(
+        self, item: Mapping[str, Any], where: str, take: Callable[[_Entry, str, Any, str], None]
+    ) -> _Entry | None:
+        """Return an entry of include or exclude; None where something of it is wrong or not known."""
         entry = _Entry(where)
+        problems = self._findings.problems
+        before = len(problems)
         if not item:
-            problems.append(f"{where}: sets nothing")
+            nothing = "sets nothing" if "include" in where else "names no axis, so it would drop everything"
+            problems.append(f"{where}: {nothing}")
         for key, value in sorted(item.items()):
-            try:
-                self._include_key(entry, key, value, f"{where}.{key}")
-            except InputError as error:
-                problems.append(str(error))
-        return entry
+            if key in self._findings.labels:
+                entry.is_known = False  # the axis that it names is wrong
+                continue
+            count = len(problems)
+            with Collected(problems):
+                take(entry, key, value, f"{where}.{key}")
+            if len(problems) > count and "include" in where:
+                self._findings.lose(key)
+        return entry if len(problems) == before and entry.is_known else None
 
     def _include_key(self, entry: _Entry, key: str, value: Any, where: str) -> None:
         axis = self._points_axis(key)
@@ -242,17 +268,6 @@ class Grid:
             label = key
         entry.coordinates[label] = setting
 
-    def _exclusion(self, item: Mapping[str, Any], where: str, problems: list[str]) -> _Entry:
-        entry = _Entry(where)
-        if not item:
-            problems.append(f"{where}: names no axis, so it would drop everything")
-        for key, value in sorted(item.items()):
-            try:
-                self._exclude_key(entry, key, value, f"{where}.{key}")
-            except InputError as error:
-                problems.append(str(error))
-        return entry
-
     def _exclude_key(self, entry: _Entry, key: str, value: Any, where: str) -> None:
         axis = self._points_axis(key)
         if axis is not None:
@@ -262,6 +277,9 @@ class Grid:
         for path, setting in assign(self._path(key, where), value, where).items():
             number = self._setter.get(path)
             if number is None:
+                if self._findings.unsure(path):
+                    entry.is_known = False  # an axis that is wrong may have been meant to
+                    continue
                 labels = suggestion(key, self._labels) if self._labels else "; the matrix has no axes"
                 raise InputError(f"{where}: no axis sets {written(path)}{labels}")
             base = self._template.get(path, _MISSING)

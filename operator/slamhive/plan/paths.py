@@ -22,7 +22,7 @@ from slamhive.model.run import MappingRunSpec
 from slamhive.model.sensors import Role
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from pydantic.fields import FieldInfo
 
@@ -62,7 +62,24 @@ OBJECTS = frozenset(path[:-1] for path in _FIELDS if len(path) > 1)
 """Paths of fields that hold other fields."""
 LEAVES = frozenset(_FIELDS) - OBJECTS - set(_MAPS)
 """Paths of fields that hold one value."""
-_KNOWN = sorted([*map(".".join, LEAVES), *_ALIASES, "parameters.NAME", *(f"input.remap.{r}" for r in _ROLES)])
+KNOWN = sorted([*map(".".join, LEAVES), *_ALIASES, "parameters.NAME", *(f"input.remap.{r}" for r in _ROLES)])
+"""All paths as they are written."""
+
+
+class Collected:
+    """A block whose InputErrors are taken in as problems, one a line; what follows it goes on."""
+
+    def __init__(self, problems: list[str]) -> None:
+        self._problems = problems
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        if not isinstance(error, InputError):
+            return False
+        self._problems += str(error).splitlines()
+        return True
 
 
 def bounded(problems: list[str], limit: int = 20) -> list[str]:
@@ -95,10 +112,17 @@ def parse_path(text: str, where: str) -> Path:
     if path in _FIELDS:
         return path
     hint = "parameters.NAME" if text == "parameters." else text
-    raise InputError(f"{where}: {text!r} is no field of a MappingRun's spec{suggestion(hint, _KNOWN)}")
+    raise InputError(f"{where}: {text!r} is no field of a MappingRun's spec{suggestion(hint, KNOWN)}")
 
 
-def flatten(fields: Mapping[str, Any], where: str, problems: list[str], *, strict: bool = False) -> Settings:
+def flatten(
+    fields: Mapping[str, Any],
+    where: str,
+    problems: list[str],
+    *,
+    strict: bool = False,
+    lose: Callable[[str], None] = lambda _: None,
+) -> Settings:
     """Return the single fields that a mapping of paths or of nested fields sets.
 
     Args:
@@ -106,16 +130,17 @@ def flatten(fields: Mapping[str, Any], where: str, problems: list[str], *, stric
         where: the field that holds the mapping, for sentences about mistakes.
         problems: receives one sentence for each mistake.
         strict: whether nesting and outside names alone are allowed, as in a manifest of a MappingRun.
+        lose: told of each key that sets nothing for a mistake.
     """
     result: Settings = {}
     for key, value in fields.items():
-        try:
-            found = assign(
-                _parse_key(key, f"{where}.{key}", strict=strict), value, f"{where}.{key}", strict=strict
-            )
-        except InputError as error:
-            problems.append(str(error))
-            continue
+        before = len(problems)
+        found: Settings = {}
+        with Collected(problems):
+            path = _parse_key(key, f"{where}.{key}", strict=strict)
+            found = _assign(path, value, f"{where}.{key}", problems, strict=strict)
+        if len(problems) > before:
+            lose(key)
         twice = sorted(found.keys() & result.keys())
         problems.extend(f"{where}.{key}: sets {written(path)} a second time" for path in twice)
         result |= found
@@ -133,20 +158,32 @@ def assign(path: Path, value: Any, where: str, *, strict: bool = False) -> Setti
     """Return the single fields that a value sets at a path, checked and normalised.
 
     Raises:
-        InputError: the value doesn't fit the field.
+        InputError: the value doesn't fit the field; one sentence a line.
     """
-    if path == REPETITION and not strict:
-        raise InputError(f"{where}: the number of a repetition cannot be set; use spec.repetitions")
+    problems: list[str] = []
+    result = _assign(path, value, where, problems, strict=strict)
+    if problems:
+        raise InputError("\n".join(problems))
+    return result
+
+
+def _assign(path: Path, value: Any, where: str, problems: list[str], *, strict: bool) -> Settings:
     if path not in OBJECTS and path not in _MAPS:
-        return {path: check(path, value, where)}
+        with Collected(problems):
+            if path == REPETITION and not strict:
+                raise InputError(f"{where}: the number of a repetition cannot be set; use spec.repetitions")
+            return {path: check(path, value, where)}
+        return {}
     if not isinstance(value, dict):
-        raise InputError(f"{where}: {written(path)} takes a mapping of fields, found {value!r}")
+        problems.append(f"{where}: {written(path)} takes a mapping of fields, found {value!r}")
+        return {}
     result: Settings = {}
     for key, item in value.items():
-        inner = parse_path(f"{written(path)}.{key}", f"{where}.{key}")
-        if path not in _MAPS and inner[: len(path) + 1] != (*path, key):
-            raise InputError(f"{where}.{key}: write nested fields one below the other")
-        result |= assign(inner, item, f"{where}.{key}")
+        with Collected(problems):
+            inner = parse_path(f"{written(path)}.{key}", f"{where}.{key}")
+            if path not in _MAPS and inner[: len(path) + 1] != (*path, key):
+                raise InputError(f"{where}.{key}: write nested fields one below the other")
+            result |= _assign(inner, item, f"{where}.{key}", problems, strict=False)
     return result
 
 

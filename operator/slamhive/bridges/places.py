@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of a home with their files: records of its archive, folders and ground truth as pages find them."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from slamhive.archive import Archive
+from slamhive.dashboard.sources import Workstation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from slamhive.archive.records import CatalogEntry
+    from slamhive.dashboard.artifacts import Place
+    from slamhive.dashboard.ground_truth import Truth
+    from slamhive.model.results import RunRecord
+
+
+class Here:
+    """What is known of a home's runs.
+
+    Args:
+        archive: the archive, open.
+        url: of the archive.
+        home: folder that holds the runs' folders.
+
+    Attributes:
+        archive: the archive.
+    """
+
+    def __init__(self, archive: Archive, url: str, home: Path) -> None:
+        self.archive = archive
+        self._workstation = Workstation(url, home)
+
+    @classmethod
+    @contextmanager
+    def open(cls, url: str, home: Path) -> Iterator[Here]:
+        """Open a home's archive to read from it."""
+        with Archive.open(url, read_only=True) as archive:
+            yield cls(archive, url, home)
+
+    def record(self, uid: str) -> RunRecord | None:
+        """Return a run by its UID."""
+        return self.archive.get(uid)
+
+    def place(self, record: RunRecord) -> Place | None:
+        """Return a run's folder, if it is there."""
+        return self._workstation.place(record)
+
+    def truth(self, record: RunRecord) -> Truth | None:
+        """Return the ground truth of a run's dataset, if it is at hand."""
+        dataset = str((record.spec.get("datasetRef") or {}).get("name"))
+        return self._workstation.truth(dataset, record.labels.get("dataset"))
+
+    def algorithms(self) -> list[CatalogEntry]:
+        """Return the algorithms as runs used them."""
+        return self.archive.catalog("Algorithm")

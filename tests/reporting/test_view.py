@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive view``: what is written is loaded by Rerun itself."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import yaml
+
+from slamhive.archive import Archive
+from slamhive.cli.main import main
+from slamhive.data.rosmessages import BagWriter
+from slamhive.model.results import Outcome, Phase, Result, RunRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+needs_rerun = pytest.mark.skipif(
+    importlib.util.find_spec("rerun") is None,
+    reason="rerun isn't installed, as it takes 500 MB: pip install rerun-sdk",
+)
+COUNT, START = 20, 1_600_000_000
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A home with a run of a camera: its path, ground truth, usage and prepared recording."""
+    home = tmp_path / "home"
+    variant, folder = home / "variants" / "v", home / "runs" / "study" / "study-0"
+    for one in (variant, folder / "run" / "output", home / "groundtruth"):
+        one.mkdir(parents=True)
+    with BagWriter(variant / "recording.bag") as bag:
+        for k in range(COUNT):
+            pixels = np.full((48, 64, 3), (0, 0, 10 * k), dtype=np.uint8)
+            bag.image("/left", (START + k) * 10**9, "left", "rgb8", pixels)
+    (folder / "run" / "dataset").symlink_to(variant)
+    sensors = {"left": {"topic": "/left"}}
+    recording = {"format": "Rosbag1", "path": "dataset/recording.bag"}
+    configuration = {"mode": "mono", "dataset": {"recording": recording}, "sensors": sensors}
+    (folder / "run" / "config.yaml").write_text(yaml.safe_dump(configuration))
+    truth = "".join(f"{START + k} {k} {k % 3} 0 0 0 0 1\n" for k in range(COUNT))
+    (home / "groundtruth" / "hall.txt").write_text(truth)
+    estimate = "".join(f"{START + k} {k + 0.5} {k % 3} 0 0 0 0 1\n" for k in range(COUNT))
+    (folder / "run" / "output" / "trajectory.txt").write_text(estimate)
+    (folder / "usage.csv").write_text("time_seconds,cpu_cores,resident_bytes\n0,1.0,1048576\n1,2.0,2097152\n")
+    values = {"alignment": "none", "transform": np.eye(4).tolist(), "ate": {"rmse": 0.5}}
+    spec = {"algorithmRef": {"name": "a"}, "datasetRef": {"name": "hall"}, "parameters": {"x": 1}}
+    record = RunRecord(
+        uid="uid-0",
+        name="study-0",
+        sweep="study",
+        spec=spec,
+        phase=Phase.SUCCEEDED,
+        folder=str(folder),
+        results=[Result(evaluation="none", outcome=Outcome.TRACKED, coverage=1.0, values=values)],
+    )
+    with Archive.open(f"sqlite:///{home}/archive.sqlite") as archive:
+        archive.put_runs([record, record.replace(uid="uid-1", name="gone", folder=None)])
+    monkeypatch.setenv("SLAMHIVE_HOME", str(home))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    def run(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["slamhive", *words])
+        code: Any = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+        return code or 0, *capsys.readouterr()
+
+    return run
+
+
+def rerun(*words: str) -> str:
+    """Return what Rerun's own command says of a file."""
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+@needs_rerun
+def test_rerun_loads_truth_estimate_error_images_and_usage(place: Path, call: Any) -> None:
+    code, out, err = call("view", "study-0", "--save", "run.rrd")
+    assert (code, err) == (0, "")
+    assert "Next:  rerun run.rrd" in out
+    rerun("verify", "run.rrd")
+    printed = rerun("print", "-vvv", "run.rrd")
+    for name in (
+        "/world/truth",
+        "/world/estimate/pose",
+        "/error_metres",
+        "/camera",
+        "/usage/cpu_cores",
+        "/run",
+    ):
+        assert name in printed, printed[:2000]
+    assert "study-0" in printed
+
+
+@needs_rerun
+def test_what_is_missing_is_said(place: Path, call: Any) -> None:
+    (place / "home" / "variants" / "v" / "recording.bag").unlink()
+    (place / "home" / "groundtruth" / "hall.txt").unlink()
+    code, _, err = call("view", "uid-0", "--save", "run.rrd")
+    assert code == 0
+    assert "its prepared recording is gone" in err
+    assert "the ground truth of this dataset is not at hand" in err
+    assert rerun("verify", "run.rrd") is not None
+
+
+@needs_rerun
+def test_a_run_leads_to_no_file_of_its_own_choice(place: Path, call: Any) -> None:
+    link = place / "home" / "runs" / "study" / "study-0" / "run" / "dataset"
+    (place / "home" / "variants" / "v").rename(place / "elsewhere")
+    link.unlink()
+    link.symlink_to(place / "elsewhere")
+    assert "its prepared recording is gone" in call("view", "uid-0", "--save", "run.rrd")[2]
+
+
+@needs_rerun
+def test_a_run_without_files_is_refused(place: Path, call: Any) -> None:
+    code, _, err = call("view", "gone", "--save", "run.rrd")
+    assert (code, err.strip()) == (2, "error: run gone: its files are not here, so there is nothing to show")
+    assert not (place / "run.rrd").exists()
+
+
+def test_a_missing_library_and_wrong_words_are_named(
+    place: Path, call: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    code, _, err = call("view", "study-0")
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert "pip install 'slamhive[rerun]'" in err
+    (place / "there.rrd").touch()
+    assert "is there already; nothing is overwritten" in call("view", "study-0", "--save", "there.rrd")[2]
+    assert "its folder is not there" in call("view", "study-0", "--save", "no/run.rrd")[2]
+    assert "did you mean 'study-0'" in call("view", "study-1")[2]
