@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.local.catalog import bundled, load_workshop, read_files
+from slamhive.local.catalog import bundled, load_workshop
+from slamhive.model.loading import load_file
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep
 from slamhive.plan import Plan, plan_problems
@@ -86,7 +87,8 @@ def test_no_package_of_tests_is_importable_by_accident() -> None:
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").rglob("*.yaml")), ids=lambda path: path.name)
 def test_every_example_loads_and_plans(path: Path) -> None:
     workshop = load_workshop()
-    objects = read_files([path], workshop)
+    objects = load_file(path)
+    workshop.add(objects, path.parent)
     assert objects
     for item in objects:
         if isinstance(item, Sweep):
@@ -104,7 +106,7 @@ def test_every_example_loads_and_plans(path: Path) -> None:
     ids=lambda f: f.name,
 )
 def test_every_algorithm_is_complete(folder: Path) -> None:
-    loaded = read_files([folder / "algorithm.yaml"], load_workshop())
+    loaded = load_file(folder / "algorithm.yaml")
     # A lab's own image has all that runs; nothing of it is ours.
     own = [item.metadata.labels.get("slamhive.io/image") == "own" for item in loaded]
     files = ALGORITHM_FILES[:1] if all(own) else ALGORITHM_FILES

@@ -20,7 +20,8 @@ import pytest
 import yaml
 
 from slamhive.archive import Archive
-from slamhive.local.catalog import load_workshop, read_files
+from slamhive.cli.checked import check_files
+from slamhive.local.catalog import load_workshop
 from slamhive.local.home import Home
 from slamhive.model.configuration import RunConfiguration
 from slamhive.model.loading import parse
@@ -145,7 +146,9 @@ def test_manifests_are_valid(document: Path, tmp_path: Path) -> None:
             files.append(tmp_path / f"{number}.yaml")
             files[-1].write_text(block.text)
     workshop = load_workshop()
-    for item in read_files(files, workshop):
+    checked = check_files(files, workshop)
+    checked.refuse()
+    for item in checked.objects:
         if isinstance(item, Sweep):
             assert plan_problems(Plan(item, workshop)) == []
         elif isinstance(item, MappingRun):
@@ -266,7 +269,5 @@ EXAMPLES = [path for path in sorted((ROOT / "examples").rglob("*.yaml")) if path
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_are_valid(path: Path) -> None:
-    workshop = load_workshop()
-    for item in read_files([path], workshop):
-        if isinstance(item, Sweep):
-            assert plan_problems(Plan(item, workshop)) == []
+    checked = check_files([path], load_workshop())
+    checked.refuse()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is written for other programs is read back by their own readers."""
+"""Runs written for other programs, read back by their own readers."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_tensorboard_reads_what_is_written(place: Path, call: Any) -> None:
     for text in ("| sweep | study |", "| dataset | hall |", "| repetition | 0 |", "| uid | uid/0 |"):
         assert text in tags
     files = events.Tensors("files/text_summary")[0].tensor_proto.string_val[0].decode()
-    assert f"- {place}/home/runs/study/study-0/output/trajectory.txt" in files
+    assert f"- {place / 'home'}/runs/study/study-0/output/trajectory.txt" in files
 
 
 def test_mlflow_reads_what_is_written(place: Path, call: Any) -> None:
@@ -151,7 +151,7 @@ def test_mlflow_reads_what_is_written(place: Path, call: Any) -> None:
         "dataset": "hall",
         "repetition": "0",
     }
-    assert f"{place}/home/runs/study/study-0/usage.csv" in first.data.tags["files"].splitlines()
+    assert f"{place / 'home'}/runs/study/study-0/usage.csv" in first.data.tags["files"].splitlines()
     history = client.get_metric_history(first.info.run_id, "series/cpu_cores")
     assert [(one.step, one.value) for one in history] == [(0, 0.5), (100, 1.5), (200, 1.0)]
 
@@ -188,7 +188,7 @@ def test_wandb_reads_what_is_written(place: Path, call: Any) -> None:
     assert {"dataset:hall", "repetition:0", "sweep:study", "uid:uid/0"} == set(run.tags)
     config = {item.key: json.loads(item.value_json) for item in run.config.update}
     assert config["settings"]["parameters.voxelSize"] == 0.5
-    assert f"{place}/home/runs/study/study-0/usage.csv" in config["files"]
+    assert f"{place / 'home'}/runs/study/study-0/usage.csv" in config["files"]
     summary = {
         item.key or "/".join(item.nested_key): json.loads(item.value_json)
         for one in found["study-0"]
@@ -245,7 +245,7 @@ def test_figures_of_several_evaluations_are_told_apart(place: Path) -> None:
 
     other = Result(evaluation="sim3", outcome=Outcome.PARTIAL, coverage=0.5, values={"ate": {"rmse": 7.0}})
     keep(place / "home", record(1).replace(results=[*record(1).results, other]))
-    url = f"sqlite:///{place}/home/archive.sqlite"
+    url = f"sqlite:///{place / 'home'}/archive.sqlite"
     frame = choose(read_archive(url), Selection()).frame
     with Here.open(url, place / "home") as here:
         runs = {run.uid: run for run in handed(frame, here)}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
-from slamhive.model.errors import InputError, ManifestError, UnknownNameError
+from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
@@ -164,23 +164,3 @@ def link_algorithm(folder: Path, home: Home, *, built: bool = True) -> str:
         )
     link.symlink_to(folder.resolve(), target_is_directory=True)
     return algorithms[0].name
-
-
-def read_files(paths: Iterable[Path], workshop: Workshop) -> list[Kind]:
-    """Read manifests, take their catalog kinds into the workshop, and return all objects.
-
-    Raises:
-        ManifestError: a file doesn't follow the language, or names an object twice.
-    """
-    objects: list[Kind] = []
-    seen: dict[tuple[str, str], Path] = {}
-    for path in paths:
-        loaded = load_file(path)
-        for item in loaded:
-            key = (item.kind, item.name)
-            if key in seen:
-                raise ManifestError(f"{path}: {item.kind} {item.name!r} stands in {seen[key]} already")
-            seen[key] = path
-        workshop.add(loaded, path.parent.absolute())
-        objects.extend(loaded)
-    return objects
