@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -142,16 +143,13 @@ def _show(rows: Iterable[Row]) -> None:
     """Print a line of each thing, and beneath it what it costs and what helps."""
     rows = list(rows)
     width = max(len(row.check) for row in rows)
-    indent = " " * (12 + width)
+    indent = " " * (14 + width)
     for row in rows:
-        colour = _COLOURS[row.state]
-        out.print(
-            f"[{colour}]{row.state.value:10}[/]  {escape(row.check):{width}}  {escape(row.found)}",
-            soft_wrap=not out.is_terminal,
-        )
+        head = f"[{_COLOURS[row.state]}]{row.state.value:10}[/]  {escape(row.check):{width}}  "
+        out.print(head + escape(_wrapped(row.found, indent)), soft_wrap=True)
         for word, text in (("costs", row.costs), ("helps", row.helps)):
             if text:
-                out.print(f"[dim]{indent}{word}: {escape(text)}[/]", soft_wrap=not out.is_terminal)
+                out.print(f"{indent}[dim]{escape(_wrapped(f'{word}: {text}', indent))}[/]", soft_wrap=True)
     counts = {state: sum(row.state is state for row in rows) for state in State}
     out.print(", ".join(f"{count} {state.value}" for state, count in counts.items() if count))
     stopped = [row.check for row in rows if row.stops]
@@ -161,3 +159,11 @@ def _show(rows: Iterable[Row]) -> None:
         else "sweeps can be run here"
     )
     out.print(f"[{'red' if stopped else 'green'}]{escape(told)}[/]")
+
+
+def _wrapped(text: str, indent: str) -> str:
+    """Return a text that goes on beneath itself where a terminal's line ends; elsewhere in one line."""
+    if not out.is_terminal:
+        return text
+    width = max(40, out.width - len(indent))
+    return f"\n{indent}".join(wrap(text, width, break_long_words=False, break_on_hyphens=False))

@@ -11,7 +11,7 @@ import secrets
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -333,12 +333,14 @@ class Workstation:
     async def fresh(self) -> Snapshot:
         """Return the archive as it is now."""
         await self._data.follow(self._executor)
-        now = self._under_way
-        if now.is_due:
-            await asyncio.get_running_loop().run_in_executor(self._executor, now.look)
         problems = (self._data.said,) if self._data.said else ()
-        revision = self._data.revision + (f"-{now.changes}" if now.changes else "")
-        return Snapshot(self._data.frame, revision, problems, now.sweeps, self._data.asked)
+        found = Snapshot(self._data.frame, self._data.revision, problems, asked=self._data.asked)
+        return await self._with_what_goes_on(found)
+
+    async def _with_what_goes_on(self, archived: Snapshot) -> Snapshot:
+        now = self._under_way
+        await now.follow(self._executor)
+        return replace(archived, revision=archived.revision + now.mark, sweeps=now.sweeps)
 
     @property
     def ready(self) -> bool:

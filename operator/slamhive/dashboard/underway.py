@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from concurrent.futures import Executor
     from pathlib import Path
 
 LOOK_SECONDS = 1.0
@@ -26,7 +28,6 @@ class UnderWay:
     Attributes:
         sweeps: the sweeps at work by (namespace, name), as a snapshot has live ones.
         runs: number of runs at work.
-        changes: grows whenever there are others.
     """
 
     def __init__(self, home: Path | None, clock: Callable[[], float] = time.monotonic) -> None:
@@ -34,24 +35,26 @@ class UnderWay:
         self._clock = clock
         self._next = clock()
         self.sweeps: dict[tuple[str, str], dict[str, Any]] = {}
+        self._changes = 0
         self.runs = 0
-        self.changes = 0
 
     @property
-    def is_due(self) -> bool:
-        """Tell whether the last look was a while ago."""
-        return self._runs is not None and self._clock() >= self._next
+    def mark(self) -> str:
+        """What differs whenever other runs are at work; empty before there were any."""
+        return f"-{self._changes}" if self._changes else ""
 
-    def look(self) -> None:
-        """Look for them, which takes milliseconds."""
-        if self._runs is None:
-            return
+    async def follow(self, executor: Executor | None) -> None:
+        """Look for them in a thread if the last look was a while ago."""
+        if self._runs is not None and self._clock() >= self._next:
+            await asyncio.get_running_loop().run_in_executor(executor, self._look, self._runs)
+
+    def _look(self, runs: Path) -> None:
         self._next = self._clock() + LOOK_SECONDS
-        counts = runs_under_way(self._runs)
+        counts = runs_under_way(runs)
         found = {
             ("", name): {"live": True, "phases": {Phase.RUNNING.value: count}}
             for name, count in counts.items()
         }
         if found != self.sweeps:
             self.sweeps, self.runs = found, counts.total()
-            self.changes += 1
+            self._changes += 1

@@ -361,7 +361,8 @@ def archive(home: Home) -> Row:
         helps = "slamhive archive check says more"
         return missing("archive", said, "no run can be kept, nothing be shown", helps, needed=True)
     size = f", {_size(file.stat().st_size)}" if file is not None else ""
-    counts = ", ".join(f"{findings.counts.get(name, 0):,} {name}" for name in ("runs", "sweeps"))
+    numbers = {name: findings.counts.get(f"{name}s", 0) for name in ("run", "sweep")}
+    counts = ", ".join(f"{count:,} {name}{'' if count == 1 else 's'}" for name, count in numbers.items())
     found = f"{shown(url)}: {counts}{size}"
     if findings.faults:
         told = f"{found}; {len(findings.faults)} faults, the first: {findings.faults[0]}"
