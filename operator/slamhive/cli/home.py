@@ -13,20 +13,15 @@ from slamhive.archive import Archive
 from slamhive.archive.connection import file_of, shown
 from slamhive.cli.asking import DryRun, Yes, agreed, progress, require_archive
 from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
-from slamhive.cli.forgetting import known_runs
 from slamhive.cli.tables import show, write_json
-from slamhive.local.catalog import load_workshop
-from slamhive.local.collecting import Asked, collect, survey
 from slamhive.local.extent import total
-from slamhive.local.forgetting import alone
 from slamhive.local.home import Home
-from slamhive.local.occupancy import occupancy
-from slamhive.tables.reading import read_archive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from slamhive.local.collecting import Find
+    from slamhive.local.collecting import Asked, Find
+    from slamhive.local.occupancy import Room
 
 
 def home(
@@ -40,7 +35,11 @@ def home(
     """
     place = Home.from_environment()
     _require_readable(place)
-    rooms = occupancy(place.path) if size else []
+    rooms: list[Room] = []
+    if size:
+        from slamhive.local.occupancy import occupancy
+
+        rooms = occupancy(place.path)
     if as_json:
         kinds = [
             {"kind": room.kind, "items": room.items, "bytes": room.extent.size, "files": room.extent.files}
@@ -82,6 +81,9 @@ def gc(
 
     Example: slamhive gc --dry-run
     """
+    from slamhive.local.collecting import Asked, collect
+    from slamhive.local.forgetting import alone
+
     place = Home.from_environment()
     require_archive(place)
     asked = Asked(made_again, unrecorded)
@@ -105,6 +107,11 @@ def gc(
 
 
 def _survey(place: Home, asked: Asked) -> list[Find]:
+    from slamhive.cli.forgetting import known_runs
+    from slamhive.local.catalog import load_workshop
+    from slamhive.local.collecting import survey
+    from slamhive.tables.reading import read_archive
+
     open_archive(place).close()  # brings an earlier version up to date, and refuses a newer one
     frame = read_archive(place.archive_url)
     datasets = {str(name) for name in frame.column("dataset").factorized()[1] if name is not None}
