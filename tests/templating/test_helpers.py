@@ -12,8 +12,9 @@ import pytest
 import yaml
 
 from slamhive.data.images import scale_camera
-from slamhive.model.sensors import Camera
+from slamhive.model.sensors import Camera, Role
 from slamhive.model.templates import TemplateMistake
+from slamhive.templating.helpers import ROLES
 from slamhive.templating.rendering import Renderer
 from slamhive_eval.rotation import from_matrix
 
@@ -258,3 +259,7 @@ def test_sensors_and_parameters_are_in_one_order_wherever_they_came_from(told: d
     template = "{% for x in sensors %}{{ x }} {% endfor %}{% for x in parameters %}{{ x }} {% endfor %}"
     texts = {Renderer(item, "/r", "/r/files").text(template) for item in (told, other)}
     assert texts == {"left right imu features name refine small "}
+
+
+def test_the_roles_are_those_of_the_models() -> None:
+    assert list(ROLES) == [str(role) for role in Role]

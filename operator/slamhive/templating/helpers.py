@@ -11,7 +11,6 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.errors import UnknownNameError
-from slamhive.model.sensors import ROLE_TYPES, Role, SensorType
 from slamhive.templating import cameras, geometry
 from slamhive.templating.numbers import HelperProblem, Matrix, opencv_matrix, plain, quoted, row_major, shown
 
@@ -19,8 +18,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 _BODY = "body"
-_ORDER = tuple(str(role) for role in Role)
-_CAMERAS = tuple(str(role) for role in Role if ROLE_TYPES[role] is SensorType.CAMERA)
+# Written out, as the models would take this bounded process a second to load.
+_ALONE = ("camera", "left", "right", "color", "depth", "lidar", "imu")
+_MORE = ("scan", "cloud", "odometry", "gnss", "magnetometer", "barometer")
+_SEVERAL = ("camera", "lidar", "imu", *_MORE)
+ROLES = (*_ALONE, *_MORE, *(f"{kind}{number}" for kind in _SEVERAL for number in (2, 3, 4)))
+"""All roles, in the order of the models'."""
+_CAMERAS = (*_ALONE[:4], "camera2", "camera3", "camera4")
 
 
 class Helpers:
@@ -35,7 +39,7 @@ class Helpers:
     def __init__(self, told: Mapping[str, Any], run: str, files: str) -> None:
         self._told = told
         # In one order everywhere: an API server sorts keys.
-        self._sensors = {role: told["sensors"][role] for role in _ORDER if role in told["sensors"]}
+        self._sensors = {role: told["sensors"][role] for role in ROLES if role in told["sensors"]}
         self._run, self._files = run, files
 
     def values(self) -> dict[str, Any]:
