@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/** Small multiples, cumulative shares, timelines, contours: what is computed of answers, and that it draws. */
+/** Small multiples, cumulative shares, timelines, contours: what is computed, and that it draws. */
 import assert from 'node:assert/strict';
 import test from 'node:test';
 import * as echarts from '/vendor/echarts.mjs';
