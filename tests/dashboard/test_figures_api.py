@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import io
 import json
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
+import cv2
+import numpy as np
 import pytest
 
 from slamhive.analysis.columns import Column
@@ -16,6 +19,7 @@ from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
 from slamhive.dashboard.api_timeline import timeline
 from slamhive.dashboard.sources import Snapshot, Workstation
+from slamhive.data.rosmessages import BagWriter
 from slamhive.model.results import Outcome, Phase, Reason, Result
 
 if TYPE_CHECKING:
@@ -386,3 +390,53 @@ async def test_many_values_of_a_setting_are_taken_together(
 async def test_more_pictures_than_can_be_looked_at(varied: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_BOARDS", 0)
     assert "pictures are asked for" in (await varied.get("/analysis/slices", 413))["error"]
+
+
+@pytest.fixture
+async def filmed(
+    url: str, tmp_path: Path, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
+) -> AsyncIterator[Any]:
+    """An API over a run that was given a recording of two images, and one whose link leads elsewhere."""
+    variant = tmp_path / "variants" / ("0" * 32)
+    variant.mkdir(parents=True)
+    with BagWriter(variant / "recording.bag") as bag:
+        for second, brightness in ((100, 10), (103, 250)):
+            pixels = np.full((6, 8), brightness, dtype=np.uint8)
+            bag.image("/camera", second * 10**9, "camera", "mono8", pixels)
+    (variant / "variant.json").write_text(json.dumps({"format": "Rosbag1", "recording": "recording.bag"}))
+    runs = []
+    for number, target in enumerate((variant, tmp_path / "secrets")):
+        folder = tmp_path / "runs" / "study" / f"run-00{number}" / "run"
+        folder.mkdir(parents=True)
+        (folder / "dataset").symlink_to(target)
+        runs.append(make_run(number, folder=f"runs/study/run-00{number}"))
+    with Archive.open(url) as archive:
+        archive.put_runs([*runs, make_run(2)])
+    async with open_app(Workstation(url, tmp_path)) as client:
+        yield client
+
+
+async def test_what_a_camera_saw_at_a_moment(filmed: Any) -> None:
+    for moment, stamp, brightness in ((100.4, 100.0, 10), (102.9, 103.0, 250)):
+        answer = await filmed.get(f"/runs/uid-000/images?t={moment}")
+        [image] = answer["images"]
+        assert (image["topic"], image["stamp"]) == ("/camera", stamp)
+        pixels = cv2.imdecode(np.frombuffer(base64.b64decode(image["data"]), np.uint8), cv2.IMREAD_UNCHANGED)
+        assert pixels.shape[:2] == (6, 8)
+        assert abs(int(pixels.mean()) - brightness) < 3
+
+
+@pytest.mark.parametrize(
+    ("question", "part"),
+    [
+        ("uid-000/images?t=101.5", "no image within a second"),
+        (
+            "uid-001/images?t=100",
+            "does not say which recording",
+        ),  # a link that leads elsewhere is not followed
+        ("uid-002/images?t=100", "not at hand here"),
+        ("uid-9/images?t=100", "there is no run"),
+    ],
+)
+async def test_why_there_is_no_image(filmed: Any, question: str, part: str) -> None:
+    assert part in (await filmed.get(f"/runs/{question}", 404))["error"]

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/** Small multiples, cumulative shares, timelines, contours: what is computed of answers, and that it draws. */
+/** Small multiples, cumulative shares, timelines, contours: what is computed, and that it draws. */
 import assert from 'node:assert/strict';
 import test from 'node:test';
 import * as echarts from '/vendor/echarts.mjs';
@@ -27,6 +27,7 @@ import {
   usedText,
 } from '../../operator/slamhive/dashboard/static/charts/timeline.js';
 import { sharedLimits, sliceChart } from '../../operator/slamhive/dashboard/static/charts/slices.js';
+import { momentsOf } from '../../operator/slamhive/dashboard/static/charts/moments.js';
 import { foremost } from '../../operator/slamhive/dashboard/static/core/narrow.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
 import { HOSTILE } from './helpers.js';
@@ -439,4 +440,18 @@ test('what matters comes first on a phone, and nothing is lost', () => {
     foremost(all, ['rank', 'score', 'unknown']).map((one) => one.name),
     ['rank', 'score', 'name', 'n'],
   );
+});
+
+test('moments at which a run was lost are those where its poses begin late, break off or end', () => {
+  const t = [5, 5.1, 5.2, 5.3, 9, 9.1, 9.2];
+  const still = t.map(() => 0);
+  const estimate = { t, x: still, y: still, z: still, error: [0.1, null, 0.3, 0.1, 0.1, 0.9, 0.1] };
+  const reference = { t: [0, 20], x: [0, 0], y: [0, 0], z: [0, 0] };
+  assert.deepEqual(momentsOf(estimate, reference), [
+    { t: 5, text: 'first pose, 5 s late' },
+    { t: 5.3, text: 'lost for 3.7 s' },
+    { t: 9.1, text: 'largest error, 0.9 m' },
+    { t: 9.2, text: 'last pose, 10.8 s early' },
+  ]);
+  assert.deepEqual(momentsOf({ ...estimate, t: [], error: null }, null), []);
 });

@@ -226,6 +226,10 @@ class ClusterSource:
         """Return the ground truth of a dataset, if its volume is mounted."""
         return self._truths.find(dataset, label)
 
+    def variants(self) -> Path | None:
+        """Return None: the data volume is not mounted here."""
+        return None
+
     def live_runs(self) -> int:
         """Return the number of runs that have not finished."""
         return sum(run.live for run in self._cluster.all_runs())

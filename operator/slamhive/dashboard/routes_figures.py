@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from slamhive.dashboard import api_common, api_figures, api_paths, api_search, api_timeline
+from slamhive.dashboard import api_common, api_figures, api_images, api_paths, api_search, api_timeline
 from slamhive.dashboard.costs import costs_little
 from slamhive.dashboard.routes import FormatName, Names, Superseded, Where, Which, pairs
 from slamhive.dashboard.routes_studies import ERROR, Metric
@@ -112,6 +112,21 @@ def router(service: Service) -> APIRouter:
             request,
             lambda data: api_timeline.timeline(data, asked, (low, high)),
             lambda data: costs_little(data, request.url.query),
+        )
+
+    @routes.get("/runs/{uid}/images", summary="What a run's cameras saw at a moment")
+    async def images(
+        request: Request,
+        uid: str,
+        t: Annotated[float, Query(ge=0, le=1e11, allow_inf_nan=False, description="Sensor time, s.")],
+    ) -> Response:
+        """JPEG in base64, from the recording as the run was given it; on a workstation alone."""
+
+        async def given(_: Snapshot) -> api_images.Prepared:
+            return await service.run(lambda: api_images.prepared(service.source, uid))
+
+        return await service.answer_with(
+            request, given, lambda data, recording: api_images.images(data, recording, t)
         )
 
     @routes.get("/search", summary="Runs by words: of their names, their settings, their numbers")

@@ -116,6 +116,9 @@ class Source(Protocol):
     def truth(self, dataset: str, label: str | None) -> Truth | None:
         """Return the ground truth of a dataset, if it is at hand."""
 
+    def variants(self) -> Path | None:
+        """Return the folder of prepared recordings, if it is at hand."""
+
     def live_runs(self) -> int:
         """Return the number of runs that have not finished."""
 
@@ -383,6 +386,10 @@ class Workstation:
     def truth(self, dataset: str, label: str | None) -> Truth | None:
         """Return the ground truth of a dataset, if it is at hand."""
         return self._truths.find(dataset, label)
+
+    def variants(self) -> Path | None:
+        """Return the folder of prepared recordings in the home."""
+        return self._home / "variants" if self._home is not None else None
 
     def live_runs(self) -> int:
         """Return the number of runs that are at work in the home."""

@@ -120,8 +120,15 @@ class Recording:
         """Return the time from the first record to the last, s."""
         return float(self._reader.duration) / 1e9
 
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[Connection, int, bytes]]:
+    def messages(
+        self, topics: Collection[str], start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[Connection, int, bytes]]:
         """Read the messages of some topics in the order of their record times (ns).
+
+        Args:
+            topics: Their names.
+            start: Record time from which messages are read, ns; None for all.
+            stop: Record time before which they are, ns; None for all.
 
         Raises:
             DataError: The recording breaks off or its content is damaged.
@@ -129,7 +136,7 @@ class Recording:
         chosen = [connection for connection in self.connections if connection.topic in topics]
         if not chosen:
             return
-        messages = self._reader.messages(chosen)
+        messages = self._reader.messages(chosen, start, stop)
         while True:
             try:
                 item = next(messages)

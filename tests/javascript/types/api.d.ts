@@ -162,6 +162,7 @@ declare namespace Api {
     } | null;
     notes: string[];
   };
+  type Images = { t: number; images: Array<{ topic: string; stamp: number; data: string }> };
   type Usage = {
     clock: Clock | null;
     t: number[];

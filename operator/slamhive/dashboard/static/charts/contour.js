@@ -134,7 +134,7 @@ export function contourChart({ metric, axes }, cells) {
   return {
     notes: [
       limits && limits.above + limits.below
-        ? `${limits.above + limits.below} of the medians lie beyond the colours: their points have the last one`
+        ? `${limits.above + limits.below} medians lie beyond the colours: their points have the last one`
         : '',
       failed.length ? 'A cross: the median run failed there, and no colour is made up beside it.' : '',
     ].filter(Boolean),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/** Cumulative shares: which share of the runs has a figure of at most so much; failed runs never reach one. */
+/** Cumulative shares: which share of the runs has at most a figure; failed runs never reach one. */
 import { COLOURS } from '../core/chart.js';
 import { axisName, clip, keysText, number } from '../core/format.js';
 import { outsideText, robustLimits, roundEnds } from './limits.js';

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-/** Limits of axes: such that a few values far away don't flatten all others, and that end at round numbers. */
+/** Limits of axes: a few values far away don't flatten all others, and the ends are round numbers. */
 import { quantile } from './points.js';
 
-/** Quartile distances beyond the quartiles from which on a value is far out. The rule is `analysis/limits.py`'s. */
+/** Quartile distances beyond the quartiles from which on a value is far out; as in `analysis/limits.py`. */
 const FAR = 3;
 /** Values below which none is left outside: of a few, none is the exception. */
 const LEAST = 8;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Lines over the groups of /api/v1/analysis/aggregate, with the interval or the range around them. */
 import { COLOURS } from '../core/chart.js';
-import { cell, clip, headingOf, keysText, number } from '../core/format.js';
+import { axisName, cell, clip, headingOf, keysText, number } from '../core/format.js';
 
 /**
  * Return one line a combination of all keys but x and the facet.
@@ -95,13 +95,13 @@ export function line(data, settings) {
       type: category ? 'category' : settings.xlog ? 'log' : 'value',
       scale: true,
       data: categories ?? undefined,
-      name: clip(xHeading.title, 50),
+      name: clip(axisName(xHeading), 50),
       nameGap: 28,
     },
     yAxis: {
       type: settings.ylog ? 'log' : 'value',
       scale: true,
-      name: `${clip(heading.title, 44)}, ${settings.figure}`,
+      name: `${clip(axisName(heading), 44)}, ${settings.figure}`,
       nameGap: 52,
     },
     series,

@@ -82,7 +82,10 @@ export function tooMany({ down, across }, set) {
     [down, set.down, MOST_DOWN, 'rows'],
   ]))
     if (values.length > most)
-      return `${clip(name, 60)} has ${values.length} values, and there are at most ${most} ${what} of charts: choose another column, or filter the runs.`;
+      return (
+        `${clip(name, 60)} has ${values.length} values, and there are at most ${most} ${what} of charts: ` +
+        'choose another column, or filter the runs.'
+      );
   return null;
 }
 

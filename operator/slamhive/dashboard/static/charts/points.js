@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Reading the columnar answer of /api/v1/analysis/points. */
-import { cell, clip, columnTitle, SUBJECT } from '../core/format.js';
+import { axisName, cell, clip, columnTitle, SUBJECT } from '../core/format.js';
 
 /**
  * An axis of points: numbers (shown unit) or categories.
@@ -90,7 +90,7 @@ export function facets(data) {
  * @param {{log?: boolean, vertical?: boolean}} [how]
  */
 export function axisOption(axis, { log = false, vertical = false } = {}) {
-  const name = clip(axis.heading.title, 50);
+  const name = clip(axisName(axis.heading), 50);
   const turned = axis.categories !== null && axis.categories.length > 4 && !vertical;
   const gap = vertical ? 52 : turned ? 52 : 28;
   if (axis.categories)

@@ -215,7 +215,8 @@ const binSeries = (data, full) => ({
 function barText(data, bars, at) {
   const start = bars.start[at];
   return [
-    `run ${clip(bars.run[at] ?? bars.uid[at], 50)}: ${bars.live[at] ? 'under way' : clip(bars.status[at], 40)}`,
+    `run ${clip(bars.run[at] ?? bars.uid[at], 50)}`,
+    bars.live[at] ? 'under way' : clip(bars.status[at], 40),
     clip(keysText(bars.settings[at]), 90),
     clip(data.lanes[bars.lane[at]], 60),
     `begun ${time(bars.begin[at])}`,
@@ -277,5 +278,8 @@ export function usedText({ bars, bins, lanes, extent: [low, high] }) {
     }
   }
   const lane = lanes.length === 1 ? 'the lane' : `the ${lanes.length} lanes`;
-  return `Of the ${duration(high - low)} of ${lane}, ${number(100 * running, 3)} % were spent running and ${number(100 * preparing, 3)} % preparing; evaluation is not noted, and is part of the rest.`;
+  return [
+    `Of the ${duration(high - low)} of ${lane}, ${number(100 * running, 3)} % were spent running`,
+    `and ${number(100 * preparing, 3)} % preparing; evaluation is not noted, and is part of the rest.`,
+  ].join(' ');
 }

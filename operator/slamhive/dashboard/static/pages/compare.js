@@ -181,7 +181,12 @@ function Finder({ taken, onAdd, full }) {
             <li class="quiet">
               ${
                 data.total
-                  ? `${number(data.total)} runs fit${data.total > offered.length ? '; more words leave fewer' : ''}`
+                  ? [
+                      `${number(data.total)} runs fit`,
+                      data.total > offered.length ? 'more words leave fewer' : '',
+                    ]
+                      .filter(Boolean)
+                      .join('; ')
                   : 'No run fits all these words.'
               }
             </li>

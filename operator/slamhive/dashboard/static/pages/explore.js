@@ -199,7 +199,10 @@ function Explored({ columns }) {
       !error &&
       !['scatter', 'parallel'].includes(set.kind) &&
       html`
-        <${RunRows} filters=${filters} extra=${[NO_X.includes(set.kind) ? '' : set.x, ...set.y.split(','), set.colour]} />
+        <${RunRows}
+          filters=${filters}
+          extra=${[NO_X.includes(set.kind) ? '' : set.x, ...set.y.split(','), set.colour]}
+        />
       `
     }
   `;

@@ -4,7 +4,7 @@ import { labelRoom } from '../charts/rows.js';
 import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
-import { cell, clip, headingOf, number } from '../core/format.js';
+import { axisName, cell, clip, headingOf, number } from '../core/format.js';
 import { NothingFits, Notes, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo } from '../core/ui.js';
 import { failureText, groupTable } from './groups.js';
@@ -144,7 +144,7 @@ function heat(data, groups, set, rows) {
       xAxis: {
         type: 'category',
         data: across.map((value) => clip(cell(value, heading(set.x)), 24)),
-        name: clip(heading(set.x).title, 40),
+        name: clip(axisName(heading(set.x)), 40),
         nameGap: 46,
         axisLabel: {
           interval: 0,

@@ -4,7 +4,7 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
-import { cell, clip, columnTitle, keysText, number } from '../core/format.js';
+import { axisName, cell, clip, columnTitle, keysText, number } from '../core/format.js';
 import { Choice, Fault, Link, NothingFits, Notes, Table, useTitle, Waiting } from '../core/parts.js';
 import { published } from '../core/questions.js';
 import { foremost, useNarrow } from '../core/narrow.js';
@@ -186,7 +186,7 @@ function Board({ board, metric, by, csv, suspects }) {
         `${seriesName}\n${name}: ${data?.label ? 'the median run failed' : number(value)}`,
     },
     xAxis: { type: 'category', data: board.datasets.map((name) => clip(name, 28)), name: '' },
-    yAxis: { type: 'value', name: `${clip(metric.title, 40)}, median`, nameGap: 52 },
+    yAxis: { type: 'value', name: `${clip(axisName(metric), 40)}, median`, nameGap: 52 },
     series: board.entries.map((entry) => ({
       type: 'bar',
       barMaxWidth: 36,

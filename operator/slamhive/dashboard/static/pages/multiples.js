@@ -44,15 +44,18 @@ export function SmallMultiples({ set, filters, title, onError }) {
           onClick=${(/** @type {Item} */ item) =>
             item.data?.point && go(pathsOf(filters, item.data.point.group.keys))}
           table=${groupTable(data)}
-          summary=${`${title}, ${found.down.length} by ${found.across.length} charts; the table has their numbers`}
+          summary=${[
+            `${title}, ${found.down.length} by ${found.across.length} charts`,
+            'the table has their numbers',
+          ].join('; ')}
         />
       </div>
     </div>
     <${Notes} notes=${[...drawn.notes, ...(data.notes ?? [])]} />
     <p class="quiet">
       Lines are ${set.figure}s over n ${set.outcomes === 'all' ? 'evaluated' : 'tracked'} runs, bands their
-      intervals or, below 10 runs, the least and the largest. All charts have the same axes. A click on a point shows the
-      paths of its runs.
+      intervals or, below 10 runs, the least and the largest. All charts have the same axes.
+      A click on a point shows the paths of its runs.
     </p>
   `;
 }

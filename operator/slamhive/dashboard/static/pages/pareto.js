@@ -3,7 +3,7 @@
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
-import { clip, columnTitle, keysText, number } from '../core/format.js';
+import { axisName, clip, columnTitle, keysText, number } from '../core/format.js';
 import { NothingFits, Notes, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo } from '../core/ui.js';
 
@@ -114,13 +114,13 @@ function pareto(data, front, set) {
       xAxis: {
         type: set.xlog ? 'log' : 'value',
         scale: true,
-        name: clip(data.x.title, 44),
+        name: clip(axisName(data.x), 44),
         nameGap: 28,
       },
       yAxis: {
         type: set.ylog ? 'log' : 'value',
         scale: true,
-        name: `${clip(data.y.title, 44)}, median`,
+        name: `${clip(axisName(data.y), 44)}, median`,
         nameGap: 52,
       },
       series: [

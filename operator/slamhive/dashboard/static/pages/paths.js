@@ -116,7 +116,8 @@ function Together({ group, alone, colour, csv }) {
       <${Notes}
         notes=${[
           without.length
-            ? `${without.length} of ${runs.length} runs have no path here: ${clip(without[0].problem ?? '', 200)}`
+            ? `${without.length} of ${runs.length} runs have no path here: ` +
+              clip(without[0].problem ?? '', 200)
             : '',
           ...drawn.notes,
           ...group.notes,
@@ -154,8 +155,8 @@ function picture({ runs, reference }, colour) {
     estimates,
     notes: leaving.length
       ? [
-          `${leaving.length === 1 ? '1 path leaves' : `${leaving.length} paths leave`} the picture and is cut ` +
-            `${number(room, 3)} m beyond the others: ${clip(leaving.join('; '), 200)}`,
+          `${leaving.length} of ${present.length} paths leave the picture and are cut ${number(room, 3)} m ` +
+            `around the ground truth: ${clip(leaving.join('; '), 200)}`,
         ]
       : [],
   };

@@ -9,6 +9,7 @@ import { Choice, Fault, Link, Notes, Status, Table, useTitle, Waiting } from '..
 import { SuspectNotes } from '../core/suspects.js';
 import { html, useMemo } from '../core/ui.js';
 import { loads } from './loads.js';
+import { Seen } from './seen.js';
 import { Tracks, trackTable } from './tracks.js';
 
 const LONGEST = 4000;
@@ -329,6 +330,7 @@ function Trajectory({ base, results, name }) {
           ${clip(data.alignment ?? 'nothing', 40)}.
         </p>
         <${Notes} notes=${data.notes} />
+        <${Seen} key=${base} base=${base} data=${data} />
       `
     }
   `;

@@ -40,7 +40,7 @@ export function RunRows({ filters, extra, selected = false, title = 'Runs', sort
         state.data &&
         html`
           <${Table}
-            columns=${narrow ? foremost(dressed(state.data.columns), ['run', 'status', ...extra]) : dressed(state.data.columns)}
+            columns=${foremost(dressed(state.data.columns), narrow ? ['run', 'status', ...extra] : [])}
             rows=${state.data.items} caption="Runs" />
         `
       }

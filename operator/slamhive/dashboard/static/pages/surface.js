@@ -11,8 +11,8 @@ import { html, useEffect, useMemo } from '../core/ui.js';
 import { failureText } from './groups.js';
 
 /**
- * @typedef {{set: Settings, columns: Api.Column[], filters: import('../core/address.js').Query, title: string,
- *   onError: (error: Error|null) => void}} Props
+ * @typedef {{set: Settings, columns: Api.Column[], filters: import('../core/address.js').Query,
+ *   title: string, onError: (error: Error|null) => void}} Props
  */
 
 /** @param {Props} props */
@@ -46,7 +46,9 @@ export function Contours({ set, columns, filters, title, onError }) {
         (/** @type {{name: string, option: ChartOption, table: TableData}} */ one) => html`
           <${Chart}
             key=${one.name}
-            title=${[`${title} and ${clip(data.axes[1].title, 50)}`, clip(one.name, 90)].filter(Boolean).join(': ')}
+            title=${[`${title} and ${clip(data.axes[1].title, 50)}`, clip(one.name, 90)]
+              .filter(Boolean)
+              .join(': ')}
             option=${one.option}
             height=${420}
             csv=${csvOf(url)}
@@ -57,13 +59,19 @@ export function Contours({ set, columns, filters, title, onError }) {
     </div>
     <${Notes}
       notes=${[
-        'Points are medians of runs, failed ones ranked last; colours and lines between them are made up of the nearest four.',
+        'Points are medians of runs, failed ones ranked last; colours and lines between them are made up ' +
+          'of the nearest four.',
         ...new Set(drawn.flatMap((/** @type {{notes: string[]}} */ one) => one.notes)),
         ...data.notes,
       ]}
     />
   `;
 }
+
+/**
+ * @typedef {{heading: Api.Heading, option: ChartOption, table: TableData}} SliceOfBoard
+ * @typedef {{name: string, charts: SliceOfBoard[]}} SlicesOfBoard
+ */
 
 /** @param {Props} props */
 export function Slices({ set, filters, title, onError }) {
@@ -92,9 +100,7 @@ export function Slices({ set, filters, title, onError }) {
   if (!drawn.length) return html`<${NothingFits} notes=${data.notes} />`;
   return html`
     ${drawn.map(
-      (
-        /** @type {{name: string, charts: Array<{heading: Api.Heading, option: ChartOption, table: TableData}>}} */ board,
-      ) => html`
+      (/** @type {SlicesOfBoard} */ board) => html`
         <section key=${board.name}>
           ${board.name && html`<h2>${clip(board.name, 120)}</h2>`}
           ${board.charts.length === 0 && html`<p class="empty">No setting varies among these runs.</p>`}
@@ -117,7 +123,8 @@ export function Slices({ set, filters, title, onError }) {
     )}
     <${Notes}
       notes=${[
-        'Dots are medians, failed runs ranked last; boxes the middle half of the runs, diamonds the best one. All charts of a group have the same vertical axis.',
+        'Dots are medians, failed runs ranked last; boxes the middle half of the runs, diamonds the best ' +
+          'one. All charts of a group have the same vertical axis.',
         ...data.notes,
       ]}
     />

@@ -100,7 +100,11 @@ function Times({ data, csv, change }) {
         usedText(data),
         data.bars
           ? 'A click on a bar opens its run.'
-          : `The runs are many: a column is as high as the share of its time that was used, in full for ${number(100 * fullShare(data), 3)} %, and red by the share of its ends that failed. A click on one looks closer; where at most 1,500 runs are in view each has a bar.`,
+          : [
+              'The runs are many: a column is as high as the share of its time that was used, in full',
+              `for ${number(100 * fullShare(data), 3)} %, and red by the share of its ends that failed.`,
+              'A click on one looks closer; where at most 1,500 runs are in view each has a bar.',
+            ].join(' '),
         ...data.notes,
       ].filter(Boolean)}
     />

@@ -42,9 +42,9 @@ export const trackTable = (estimates, columns = FIGURES) => ({
 });
 
 /**
- * @param {{estimates: Array<{name: string, track: Api.Track, colour?: string}>, reference: Api.Track|null, byError: boolean,
- *   csv?: string|true, title: string, aligned?: string}} props byError: colours tell the error instead of the
- *   run
+ * @param {{estimates: Array<{name: string, track: Api.Track, colour?: string}>, reference: Api.Track|null,
+ *   byError: boolean, csv?: string|true, title: string, aligned?: string}} props byError: colours tell the
+ *   error instead of the run
  */
 export function Tracks({ estimates, reference, byError, csv, title }) {
   const { query, change } = useAddress();
