@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is behind single pictures, over HTTP: failed runs are among those that a share is of."""
+"""Answers behind single pictures, over HTTP: failed runs are among those that a share is of."""
 
 from __future__ import annotations
 

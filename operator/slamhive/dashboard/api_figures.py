@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is behind cumulative shares, slices and contours: how a figure is distributed, failures included."""
+"""Distributions of a figure, failures included: cumulative shares, slices, contours."""
 
 from __future__ import annotations
 
