@@ -141,7 +141,8 @@ class Buildah:
         earlier = self.find(recipe.reference)
         with (self._logs / f"{recipe.name}.log").open("w") as log:
             run(command, log=log)
-        if earlier:
+        built = self.find(recipe.reference)
+        if earlier and built and earlier.identity != built.identity:
             # Nobody asks for it by name any more; where something still needs it, it stays.
             _succeeds(["buildah", "rmi", earlier.identity.removeprefix("sha256:")])
 
