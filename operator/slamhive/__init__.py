@@ -48,6 +48,9 @@ def results(
 
         runs = slamhive.results(where="dataset == 'mh01' and outcome == 'Tracked'")
         runs.groupby("parameters.nFeatures")["ate.rmse"].describe()
+        runs[runs["ate.rmse"] < 1].figure("lines", x="nFeatures", y="ate.rmse:cm")
+
+    ``figure`` is ``slamhive figure`` for the rows that are left (matplotlib, the extra ``plot``).
 
     Args:
         home_or_url: a home, an SQLite file, or a database URL (``postgresql://user@host/slam``); by default
@@ -72,7 +75,7 @@ def results(
     import importlib  # noqa: PLC0415
 
     made = importlib.import_module("slamhive.reporting.dataframes")
-    return made.results(
+    found = made.results(
         home_or_url,
         where=where,
         columns=columns,
@@ -82,3 +85,6 @@ def results(
         reused=reused,
         frame=frame,
     )
+    if frame == "pandas":
+        importlib.import_module("slamhive.figures.notebooks")  # found.figure(…)
+    return found

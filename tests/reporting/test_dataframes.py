@@ -160,3 +160,19 @@ def test_importing_slamhive_imports_nothing_else() -> None:
     code = f"import sys, slamhive; print(sorted({heavy} & sys.modules.keys()))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_what_is_left_of_a_data_frame_is_drawn_as_the_command_draws_it(pd: Any, published: Path) -> None:
+    runs = slamhive.results(published, where="sensors == 'rgbd'")
+    drawn = runs[runs["parameters.nFeatures"] >= 1500].figure("lines", x="nFeatures", y="ate.rmse:cm")
+    (axes,) = drawn.axes
+    assert axes.get_ylabel() == "ATE RMSE [cm]"
+    features = {tuple(line.get_xdata()) for line in axes.lines if len(line.get_xdata()) > 2}
+    assert features == {(1500, 1750, 2000, 2250, 2500)}
+    assert "n = " in drawn.caption
+    with pytest.raises(InputError, match=r"did you mean 'lines'\?"):
+        runs.figure("line")
+    with pytest.raises(InputError, match="needs the columns id and evaluation, of which 'id' is gone"):
+        runs.drop(columns="id").figure("lines", x="nFeatures")
+    with pytest.raises(InputError, match="not a data frame that slamhive"):
+        pd.DataFrame({"id": [1]}).figure("lines")

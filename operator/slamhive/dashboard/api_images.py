@@ -102,7 +102,8 @@ def images(snapshot: Snapshot, given: Prepared, moment: float) -> Body:
     Raises:
         Missing: the recording can't be read, or has no image there.
     """
-    from slamhive.data.recordings import COMPRESSED_IMAGE, IMAGE, Recording  # noqa: PLC0415
+    from slamhive.data.kinds import COMPRESSED_IMAGE, IMAGE  # noqa: PLC0415
+    from slamhive.data.recordings import Recording  # noqa: PLC0415
 
     at = round(moment * 1e9)
     best: dict[str, tuple[int, bytes, str]] = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import uuid
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.selection import Selection, choose
 from slamhive.model.errors import InputError, UnknownNameError
-from slamhive.tables.reading import archive_url, read_archive
+from slamhive.tables.reading import archive_url, home_of, read_archive
 
 if TYPE_CHECKING:
     import os
@@ -22,6 +23,13 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Column
     from slamhive.analysis.frame import Frame
+    from slamhive.local.home import Home
+
+MARK = "slamhive.results"
+REMEMBERED = 16
+"""Data frames whose rows are kept, so that figures can be drawn of them."""
+
+_MADE_FROM: dict[str, tuple[Frame, Home]] = {}
 
 
 def results(
@@ -45,7 +53,30 @@ def results(
     wanted = columns.split(",") if isinstance(columns, str) else columns
     names = chosen.names if wanted is None else list(dict.fromkeys(name.strip() for name in wanted))
     chosen.require(names, "columns")
-    return MAKERS[frame](library, chosen, names)
+    made = MAKERS[frame](library, chosen, names)
+    if frame == "pandas":
+        made.attrs[MARK] = _remember(chosen, home_of(place))
+    return made
+
+
+def _remember(frame: Frame, home: Home) -> str:
+    """Keep what a data frame was made from, and return the key under which it is kept.
+
+    The key alone goes with the data frame: pandas writes attributes into files.
+    """
+    key = uuid.uuid4().hex
+    _MADE_FROM[key] = frame, home
+    while len(_MADE_FROM) > REMEMBERED:
+        del _MADE_FROM[next(iter(_MADE_FROM))]
+    return key
+
+
+def source(frame: Any) -> tuple[Frame, Home] | None:
+    """Return what a data frame of pandas was made from; None where it is none of the last ones.
+
+    These are the rows of the archive's table and the home that has the files of their runs.
+    """
+    return _MADE_FROM.get(frame.attrs.get(MARK, ""))
 
 
 def _library(name: str) -> Any:

@@ -51,6 +51,13 @@ def archive_url(place: str | os.PathLike[str] | None = None) -> str:
     return f"sqlite:///{path}"
 
 
+def home_of(place: str | os.PathLike[str] | None = None) -> Home:
+    """Return the home that has the files of an archive's runs: itself, or the one of ``$SLAMHIVE_HOME``."""
+    if place is not None and (folder := Path(os.fspath(place)).expanduser()).is_dir():
+        return Home.at(folder)
+    return Home.from_environment()
+
+
 def read_archive(url: str, cache: Path | None = None) -> Frame:
     """Read all runs of an archive, one row a run and evaluation.
 
