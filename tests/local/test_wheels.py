@@ -59,7 +59,7 @@ def roll(home: Home, tmp_path: Path) -> Callable[..., tuple[RunRecord, dict[str,
         notes = Notes()
         with Archive.open(home.archive_url) as archive:
             job = Job(sweep, local_uid(sweep), Plan(sweep, workshop))
-            Runner(Workbench(home, workshop, archive), notes, parallelism=1, rerun=False).run([job])
+            Runner(Workbench(home, workshop, archive), notes, parallelism=1).run([job])
         record = notes.records[0]
         told = Path(record.folder or "") / "run" / "config.yaml"
         return record, yaml.safe_load(told.read_text()) if told.is_file() else {}

@@ -45,8 +45,9 @@ spec:
 # What tells apart environments names Python's version and the machine: they differ where tests are run.
 # The tests are about all else that tells experiments apart.
 PROGRAM = """\
-from slamhive.local.environments import Environments
-Environments.digest = lambda self, entry: "the environment"
+from slamhive.local import environments, workbench
+environments.Environments.digest = lambda self, entry: "the environment"
+environments.digest_of = workbench.digest_of = lambda parts: "the environment"
 from slamhive.cli.main import main
 main()
 """

@@ -29,14 +29,23 @@ from typing import TYPE_CHECKING, Any
 from slamhive.model.canonical import digest
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.loading import Document, parse, read_text
-from slamhive.model.results import CpuUsage, MemoryKind, MemoryUsage, Phase, Provenance, RunRecord, Usage
+from slamhive.model.results import (
+    IMPORTED,
+    CpuUsage,
+    MemoryKind,
+    MemoryUsage,
+    Phase,
+    Provenance,
+    RunRecord,
+    Usage,
+)
 from slamhive.model.sensors import SensorMode
 from slamhive_eval import Trajectory, read_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-SOURCE = "slam-hive"
+SOURCE = IMPORTED
 """Name of the sweep that imported runs belong to, and value of their label ``source``."""
 
 LONGEST_STEP = 5.0

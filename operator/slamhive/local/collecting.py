@@ -17,7 +17,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from slamhive.data import slamhive1
 from slamhive.data.once import GRACE_SECONDS, last_use, leftovers, remove_free, remove_leftover
 from slamhive.data.store import MANIFEST, made_folder
 from slamhive.local.assets import remove_asset
@@ -29,6 +28,7 @@ from slamhive.local.removed import NOTE, leftovers_in, remove, remove_files, rem
 from slamhive.local.unavailable import Unavailable
 from slamhive.model.base import Choice
 from slamhive.model.errors import SystemFault
+from slamhive.model.results import IMPORTED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
@@ -129,9 +129,7 @@ def survey(
         parts
         for run in runs
         # A relative one is a path on a cluster's volume.
-        if run.source != slamhive1.SOURCE
-        and str(run.folder).startswith("/")
-        and (parts := run_parts(run.folder))
+        if run.source != IMPORTED and str(run.folder).startswith("/") and (parts := run_parts(run.folder))
     }
     return [
         *surveyor.runs(known),

@@ -13,11 +13,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from slamhive.data import slamhive1
 from slamhive.local.extent import Extent, Tally, total
 from slamhive.local.home import lock
 from slamhive.local.removed import leftovers_in, remove, remove_files, removed_from, run_parts
 from slamhive.model.errors import InputError, SystemFault
+from slamhive.model.results import IMPORTED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -157,7 +157,7 @@ def plan_forgetting(
             going += [Going(run, None, Extent()) for run in mine[1:]]
     if records and larger is None:
         going += [Going(run, None, Extent()) for run in without]
-    imported = sum(run.source == slamhive1.SOURCE for run in without)
+    imported = sum(run.source == IMPORTED for run in without)
     return Forgetting(tuple(going), records, tuple(shared), busy, imported)
 
 
@@ -230,7 +230,7 @@ def _by_folder(home: Path, runs: Iterable[Known]) -> tuple[dict[Path, list[Known
 def _folder(home: Path, run: Known) -> Path | None:
     """Return a run's folder in the home, None where it has none there."""
     parts = run_parts(run.folder)
-    if parts is None or run.source == slamhive1.SOURCE:
+    if parts is None or run.source == IMPORTED:
         return None
     folder = home.joinpath("runs", *parts)
     return folder if folder.is_dir() else None

@@ -16,6 +16,9 @@ from slamhive.model.base import Choice, Model, Scalar, optional
 NOT_EVALUATED = "not evaluated: "
 """How the sentence begins in a run's message that says why it could not be measured; no other follows it."""
 
+IMPORTED = "slam-hive"
+"""Label `source` of runs of the original SLAM Hive, whose files stay where they were."""
+
 
 class Phase(Choice):
     """Where a run is; for printing, derived from what happened."""
