@@ -229,5 +229,5 @@ class Workbench:
                 algorithm.spec.formats(mode),
                 self.home.folder("variants"),
                 progress,
-                topics=mode.topics,
+                topics=mode.topics or (),
             )

@@ -199,9 +199,8 @@ class Mode(Model):
 
     name: SensorMode = Field(description="Name of the mode.")
     roles: list[Role] = Field(default_factory=list, description="Roles it needs; default: the mode's own.")
-    topics: list[Topic] = Field(
-        default_factory=list,
-        description="Topics of the recording that it is given beside its sensors', as they are.",
+    topics: list[Topic] | None = optional(
+        "Topics of the recording that it is given beside its sensors', as they are."
     )
     output: OutputChange | None = optional("What differs in this mode.")
 

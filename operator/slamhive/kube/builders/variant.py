@@ -94,7 +94,7 @@ def variant_request(dataset: Dataset, algorithm: Algorithm, spec: Mapping[str, A
         input=InputOptions.model_validate(_input(InputOptions.model_validate(spec["input"]))),
         formats=algorithm.spec.formats(mode),
         assets=[FetchedAsset.model_validate(asset) for asset in _fetched(algorithm.spec.assets)],
-        topics=mode.topics or None,
+        topics=mode.topics,
     )
 
 

@@ -60,7 +60,7 @@ class Wanted:
         options = InputOptions.model_validate(spec["input"])
         mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
         formats = algorithm.spec.formats(mode)
-        name = variant_name(dataset, mode.needs, options, formats, algorithm.spec.assets, mode.topics)
+        name = variant_name(dataset, mode.needs, options, formats, algorithm.spec.assets, mode.topics or ())
         return cls(name, algorithm, dataset, spec)
 
 
