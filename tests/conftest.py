@@ -10,10 +10,11 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 from collections import defaultdict
 from pathlib import Path
 from random import Random, SystemRandom
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from aiohttp.client_proto import ResponseHandler
@@ -26,6 +27,9 @@ from slamhive.local.home import Home
 from slamhive.local.unavailable import Unavailable
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 TESTS = Path(__file__).parent
 ACTOR = TESTS / "actor"
@@ -217,6 +221,42 @@ def podman() -> Engine:
     if built.returncode:
         pytest.skip(f"the images can't be built: {built.stderr.strip()[-500:]}")
     return found
+
+
+@pytest.fixture(scope="session")
+def image_of(podman: Engine) -> Callable[[Path, str], str]:
+    """Builds the image that a folder's Dockerfile describes, under a name, and returns its whole name."""
+    assert podman.is_podman
+    sys.path.insert(0, str(TESTS.parent / "images"))
+    from building.base import STAND_IN
+    from building.recipes import Recipe
+    from building.tools import Buildah
+
+    def build(folder: Path, name: str) -> str:
+        recipe = Recipe(name, f"library/{name}:1", folder / "Dockerfile", folder, "", "")
+        Buildah(folder).build(recipe, STAND_IN, {})
+        return recipe.reference
+
+    return build
+
+
+@pytest.fixture
+def run_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Calls the command in this process; returns exit code, standard output and standard error."""
+    from slamhive.cli.main import main
+
+    def call(*words: str | Path) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["slamhive", *map(str, words)])
+        code: Any = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+        return code or 0, *capsys.readouterr()
+
+    return call
 
 
 @pytest.fixture

@@ -17,10 +17,9 @@ from slamhive.local.starting import Kind
 from slamhive.playback.ros import find_ros, what_it_takes
 
 if TYPE_CHECKING:
-    from slamhive.local.engines import Engine
+    from collections.abc import Callable
 
 
-IMAGES = Path(__file__).parents[2] / "images"
 PASSED = {"parameters", "runs", "data", "accuracy", "frame", "direction", "determinism"}
 
 
@@ -79,19 +78,11 @@ def test_a_folder_passes_untouched(kind: Kind, commands: Commands) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(Kind))
 def test_its_image_is_built_as_the_folder_says_and_passes(
-    kind: Kind, commands: Commands, podman: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: Kind, commands: Commands, image_of: Callable[[Path, str], str], tmp_path: Path
 ) -> None:
-    assert podman.is_podman
-    monkeypatch.syspath_prepend(str(IMAGES))
-    from building.base import STAND_IN
-    from building.recipes import Recipe
-    from building.tools import Buildah
-
     name = f"started-{kind.value}"
     made = commands.call("new", name, "--from", kind.value)
     assert made.returncode == 0, made.stderr
-    folder = tmp_path / name
-    recipe = Recipe(name, f"library/{name}:1", folder / "Dockerfile", folder, "", "")
-    Buildah(tmp_path).build(recipe, STAND_IN, {})
+    image_of(tmp_path / name, name)
     answers = commands.answers(name, "container")
     assert {check for check, answer in answers.items() if answer == "pass"} >= PASSED

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +31,6 @@ from slamhive.plan import Plan, local_uid
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.engines import Engine
     from slamhive.model.results import RunRecord
 
     Play = Callable[..., RunRecord]
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 STANDINS = Path(__file__).parent / "standins"
-IMAGES = Path(__file__).parents[2] / "images"
 RIGS: dict[str, dict[str, Any]] = {
     "stereo-imu": {"sensors": ["Stereo", "Imu"], "camera": {"width": 160, "height": 120}},
     # The released VINS-Mono fails where the camera is turned against the IMU by 90° to 120°.
@@ -65,26 +62,6 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Dataset, d
     return found
 
 
-@pytest.fixture(scope="session")
-def image(podman: Engine) -> Callable[[Path], str]:
-    """Builds the image of a folder of stand-ins, and returns its name."""
-    sys.path.insert(0, str(IMAGES))
-    from building.base import STAND_IN
-    from building.recipes import Recipe
-    from building.tools import Buildah
-
-    assert podman.is_podman
-
-    def build(folder: Path) -> str:
-        recipe = Recipe(
-            folder.name, f"library/standin-{folder.name}:1", folder / "Dockerfile", folder, "", ""
-        )
-        Buildah(folder).build(recipe, STAND_IN, {})
-        return recipe.reference
-
-    return build
-
-
 @pytest.fixture
 def play(
     ros: None,
@@ -104,7 +81,7 @@ def play(
         resolution: float = 1.0,
         frame_rate: float | None = None,
         edit: tuple[str, str] | None = None,
-        image: Callable[[Path], str] | None = None,
+        image: Callable[[Path, str], str] | None = None,
         **parameters: Any,
     ) -> RunRecord:
         dataset, sensors, root = rigs[rig]
@@ -128,7 +105,7 @@ def play(
             body["spec"]["local"] = {"adapter": "adapter.py", "requirements": "requirements.txt"}
         else:
             shutil.copyfile(root / "groundtruth.txt", folder / "truth.txt")
-            body["spec"]["image"] = image(folder)
+            body["spec"]["image"] = image(folder, f"standin-{system}")
         (tmp_path / "environments").unlink(missing_ok=True)
         (tmp_path / "environments").symlink_to(environments)
         (tmp_path / "datasets").mkdir(exist_ok=True)
@@ -186,10 +163,10 @@ def exact(values: dict[str, Any]) -> None:
     ],
 )
 def test_the_manifest_and_an_image_are_enough(
-    play: Play, image: Callable[[Path], str], system: str, mode: str, rig: str
+    play: Play, image_of: Callable[[Path, str], str], system: str, mode: str, rig: str
 ) -> None:
     settings = {"vins-mono": {"loop_closure": 1}}.get(system, {})
-    record = play(system, mode, rig=rig, settings=settings, image=image)
+    record = play(system, mode, rig=rig, settings=settings, image=image_of)
     values = measured(record)
     assert values["ate"]["rmse"] < 1e-5
     assert record.provenance.image_id is not None

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.cli.main import main
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
 # mlflow's own, and not ours to mend.
@@ -78,22 +77,8 @@ def keep(home: Path, *records: RunRecord) -> None:
         archive.put_runs(records)
 
 
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
-    def run(*words: str | Path) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["slamhive", *map(str, words)])
-        code: Any = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code
-        return code or 0, *capsys.readouterr()
-
-    return run
-
-
-def export(call: Any, to: str, out: Path, *more: str) -> str:
-    code, said, err = call("results", "export", "--to", to, "-o", out, *more)
+def export(run_command: Any, to: str, out: Path, *more: str) -> str:
+    code, said, err = run_command("results", "export", "--to", to, "-o", out, *more)
     assert code == 0, err
     return str(said)
 
@@ -103,12 +88,12 @@ def needs(module: str, extra: str) -> None:
         pytest.skip(f"{module} isn't installed: pip install {extra}")
 
 
-def test_tensorboard_reads_what_is_written(place: Path, call: Any) -> None:
+def test_tensorboard_reads_what_is_written(place: Path, run_command: Any) -> None:
     needs("tensorboard", "tensorboard tensorboardX")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
     from tensorboard.plugins.hparams import plugin_data_pb2
 
-    assert "3 runs written, 0 there already" in export(call, "tensorboard", place / "tb")
+    assert "3 runs written, 0 there already" in export(run_command, "tensorboard", place / "tb")
     folders = sorted(path for path in (place / "tb" / "study").iterdir())
     assert [path.name.rpartition("-")[0] for path in folders] == ["study-0", "study-1", "study-2"]
     events = EventAccumulator(str(folders[0]), {"scalars": 0, "tensors": 0})
@@ -130,11 +115,11 @@ def test_tensorboard_reads_what_is_written(place: Path, call: Any) -> None:
     assert f"- {place / 'home'}/runs/study/study-0/output/trajectory.txt" in files
 
 
-def test_mlflow_reads_what_is_written(place: Path, call: Any) -> None:
+def test_mlflow_reads_what_is_written(place: Path, run_command: Any) -> None:
     needs("alembic", "mlflow-skinny alembic")
     from mlflow import MlflowClient
 
-    assert "3 runs written, 0 there already" in export(call, "mlflow", place / "ml")
+    assert "3 runs written, 0 there already" in export(run_command, "mlflow", place / "ml")
     client = MlflowClient(tracking_uri=f"sqlite:///{place}/ml/mlflow.db")
     experiment = client.get_experiment_by_name("study")
     assert experiment is not None
@@ -173,11 +158,11 @@ def log_records(content: bytes) -> Iterator[bytes]:
             whole = b""
 
 
-def test_wandb_reads_what_is_written(place: Path, call: Any) -> None:
+def test_wandb_reads_what_is_written(place: Path, run_command: Any) -> None:
     needs("wandb", "wandb")
     from wandb.proto import wandb_internal_pb2
 
-    assert "3 runs written, 0 there already" in export(call, "wandb", place / "wb")
+    assert "3 runs written, 0 there already" in export(run_command, "wandb", place / "wb")
     found: dict[str, list[Any]] = {}
     for path in (place / "wb" / "wandb").glob("offline-run-*/*.wandb"):
         records = [wandb_internal_pb2.Record.FromString(data) for data in log_records(path.read_bytes())]
@@ -217,14 +202,14 @@ def test_wandb_reads_what_is_written(place: Path, call: Any) -> None:
     ],
 )
 def test_a_run_that_is_exported_twice_is_there_once(
-    to: str, module: str, extra: str, place: Path, call: Any
+    to: str, module: str, extra: str, place: Path, run_command: Any
 ) -> None:
     needs(module, extra)
     out = place / "out"
-    export(call, to, out)
-    assert "0 runs written, 3 there already" in export(call, to, out)
+    export(run_command, to, out)
+    assert "0 runs written, 3 there already" in export(run_command, to, out)
     keep(place / "home", record(1, usage={"wallSeconds": 7.0}), record(3))
-    assert "2 runs written, 2 there already" in export(call, to, out)
+    assert "2 runs written, 2 there already" in export(run_command, to, out)
     match to:
         case "tensorboard":
             assert len(list(out.glob("study/*/events*"))) == 4
@@ -259,12 +244,12 @@ def test_figures_of_several_evaluations_are_told_apart(place: Path) -> None:
 
 @pytest.mark.parametrize("to", ["tensorboard", "mlflow", "wandb"])
 def test_a_library_that_is_missing_is_named(
-    to: str, place: Path, call: Any, monkeypatch: pytest.MonkeyPatch
+    to: str, place: Path, run_command: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = {"tensorboard": "tensorboardX", "mlflow": "alembic", "rerun": "rerun"}.get(to, to)
     monkeypatch.setitem(sys.modules, module, None)
     words = ["view", "study-0"] if to == "rerun" else ["results", "export", "--to", to, "-o", place / "x"]
-    code, _, err = call(*words)
+    code, _, err = run_command(*words)
     assert code == 2
     assert f"pip install 'slamhive[{to}]'" in err
     assert len(err.splitlines()) == 1
@@ -280,11 +265,11 @@ def test_a_library_that_is_missing_is_named(
     ],
 )
 def test_what_does_not_fit_is_refused(
-    words: list[str], message: str, place: Path, call: Any, monkeypatch: pytest.MonkeyPatch
+    words: list[str], message: str, place: Path, run_command: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(place)
     (place / "file").touch()
-    code, out, err = call("results", "export", "--to", "mlflow", *words)
+    code, out, err = run_command("results", "export", "--to", "mlflow", *words)
     assert (code, out) == (2, "")
     assert message in err
     assert not (place / "x").exists()

@@ -13,12 +13,10 @@ import pytest
 import yaml
 
 from slamhive.archive import Archive
-from slamhive.cli.main import main
 from slamhive.data.rosmessages import BagWriter
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 needs_rerun = pytest.mark.skipif(
@@ -67,20 +65,6 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
-    def run(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["slamhive", *words])
-        code: Any = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code
-        return code or 0, *capsys.readouterr()
-
-    return run
-
-
 def rerun(*words: str) -> str:
     """Return what Rerun's own command says of a file."""
     done = subprocess.run(
@@ -91,8 +75,8 @@ def rerun(*words: str) -> str:
 
 
 @needs_rerun
-def test_rerun_loads_truth_estimate_error_images_and_usage(place: Path, call: Any) -> None:
-    code, out, err = call("view", "study-0", "--save", "run.rrd")
+def test_rerun_loads_truth_estimate_error_images_and_usage(place: Path, run_command: Any) -> None:
+    code, out, err = run_command("view", "study-0", "--save", "run.rrd")
     assert (code, err) == (0, "")
     assert "Next:  rerun run.rrd" in out
     rerun("verify", "run.rrd")
@@ -110,10 +94,10 @@ def test_rerun_loads_truth_estimate_error_images_and_usage(place: Path, call: An
 
 
 @needs_rerun
-def test_what_is_missing_is_said(place: Path, call: Any) -> None:
+def test_what_is_missing_is_said(place: Path, run_command: Any) -> None:
     (place / "home" / "variants" / "v" / "recording.bag").unlink()
     (place / "home" / "groundtruth" / "hall.txt").unlink()
-    code, _, err = call("view", "uid-0", "--save", "run.rrd")
+    code, _, err = run_command("view", "uid-0", "--save", "run.rrd")
     assert code == 0
     assert "its prepared recording is gone" in err
     assert "the ground truth of this dataset is not at hand" in err
@@ -121,29 +105,31 @@ def test_what_is_missing_is_said(place: Path, call: Any) -> None:
 
 
 @needs_rerun
-def test_a_run_leads_to_no_file_of_its_own_choice(place: Path, call: Any) -> None:
+def test_a_run_leads_to_no_file_of_its_own_choice(place: Path, run_command: Any) -> None:
     link = place / "home" / "runs" / "study" / "study-0" / "run" / "dataset"
     (place / "home" / "variants" / "v").rename(place / "elsewhere")
     link.unlink()
     link.symlink_to(place / "elsewhere")
-    assert "its prepared recording is gone" in call("view", "uid-0", "--save", "run.rrd")[2]
+    assert "its prepared recording is gone" in run_command("view", "uid-0", "--save", "run.rrd")[2]
 
 
 @needs_rerun
-def test_a_run_without_files_is_refused(place: Path, call: Any) -> None:
-    code, _, err = call("view", "gone", "--save", "run.rrd")
+def test_a_run_without_files_is_refused(place: Path, run_command: Any) -> None:
+    code, _, err = run_command("view", "gone", "--save", "run.rrd")
     assert (code, err.strip()) == (2, "error: run gone: its files are not here, so there is nothing to show")
     assert not (place / "run.rrd").exists()
 
 
 def test_a_missing_library_and_wrong_words_are_named(
-    place: Path, call: Any, monkeypatch: pytest.MonkeyPatch
+    place: Path, run_command: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    code, _, err = call("view", "study-0")
+    code, _, err = run_command("view", "study-0")
     assert (code, len(err.splitlines())) == (2, 1)
     assert "pip install 'slamhive[rerun]'" in err
     (place / "there.rrd").touch()
-    assert "is there already; nothing is overwritten" in call("view", "study-0", "--save", "there.rrd")[2]
-    assert "its folder is not there" in call("view", "study-0", "--save", "no/run.rrd")[2]
-    assert "did you mean 'study-0'" in call("view", "study-1")[2]
+    assert (
+        "is there already; nothing is overwritten" in run_command("view", "study-0", "--save", "there.rrd")[2]
+    )
+    assert "its folder is not there" in run_command("view", "study-0", "--save", "no/run.rrd")[2]
+    assert "did you mean 'study-0'" in run_command("view", "study-1")[2]

@@ -26,21 +26,11 @@ LONG = "[" + ", ".join(map(str, range(400))) + "]"
 
 @pytest.fixture
 def call(
-    home: Home, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    home: Home, monkeypatch: pytest.MonkeyPatch, run_command: Callable[..., tuple[int, str, str]]
 ) -> Callable[..., tuple[int, str, str]]:
     """Calls the command in this process; returns exit code, standard output and standard error."""
     monkeypatch.setenv("SLAMHIVE_HOME", str(home.path))
-
-    def run(*arguments: str | Path) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["slamhive", *map(str, arguments)])
-        code: Any = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code
-        return code or 0, *capsys.readouterr()
-
-    return run
+    return run_command
 
 
 @pytest.mark.parametrize(

@@ -21,24 +21,13 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def new(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: Callable[..., Any]
 ) -> Callable[..., Any]:
     """Calls the command in this process, in an empty folder and home."""
-    from slamhive.cli.main import main
-
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
 
-    def call(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["slamhive", *words])
-        code: Any = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code
-        return code or 0, *capsys.readouterr()
-
-    return call
+    return run_command
 
 
 def test_a_sweep_without_a_terminal_takes_what_is_usual(new: Callable[..., Any], tmp_path: Path) -> None:
