@@ -12,9 +12,9 @@ import yaml
 
 from slamhive.data import exporting
 from slamhive.data.entries import DatasetEntry
-from slamhive.data.euroc import import_euroc
 from slamhive.data.exporting import all_roles, export_dataset
 from slamhive.data.groundtruth import ground_truth
+from slamhive.data.importers import import_recording
 from slamhive.data.inspection import inspect
 from slamhive.data.preparation import prepare
 from slamhive.model.algorithm import DataFormat
@@ -108,7 +108,7 @@ def test_ground_truth_is_that_of_the_body(camera_entries: Any, tmp_path: Path) -
     export_dataset(entry, STEREO, InputOptions(frame_rate=1), EUROC, tmp_path / "out", truth=moved)
     found = read_tum(tmp_path / "out/groundtruth.txt")
     assert np.allclose(found.positions, plain.poses.positions, atol=1e-6)  # type: ignore[union-attr]
-    dataset = import_euroc(tmp_path / "out", tmp_path / "back", "back")
+    dataset, _ = import_recording(tmp_path / "out", tmp_path / "back", "back", "Euroc")
     truth = ground_truth(DatasetEntry(dataset, tmp_path / "back"))
     assert truth is not None
     assert np.allclose(truth.poses.positions, found.positions, atol=1e-9)  # type: ignore[union-attr]

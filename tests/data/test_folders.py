@@ -14,7 +14,7 @@ import yaml
 from slamhive.contract.posefiles import FRAMES
 from slamhive.data.clouds import cloud_points
 from slamhive.data.entries import DatasetEntry
-from slamhive.data.euroc import import_euroc
+from slamhive.data.importers import import_recording
 from slamhive.data.kinds import COMPRESSED_IMAGE
 from slamhive.data.preparation import evict_variants, prepare
 from slamhive.data.recordings import open_recording
@@ -163,7 +163,7 @@ def test_depth_at_half_size_is_rendered_depth(camera_entries: Any, tmp_path: Pat
 
 def test_what_is_written_for_euroc_is_imported_as_it_was(tmp_path: Path, shared: Path) -> None:
     source = shared / "euroc_v1_01_start"
-    dataset = import_euroc(source, tmp_path / "first", "v101")
+    dataset, _ = import_recording(source, tmp_path / "first", "v101", "Euroc")
     entry = DatasetEntry(dataset, tmp_path / "first")
     variant = make(entry, (Role.CAMERA, Role.IMU), tmp_path / "cache", EUROC)
     base = next(path.parent for path in source.rglob("cam0"))
@@ -172,7 +172,7 @@ def test_what_is_written_for_euroc_is_imported_as_it_was(tmp_path: Path, shared:
     assert [path.name for path in here.values()] == [f"{stamp}.png" for stamp in here]
     assert (variant.path / "times.txt").read_text().split() == [str(stamp) for stamp in here]
     assert all((image(there[stamp]) == image(here[stamp])).all() for stamp in here)
-    again = import_euroc(variant.path, tmp_path / "second", "v101")
+    again, _ = import_recording(variant.path, tmp_path / "second", "v101", "Euroc")
     topics = {"/cam0/image_raw", "/cam0/camera_info", "/imu0"}
     with (
         open_recording(dataset, tmp_path / "first") as one,
@@ -204,7 +204,7 @@ def test_lenses_come_back_from_euroc(tmp_path: Path, distortion: str, coefficien
     lens = {"distortion": distortion, "coefficients": coefficients}
     entry = described(path, {"camera": camera_sensor("/cam", at=0.1, camera=lens)})
     variant = make(entry, (Role.CAMERA,), tmp_path / "cache", EUROC)
-    again = import_euroc(variant.path, tmp_path / "back", "rig")
+    again, _ = import_recording(variant.path, tmp_path / "back", "rig", "Euroc")
     assert again.spec.sensors["camera"].camera == entry.dataset.spec.sensors["camera"].camera
     assert again.spec.sensors["camera"].T_body_sensor[0][3] == 0.1
 

@@ -14,10 +14,10 @@ from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 from slamhive.cli.datasets import app
-from slamhive.data.carmen import POINT, import_carmen, read_log, scan_points
 from slamhive.data.entries import DatasetEntry
-from slamhive.data.euroc import import_euroc
 from slamhive.data.groundtruth import ground_truth
+from slamhive.data.importers import ImportOptions, import_recording
+from slamhive.data.importers.carmen import POINT, read_log, scan_points
 from slamhive.data.inspection import inspect
 from slamhive.data.preparation import prepare
 from slamhive.data.store import materialise
@@ -73,13 +73,16 @@ def test_robotlaser_lines(tmp_path: Path) -> None:
 def test_damaged_logs(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "a.log").write_text(text)
     with pytest.raises(DataError, match=words):
-        import_carmen(tmp_path / "a.log", tmp_path / "out", "a")
+        import_recording(tmp_path / "a.log", tmp_path / "out", "a", "Carmen")
     assert not (tmp_path / "out").exists()
 
 
 def test_the_whole_intel_log(shared: Path, tmp_path: Path) -> None:
     source = shared / "lidar2d"
-    dataset = import_carmen(source / "intel.clf.bz2", tmp_path / "intel", "intel", source / "intel.relations")
+    options = ImportOptions(relations=source / "intel.relations")
+    dataset, _ = import_recording(
+        source / "intel.clf.bz2", tmp_path / "intel", "intel", "Carmen", options=options
+    )
     entry = DatasetEntry(dataset, tmp_path / "intel")
     truth = ground_truth(entry)
     variant = prepare(entry, [Role.LIDAR], InputOptions(), [DataFormat.ROSBAG1], tmp_path / "cache")
@@ -127,7 +130,7 @@ def euroc(folder: Path, *, cameras: int = 2) -> Path:
 
 @pytest.mark.parametrize(("cameras", "names"), [(2, {"left", "right", "imu"}), (1, {"camera", "imu"})])
 def test_euroc_folders(tmp_path: Path, cameras: int, names: set[str]) -> None:
-    dataset = import_euroc(euroc(tmp_path / "mh", cameras=cameras), tmp_path / "out", "mh")
+    dataset, _ = import_recording(euroc(tmp_path / "mh", cameras=cameras), tmp_path / "out", "mh", "Euroc")
     assert load_file(tmp_path / "out" / "dataset.yaml")[0] == dataset
     assert set(dataset.spec.sensors) == names
     report = inspect(DatasetEntry(dataset, tmp_path / "out"))
@@ -143,7 +146,7 @@ def test_euroc_folders(tmp_path: Path, cameras: int, names: set[str]) -> None:
         first = [reader.deserialize(raw, c.msgtype).data[0] for c, _, raw in reader.messages(images)]
     assert first == [0, 10, 20, 30]
     with pytest.raises(InputError, match="exists already"):
-        import_euroc(tmp_path / "mh", tmp_path / "out", "mh")
+        import_recording(tmp_path / "mh", tmp_path / "out", "mh", "Euroc")
 
 
 @pytest.mark.parametrize(
@@ -161,11 +164,11 @@ def test_euroc_folders(tmp_path: Path, cameras: int, names: set[str]) -> None:
 def test_damaged_euroc_folders(tmp_path: Path, path: str, text: str, words: str) -> None:
     (euroc(tmp_path / "mh") / "mav0" / path).write_text(text)
     with pytest.raises(DataError, match=words):
-        import_euroc(tmp_path / "mh", tmp_path / "out", "mh")
+        import_recording(tmp_path / "mh", tmp_path / "out", "mh", "Euroc")
 
 
 def test_the_real_euroc_folder(shared: Path, tmp_path: Path) -> None:
-    dataset = import_euroc(shared / "euroc_v1_01_start", tmp_path / "out", "v101")
+    dataset, _ = import_recording(shared / "euroc_v1_01_start", tmp_path / "out", "v101", "Euroc")
     report = inspect(DatasetEntry(dataset, tmp_path / "out"))
     assert report.errors == []
     assert "/cam0/image_raw covers 4.7 s of the recording's 145.6 s (3%)" in " ".join(report.warnings)

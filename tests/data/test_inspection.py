@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamhive.data.carmen import POINT
+from slamhive.data.importers.carmen import POINT
 from slamhive.data.inspection import inspect
 from slamhive.model.sensors import Imu, Lidar
 

@@ -11,8 +11,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from slamhive.data import kinds
-from slamhive.data.carmen import POINT
 from slamhive.data.entries import dataset_sha256
+from slamhive.data.importers.carmen import POINT
 from slamhive.data.inspection import inspect
 from slamhive.data.preparation import prepare
 from slamhive.data.store import materialise

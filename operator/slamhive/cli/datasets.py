@@ -47,7 +47,6 @@ MaxRange = Annotated[float | None, typer.Option("--max-range", min=0.01, help="L
 Rings = Annotated[int | None, typer.Option("--rings", min=1, help="LiDAR rings to keep.")]
 
 _MANIFESTS = {".yaml", ".yml"}
-_CARMEN = {".clf", ".log", ".bz2", ".gz"}
 
 
 @app.command("list")
@@ -106,20 +105,21 @@ def add(
         raise InputError(f"{source}: no such file or folder")
     if source.suffix in _MANIFESTS and source.is_file():
         _add_manifest(source, home)
-    elif (source / "mav0").is_dir() or (source / "cam0").is_dir():
-        from slamhive.data.euroc import import_euroc
+        return
+    from slamhive.data.importers import ImportOptions, import_recording, layout_of
 
-        chosen = _named(source, name)
-        import_euroc(source, home.folder("datasets") / chosen, chosen)
-        _added(home.path / "datasets" / chosen / "dataset.yaml")
-    elif source.is_file() and source.suffix in _CARMEN:
-        from slamhive.data.carmen import import_carmen
-
-        chosen = _named(source, name)
-        import_carmen(source, home.folder("datasets") / chosen, chosen, relations)
-        _added(home.path / "datasets" / chosen / "dataset.yaml")
-    else:
-        _suggest(source, _named(source, name))
+    chosen = _named(source, name)
+    layout = layout_of(source)
+    if layout is None:
+        _suggest(source, chosen)
+        return
+    folder = home.folder("datasets") / chosen
+    with Work(f"importing {chosen}") as work:
+        options = ImportOptions(relations=relations)
+        _, notes = import_recording(source, folder, chosen, layout, options=options, progress=work.share)
+    for sentence in notes:
+        remark(f"- {sentence}")
+    _added(folder / "dataset.yaml")
 
 
 app.command("remove")(remove_dataset)

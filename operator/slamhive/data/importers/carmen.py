@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import shutil
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.data.importing import publish
-from slamhive.data.rosmessages import BagWriter
+from slamhive.data.importers.contents import Contents, Stream, Truth, cloud_stream
+from slamhive.model.dataset import GroundTruth, TruthFormat
 from slamhive.model.errors import DataError
+from slamhive.model.sensors import Sensor, SensorType
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,12 +25,16 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from slamhive.model.dataset import Dataset
+    from slamhive.data.importers import ImportOptions
+    from slamhive.data.rosmessages import BagWriter
 
     Array = npt.NDArray[np.float64]
 
+TITLE = "a CARMEN log (.log, .clf, also .gz and .bz2)"
+
 SCANS, ODOMETRY = "/points", "/odom"
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+_SUFFIXES = {".clf", ".log", ".bz2", ".gz"}
 _BODY, _LASER = "base_link", "lidar"
 _NO_RETURN_METRES = 80.0
 """FLASER lines don't state the scanner's range; a SICK LMS writes 81.83 or more where nothing came back."""
@@ -72,34 +76,36 @@ class Log:
     inversions: int = 0
 
 
-def import_carmen(log: Path, out: Path, name: str, relations: Path | None = None) -> Dataset:
-    """Turn a CARMEN log into a dataset.
+def recognises(source: Path) -> bool:
+    """Tell whether something is a log, by its name."""
+    return source.is_file() and source.suffix in _SUFFIXES
 
-    Args:
-        log: The log, plain or compressed by gzip or bzip2.
-        out: Folder to make: dataset.yaml, recording.bag, groundtruth.relations.
-        name: Name of the dataset.
-        relations: Manually verified relative poses, as ground truth.
 
-    Returns:
-        The dataset that is in the folder now.
+def read(source: Path, options: ImportOptions) -> Contents:
+    """Read a CARMEN log, plain or compressed by gzip or bzip2.
+
+    Its relations, manually verified relative poses, are the ground truth.
 
     Raises:
         DataError: The log is damaged or has no scans.
-        InputError: The folder exists.
     """
-    content = read_log(log)
-    if not content.scans:
-        raise DataError(f"{log}: no laser scans in it (lines FLASER or ROBOTLASER1): not a CARMEN log?")
-
-    def make(aside: Path) -> None:
-        _write_bag(aside / "recording.bag", content)
-        if relations is not None:
-            shutil.copyfile(relations, aside / "groundtruth.relations")
-
-    if relations is not None and not relations.is_file():
-        raise DataError(f"{relations}: no such file")
-    return publish(out, _manifest(content, name, has_relations=relations is not None), make)
+    log = read_log(source)
+    if not log.scans:
+        raise DataError(f"{source}: no laser scans in it (lines FLASER or ROBOTLASER1): not a CARMEN log?")
+    if options.relations is not None and not options.relations.is_file():
+        raise DataError(f"{options.relations}: no such file")
+    truth = None
+    if options.relations is not None:
+        kept_as = GroundTruth(file="groundtruth.relations", format=TruthFormat.RELATIONS, frame="lidar")
+        truth = Truth(kept_as, options.relations)
+    return Contents(
+        description=f"{len(log.scans)} planar laser scans and odometry from a CARMEN log.",
+        streams=[_laser(log), *([_wheels(log)] if log.odometry else [])],
+        truth=truth,
+        body=_BODY,
+        gravity_aligned=True,
+        attributes={"planar": True},
+    )
 
 
 def read_log(path: Path) -> Log:
@@ -201,51 +207,35 @@ def scan_points(scan: Scan) -> npt.NDArray[np.void]:
     return points
 
 
-def _write_bag(path: Path, log: Log) -> None:
-    events = [(scan.stamp, 0, k) for k, scan in enumerate(log.scans)]
-    events += [(stamp, 1, k) for k, (stamp, _, _) in enumerate(log.odometry)]
-    with BagWriter(path) as bag:
-        bag.static_transforms(min(events)[0], _BODY, {_LASER: _laser_pose(log)})
-        for stamp, kind, k in sorted(events):
-            if kind == 0:
-                bag.points(SCANS, stamp, _LASER, scan_points(log.scans[k]))
-            else:
-                bag.planar_odometry(ODOMETRY, stamp, log.odometry[k][1], log.odometry[k][2])
-
-
-def _laser_pose(log: Log) -> Array:
+def _laser(log: Log) -> Stream:
+    stamps = np.array([scan.stamp for scan in log.scans], dtype=np.int64)
+    duration = (stamps[-1] - stamps[0]) / 1e9
     pose = np.eye(4)
     pose[0, 3] = log.laser_offset
-    return pose
-
-
-def _manifest(log: Log, name: str, *, has_relations: bool) -> dict[str, object]:
-    stamps = np.array([scan.stamp for scan in log.scans])
-    duration = (stamps[-1] - stamps[0]) / 1e9
-    limit = min(scan.limit for scan in log.scans)
-    wheels = {"odometry": {"type": "Odometry", "topic": ODOMETRY, "frameId": _BODY}} if log.odometry else {}
-    spec: dict[str, object] = {
-        "description": f"{len(stamps)} planar laser scans and odometry from a CARMEN log.",
-        "recording": {"format": "Rosbag1", "files": [{"path": "recording.bag"}]},
-        "sensors": {
+    sensor = Sensor.model_validate(
+        {
+            "type": "Lidar",
+            "topic": SCANS,
+            "frameId": _LASER,
+            "rate": round(float((len(stamps) - 1) / duration), 3) if duration else None,
+            "stamp": "Sample",
+            "T_body_sensor": pose.tolist(),
             "lidar": {
-                "type": "Lidar",
-                "topic": SCANS,
-                "frameId": _LASER,
-                "rate": round(float((len(stamps) - 1) / duration), 3) if duration else None,
-                "stamp": "Sample",
-                "T_body_sensor": _laser_pose(log).tolist(),
-                "lidar": {
-                    "rings": 1,
-                    "columns": max(len(scan.ranges) for scan in log.scans),
-                    "maxRange": limit,
-                },
-            }
+                "rings": 1,
+                "columns": max(len(scan.ranges) for scan in log.scans),
+                "maxRange": min(scan.limit for scan in log.scans),
+            },
         }
-        | wheels,
-        "gravityAligned": True,
-        "attributes": {"planar": True},
-    }
-    if has_relations:
-        spec["groundTruth"] = {"file": "groundtruth.relations", "format": "Relations", "frame": "lidar"}
-    return {"apiVersion": "slamhive.io/v1alpha1", "kind": "Dataset", "metadata": {"name": name}, "spec": spec}
+    )
+    return cloud_stream("lidar", sensor, stamps, lambda k: scan_points(log.scans[k]))
+
+
+def _wheels(log: Log) -> Stream:
+    sensor = Sensor(type=SensorType.ODOMETRY, topic=ODOMETRY, frame_id=_BODY)
+    stamps = np.array([stamp for stamp, _, _ in log.odometry], dtype=np.int64)
+
+    def write(bag: BagWriter, k: int) -> None:
+        stamp, pose, velocity = log.odometry[k]
+        bag.planar_odometry(ODOMETRY, stamp, pose, velocity)
+
+    return Stream("odometry", sensor, stamps, write)

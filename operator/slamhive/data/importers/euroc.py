@@ -4,20 +4,24 @@
 from __future__ import annotations
 
 import csv
-import heapq
-import shutil
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import yaml
 
-from slamhive.data.importing import publish
-from slamhive.data.rosmessages import BagWriter
+from slamhive.data.importers.contents import (
+    Contents,
+    Stream,
+    Truth,
+    camera_stream,
+    encoding_of,
+    imu_stream,
+    read_pixels,
+)
+from slamhive.model.dataset import GroundTruth
 from slamhive.model.errors import DataError
-from slamhive.model.sensors import Camera
-from slamhive_eval import EvaluationError, read_trajectory, write_tum
+from slamhive.model.sensors import Camera, Sensor
+from slamhive_eval import EvaluationError, read_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,87 +29,55 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from slamhive.model.dataset import Dataset
+    from slamhive.data.importers import ImportOptions
 
     Array = npt.NDArray[np.float64]
 
-_ENCODINGS = {("uint8", 2): "mono8", ("uint16", 2): "mono16", ("uint8", 3): "bgr8", ("uint16", 3): "bgr16"}
+TITLE = "a folder in EuRoC's layout (mav0/)"
+
 _DISTORTIONS = {"radial-tangential": "RadialTangential", "equidistant": "Equidistant", "none": "None"}
 _TRUTHS = (
     "state_groundtruth_estimate0/data.csv",
     "../groundtruth.txt",
     "groundtruth.txt",
 )
-_BODY = "body"
 
 
-@dataclass(frozen=True)
-class _Camera:
-    role: str
-    folder: Path
-    pose: Array
-    rate: float
-    intrinsics: Camera
-    frames: list[tuple[int, Path]]
-
-    @property
-    def topic(self) -> str:
-        return f"/{self.folder.name}/image_raw"
+def recognises(source: Path) -> bool:
+    """Tell whether something is a folder with mav0, or mav0 itself."""
+    return (source / "mav0").is_dir() or (source / "cam0").is_dir()
 
 
-@dataclass(frozen=True)
-class _Imu:
-    folder: Path
-    pose: Array
-    rate: float
-    noise: dict[str, float]
-    stamps: npt.NDArray[np.int64]
-    samples: Array
+def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
+    """Read a folder in EuRoC's layout: the folder with mav0, or mav0 itself.
 
-    @property
-    def topic(self) -> str:
-        return f"/{self.folder.name}"
-
-
-def import_euroc(folder: Path, out: Path, name: str) -> Dataset:
-    """Turn a folder in EuRoC's layout into a dataset.
-
-    Args:
-        folder: The folder with mav0, or mav0 itself.
-        out: Folder to make: dataset.yaml, recording.bag, groundtruth.txt.
-        name: Name of the dataset.
-
-    Returns:
-        The dataset that is in the folder now. The body frame is the one of its calibration, the IMU's.
+    The body frame is the one of its calibration, the IMU's.
 
     Raises:
         DataError: Something in the folder is missing or damaged.
-        InputError: The folder to make exists.
     """
-    base = folder / "mav0" if (folder / "mav0").is_dir() else folder
+    base = source / "mav0" if (source / "mav0").is_dir() else source
     cameras = _cameras(base)
     imus = [_imu(path) for path in sorted(base.glob("imu[0-9]")) if (path / "data.csv").is_file()][:1]
     if not cameras and not imus:
         raise DataError(
             f"{base}: no cam0/data.csv and no imu0/data.csv in it: not a folder in EuRoC's layout"
         )
-    truth = next((base / path for path in _TRUTHS if (base / path).is_file()), None)
-
-    def make(aside: Path) -> None:
-        _write_bag(aside / "recording.bag", cameras, imus)
-        if truth is not None:
-            _write_truth(truth, aside / "groundtruth.txt")
-
-    return publish(out, _manifest(name, cameras, imus, has_truth=truth is not None), make)
+    return Contents(
+        description="Imported from a folder in EuRoC's layout.",
+        streams=cameras + imus,
+        truth=_truth(base),
+        gravity_aligned=True,
+    )
 
 
-def _cameras(base: Path) -> list[_Camera]:
+def _cameras(base: Path) -> list[Stream]:
     folders = [path for path in sorted(base.glob("cam[0-9]")) if (path / "data.csv").is_file()]
     roles = ["camera"] if len(folders) == 1 else ["left", "right", *(path.name for path in folders[2:])]
     return [_camera(path, role) for path, role in zip(folders, roles, strict=False)]
 
 
-def _camera(folder: Path, role: str) -> _Camera:
+def _camera(folder: Path, role: str) -> Stream:
     path = folder / "sensor.yaml"
     known = _calibration(path)
     frames = []
@@ -128,7 +100,7 @@ def _camera(folder: Path, role: str) -> _Camera:
         {
             "width": width,
             "height": height,
-            "encoding": _encoding(_pixels(frames[0][1])),
+            "encoding": encoding_of(read_pixels(frames[0][1])),
             "fx": fx,
             "fy": fy,
             "cx": cx,
@@ -137,10 +109,21 @@ def _camera(folder: Path, role: str) -> _Camera:
             "coefficients": _with_k3(coefficients) if distortion == "radial-tangential" else coefficients[:4],
         }
     )
-    return _Camera(role, folder, _pose(known, path), float(known.get("rate_hz", 20)), camera, frames)
+    sensor = Sensor.model_validate(
+        {
+            "type": "Camera",
+            "topic": f"/{folder.name}/image_raw",
+            "frameId": folder.name,
+            "rate": float(known.get("rate_hz", 20)),
+            "T_body_sensor": _pose(known, path).tolist(),
+            "camera": camera,
+        }
+    )
+    stamps = np.array([stamp for stamp, _ in frames], dtype=np.int64)
+    return camera_stream(role, sensor, stamps, [image for _, image in frames], path)
 
 
-def _imu(folder: Path) -> _Imu:
+def _imu(folder: Path) -> Stream:
     path = folder / "sensor.yaml"
     known = _calibration(path)
     rows = [(line, row) for line, row in _rows(folder / "data.csv", 7)]
@@ -159,7 +142,17 @@ def _imu(folder: Path) -> _Imu:
         "gyroscopeRandomWalk": "gyroscope_random_walk",
     }
     noise = {key: float(known[name]) for key, name in names.items() if name in known}
-    return _Imu(folder, _pose(known, path), float(known.get("rate_hz", 200)), noise, stamps, samples)
+    sensor = Sensor.model_validate(
+        {
+            "type": "Imu",
+            "topic": f"/{folder.name}",
+            "frameId": folder.name,
+            "rate": float(known.get("rate_hz", 200)),
+            "T_body_sensor": _pose(known, path).tolist(),
+            "imu": noise,
+        }
+    )
+    return imu_stream("imu", sensor, stamps, samples[:, :3], samples[:, 3:])
 
 
 def _calibration(path: Path) -> dict[str, Any]:
@@ -228,86 +221,14 @@ def _stamp(text: str, path: Path, line: int) -> int:
         raise DataError(f"{path}, line {line}: {text!r} is not a time stamp in ns") from None
 
 
-def _pixels(path: Path) -> npt.NDArray[Any]:
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if pixels is None:
-        raise DataError(f"{path}: can't be decoded as an image")
-    return pixels
-
-
-def _encoding(pixels: npt.NDArray[Any]) -> str:
-    return _ENCODINGS.get((pixels.dtype.name, pixels.ndim), "mono8")
-
-
-def _write_bag(path: Path, cameras: list[_Camera], imus: list[_Imu]) -> None:
-    streams: list[list[tuple[int, int, int]]] = []
-    streams += [
-        [(stamp, -1 - n, k) for k, stamp in enumerate(imu.stamps.tolist())] for n, imu in enumerate(imus)
-    ]
-    streams += [
-        [(stamp, n, k) for k, (stamp, _) in enumerate(camera.frames)] for n, camera in enumerate(cameras)
-    ]
-    poses = {camera.folder.name: camera.pose for camera in cameras}
-    poses |= {imu.folder.name: imu.pose for imu in imus}
-    with BagWriter(path) as bag:
-        bag.static_transforms(min(stream[0][0] for stream in streams), _BODY, poses)
-        for stamp, n, k in heapq.merge(*streams):
-            if n < 0:
-                imu = imus[-1 - n]
-                bag.imu(imu.topic, stamp, imu.folder.name, imu.samples[k, :3], imu.samples[k, 3:])
-            else:
-                _write_frame(bag, cameras[n], stamp, cameras[n].frames[k][1])
-
-
-def _write_frame(bag: BagWriter, camera: _Camera, stamp: int, path: Path) -> None:
-    pixels, known = _pixels(path), camera.intrinsics
-    if pixels.shape[:2] != (known.height, known.width) or _encoding(pixels) != known.encoding:
-        raise DataError(
-            f"{path}: {pixels.shape[1]}×{pixels.shape[0]} {_encoding(pixels)}, but "
-            f"{camera.folder / 'sensor.yaml'} "
-            f"and the first image say {known.width}×{known.height} {known.encoding}"
-        )
-    frame = camera.folder.name
-    bag.camera_info(f"/{frame}/camera_info", stamp, frame, known)
-    bag.image(camera.topic, stamp, frame, known.encoding, pixels)
-
-
-def _write_truth(source: Path, target: Path) -> None:
+def _truth(base: Path) -> Truth | None:
+    source = next((base / path for path in _TRUTHS if (base / path).is_file()), None)
+    if source is None:
+        return None
+    manifest = GroundTruth(file="groundtruth.txt")
     if source.suffix == ".txt":
-        shutil.copyfile(source, target)
-        return
+        return Truth(manifest, source)
     try:
-        write_tum(target, read_trajectory(source, "euroc"))
+        return Truth(manifest, read_trajectory(source, "euroc"))
     except EvaluationError as error:
         raise DataError(f"ground truth: {error}") from None
-
-
-def _manifest(name: str, cameras: list[_Camera], imus: list[_Imu], *, has_truth: bool) -> dict[str, Any]:
-    sensors: dict[str, Any] = {
-        camera.role: {
-            "type": "Camera",
-            "topic": camera.topic,
-            "frameId": camera.folder.name,
-            "rate": camera.rate,
-            "T_body_sensor": camera.pose.tolist(),
-            "camera": camera.intrinsics.as_json(),
-        }
-        for camera in cameras
-    }
-    for imu in imus:
-        sensors["imu"] = {
-            "type": "Imu",
-            "topic": imu.topic,
-            "frameId": imu.folder.name,
-            "rate": imu.rate,
-            "T_body_sensor": imu.pose.tolist(),
-            "imu": imu.noise,
-        }
-    spec = {
-        "description": "Imported from a folder in EuRoC's layout.",
-        "recording": {"format": "Rosbag1", "files": [{"path": "recording.bag"}]},
-        "sensors": sensors,
-        "groundTruth": {"file": "groundtruth.txt"} if has_truth else None,
-        "gravityAligned": True,
-    }
-    return {"apiVersion": "slamhive.io/v1alpha1", "kind": "Dataset", "metadata": {"name": name}, "spec": spec}
