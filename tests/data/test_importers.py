@@ -245,7 +245,7 @@ def test_recordings_of_strangers_get_manifests_that_add_and_check(
     for words in (["add", str(bag), "--name", "it"], ["add", "it.yaml"], ["check", "it", "--json"]):
         found = runner.invoke(app, words)
         assert found.exit_code == 0, found.output
-    report = json.loads(found.output)
+    report = json.loads(found.stdout)
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         counted = {one.topic: 0 for one in reader.connections}
         for one in reader.connections:
