@@ -41,6 +41,8 @@ CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm", "ros1-player", "kiss-icp-ros"
 """Images that tests run in containers of a workstation, as images/build calls them."""
 CLUSTERS = frozenset({"control_plane", "node_cluster"})
 """Fixtures of real clusters: what uses one may take as long."""
+INSTALLING = frozenset({"environments", "evo"})
+"""Fixtures that install packages where no session before has: what uses one may wait for that."""
 SINGLE = ("tests/shows/",)
 """Long tests that have nothing in common."""
 
@@ -153,7 +155,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             # Both cores may be taken by others: programs that need seconds may then need a minute.
             waits = rank(name) < len(SLOWEST) or "browser" in getattr(item, "fixturenames", ())
             is_long = any(map(item.get_closest_marker, LONG))
-            is_long = is_long or bool(CLUSTERS & set(getattr(item, "fixturenames", ())))
+            is_long = is_long or bool((CLUSTERS | INSTALLING) & set(getattr(item, "fixturenames", ())))
             longest = 900 if is_long else 300 if waits else 60
             item.add_marker(pytest.mark.timeout(longest))
         files[name].append(item)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -56,7 +57,7 @@ class Served:
             create_app(source), log_level="critical", timeout_graceful_shutdown=1, lifespan="on", ws="none"
         )
         self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [listening]}, daemon=True)
+        self._thread = threading.Thread(target=asyncio.run, args=(self._serve(listening),), daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -65,6 +66,13 @@ class Served:
     def __exit__(self, *_: object) -> None:
         self._server.should_exit = True
         self._thread.join(30)
+
+    async def _serve(self, listening: socket.socket) -> None:
+        await self._server.serve(sockets=[listening])
+        # Those of pages that were still being told of changes: uvicorn leaves them open.
+        for connection in list(self._server.server_state.connections):
+            connection.transport.abort()
+        await asyncio.sleep(0)
 
 
 @pytest.fixture

@@ -163,7 +163,10 @@ class FakeCluster:
 
     async def _stop(self) -> None:
         self._server.end()
+        connections = [one.transport for one in self._runner.server.connections if one.transport]
         await self._runner.cleanup()
+        for transport in connections:
+            transport.abort()  # one that nobody reads from any more would never close
         left = asyncio.all_tasks() - {asyncio.current_task()}
         for task in left:
             task.cancel()
