@@ -24,6 +24,8 @@ if TYPE_CHECKING:
         match,
     )
     from slamhive_eval.clouds import Cloud, read_cloud, sample_mesh
+    from slamhive_eval.column_tables import read_columns
+    from slamhive_eval.columns import TableFormat
     from slamhive_eval.consistency import Consistency, measure_consistency
     from slamhive_eval.coverage import Coverage, measure_coverage
     from slamhive_eval.errors import (
@@ -79,6 +81,8 @@ _MODULES = {
         "interpolate",
         "match",
     ),
+    "column_tables": ("read_columns",),
+    "columns": ("TableFormat",),
     "coverage": ("Coverage", "measure_coverage"),
     "errors": (
         "AssociationError",
@@ -130,6 +134,8 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "read_tum",
     "read_euroc",
     "read_kitti",
+    "read_columns",
+    "TableFormat",
     "write_trajectory",
     "write_tum",
     "Options",

@@ -14,7 +14,7 @@ import numpy as np
 from slamhive_eval import rotation
 from slamhive_eval.errors import FileError
 from slamhive_eval.textfiles import data_lines, decode, fault_in_row, head, parse_table, read_bytes
-from slamhive_eval.trajectory import LARGEST_METRES, LARGEST_STAMP_SECONDS, Trajectory, find_fault
+from slamhive_eval.trajectory import LARGEST_METRES, LARGEST_STAMP_SECONDS, Fault, Trajectory, find_fault
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -128,20 +128,26 @@ def _line_of(path: str | Path, frame: float) -> int | None:
     return next((number for number, text in lines if float(text.replace(",", " ").split()[0]) == frame), None)
 
 
-def _matrices(path: str | Path, data: bytes, table: FloatArray) -> FloatArray:
-    """The checked pose matrices, shape (n, 3, 4)."""
-    matrices = table.reshape(-1, 3, 4)
+def check_matrices(table: FloatArray) -> Fault | None:
+    """The first row of twelve numbers that is no pose, or None; shape (n, 12)."""
     bad = np.flatnonzero(~(np.abs(table) <= LARGEST_METRES).all(axis=1))
     if bad.size:
-        raise fault_in_row(path, data, int(bad[0]), "every value must be a finite number")
-    rotations = np.clip(matrices[:, :, :3], -2.0, 2.0)  # far from a rotation either way, but no overflow
+        return Fault(int(bad[0]), "every value must be a finite number")
+    rotations = np.clip(table.reshape(-1, 3, 4)[:, :, :3], -2.0, 2.0)  # no rotation either way, no overflow
     gram = np.einsum("nij,nkj->nik", rotations, rotations)
     wrong = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > 1e-2) | (np.linalg.det(rotations) < 0)
     bad = np.flatnonzero(wrong)
     if bad.size:
-        message = "the left 3×3 part is no rotation (orthonormal, determinant 1)"
-        raise fault_in_row(path, data, int(bad[0]), message)
-    return matrices
+        return Fault(int(bad[0]), "the left 3×3 part is no rotation (orthonormal, determinant 1)")
+    return None
+
+
+def _matrices(path: str | Path, data: bytes, table: FloatArray) -> FloatArray:
+    """The checked pose matrices, shape (n, 3, 4)."""
+    fault = check_matrices(table)
+    if fault is not None:
+        raise fault_in_row(path, data, fault.row, fault.message)
+    return table.reshape(-1, 3, 4)
 
 
 def _order(path: str | Path, data: bytes, frames: FloatArray, *, sort: bool) -> IndexArray:

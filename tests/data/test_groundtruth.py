@@ -24,6 +24,21 @@ KITTI = "1 0 0 1 0 1 0 2 0 0 1 3\n1 0 0 2 0 1 0 2 0 0 1 3\n"
         (EUROC, {"file": "gt", "format": "Euroc"}, 2),
         (KITTI, {"file": "gt", "format": "Kitti", "times": "times"}, 2),
         (TUM, {"file": "gt", "holes": [{"start": 1600000000.5, "end": 1600000001.5}]}, 2),
+        (
+            "n;t\n7;1600000000000000000;1;2;3\n8;1600000001000000000;2;2;3\n",
+            {
+                "file": "gt",
+                "format": "Table",
+                "table": {"columns": ["_", "t", "tx", "ty", "tz"], "skip": 1, "timeUnit": "ns"},
+            },
+            2,
+        ),
+        (
+            KITTI,
+            {"file": "gt", "format": "Table", "times": "times", "table": {"columns": ["matrix"]}},
+            2,
+        ),
+        (TUM, {"file": "gt", "format": "ControlPoints"}, 3),
     ],
 )
 def test_files(tmp_path: Path, bag_with_truth: Any, text: str, truth: Any, count: int) -> None:

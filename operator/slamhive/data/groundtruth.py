@@ -19,6 +19,7 @@ from slamhive_eval import (
     EvaluationError,
     Relations,
     Trajectory,
+    read_columns,
     read_euroc,
     read_kitti,
     read_relations,
@@ -182,6 +183,10 @@ def _read(entry: DatasetEntry, truth: GroundTruth, cache: Path | None) -> Trajec
             return read_euroc(path)
         case TruthFormat.RELATIONS:
             return read_relations(path)
+        case TruthFormat.TABLE | TruthFormat.CONTROL_POINTS:
+            assert truth.columns is not None  # noqa: S101 - of these formats it never is
+            times = None if truth.times is None else entry.root / truth.times
+            return read_columns(path, truth.columns.form, times)
         case TruthFormat.KITTI:
             if truth.times is None:
                 raise DataError(

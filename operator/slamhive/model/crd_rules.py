@@ -66,7 +66,14 @@ RULES: dict[str, tuple[Rule, ...]] = {
     "Recording": (
         ("(size(self.files) > 0) != has(self.synthetic)", "files: give either files or synthetic"),
     ),
-    "GroundTruth": (("has(self.file) != has(self.topic)", "file: give either file or topic"),),
+    "GroundTruth": (
+        ("has(self.file) != has(self.topic)", "file: give either file or topic"),
+        (
+            "!has(self.table) || self.format in ['Table', 'ControlPoints']",
+            "table: only the formats Table and ControlPoints take it",
+        ),
+        ("self.format != 'Table' || has(self.table)", "table: the format Table needs it"),
+    ),
     "DatasetSpec": (
         (
             (

@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from slamhive.model.algorithm import RecordingFormat, RelativePath
-from slamhive.model.base import Choice, Model, Resource, Scalar, Sha256
+from slamhive.model.base import Choice, Model, Resource, Scalar, Sha256, optional
 from slamhive.model.errors import InputError, suggestion
 from slamhive.model.sensors import ROLE_TYPES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
+from slamhive_eval.columns import TableFormat
+from slamhive_eval.errors import OptionError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -55,6 +57,91 @@ class TruthFormat(Choice):
     EUROC = "Euroc"
     KITTI = "Kitti"
     RELATIONS = "Relations"
+    TABLE = "Table"
+    CONTROL_POINTS = "ControlPoints"
+
+
+class TruthColumn(Choice):
+    """What a column of a table of ground truth holds."""
+
+    T = "t"
+    SEC = "sec"
+    NSEC = "nsec"
+    FRAME = "frame"
+    TX = "tx"
+    TY = "ty"
+    TZ = "tz"
+    QX = "qx"
+    QY = "qy"
+    QZ = "qz"
+    QW = "qw"
+    ROLL = "roll"
+    PITCH = "pitch"
+    YAW = "yaw"
+    MATRIX = "matrix"
+    NOTHING = "_"
+
+
+def _plain_column(value: object) -> object:
+    if value is True:
+        raise ValueError("YAML reads y as true; the columns of the position are tx, ty, tz")
+    return value
+
+
+class TruthTable(Model):
+    """A table of poses or positions: what its columns are."""
+
+    columns: list[Annotated[TruthColumn, BeforeValidator(_plain_column)]] = Field(
+        default_factory=lambda: [TruthColumn.T, TruthColumn.TX, TruthColumn.TY, TruthColumn.TZ],
+        min_length=1,
+        max_length=100,
+        description="From the first on; more columns are passed over. Time: t, or sec with or without nsec, "
+        "or frame; without any, line k from 0 is frame k. matrix: twelve columns, the 3×4 pose by rows. "
+        "_: passed over.",
+    )
+    delimiter: Literal[",", ";", "\t", " "] | None = optional(
+        "What separates columns, a space for any white space; default: what the first line has."
+    )
+    skip: int = Field(default=0, ge=0, le=10**6, description="Lines passed over at the top, such as names.")
+    time_unit: Literal["s", "ms", "us", "ns"] = Field(default="s", description="Unit of t.")
+    angle_unit: Literal["rad", "deg"] = Field(default="rad", description="Unit of roll, pitch and yaw.")
+    rotation: Literal["Pose", "Inverse"] = Field(
+        default="Pose",
+        description="Pose: turns vectors of the frame into the world, R = Rz(yaw) Ry(pitch) Rx(roll). "
+        "Inverse: vectors of the world into the frame.",
+    )
+    rate: float | None = optional("Frames a second, where lines have frames and there is no times.", gt=0)
+    start_time: float = Field(default=0.0, description="Time of frame 0, s.")
+    min_interval: float = Field(
+        default=0.0, ge=0, description="Poses less than so many seconds after the last one kept are dropped."
+    )
+
+    @model_validator(mode="after")
+    def _readable(self) -> Self:
+        try:
+            self.form  # noqa: B018 - making it checks it
+        except OptionError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    @property
+    def form(self) -> TableFormat:
+        """Return what the evaluator's reader is given.
+
+        Raises:
+            OptionError: columns that make no position over time.
+        """
+        return TableFormat(
+            columns=tuple(map(str, self.columns)),
+            delimiter=self.delimiter,
+            skip=self.skip,
+            time_unit=self.time_unit,
+            angle_unit=self.angle_unit,
+            rotation=self.rotation,
+            rate=self.rate,
+            start_time=self.start_time,
+            min_interval=self.min_interval,
+        )
 
 
 class Hole(Model):
@@ -68,9 +155,13 @@ class GroundTruth(Model):
     """Where the reference poses are and what they mean."""
 
     file: RelativePath | None = Field(default=None, description="File below the dataset's folder.")
-    times: RelativePath | None = Field(default=None, description="File with a stamp a line, for Kitti.")
+    times: RelativePath | None = Field(
+        default=None,
+        description="File with a stamp a line, for Kitti and for tables whose lines have frames.",
+    )
     topic: str | None = Field(default=None, description="Topic of the recording that carries the poses.")
     format: TruthFormat = Field(default=TruthFormat.TUM, description="How the file is written.")
+    table: TruthTable | None = optional("Table, ControlPoints: what the columns are.")
     frame: str = Field(default="body", description="Whose pose it is: body, or the name of a sensor.")
     T_body_frame: Extrinsics | None = Field(
         default=None,
@@ -85,6 +176,27 @@ class GroundTruth(Model):
         if (self.file is None) == (self.topic is None):
             raise ValueError("give either file or topic")
         return self
+
+    @model_validator(mode="after")
+    def _has_its_table(self) -> Self:
+        has_table = self.format in (TruthFormat.TABLE, TruthFormat.CONTROL_POINTS)
+        if self.table is not None and not has_table:
+            raise ValueError("table: only the formats Table and ControlPoints take it")
+        if self.format is TruthFormat.TABLE and self.table is None:
+            raise ValueError("table: the format Table needs it: table.columns says what the columns are")
+        if has_table and self.file is None:
+            raise ValueError(f"file: the format {self.format} needs it")
+        table = self.columns
+        if table is not None and table.form.by_frames and table.rate is None and self.times is None:
+            raise ValueError("table.columns: there is no time; name t or sec, or give table.rate or times")
+        return self
+
+    @property
+    def columns(self) -> TruthTable | None:
+        """Return what the columns of a table are; None for other formats."""
+        if self.format is TruthFormat.CONTROL_POINTS:
+            return self.table or TruthTable()
+        return self.table
 
 
 class DatasetSpec(Model):
