@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import signal
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -92,6 +93,9 @@ def add(
     relations: Annotated[
         Path | None, typer.Option("--relations", help="Ground truth of a CARMEN log: a .relations file.")
     ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Take the place of a dataset of that name.")
+    ] = False,
 ) -> None:
     """Make a dataset known: from its manifest, or from what is found in a recording.
 
@@ -104,7 +108,7 @@ def add(
     if not source.exists():
         raise InputError(f"{source}: no such file or folder")
     if source.suffix in _MANIFESTS and source.is_file():
-        _add_manifest(source, home)
+        _add_manifest(source, home, replace=replace)
         return
     from slamhive.data.importers import ImportOptions, import_recording, layout_of
 
@@ -114,7 +118,7 @@ def add(
         _suggest(source, chosen)
         return
     folder = home.folder("datasets") / chosen
-    with Work(f"importing {chosen}") as work:
+    with _place(home, chosen, replace=replace), Work(f"importing {chosen}") as work:
         options = ImportOptions(relations=relations)
         _, notes = import_recording(source, folder, chosen, layout, options=options, progress=work.share)
     for sentence in notes:
@@ -282,18 +286,46 @@ def _named(source: Path, name: str | None) -> str:
     return name or source.name.split(".")[0].lower().replace("_", "-")
 
 
-def _add_manifest(source: Path, home: Home) -> None:
+def _add_manifest(source: Path, home: Home, *, replace: bool) -> None:
     from slamhive.data.inspection import require_usable
-    from slamhive.data.store import add_dataset
+    from slamhive.data.store import HASHES, add_dataset
     from slamhive.model.loading import load_file
 
     datasets = [item for item in load_file(source) if isinstance(item, Dataset)]
     if not datasets:
         raise InputError(f"{source}: no Dataset in it")
+    names = [dataset.name for dataset in datasets]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{source}: {names.count(twice)} Datasets of the name {twice!r}; each needs its own")
+    root, known = source.parent.absolute(), home.folder("datasets")
     for dataset in datasets:
-        require_usable(dataset, source.parent.absolute())
+        for sentence in require_usable(dataset, root, known / HASHES):
+            out.print(f"[yellow]warning:[/] {escape(f'dataset {dataset.name!r}: {sentence}')}")
     for dataset in datasets:
-        _added(add_dataset(dataset, source.parent.absolute(), home.folder("datasets")))
+        with _place(home, dataset.name, replace=replace):
+            manifest = add_dataset(dataset, root, known)
+        _added(manifest)
+
+
+@contextmanager
+def _place(home: Home, name: str, *, replace: bool) -> Iterator[None]:
+    """Make room for a dataset: the one of its name goes, if it may be replaced, once the new one is there."""
+    if not replace:
+        yield
+        return
+    from slamhive.cli.unlisting import referring
+    from slamhive.local.forgetting import alone
+    from slamhive.local.unlisting import replaced
+
+    count = referring(home, "dataset", name)
+    if count:
+        remark(
+            f"{plural(count, 'run')} of the former {name} stay as they are; what differs in the new one makes "
+            "them superseded, and the next slamhive run does them again"
+        )
+    with alone(home), replaced(home, name):
+        yield
 
 
 def _added(manifest: Path) -> None:

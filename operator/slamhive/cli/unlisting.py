@@ -28,7 +28,7 @@ def remove_dataset(name: Name, *, yes: Yes = False, dry_run: DryRun = False) -> 
 
     home = Home.from_environment()
     entry = listed_dataset(home, name)
-    count = _referring(home, "dataset", name)
+    count = referring(home, "dataset", name)
     if count:
         remark(
             f"{plural(count, 'run')} of it stay readable; they can't be measured again, nor drawn over the "
@@ -46,7 +46,7 @@ def remove_algorithm(name: Name, *, yes: Yes = False, dry_run: DryRun = False) -
 
     home = Home.from_environment()
     entry = listed_algorithm(home, name)
-    count = _referring(home, "algorithm", name)
+    count = referring(home, "algorithm", name)
     if count:
         remark(f"{plural(count, 'run')} of it stay readable")
     _remove(home, entry, yes=yes, dry_run=dry_run)
@@ -98,7 +98,7 @@ def _remove(home: Home, entry: Listed, *, yes: bool, dry_run: bool) -> None:
         remark(f"{folder} stays, as somebody works with it; slamhive gc removes it later")
 
 
-def _referring(home: Home, column: str, name: str) -> int:
+def referring(home: Home, column: str, name: str) -> int:
     """Return how many runs refer to an entry; refuses a home of a newer version."""
     from slamhive.analysis.grouping import where_equal
     from slamhive.analysis.selection import count_runs

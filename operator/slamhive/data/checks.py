@@ -66,21 +66,26 @@ def seconds_text(nanoseconds: int) -> str:
     return f"{whole}.{rest:09d} s"
 
 
-def check_content(recording: Recording, sensors: Mapping[str, Sensor]) -> None:
+def check_content(recording: Recording, sensors: Mapping[str, Sensor]) -> list[str]:
     """Check that the first images and scans are what the dataset says of them.
 
     Args:
         recording: The recording.
         sensors: The sensors by name; their topics exist.
 
+    Returns:
+        What is suspicious, a sentence each.
+
     Raises:
         DataError: They aren't.
     """
     errors: list[str] = []
+    warnings: list[str] = []
     quick = {name: sensor for name, sensor in sensors.items() if sensor.type.has_frames}
-    content_findings(recording, quick, errors, [])
+    content_findings(recording, quick, errors, warnings)
     if errors:
         raise DataError(errors[0])
+    return warnings
 
 
 def content_findings(

@@ -96,6 +96,28 @@ def file_sha256(path: Path, cache: Path | None = None) -> str:
         raise DataError(f"{path}: {error.strerror or error}") from None
 
 
+def check_sums(entry: DatasetEntry, cache: Path | None = None) -> None:
+    """Check that the files of a dataset are what their checksums say, where they state one.
+
+    Args:
+        entry: The dataset.
+        cache: As for `recording_sha256`.
+
+    Raises:
+        DataError: One isn't, or can't be read.
+    """
+    spec = entry.dataset.spec
+    stated = [("recording.files", file.path, file.sha256) for file in spec.recording.files]
+    if spec.ground_truth is not None and spec.ground_truth.file is not None:
+        stated.append(("groundTruth.file", spec.ground_truth.file, spec.ground_truth.sha256))
+    for where, path, expected in stated:
+        found = file_sha256(entry.root / path, cache) if expected else None
+        if found != expected:
+            raise DataError(
+                f"dataset {entry.name!r}: {where}: {entry.root / path} has sha256 {found}, expected {expected}"
+            )
+
+
 def _remembered(path: Path, cache: Path | None) -> str:
     state = path.stat()
     key = digest([str(path), state.st_size, str(state.st_mtime_ns), state.st_ino])

@@ -12,21 +12,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.data.checks import check_content, check_stamps, content_findings
-from slamhive.data.entries import DatasetEntry
+from slamhive.data.entries import DatasetEntry, check_sums
 from slamhive.data.groundtruth import ground_truth, require_overlap, truth_range
 from slamhive.data.posetopics import check_pose_topic, truth_topic
 from slamhive.data.recordings import open_recording
 from slamhive.data.streams import STATIC_TRANSFORMS, camera_info_topic, check_topic
 from slamhive.data.thinning import rate_of
+from slamhive.model.dataset import fills, sensor_for
 from slamhive.model.errors import DataError
+from slamhive.model.sensors import ROLES
 from slamhive_eval import Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from slamhive.data.recordings import Recording, Scan
-    from slamhive.model.dataset import Dataset
+    from slamhive.model.dataset import Dataset, DatasetSpec
     from slamhive.model.sensors import Sensor
 
 GAP_PERIODS = 3.0
@@ -184,6 +186,8 @@ def inspect(
     if span is not None:
         sensors = [_covering(sensor, span, warnings) for sensor in sensors]
     truth = _truth(entry, cache, span, errors)
+    if truth is not None and truth.kind == "trajectory":
+        warnings += _truth_shares(spec, sensors, truth)
     stated, length = spec.recording.duration_seconds, span[1] - span[0] if span else None
     if stated and length is not None and abs(stated - length) > max(_RATE_TOLERANCE * stated, 1.0):
         warnings.append(f"recording.durationSeconds: states {stated:g} s, the messages last {length:.3f} s")
@@ -203,33 +207,54 @@ def inspect(
     )
 
 
-def require_usable(dataset: Dataset, root: Path) -> None:
-    """Refuse a dataset that no run could work with, before it is known: it may never be changed afterwards.
+def require_usable(dataset: Dataset, root: Path, cache: Path | None = None) -> list[str]:
+    """Refuse a dataset that no run could work with, before it is known.
 
-    What takes reading the whole recording is left to `inspect`. Files that are still to be fetched are not
-    looked at.
+    What takes reading all messages of the recording is left to `inspect`. Files that are still to be fetched
+    are not looked at.
 
     Args:
         dataset: The dataset as declared.
         root: The folder that its paths start from.
+        cache: Folder in which hashes of files are remembered.
+
+    Returns:
+        What may be wrong all the same, a sentence each.
 
     Raises:
-        DataError: The recording can't be read, lacks a sensor's topic or isn't what is said of it; the ground
-            truth can't be read.
+        DataError: A file isn't what its checksum says; the recording can't be read, lacks a sensor's topic or
+            isn't what is said of it; the ground truth can't be read, or is of another time.
     """
     files = dataset.spec.recording.files
     if not files or any(file.url and not (root / file.path).exists() for file in files):
-        return
+        return []
     entry = DatasetEntry(dataset, root)
-    truth = dataset.spec.ground_truth
+    spec = dataset.spec
     with open_recording(dataset, root) as recording:
-        for name, sensor in dataset.spec.sensors.items():
+        for name, sensor in spec.sensors.items():
             check_topic(recording, name, sensor)
-        check_content(recording, dataset.spec.sensors)
-        if truth is not None and truth.topic is not None:
-            check_pose_topic(recording, truth.topic)
-    if truth is not None and truth.file is not None:
-        ground_truth(entry)
+        warnings = check_content(recording, spec.sensors)
+        if spec.ground_truth is not None and spec.ground_truth.topic is not None:
+            check_pose_topic(recording, spec.ground_truth.topic)
+        span = _rough_span(recording, spec.sensors)
+    if spec.ground_truth is not None and spec.ground_truth.file is not None:
+        found = ground_truth(entry)
+        if found is not None and span is not None:
+            require_overlap(found.poses, *span, where=f"dataset {dataset.name!r}: groundTruth")
+    check_sums(entry, cache)
+    return warnings
+
+
+def _rough_span(recording: Recording, sensors: Mapping[str, Sensor]) -> tuple[float, float] | None:
+    """Return when the sensors' messages begin and, by the times of recording, end at the latest, s."""
+    begins = []
+    for sensor in sensors.values():
+        stamp_of = recording.stamp_reader(recording.topics[sensor.topic].message_type)
+        if stamp_of is None:
+            continue
+        _, _, raw = next(iter(recording.messages({sensor.topic})))
+        begins.append(stamp_of(raw) / 1e9 + sensor.time_offset)
+    return (min(begins), max(begins) + recording.seconds) if begins else None
 
 
 def _sensors(
@@ -300,6 +325,36 @@ def _covering(report: SensorReport, span: tuple[float, float], warnings: list[st
             f"said below {SMALL_SHARE:.0%}, as a run with it has no more"
         )
     return replace(report, covered=round(share, 4))
+
+
+def _truth_shares(spec: DatasetSpec, sensors: list[SensorReport], truth: TruthReport) -> list[str]:
+    """Name the sensors that the modes need and that last for little of the ground truth."""
+    problems = []
+    for report in sensors:
+        modes = _modes_with(spec, report.name)
+        if not modes or report.first is None or report.last is None or truth.last <= truth.first:
+            continue
+        both = max(0.0, min(report.last, truth.last) - max(report.first, truth.first))
+        share = both / (truth.last - truth.first)
+        if share < SMALL_SHARE:
+            problems.append(
+                f"sensors.{report.name}: {report.topic} lasts for {both:.1f} s of the ground truth's "
+                f"{truth.last - truth.first:.1f} s ({share:.0%}); runs with it ({', '.join(modes)}) are "
+                "measured on no more than that. Get the whole recording if there is more of it, or choose a "
+                "mode without it"
+            )
+    return problems
+
+
+def _modes_with(spec: DatasetSpec, name: str) -> list[str]:
+    """Return the modes that the sensors serve and that need the sensor of a name."""
+    types = {one: sensor.type for one, sensor in spec.sensors.items()}
+    return [
+        str(mode)
+        for mode, roles in ROLES.items()
+        if all(fills(role, types) for role in roles)
+        and name in {sensor_for(role, spec.sensors) for role in roles}
+    ]
 
 
 def _suspicions(report: SensorReport, sensor: Sensor) -> list[str]:

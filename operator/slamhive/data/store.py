@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from slamhive.data import synthetic
-from slamhive.data.entries import DatasetEntry, dataset_sha256, file_sha256, recording_sha256
+from slamhive.data.entries import DatasetEntry, check_sums, dataset_sha256, file_sha256, recording_sha256
 from slamhive.data.fetching import fetch
 from slamhive.data.groundtruth import GroundTruthPoses, ground_truth
 from slamhive.data.once import make_once
@@ -106,12 +106,9 @@ def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntr
         folder = made_folder(dataset, datasets)
         make_once(folder, lambda aside: _gather(dataset, root, aside))
         root = folder
-    for file in files:
-        found = file_sha256(root / file.path, datasets / HASHES) if file.sha256 else None
-        if found != file.sha256:
-            where = f"dataset {dataset.name!r}: recording.files: {root / file.path}"
-            raise DataError(f"{where} has sha256 {found}, expected {file.sha256}")
-    return DatasetEntry(dataset, root)
+    entry = DatasetEntry(dataset, root)
+    check_sums(entry, datasets / HASHES)
+    return entry
 
 
 def _gather(dataset: Dataset, root: Path, aside: Path) -> None:
@@ -171,8 +168,8 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
     if manifest.exists() and manifest.read_text(encoding="utf-8") != text:
         raise InputError(
             f"dataset {dataset.name!r} is known already and differs; results stay valid only if a "
-            f"dataset never changes: give it another name, or forget the one that is known: "
-            f"slamhive dataset remove {dataset.name}"
+            f"dataset never changes: give it another name, or have it take the place of the one that is "
+            "known: slamhive dataset add --replace"
         )
     fetched = {file.path for file in dataset.spec.recording.files if file.url}
     for relative in _paths(dataset):

@@ -8,7 +8,7 @@ the new name and keep their identity, as what a dataset is says its content.
 from __future__ import annotations
 
 import json
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -117,6 +117,38 @@ def unlist(entry: Listed) -> list[Path]:
     except OSError as error:
         raise SystemFault(f"{entry.folder}: {error.strerror or error}") from error
     return busy
+
+
+@contextmanager
+def replaced(home: Home, name: str) -> Iterator[None]:
+    """Set the dataset of a name aside while another one takes its place; it is back if that fails.
+
+    Does nothing where none of that name was added.
+
+    Args:
+        home: the home, in which the caller is alone.
+        name: of the dataset.
+
+    Raises:
+        SystemFault: the disk refuses.
+    """
+    folder = home.path / "datasets" / name
+    aside = folder.with_name(f".{name}{REMOVING}")
+    if not folder.is_symlink() and not folder.exists():
+        yield
+        return
+    try:
+        remove(aside)
+        folder.rename(aside)
+    except OSError as error:
+        raise SystemFault(f"{folder}: {error.strerror or error}") from error
+    try:
+        yield
+    except BaseException:
+        remove(folder)
+        aside.rename(folder)
+        raise
+    remove(aside)
 
 
 def rename_dataset(

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of adding datasets: what is refused before it is known, what takes whose place, what is kept."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import yaml
+
+from slamhive.data.inspection import inspect
+from slamhive.local.home import Home
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+Command = "Callable[..., tuple[int, str, str]]"
+CAMERA = {"width": 8, "height": 6, "fx": 8.0, "fy": 8.0, "cx": 4.0, "cy": 3.0}
+POSES = "".join(f"{1 + k / 10} {k} 0 0 0 0 0 1\n" for k in range(20))
+
+
+@pytest.fixture
+def add(
+    tmp_path: Path, bag_writer: Any, monkeypatch: pytest.MonkeyPatch, run_command: Any
+) -> Callable[..., tuple[int, str, str]]:
+    """Adds a dataset of a small bag with a camera, its manifest changed; returns code, output and errors."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
+    with bag_writer(tmp_path / "walk.bag") as bag:
+        for k in range(20):
+            bag.image("/cam", 10**9 + k * 10**8, "cam", "mono8", np.zeros((6, 8), dtype=np.uint8))
+    (tmp_path / "poses.txt").write_text(POSES)
+
+    def call(*options: str, camera: dict[str, Any] | None = None, **spec: Any) -> tuple[int, str, str]:
+        sensor = {"type": "Camera", "topic": "/cam", "camera": CAMERA | (camera or {})}
+        content = {
+            "recording": {"format": "Rosbag1", "files": [{"path": "walk.bag"}]},
+            "sensors": {"camera": sensor},
+            "groundTruth": {"file": "poses.txt"},
+        } | spec
+        manifest = {
+            "apiVersion": "slamhive.io/v1alpha1",
+            "kind": "Dataset",
+            "metadata": {"name": "walk"},
+            "spec": content,
+        }
+        (tmp_path / "walk.yaml").write_text(yaml.safe_dump(manifest))
+        return run_command("dataset", "add", "walk.yaml", *options)
+
+    return call
+
+
+def known() -> list[str]:
+    return sorted(path.name for path in Home.from_environment().folder("datasets").glob("[!.]*"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"camera": {"width": 16}}, "states 16×6 pixels, but the images on /cam have 8×6"),
+        ({"groundTruth": {"file": "late.txt"}}, "doesn't overlap with the recording"),
+        (
+            {"recording": {"files": [{"path": "walk.bag", "sha256": "0" * 64}]}},
+            "recording.files: ",
+        ),
+        ({"groundTruth": {"file": "poses.txt", "sha256": "0" * 64}}, "groundTruth.file: "),
+        ({"recording": {"files": [{"path": "cut.bag"}]}}, "can't be read as Rosbag1"),
+    ],
+)
+def test_a_broken_dataset_stays_unknown(
+    add: Any, tmp_path: Path, changes: dict[str, Any], words: str
+) -> None:
+    (tmp_path / "late.txt").write_text(POSES.replace("\n", "\n90000", 1).replace("1.0 ", "90000 ", 1))
+    lines = [f"{9000 + k} 0 0 0 0 0 0 1" for k in range(3)]
+    (tmp_path / "late.txt").write_text("\n".join(lines))
+    (tmp_path / "cut.bag").write_bytes((tmp_path / "walk.bag").read_bytes()[:-300])
+    code, _, err = add(**changes)
+    assert (code, known()) == (2, [])
+    assert words in err
+
+
+@pytest.mark.parametrize(
+    ("camera", "words"),
+    [({"cx": 80.0}, "(80, 3) lies outside of the image of 8×6"), ({"encoding": "rgb8"}, "states rgb8")],
+)
+def test_suspicious_calibration_is_said_when_it_is_added(add: Any, camera: Any, words: str) -> None:
+    code, out, _ = add(camera=camera)
+    assert code == 0
+    assert words in " ".join(out.split())
+
+
+def test_a_known_dataset_is_replaced_when_that_is_said(add: Any) -> None:
+    manifest = add() and Home.from_environment().path / "datasets" / "walk" / "dataset.yaml"
+    code, _, err = add(camera={"fx": 9.0})
+    assert code == 2
+    assert "slamhive dataset add --replace" in " ".join(err.split())
+    assert add("--replace", camera={"fx": 9.0})[0] == 0
+    assert yaml.safe_load(manifest.read_text())["spec"]["sensors"]["camera"]["camera"]["fx"] == 9.0
+    assert known() == ["walk"]
+
+
+def test_what_is_known_stays_if_its_successor_is_broken(add: Any) -> None:
+    add()
+    manifest = Home.from_environment().path / "datasets" / "walk" / "dataset.yaml"
+    before = manifest.read_text()
+    assert add("--replace", camera={"width": 16})[0] == 2
+    assert manifest.read_text() == before
+
+
+def test_two_datasets_of_one_name_in_a_file(add: Any, tmp_path: Path, run_command: Any) -> None:
+    add()
+    text = (tmp_path / "walk.yaml").read_text().replace("name: walk", "name: two")
+    (tmp_path / "two.yaml").write_text(f"{text}---\n{text}")
+    code, _, err = run_command("dataset", "add", "two.yaml")
+    assert code == 2
+    assert "2 Datasets of the name 'two'" in err
+    assert known() == ["walk"]
+
+
+def test_what_no_suite_uses_is_kept_and_named(
+    add: Any, tmp_path: Path, bag_writer: Any, run_command: Any
+) -> None:
+    with bag_writer(tmp_path / "boat.bag") as bag:
+        for k in range(1, 30):
+            bag.planar_odometry("/odom", k * 10**8, np.array([0.1 * k, 0, 0]), np.array([1.0, 0]))
+            bag.imu("/sonar_as_imu", k * 10**8, "imu", np.zeros(3), np.array([0, 0, 9.81]))
+    code, _, err = run_command("dataset", "add", "boat.bag")
+    assert code == 0
+    assert "modes that it serves: odometry, odometry-inertial, inertial" in " ".join(err.split())
+    assert run_command("dataset", "add", "boat.yaml")[0] == 0
+    assert run_command("dataset", "check", "boat")[0] == 0
+
+
+def test_a_sensor_that_lasts_for_little_of_the_ground_truth(
+    tmp_path: Path, bag_writer: Any, bag_entry: Any
+) -> None:
+    with bag_writer(tmp_path / "a.bag") as bag:
+        for k in range(101):
+            bag.imu("/imu", 10**9 + k * 10**8, "imu", np.zeros(3), np.array([0.0, 0.0, 9.81]))
+            if k <= 10:
+                bag.image("/cam", 10**9 + k * 10**8, "cam", "mono8", np.zeros((6, 8), dtype=np.uint8))
+    lines = [f"{1 + k / 10} {k} 0 0 0 0 0 1" for k in range(101)]
+    (tmp_path / "truth.txt").write_text("\n".join(lines))
+    entry = bag_entry(
+        tmp_path / "a.bag",
+        {"imu": ("Imu", "/imu"), "camera": ("Camera", "/cam")},
+        groundTruth={"file": "truth.txt"},
+    )
+    said = [text for text in inspect(entry).warnings if "ground truth's" in text]
+    assert said == [
+        (
+            "sensors.camera: /cam lasts for 1.0 s of the ground truth's 10.0 s (10%); runs with it (mono, "
+            "mono-inertial) are measured on no more than that. Get the whole recording if there is more of "
+            "it, or choose a mode without it"
+        )
+    ]
