@@ -23,7 +23,7 @@ def forgotten(bench: Workbench) -> list[Known]:
     """Remove the files of all runs, and return the runs."""
     runs = [Known(one.uid, one.name, one.sweep, one.folder) for one in bench.archive.runs()]
     plan = plan_forgetting(bench.home.path, runs, {run.uid for run in runs})
-    with alone(bench.home):
+    with alone(bench.home, "a test"):
         forget(bench.home, bench.archive, plan)
     return runs
 

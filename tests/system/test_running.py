@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`slamhive run` as people and scripts meet it: cores, exit codes, options, one runner a home."""
+"""`slamhive run` as people and scripts meet it: cores, exit codes, options, and who has to wait."""
 
 from __future__ import annotations
 
@@ -73,12 +73,13 @@ def test_a_run_that_asks_for_more_cores_than_there_are_gets_all(system: Any) -> 
     assert not overlapping(system)
 
 
-def test_a_second_runner_in_a_home_is_refused(system: Any, until: Any) -> None:
+def test_what_has_to_be_alone_is_refused_beside_a_runner(system: Any, until: Any) -> None:
     first = system.start("run", system.sweep(matrix=axis(60_000)))
     until(lambda: system.journal("start"), "the first run's start")
-    code, out, err = system("run", system.sweep("other"))
+    code, out, err = system("sweep", "rename", "s", "other")
     assert (code, out) == (2, "")
-    assert "another slamhive run is at work" in err
+    assert f"slamhive run (process {first.pid}, since" in err
+    assert "is at work in" in err
     first.send_signal(signal.SIGINT)
     assert first.wait(120) == 130
 

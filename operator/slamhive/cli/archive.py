@@ -68,8 +68,9 @@ def restore(
 
     Example: slamhive archive restore archive-monday.sqlite
     """
-    url = Home.from_environment().archive_url
-    with Work("restoring the archive"):
+    home = Home.from_environment()
+    url = home.archive_url
+    with home.exclusive("slamhive archive restore"), Work("restoring the archive"):
         counts = keeping.restore(url, file, force=force)
     out.print(f"{shown(url)}: {_counted(counts)} restored from {file}", markup=False)
 
@@ -80,8 +81,9 @@ def upgrade_archive() -> None:
 
     Example: slamhive archive upgrade
     """
-    url = Home.from_environment().archive_url
-    with Work("opening the archive") as work:
+    home = Home.from_environment()
+    url = home.archive_url
+    with home.exclusive("slamhive archive upgrade"), Work("opening the archive") as work:
         done = upgrade(url, work.at)
     if done is None:
         out.print(f"{shown(url)}: nothing to do", markup=False)

@@ -116,7 +116,7 @@ def check(
     before = signal.signal(signal.SIGTERM, _interrupt)  # what was started ends, and what was made goes
     try:
         with ExitStack() as stack:
-            stack.enter_context(home.exclusive())
+            stack.enter_context(home.exclusive("slamhive algorithm check"))
             work = stack.enter_context(Work(f"checking {name}"))
             bench = stack.enter_context(bench_for_checks(home, workshop, remark))
             work.follow(bench.making)

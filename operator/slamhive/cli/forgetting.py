@@ -121,14 +121,14 @@ def prune_chosen(
         if not plan.going:
             out.print("no run has anything to remove")
             if not dry_run and records:
-                with alone(home):
+                with alone(home, "a removal of runs"):
                     then(archive)
             return
         what = "files and records" if records else "files"
         if not agreed(f"Remove {what} of {plural(len(plan.going), 'run')}?", yes=yes, dry_run=dry_run):
             return
         shown = {one.run.uid for one in plan.going}
-        with alone(home):
+        with alone(home, "a removal of runs"):
             # Looked at again, as nobody was kept from anything while the user thought about it; what has
             # come since was not shown and stays.
             frame = read_archive(home.archive_url)

@@ -95,7 +95,7 @@ def gc(
         return
     if not agreed("Remove these?", yes=yes, dry_run=dry_run):
         return
-    with alone(place):
+    with alone(place, "slamhive gc"):
         # Looked at again, as nobody was kept from anything while the user thought about it.
         finds = [find for find in _survey(place, asked) if find.goes and find.path in going]
         with progress("removing", len(finds)) as step:

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 from rich.text import Text
 
-from slamhive.cli.console import bytes_text, emit, err, speaks_json
+from slamhive.cli.console import bytes_text, emit, err, plural, speaks_json
 from slamhive.engine import PointState
 from slamhive.local.estimating import Estimate
 from slamhive.local.outlook import Standing, sentences
@@ -120,6 +120,7 @@ class Display:
             auto_refresh=False,
         )
         self._tasks: dict[str, TaskID] = {}
+        self._elsewhere = ""
         self._live = Live(
             console=err,
             refresh_per_second=_REFRESH_PER_SECOND,
@@ -225,6 +226,18 @@ class Display:
             failed = job.count(PointState.FAILED)
             notes = [f"[red]{failed} failed[/]"] if failed else []
             self._bars.update(task, completed=self._done(job), notes=" ".join(notes))
+        self._tell_elsewhere(jobs)
+
+    def _tell_elsewhere(self, jobs: Sequence[Job]) -> None:
+        """Say what is waited for as other runners have it: in lines when that begins, else below the bars."""
+        cores = max((job.cores_elsewhere for job in jobs), default=0)
+        runs = sum(len(job.elsewhere) for job in jobs)
+        before, self._elsewhere = self._elsewhere, elsewhere_text(cores, runs)
+        if self._elsewhere and not before and not self._shows:
+            if speaks_json():
+                emit("waits", cores=cores, runs=runs)
+            else:
+                err.print(f"[dim]{self._elsewhere}[/]")
 
     def _rendered(self) -> RenderableType:
         """Return what stands below the lines: a bar a sweep, the time, and what each run is at."""
@@ -232,6 +245,7 @@ class Display:
         times = f"{clock_text(now - self._began)} elapsed"
         left = self._left_text()
         lines: list[RenderableType] = [self._bars, Text(f"{times}, {left}" if left else times, style="dim")]
+        lines += [Text(f"  {self._elsewhere}", style="dim")] if self._elsewhere else []
         lines += [
             Text(f"  {what}: {share:.0%}", style="dim") for what, share in list(self._bench.making.items())
         ]
@@ -297,6 +311,17 @@ class Display:
     def _left_text(self) -> str:
         left = self._seconds_left()
         return f"{clock_text(left)} left" if left else ""
+
+
+def elsewhere_text(cores: int, runs: int) -> str:
+    """Return what is waited for as other runners of the home have it; empty where that is nothing.
+
+    >>> elsewhere_text(2, 0), elsewhere_text(1, 3)
+    ("2 cores are at another runner's work", "1 core and 3 runs are at another runner's work")
+    """
+    parts = [plural(count, noun) for count, noun in ((cores, "core"), (runs, "run")) if count]
+    verb = "is" if cores + runs == 1 else "are"
+    return f"{' and '.join(parts)} {verb} at another runner's work" if parts else ""
 
 
 def clock_text(seconds: float) -> str:

@@ -173,7 +173,7 @@ def run(
     home = Home.from_environment()
     wish = Wish(first, rerun=rerun, retry_failed=retry_failed)
     how = _How(parallelism, wish, container, rerun_where, only, tuple(dataset or ()))
-    with home.exclusive():
+    with home.sharing():
         code = _watch(files, home, how, bell=bell) if watch else _run_files(files, home, how)
     _end(code, bell=bell and not watch)
 
@@ -301,7 +301,7 @@ def demo(
     """
     home = Home.from_environment()
     sweep = bundled("examples") / "demo.yaml"
-    with home.exclusive():
+    with home.sharing("slamhive demo"):
         code = _run_files([sweep], home, _How(parallelism))
     if code != INTERRUPTED:
         name = command_name()
@@ -491,6 +491,7 @@ def _report(job: Job, bench: Workbench) -> None:
             notRun=waiting,
             leftOut=job.left_out,
             doneBefore=job.kept,
+            doneElsewhere=job.done_elsewhere,
             reused=job.reused,
             verdict=str(job.verdict),
             message=job.message,
@@ -501,6 +502,7 @@ def _report(job: Job, bench: Workbench) -> None:
     parts += [f"{waiting} not run"] if waiting else []
     parts += [f"{job.left_out} left out"] if job.left_out else []
     parts += [f"{job.kept} done before"] if job.kept else []
+    parts += [f"{job.done_elsewhere} done by another runner"] if job.done_elsewhere else []
     parts += [f"{job.reused} reused"] if job.reused else []
     if succeeded or failed:
         out.print()

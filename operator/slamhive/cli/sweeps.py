@@ -77,7 +77,7 @@ def rename(
     """
     home = Home.from_environment()
     require_archive(home, "")
-    with open_archive(home) as archive, alone(home):
+    with open_archive(home) as archive, alone(home, "slamhive sweep rename"):
         count = rename_sweep(archive, name, new)
     out.print(f"{name} is {new} now, with {plural(count, 'run')}", markup=False, soft_wrap=True)
     remark(f"in its file: metadata.name: {new}. The folders of its runs stay where they are")

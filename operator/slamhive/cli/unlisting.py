@@ -65,7 +65,7 @@ def rename(
     from slamhive.local.unlisting import rename_dataset
 
     home = Home.from_environment()
-    with open_archive(home) as archive, alone(home):
+    with open_archive(home) as archive, alone(home, "slamhive dataset rename"):
         total = archive.count({"dataset": name})
         with progress(f"renaming {name}", total or 1) as step:
             count = rename_dataset(home, archive, name, new, step)
@@ -91,7 +91,7 @@ def _remove(home: Home, entry: Listed, *, yes: bool, dry_run: bool) -> None:
         remark(f"{entry.name} is then the one again that comes with slamhive")
     if not agreed(f"Remove {entry.name}?", yes=yes, dry_run=dry_run):
         return
-    with alone(home):
+    with alone(home, f"the removal of {entry.name}"):
         busy = unlist(entry)
     out.print(f"removed: {entry.name}", markup=False)
     for folder in busy:

@@ -121,7 +121,7 @@ class OnWorkstation:
         self._bench = bench
         self._algorithm = name
         self._dataset = dataset
-        self._cores = CorePool()
+        self._cores = CorePool(bench.home.leases)
 
     @classmethod
     def contained(cls, bench: Bench, name: str, dataset: str | None = None, *, pull: bool) -> OnWorkstation:
@@ -179,7 +179,7 @@ class OnWorkstation:
             reuse=False,
             take_up=False,
         )
-        cores = self._cores.take(whole_cores(point.spec["resources"]["cpu"]))
+        cores = self._cores.take(whole_cores(point.spec["resources"]["cpu"])) or []
         bench.damage = start.damage
         try:
             return self._driven(order, tuple(cpu for core in cores for cpu in core), start)

@@ -37,7 +37,7 @@ from slamhive.playback.judging import judge
 from slamhive.templating import place_files, render
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from slamhive.local.prepared import AttemptOrder, Prepared
@@ -90,7 +90,7 @@ class Attempt:
             variables = self._player.start(order)
             ticket = {"uid": order.uid, "contentHash": order.content_hash}
             (self.folder / "attempt.json").write_text(json.dumps(ticket))
-            self._program.start(self._supervisor_spec(order, variables))
+            self._program.start(self._supervisor_spec(order, variables), order.holding)
             self._player.watch(self._program.end)
         except OSError as error:
             self._player.stop()
@@ -251,12 +251,18 @@ class Attempt:
         )
 
 
-def end_left_behind(runs: Path) -> None:
+def end_left_behind(runs: Path, at_work: Callable[[Path], bool] = lambda _: False) -> None:
     """End what a slamhive that was killed left running, its supervisors included, in any folder of a home.
 
-    An attempt whose supervisor wrote its summary left nothing. Only the home's one runner may call this.
+    An attempt whose supervisor wrote its summary left nothing.
+
+    Args:
+        runs: folder of the folders of sweeps.
+        at_work: tells whether a runner that lives is at work in a run's folder.
     """
     for record in (*runs.glob("*/*/process.json"), *runs.glob("*/*/player/process.json")):
+        if at_work(runs.joinpath(*record.relative_to(runs).parts[:2])):
+            continue
         if not record.with_name("summary.json").exists():
             with suppress(ValueError, OSError):  # an algorithm may have spoilt it: it names nobody
                 end_orphans(record)

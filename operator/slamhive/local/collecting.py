@@ -4,8 +4,8 @@
 Nothing goes because something else is missing. A run folder without a record stays unless it is asked for:
 its record may be in another archive, or in a backup. Where a folder of an algorithm or of runs is not where
 it should be, what it may refer to stays. A folder of the home that is a link may be used by other homes, and
-all in it stays. Whoever calls this holds the home's one runner's place; what
-commands use without it, they lock, or have used in the last ten minutes.
+all in it stays. Whoever calls this is at work in the home alone; what
+commands use beside that, they lock, or have used in the last ten minutes.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ from slamhive.playback.pod import player_pod
 from slamhive.playback.protocol import READY_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from slamhive.local.catalog import AlgorithmEntry
@@ -164,8 +164,11 @@ class Containers:
             with suppress(Unavailable, ImageMissing):
                 self._image(find_engine(self._choice), entry.algorithm.spec.image or "", pull=True)
 
-    def remove_left_behind(self) -> None:
-        """Remove the containers of this home that a killed slamhive left; its one runner may call this.
+    def remove_left_behind(self, at_work: Collection[str] = ()) -> None:
+        """Remove the containers of this home that a killed slamhive left.
+
+        Args:
+            at_work: identities of runs that runners are at work on: theirs stay.
 
         Raises:
             SystemFault: one can't be removed.
@@ -178,10 +181,12 @@ class Containers:
             if engine is None:
                 continue
             try:
-                left = engine.labelled(f"{HOME_LABEL}={self.identity()}")
+                left = set(engine.labelled(f"{HOME_LABEL}={self.identity()}"))
+                for run in at_work if left else ():
+                    left -= set(engine.labelled(f"{RUN_LABEL}={run}"))
             except EngineError as error:
                 raise SystemFault(f"{name}: containers of earlier runs can't be listed: {error}") from None
-            for identity in left:
+            for identity in sorted(left):
                 engine.remove(identity)
 
     def _label(self, engine: Engine) -> str:
@@ -194,7 +199,11 @@ class Containers:
         path = self._home.folder("containers") / "identity"
         with self._lock:
             if not path.exists():
-                path.write_text(f"{uuid.uuid4().hex}\n")
+                aside = path.with_name(f".{uuid.uuid4().hex}")
+                aside.write_text(f"{uuid.uuid4().hex}\n")
+                with suppress(FileExistsError):  # another runner of this home was faster
+                    path.hardlink_to(aside)
+                aside.unlink()
             text = f"{path.read_text().strip()} {self._home.path.resolve()}"
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 

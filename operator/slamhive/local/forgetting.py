@@ -3,7 +3,8 @@
 
 Records stay unless they are asked for too: the numbers are in the archive, not in the files. A folder goes
 only where every run that refers to it was chosen, as a run that took over an equal run's result has that
-run's folder. Whoever calls this holds the home's one runner's place (`alone`).
+run's folder. Whoever calls this is at work in the home
+alone (`alone`).
 """
 
 from __future__ import annotations
@@ -101,15 +102,19 @@ class Forgetting:
 
 
 @contextmanager
-def alone(home: Home) -> Iterator[None]:
+def alone(home: Home, what: str) -> Iterator[None]:
     """Keep others from running, and from fetching files, while something is removed or renamed.
 
     All that removes or renames things asks here whether anybody is at work.
 
+    Args:
+        home: the home.
+        what: the command, for those that have to wait for it.
+
     Raises:
         InputError: a runner is at work in the home, or a fetch.
     """
-    with home.exclusive(), lock(home.path / "fetch.lock", wait=False) as held:
+    with home.exclusive(what), lock(home.path / "fetch.lock", wait=False) as held:
         if held is None:
             raise InputError(f"slamhive fetch --files is at work in {home.path}; wait for it")
         yield

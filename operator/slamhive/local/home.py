@@ -9,6 +9,8 @@
     variants/           prepared recordings, by content
     environments/       virtual environments of algorithms, by content
     runs/SWEEP/RUN/     one folder a run
+    runner.lock         held by commands at work here: by many that share the home, or one that is alone
+    leases/             what each of them holds (`local.leases`)
 
 docs/home.md has all of them, and what may go.
 """
@@ -16,12 +18,16 @@ docs/home.md has all of them, and what may go.
 from __future__ import annotations
 
 import fcntl
+import json
 import os
+import platform
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from slamhive.local.leases import LeaseKind, Leases
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -75,29 +81,124 @@ class Home:
             raise InputError(f"SLAMHIVE_HOME: {folder}: {error.strerror}") from None
         return folder
 
+    @property
+    def leases(self) -> Leases:
+        """Return what runners in this home hold."""
+        return Leases(self.path / "leases")
+
     @contextmanager
-    def exclusive(self) -> Iterator[None]:
-        """Hold the home's one runner's place.
+    def sharing(self, what: str = "slamhive run") -> Iterator[None]:
+        """Be at work here beside other runners; what each of them holds stands in its leases.
+
+        Args:
+            what: the command, for those that have to wait for it.
 
         Raises:
-            InputError: another runner holds it, or the home can't be written.
+            InputError: a command is at work that has to be alone, or the home can't be written.
         """
+        with self._at_work(what, alone=False):
+            yield
+
+    @contextmanager
+    def exclusive(self, what: str = "slamhive") -> Iterator[None]:
+        """Be at work here alone: no run begins, and nothing is removed or renamed by another command.
+
+        Args:
+            what: the command, for those that have to wait for it.
+
+        Raises:
+            InputError: another command is at work, or the home can't be written.
+        """
+        with self._at_work(what, alone=True):
+            yield
+
+    def at_work(self) -> list[Worker]:
+        """Return the commands that are at work here, the first first.
+
+        Raises:
+            InputError: the home can't be written.
+        """
+        leases, found = self.leases, []
+        for name in leases.held(LeaseKind.WORKERS):
+            try:
+                found.append(Worker.read(leases.text(LeaseKind.WORKERS, name)))
+            except (ValueError, KeyError, TypeError):  # it has just begun, or ended
+                continue
+        return sorted(found, key=lambda worker: worker.since)
+
+    @contextmanager
+    def _at_work(self, what: str, *, alone: bool) -> Iterator[None]:
         place = self.folder(".") / "runner.lock"
         try:
             place.touch()
         except OSError as error:
             raise InputError(f"SLAMHIVE_HOME: {place}: {error.strerror}") from None
-        with lock(place, wait=False) as held:
+        with lock(place, wait=False, shared=not alone) as held:
             if held is None:
-                raise InputError(
-                    f"another slamhive run is at work in {self.path}; wait for it, or set SLAMHIVE_HOME"
-                )
-            yield
+                raise InputError(self._refusal())
+            worker = Worker(os.getpid(), platform.node(), what, datetime.now(UTC))
+            leases = self.leases
+            taken = leases.take((LeaseKind.WORKERS, f"{worker.node}-{worker.pid}-{held}")) or ()
+            try:
+                for lease in taken:
+                    os.write(lease.descriptor, worker.text().encode())
+                yield
+            finally:
+                leases.give_back(taken)
+
+    def _refusal(self) -> str:
+        workers = [worker.sentence for worker in self.at_work()] or ["another slamhive run"]
+        verb = "is" if len(workers) == 1 else "are"
+        return f"{', '.join(workers)} {verb} at work in {self.path}; wait for it, or set SLAMHIVE_HOME"
+
+
+class Worker(NamedTuple):
+    """A command that is at work in a home.
+
+    Attributes:
+        pid: its process.
+        node: its machine.
+        what: the command.
+        since: when it began.
+    """
+
+    pid: int
+    node: str
+    what: str
+    since: datetime
+
+    @classmethod
+    def read(cls, text: str) -> Worker:
+        """Return what a lease says.
+
+        Raises:
+            ValueError: it says nothing, or something else.
+            KeyError: a field is missing.
+            TypeError: it is no object.
+        """
+        found = json.loads(text)
+        since = datetime.fromisoformat(found["since"])
+        return cls(int(found["pid"]), str(found["node"]), str(found["what"]), since)
+
+    def text(self) -> str:
+        """Return what its lease says."""
+        return json.dumps(self._asdict() | {"since": self.since.isoformat()})
+
+    @property
+    def sentence(self) -> str:
+        """Return what it is, as the subject of a sentence."""
+        place = "" if self.node == platform.node() else f" on {self.node}"
+        return f"{self.what} (process {self.pid}{place}, since {self.since.astimezone():%H:%M})"
 
 
 @contextmanager
-def lock(path: Path, *, wait: bool = True) -> Iterator[int | None]:
+def lock(path: Path, *, wait: bool = True, shared: bool = False) -> Iterator[int | None]:
     """Hold a lock file; the kernel lets go of it when the process ends, however it ends.
+
+    Args:
+        path: the file.
+        wait: whether to wait for those that hold it.
+        shared: whether others may hold it too that share it.
 
     Yields:
         The descriptor that holds it: a child given it holds it too. None, when not waiting, if another
@@ -107,7 +208,8 @@ def lock(path: Path, *, wait: bool = True) -> Iterator[int | None]:
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+            fcntl.flock(descriptor, kind | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
             yield None
             return

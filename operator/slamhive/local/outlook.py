@@ -104,6 +104,7 @@ class Outlook:
         why: what changed since, of each stale one.
         finished: the earlier runs that are still current.
         aside: those whose earlier run has their identity still: it goes aside when they begin.
+        seen: when the runs of all versions that were in the archive had finished, by identity.
     """
 
     standing: bytearray
@@ -111,6 +112,7 @@ class Outlook:
     why: dict[int, tuple[str, ...]] = field(default_factory=dict)
     finished: dict[int, EarlierRun] = field(default_factory=dict)
     aside: set[int] = field(default_factory=set)
+    seen: dict[str, datetime | None] = field(default_factory=dict)
 
     def count(self, *kinds: Standing) -> int:
         """Return how many runs stand so."""
@@ -148,6 +150,7 @@ class Looking:
         earlier = archive.earlier(sweep)
         outlook = Outlook(bytearray(len(points)))
         own = {run.uid: run for run in earlier}
+        outlook.seen = {run.uid: run.finished for run in earlier}
         # What was set aside, and what an earlier version of the sweep had: the latest one stands for all.
         by_place = {run.index: run for run in earlier if run.sweep_uid == sweep_uid}
         by_spec = {run.origin["specHash"]: run for run in earlier if run.origin["specHash"]}
@@ -175,6 +178,11 @@ class Looking:
                 if run is not None:
                     outlook.aside.add(index)
         return outlook
+
+    def content(self, point: Point) -> str | None:
+        """Return the content hash that a run would have today; None where that can't be known."""
+        now = self._now(point)
+        return now.content if now is not None else None
 
     def _differ(
         self, outlook: Outlook, point: Point, previous: EarlierRun | None, now: Now, *, is_equal: bool

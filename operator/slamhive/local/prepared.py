@@ -28,6 +28,7 @@ class AttemptOrder:
         frames: how many it has.
         spec: the run's resolved spec, for resources and timeout.
         cpus: logical processors it is pinned to.
+        holding: open files that its supervisor holds as long as it lives: the leases of its cores.
     """
 
     uid: str
@@ -39,6 +40,7 @@ class AttemptOrder:
     frames: int
     spec: Mapping[str, Any]
     cpus: tuple[int, ...]
+    holding: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

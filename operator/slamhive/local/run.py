@@ -60,6 +60,18 @@ if TYPE_CHECKING:
     from slamhive.model.evaluation import EvaluationSettings
 
 
+class AtWorkElsewhere(Exception):  # noqa: N818 - no error: the run waits
+    """Another runner is at work on an equal run: this one waits for it, without cores.
+
+    Attributes:
+        content: what both have in common: the content hash.
+    """
+
+    def __init__(self, content: str) -> None:
+        super().__init__(f"another runner computes an equal run ({content[:8]})")
+        self.content = content
+
+
 class Step(Choice):
     """What a run is waiting for, or at."""
 
@@ -108,6 +120,7 @@ class RunOrder:
         reuse: whether an equal run's result may be taken.
         take_up: whether its own attempt may be taken up that ended while slamhive was not there to keep it.
         twin: identity of the run of the same sweep that asks for the same and was done before, if any.
+        holding: open files that the run's supervisor holds as long as it lives.
     """
 
     uid: str
@@ -119,6 +132,7 @@ class RunOrder:
     reuse: bool
     take_up: bool
     twin: str | None = None
+    holding: tuple[int, ...] = ()
 
 
 @dataclass
@@ -145,6 +159,8 @@ class RunDriver:
         cpus: logical processors it is pinned to.
         tell: told of each phase.
         step: told of each step.
+        claim: called with the content hash before an equal run is looked for; tells whether nobody else is
+            at work on one, and keeps others from beginning one.
     """
 
     def __init__(
@@ -154,7 +170,10 @@ class RunDriver:
         cpus: tuple[int, ...],
         tell: Callable[[Phase], None],
         step: Callable[[Step], None] = lambda _: None,
+        *,
+        claim: Callable[[str], bool] = lambda _: True,
     ) -> None:
+        self._claim = claim
         self._order = order
         self._bench = bench
         self._cpus = cpus
@@ -178,10 +197,15 @@ class RunDriver:
         """Execute the run until it finishes, and return its record.
 
         An error that nobody foresaw is this run's own end, never that of the others.
+
+        Raises:
+            AtWorkElsewhere: another runner is at work on an equal run, whose result this one may take.
         """
         created = datetime.now(UTC)
         try:
             return self._lead(created)
+        except AtWorkElsewhere:
+            raise
         except Exception as error:  # noqa: BLE001
             self._attempt.stop()
             self._attempt.wait()
@@ -244,6 +268,7 @@ class RunDriver:
         Raises:
             SlamHiveError: it can't be found out.
             OSError: the disk refuses.
+            AtWorkElsewhere: an equal run is being made.
         """
         progress, order, bench = self._progress, self._order, self._bench
         progress.provenance = known = bench.circumstances(order.point.spec_hash)
@@ -258,6 +283,8 @@ class RunDriver:
         if order.take_up and self._attempt.finished(order.uid, hashed):
             progress.attempt_state = AttemptState.ENDED
         else:
+            if order.reuse and not self._claim(hashed):
+                raise AtWorkElsewhere(hashed)
             twin = self._equal(hashed)
             progress.twin = (
                 twin if twin and self._evaluator.can_serve(twin, self._spec, order.settings) else None
@@ -345,6 +372,7 @@ class RunDriver:
             frames=progress.variant.frames,
             spec=self._spec,
             cpus=self._cpus,
+            holding=self._order.holding,
         )
         try:
             with progress.variant.in_use():

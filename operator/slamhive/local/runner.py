@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running sweeps on this machine: the window of runs in flight, and what is kept of them."""
+"""Running sweeps on this machine: the window of runs in flight, and what is kept of them.
+
+Several runners may be at work in one home. A run that another one is at, or whose equal another one computes,
+is left to it and looked at again when it is done; the window is filled with other runs meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +19,18 @@ from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, 
 from slamhive.local.attempt import end_left_behind
 from slamhive.local.changes import set_aside
 from slamhive.local.choosing import Wish, first_of, twins_among
+from slamhive.local.claims import Claims
 from slamhive.local.cores import CorePool
+from slamhive.local.leases import LeaseKind
 from slamhive.local.outlook import Looking, Outlook, Standing
-from slamhive.local.run import RunDriver, RunOrder, Step
+from slamhive.local.run import AtWorkElsewhere, RunDriver, RunOrder, Step
 from slamhive.model.results import Phase, RunRecord
 from slamhive.model.sweep import CachePolicy
 from slamhive.monitor import sweep_stale_cgroups
 from slamhive.plan import whole_cores
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from slamhive.engine import SweepDecision
     from slamhive.local.outlook import Points
@@ -53,6 +59,9 @@ class Job:
         again: finished points that are done again as someone asked for it.
         left_out: number of pending points that nobody asks for this time.
         twins: points that come out as another one does, with its index.
+        elsewhere: points that another runner is at, or an equal of which it computes, with what it holds.
+        done_elsewhere: number of points that another runner has finished meanwhile.
+        cores_elsewhere: number of cores that other runners have while some are waited for here.
         cpu_seconds: CPU time of the runs finished now and before.
         verdict: where it stands.
         message: why.
@@ -77,6 +86,9 @@ class Job:
     left_out: int = 0
     twins: Mapping[int, int] = field(default_factory=dict)
     at_a_time: int = 1
+    elsewhere: dict[int, tuple[LeaseKind, str]] = field(default_factory=dict)
+    done_elsewhere: int = 0
+    cores_elsewhere: int = 0
 
     def __post_init__(self) -> None:
         self.states = bytearray(len(self.points))
@@ -119,6 +131,7 @@ class _Ended:
     index: int
     record: RunRecord | None
     error: BaseException | None = None
+    elsewhere: str | None = None
 
 
 class Runner:
@@ -145,7 +158,8 @@ class Runner:
         self._watcher = watcher
         self._wish = wish
         self._begun = begun
-        self._cores = CorePool()
+        self._cores = CorePool(bench.home.leases)
+        self._claims = Claims(bench.home.leases)
         self._parallelism = parallelism or self._cores.size
         self._drivers: dict[tuple[str, int], RunDriver] = {}
         self._threads: list[threading.Thread] = []
@@ -153,6 +167,7 @@ class Runner:
         self._lock = threading.Lock()
         self._interrupted = False
         self._stopped: set[str] = set()
+        self._looking = Looking(bench, making=True)
 
     def run(self, jobs: Sequence[Job]) -> bool:
         """Bring jobs to their end, one after another.
@@ -161,17 +176,20 @@ class Runner:
             Whether it was interrupted.
         """
         # First of all: what a killed slamhive left running would disturb what is measured now.
-        end_left_behind(self._bench.home.path / "runs")
+        claims = self._claims
+        end_left_behind(self._bench.home.path / "runs", claims.is_at_work)
         sweep_stale_cgroups()
-        self._bench.programs.containers.remove_left_behind()
+        self._bench.programs.containers.remove_left_behind(claims.runs_at_work())
         self._bench.tidy()
-        looking = Looking(self._bench, making=True)
-        for job in jobs:
-            self._resume(job, looking)
-            self._begun(job)
-        for job in jobs:
-            if not self._interrupted:
-                self._run(job, jobs)
+        try:
+            for job in jobs:
+                self._resume(job, self._looking)
+                self._begun(job)
+            for job in jobs:
+                if not self._interrupted:
+                    self._run(job, jobs)
+        finally:
+            claims.give_back_all()
         return self._interrupted
 
     def interrupt(self) -> None:
@@ -241,11 +259,14 @@ class Runner:
             if decision.verdict.is_final or self._interrupted:
                 if job.uid not in self._stopped:
                     self._stop(job)
+                self._look_for(job, list(job.elsewhere))
                 if not job.count(PointState.ACTIVE):
                     break
             else:
-                for action in decision.actions:
-                    self._act(job, action)
+                # What another runner has done or is at leaves room for others at once.
+                passed = [action for action in decision.actions if not self._act(job, action)]
+                if passed:
+                    continue
                 if decision.verdict is Verdict.SUSPENDED and not job.count(PointState.ACTIVE):
                     break
             self._wait(jobs)
@@ -254,7 +275,7 @@ class Runner:
         seen = SweepObserved(
             states=job.states,
             order=job.order,
-            parallelism=job.at_a_time,
+            parallelism=job.at_a_time + len(job.elsewhere),
             started_at=job.started_at,
             cpu_seconds=job.cpu_seconds,
             cursor=job.cursor,
@@ -263,16 +284,59 @@ class Runner:
         )
         return decide_sweep(job.sweep.spec, seen, time.monotonic())
 
-    def _act(self, job: Job, action: StartPoints | StopPoints) -> None:
+    def _act(self, job: Job, action: StartPoints | StopPoints) -> bool:
+        """Do what was decided, and tell whether it was all to be done here."""
         if isinstance(action, StopPoints):
             self._stop(job)
-            return
-        for index in action.indices:
+            return True
+        ours = [index for index in action.indices if self._is_ours(job, index)]
+        for index in ours:
             job.states[index] = PointState.ACTIVE
             # A daemon: a second Ctrl-C shall not wait for a preparation to end.
             thread = threading.Thread(target=self._drive, args=(job, index), name=f"run-{index}", daemon=True)
             self._threads.append(thread)
             thread.start()
+        return len(ours) == len(action.indices)
+
+    def _is_ours(self, job: Job, index: int) -> bool:
+        """Tell whether a point is to be run here: no other runner is at it, nor has done it meanwhile."""
+        uid, point = job.run_uid(index), job.points.point(index)
+        if not self._claims.run((job.uid, index), uid, f"{job.sweep.name}/{point.name}"):
+            job.states[index] = PointState.ACTIVE
+            job.elsewhere[index] = (LeaseKind.RUNS, uid)
+            return False
+        state = self._done_meanwhile(job, index, uid)
+        if state is None:
+            return True
+        self._claims.give_back((job.uid, index))
+        job.states[index] = state
+        job.done_elsewhere += 1
+        return False
+
+    def _done_meanwhile(self, job: Job, index: int, uid: str) -> PointState | None:
+        """Return what became of a point that another runner finished since the job began, if it did."""
+        record = self._bench.archive.get(uid)
+        seen = job.outlook.seen if job.outlook is not None else {}
+        if record is None or not record.phase.is_finished or (uid in seen and seen[uid] == record.finished):
+            return None
+        if record.provenance.content_hash != self._looking.content(job.points.point(index)):
+            if job.outlook is not None:  # another one of its adapter or dataset, which stays beside ours
+                job.outlook.aside.add(index)
+            return None
+        if record.phase is Phase.SUCCEEDED:
+            job.cpu_seconds += _computed_seconds(record)
+            return PointState.SUCCEEDED
+        if record.reason is not None and record.reason.is_infrastructure:
+            job.afresh.add(index)
+            return None
+        return PointState.FAILED
+
+    @staticmethod
+    def _look_for(job: Job, indices: Iterable[int]) -> None:
+        """Have points looked at again that were another runner's."""
+        for index in indices:
+            del job.elsewhere[index]
+            job.states[index] = PointState.PENDING
 
     def _stop(self, job: Job) -> None:
         """End the job's runs, and let none begin that still waits for cores; a second time: at once."""
@@ -286,12 +350,18 @@ class Runner:
         try:
             point = job.points.point(index)
             self._watcher.step(job, index, Step.CORES)
-            cores = self._cores.take(whole_cores(point.spec["resources"]["cpu"]))
+            wanted = whole_cores(point.spec["resources"]["cpu"])
+            cores = self._cores.take(wanted, lambda: job.uid in self._stopped)
+            if cores is None:
+                self._events.put(_Ended(job, index, None))
+                return
             try:
                 record = self._one(job, index, point, cores)
             finally:
                 self._cores.give_back(cores)
             self._events.put(_Ended(job, index, record))
+        except AtWorkElsewhere as found:
+            self._events.put(_Ended(job, index, None, elsewhere=found.content))
         except BaseException as error:  # noqa: BLE001 - a thread's error is raised again by the runner
             self._events.put(_Ended(job, index, None, error))
 
@@ -306,6 +376,7 @@ class Runner:
             reuse=not self._redo(job, index) and job.sweep.spec.cache_policy is CachePolicy.REUSE,
             take_up=not self._redo(job, index) and index not in job.afresh,
             twin=job.twin(index),
+            holding=self._cores.descriptors(cores),
         )
         cpus = tuple(cpu for core in cores for cpu in core)
         driver = RunDriver(
@@ -314,6 +385,7 @@ class Runner:
             cpus,
             lambda phase: self._watcher.phase(job, index, phase),
             lambda step: self._watcher.step(job, index, step),
+            claim=lambda content: self._claims.content((job.uid, index), content),
         )
         with self._lock:
             # A run that waited for cores while its job was stopped must not begin any more.
@@ -337,6 +409,10 @@ class Runner:
         try:
             ended = self._events.get(timeout=_LOOK_SECONDS)
         except queue.Empty:
+            for job in jobs:
+                free = [index for index, lease in job.elsewhere.items() if not self._claims.is_held(*lease)]
+                self._look_for(job, free)
+                job.cores_elsewhere = self._cores.elsewhere() if job.count(PointState.ACTIVE) else 0
             self._watcher.tick(jobs)
             return
         if ended.error is not None:
@@ -353,7 +429,17 @@ class Runner:
         )
 
     def _keep(self, ended: _Ended) -> None:
+        try:
+            self._put(ended)
+        finally:
+            # Only now: whoever waits for this run looks for it in the archive.
+            self._claims.give_back((ended.job.uid, ended.index))
+
+    def _put(self, ended: _Ended) -> None:
         job, record = ended.job, ended.record
+        if ended.elsewhere is not None:
+            job.elsewhere[ended.index] = (LeaseKind.CONTENTS, ended.elsewhere)
+            return
         # What was cancelled is no result: the next `slamhive run` does it again.
         if record is None or record.phase is Phase.CANCELLED:
             job.states[ended.index] = PointState.PENDING
@@ -363,6 +449,12 @@ class Runner:
         job.states[ended.index] = PointState.SUCCEEDED if good else PointState.FAILED
         if record.provenance.reused_from:
             job.reused += 1
-        elif record.usage and record.usage.cpu.seconds:
-            job.cpu_seconds += record.usage.cpu.seconds
+        job.cpu_seconds += _computed_seconds(record)
         self._watcher.finished(job, record)
+
+
+def _computed_seconds(record: RunRecord) -> float:
+    """Return the CPU time that a run took, nothing where it took over a result."""
+    if record.provenance.reused_from or record.usage is None:
+        return 0.0
+    return record.usage.cpu.seconds or 0.0

@@ -20,6 +20,7 @@ from slamhive.local.words import Words
 from slamhive.monitor import end_orphans
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
     from pathlib import Path
 
     from slamhive.monitor import SupervisorSpec
@@ -55,8 +56,12 @@ class Supervised:
         """Whether the supervisor lives."""
         return self._process is not None and self._process.poll() is None
 
-    def start(self, spec: SupervisorSpec) -> None:
+    def start(self, spec: SupervisorSpec, holding: Collection[int] = ()) -> None:
         """Start the supervisor, which starts the program.
+
+        Args:
+            spec: what it starts.
+            holding: open files that it holds as long as it lives, and its program doesn't.
 
         Raises:
             OSError: it can't be started.
@@ -73,6 +78,7 @@ class Supervised:
             stdout=subprocess.PIPE,
             stderr=self._words.descriptor,
             start_new_session=True,
+            pass_fds=tuple(holding),
         )
 
     def end(self) -> None:
