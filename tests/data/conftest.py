@@ -1,15 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
+import shutil
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from slamhive.data import fetching
 from slamhive.data.entries import DatasetEntry
 from slamhive.data.rosmessages import BagWriter
 from slamhive.data.store import materialise
 from slamhive.model.dataset import Dataset
 from slamhive.model.sensors import Camera
+
+sys.path.insert(0, str(Path(__file__).parent / "datalab"))
+
+from serving import Site, make_certificate, serving
 
 START = 1_600_000_000 * 10**9
 CAMERA = {
@@ -151,3 +159,23 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip(f"needs the data in {SHARED}")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl to make a certificate: apt-get install openssl")
+    return make_certificate(tmp_path_factory.mktemp("certificate"))
+
+
+@pytest.fixture
+def site(tmp_path: Path, certificate: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
+    """An https server that this process trusts, and that is asked again at once."""
+    monkeypatch.setenv("SSL_CERT_FILE", str(certificate[0]))
+    for name in ("https_proxy", "HTTPS_PROXY", "all_proxy", "ALL_PROXY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(fetching, "PAUSES", (0.0,) * 5)
+    folder = tmp_path / "served"
+    folder.mkdir()
+    with serving(Site(folder), *certificate) as served:
+        yield served

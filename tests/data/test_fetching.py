@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-import contextlib
+import errno
 import hashlib
-import http.server
 import itertools
-import shutil
-import ssl
+import json
+import os
+import signal
 import subprocess
+import sys
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -21,65 +22,17 @@ from slamhive.model.dataset import Dataset
 from slamhive.model.errors import DataError, SystemFault
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 CONTENT = b"a recording\n" * 1000
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 
 
-class _Quiet(http.server.SimpleHTTPRequestHandler):
-    def do_GET(self) -> None:
-        if self.path == "/endless.bag":
-            self.send_response(200)
-            self.end_headers()
-            with contextlib.suppress(OSError):  # until nobody listens any more
-                while True:
-                    self.wfile.write(CONTENT)
-        elif self.path.startswith("/to/"):
-            self.send_response(302)
-            self.send_header("Location", self.path.removeprefix("/to/"))
-            self.end_headers()
-        else:
-            super().do_GET()
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
 @pytest.fixture
-def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """An https server with a certificate of its own that this process trusts."""
-    if shutil.which("openssl") is None:
-        pytest.skip("no openssl to make a certificate: apt-get install openssl")
-    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
-    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-days", "1"]
-    files = ["-keyout", str(key), "-out", str(certificate)]
-    subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", *names, *files],
-        check=True,
-        capture_output=True,
-    )
-    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
-    for name in ("https_proxy", "HTTPS_PROXY", "all_proxy", "ALL_PROXY"):
-        monkeypatch.delenv(name, raising=False)
-    folder = tmp_path / "served"
-    folder.mkdir()
-    (folder / "hall.bag").write_bytes(CONTENT)
-
-    def handler(*arguments: object) -> _Quiet:
-        return _Quiet(*arguments, directory=str(folder))  # type: ignore[arg-type]
-
-    httpd = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(certificate, key)
-    httpd.socket = context.wrap_socket(httpd.socket, server_side=True)
-    thread = threading.Thread(target=httpd.serve_forever)
-    thread.start()
-    yield f"https://localhost:{httpd.server_port}"
-    httpd.shutdown()
-    thread.join()
-    httpd.server_close()
+def server(site: Any) -> str:
+    """The address of an https server that has a recording."""
+    (site.folder / "hall.bag").write_bytes(CONTENT)
+    return str(site.url)
 
 
 def dataset(url: str | None, sha256: str | None = SHA256) -> Dataset:
@@ -162,7 +115,7 @@ def test_a_server_that_hardly_sends_is_given_up(
     monkeypatch.setattr(fetching.time, "monotonic", lambda: next(hours))
     monkeypatch.setattr(fetching, "STALL_BYTES", 1 << 30)
     with pytest.raises(SystemFault, match="MiB came in 60 s"):
-        materialise(dataset(f"{server}/hall.bag"), tmp_path / "root", tmp_path / "home")
+        materialise(dataset(f"{server}/endless.bag"), tmp_path / "root", tmp_path / "home")
 
 
 def test_a_recording_at_hand_must_be_what_its_checksum_says(tmp_path: Path) -> None:
@@ -172,3 +125,205 @@ def test_a_recording_at_hand_must_be_what_its_checksum_says(tmp_path: Path) -> N
     (tmp_path / "bags/hall.bag").write_bytes(CONTENT + b"!")
     with pytest.raises(DataError, match="expected"):
         materialise(dataset(None), tmp_path, tmp_path / "home")
+
+
+LARGE = bytes(range(256)) * (16 << 10)  # 4 MiB
+
+
+@pytest.fixture
+def large(site: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A server with a file of several blocks."""
+    monkeypatch.setattr(fetching, "BLOCK", 1 << 18)
+    (site.folder / "large.bag").write_bytes(LARGE)
+    return site
+
+
+def wanted(site: Any, **fields: Any) -> fetching.Wanted:
+    return fetching.Wanted(**{"urls": [f"{site.url}/large.bag"], "what": "large", **fields})
+
+
+def test_a_connection_that_drops_is_gone_on_with(large: Any, tmp_path: Path) -> None:
+    large.drops = [1 << 20, 1 << 20]
+    found = fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+    assert found == hashlib.sha256(LARGE).hexdigest()
+    assert [asked for _, asked in large.asked] == [None, "bytes=1048576-", "bytes=2097152-"]
+    assert large.sent == len(LARGE)
+
+
+def test_a_fetch_that_failed_goes_on_where_it_was(
+    large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fetching, "PAUSES", ())
+    large.drops = [1 << 20]
+    with pytest.raises(SystemFault, match=r"large: .*ended after 1,048,576 of 4,194,304 bytes"):
+        fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert not (tmp_path / "large.bag").exists()
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+    assert large.sent == len(LARGE)
+    assert not [path for path in tmp_path.glob(".fetching-*") if path.suffix != ".lock"]
+
+
+def test_after_a_loss_of_power_only_what_was_flushed_counts(
+    large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fetching, "PAUSES", ())
+    large.drops = [1 << 20]
+    with pytest.raises(SystemFault):
+        fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    state = next(tmp_path.glob(".fetching-*.state"))
+    state.write_text(json.dumps(json.loads(state.read_text()) | {"boot": "another"}))
+    part = state.with_suffix(".part")
+    part.write_bytes(bytes(part.stat().st_size))
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+
+
+@pytest.mark.parametrize("changed", [True, False])
+def test_a_server_without_parts_or_with_another_file_begins_afresh(
+    large: Any, tmp_path: Path, changed: bool
+) -> None:
+    large.by_ranges = changed
+    large.drops = [1 << 20]
+    path, content = large.folder / "large.bag", LARGE
+    said: list[str] = []
+
+    def notify(sentence: str) -> None:
+        said.append(sentence)
+
+    class Changing(list[Any]):
+        def pop(self, at: Any = -1) -> Any:
+            if changed:
+                path.write_bytes(content[::-1])
+            return super().pop(at)
+
+    large.drops = Changing(large.drops)
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag", fetching.Progress(notify=notify))
+    assert (tmp_path / "large.bag").read_bytes() == path.read_bytes()
+    assert "comes from its start again" in said[0]
+
+
+def test_wrong_bytes_are_fetched_again_once(large: Any, tmp_path: Path) -> None:
+    large.wrong = {"/large.bag": 5000}
+    sha256 = hashlib.sha256(LARGE).hexdigest()
+    fetching.fetch_file(wanted(large, sha256=sha256), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+
+
+def test_of_wrong_bytes_only_their_piece_is_fetched_again(large: Any, tmp_path: Path) -> None:
+    large.wrong = {"/large.bag": 3 << 20}
+    size = 1 << 19
+    pieces = [hashlib.sha256(LARGE[k : k + size]).hexdigest() for k in range(0, len(LARGE), size)]
+    sha256 = hashlib.sha256(LARGE).hexdigest()
+    fetching.fetch_file(wanted(large, sha256=sha256, piece_bytes=size, pieces=pieces), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+    assert large.sent == len(LARGE) + size
+
+
+def test_another_file_names_both_sums(large: Any, tmp_path: Path) -> None:
+    found = hashlib.sha256(LARGE).hexdigest()
+    with pytest.raises(DataError, match=f"large: https://.* has sha256 {found}, expected 0000"):
+        fetching.fetch_file(wanted(large, sha256="0" * 64), tmp_path / "large.bag")
+    assert not [path for path in tmp_path.glob(".fetching-*") if path.suffix != ".lock"]
+
+
+def test_a_file_of_another_size_is_refused_before_it_comes(large: Any, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="has 4,194,304 bytes, expected 5,000,000"):
+        fetching.fetch_file(wanted(large, size=5_000_000), tmp_path / "large.bag")
+    assert large.sent < len(LARGE)
+
+
+def test_the_next_mirror_is_asked(large: Any, tmp_path: Path) -> None:
+    urls = ["https://localhost:1/large.bag", f"{large.url}/gone.bag", f"{large.url}/large.bag"]
+    fetching.fetch_file(wanted(large, urls=urls), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+    with pytest.raises(
+        SystemFault, match=r"large: https://localhost:1/.*refused; .*gone.bag: HTTP Error 404"
+    ):
+        fetching.fetch_file(wanted(large, urls=urls[:2]), tmp_path / "other.bag")
+
+
+def test_a_disk_that_is_full_in_the_middle_keeps_what_came(
+    large: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, written = os.pwrite, 0
+
+    def refuse(descriptor: int, data: Any, at: int) -> int:
+        nonlocal written
+        written += 1
+        if written == 4:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, data, at)
+
+    monkeypatch.setattr(os, "pwrite", refuse)
+    with pytest.raises(SystemFault, match="is full; what was fetched stays"):
+        fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+    assert large.asked[-1][1] == f"bytes={3 << 18}-"
+
+
+def test_two_at_once_fetch_once(large: Any, tmp_path: Path) -> None:
+    said: list[str] = []
+    results: list[str] = []
+    start = threading.Barrier(3)
+
+    def one() -> None:
+        start.wait(30)
+        progress = fetching.Progress(notify=said.append)
+        results.append(fetching.fetch_file(wanted(large), tmp_path / "large.bag", progress))
+
+    threads = [threading.Thread(target=one) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert results == [hashlib.sha256(LARGE).hexdigest()] * 3
+    assert large.sent in {len(LARGE) * k for k in (1, 2, 3)}
+    assert large.sent == len(LARGE) * (3 - len(said))
+
+
+def test_a_page_of_google_drive_is_confirmed(large: Any, tmp_path: Path) -> None:
+    large.pages["/large.bag"] = (
+        "<html><head><title>Google Drive - Virus scan warning</title></head><body>"
+        f'<form id="download-form" action="{large.url}/large.bag" method="get">'
+        '<input type="hidden" name="id" value="x"><input type="hidden" name="confirm" value="t"></form>'
+    )
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+    assert (tmp_path / "large.bag").read_bytes() == LARGE
+    assert large.asked[-1][0] == "/large.bag?id=x&confirm=t"
+
+
+def test_a_page_that_wants_a_login_is_told(large: Any, tmp_path: Path) -> None:
+    large.pages["/large.bag"] = "<html><head><title>Sign in</title></head><body>Please</body></html>"
+    with pytest.raises(DataError, match="leads to a page, 'Sign in', not to a file: it may want a login"):
+        fetching.fetch_file(wanted(large), tmp_path / "large.bag")
+
+
+CHILD = """
+import sys
+from pathlib import Path
+from slamhive.data import fetching
+fetching.BLOCK, fetching.PAUSES = 1 << 18, (0.0,) * 5
+def count(held, total):
+    print(held, flush=True)
+fetching.fetch_file(fetching.Wanted([sys.argv[1]], "large"), Path(sys.argv[2]), fetching.Progress(count))
+"""
+
+
+def test_a_fetch_that_is_killed_goes_on(large: Any, tmp_path: Path) -> None:
+    size = 24 << 20
+    (large.folder / "large.bag").write_bytes(os.urandom(size))
+    place = tmp_path / "large.bag"
+    command = [sys.executable, "-c", CHILD, f"{large.url}/large.bag", str(place)]
+    for share in (0.2, 0.5, 0.8):
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+            assert child.stdout is not None
+            next((line for line in child.stdout if int(line) >= share * size), None)
+            child.send_signal(signal.SIGKILL)
+    subprocess.run(command, check=True, capture_output=True)
+    assert place.read_bytes() == (large.folder / "large.bag").read_bytes()
+    starts = [int(asked.removeprefix("bytes=").rstrip("-")) for _, asked in large.asked if asked]
+    assert starts[0] >= 0.2 * size
+    assert starts == sorted(starts)

@@ -31,6 +31,7 @@ __all__ = [
     "GroundTruthPoses",
     "add_dataset",
     "dataset_sha256",
+    "downloads_of",
     "file_sha256",
     "ground_truth",
     "is_made",
@@ -94,6 +95,11 @@ def made_folder(dataset: Dataset, datasets: Path) -> Path:
     return datasets / f"{dataset.name}-{key[:16]}"
 
 
+def downloads_of(datasets: Path) -> Path:
+    """Return the folder of what is being fetched for the datasets of a folder, beside it."""
+    return datasets.parent / "downloads"
+
+
 def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntry:
     """Return a dataset whose files are there, fetched if need be, and are what their checksums say."""
     files = dataset.spec.recording.files
@@ -104,18 +110,22 @@ def _with_recording(dataset: Dataset, root: Path, datasets: Path) -> DatasetEntr
             raise DataError(f"{where}: {root / file.path} does not exist")
     if missing:
         folder = made_folder(dataset, datasets)
-        make_once(folder, lambda aside: _gather(dataset, root, aside))
+        make_once(folder, lambda aside: _gather(dataset, root, aside, downloads_of(datasets)))
         root = folder
     entry = DatasetEntry(dataset, root)
     check_sums(entry, datasets / HASHES)
     return entry
 
 
-def _gather(dataset: Dataset, root: Path, aside: Path) -> None:
+def _gather(dataset: Dataset, root: Path, aside: Path, downloads: Path) -> None:
     """Fetch what isn't there, and link what is."""
     for file in dataset.spec.recording.files:
         if file.url and file.sha256 and not (root / file.path).exists():
-            fetch(file.url, aside / file.path, file.sha256, f"dataset {dataset.name!r}")
+            # What is aside goes when this ends before it is whole; what was fetched then stays.
+            fetched = downloads / file.sha256
+            fetch(file.url, fetched, file.sha256, f"dataset {dataset.name!r}")
+            (aside / file.path).parent.mkdir(parents=True, exist_ok=True)
+            fetched.replace(aside / file.path)
     for relative in _paths(dataset):
         link = aside / relative
         if not link.exists() and (root / relative).exists():

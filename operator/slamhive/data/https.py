@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Answers of https servers: a file from a byte on, pages in between followed, anything else refused.
+
+Used by `fetching`, which writes what comes, and by `remotezip`, which looks into an archive elsewhere.
+Proxies are those of the environment (`https_proxy`, `no_proxy`), as urllib reads them.
+"""
+
+from __future__ import annotations
+
+import re
+import urllib.error
+import urllib.request
+from dataclasses import dataclass
+from html.parser import HTMLParser
+from http.client import HTTPException
+from typing import IO, TYPE_CHECKING, Any, Self
+from urllib.parse import urlencode, urljoin, urlsplit
+
+from slamhive.model.errors import DataError, SystemFault
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+TIMEOUT_SECONDS = 60
+"""Seconds without a byte after which a connection is given up."""
+_PAGE_BYTES = 1 << 20
+_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)")
+_AGAIN = {408, 425, 429, 500, 502, 503, 504}
+"""Statuses after which another try may succeed."""
+
+
+class Interrupted(SystemFault):
+    """A server that is away, overloaded, or ends in the middle: the same address is worth another try."""
+
+    reason = "Interrupted"
+
+
+@dataclass
+class Answer:
+    """What a server sends; a context manager that closes it.
+
+    Attributes:
+        start: Number of the first byte that comes; 0 where the server sends everything anew.
+        total: Size of the whole file, bytes; None where the server doesn't say.
+        validator: What the server knows this state of the file by: its ETag, or its time of change.
+        by_ranges: Whether the server sends parts of the file.
+    """
+
+    start: int
+    total: int | None
+    validator: str | None
+    by_ranges: bool
+    _response: Any
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._response.close()
+
+    def read(self, size: int) -> bytes:
+        """Return the next bytes, at most so many; none at the end.
+
+        Raises:
+            Interrupted: The connection is lost.
+        """
+        try:
+            data: bytes = self._response.read1(size)
+        except (OSError, HTTPException) as error:
+            raise Interrupted(str(error)) from None
+        return data
+
+
+def open_url(url: str, start: int = 0, end: int | None = None, validator: str | None = None) -> Answer:
+    """Ask for a file.
+
+    Args:
+        url: Its https address. A page of Google Drive that asks for a confirmation is confirmed.
+        start: The first byte wanted.
+        end: The byte after the last one wanted; None for the rest.
+        validator: What an earlier answer was known by: if the file is another one now, it comes from 0 on.
+
+    Raises:
+        DataError: The address leads away from https, or to a page instead of a file.
+        Interrupted: Another try may succeed.
+        SystemFault: The server has no such file, or refuses it.
+    """
+    answer = _open(url, start, end, validator)
+    if not _is_page(answer, url):
+        return answer
+    with answer:
+        page = _Page(answer.read(_PAGE_BYTES).decode("utf-8", "replace"))
+    target = page.confirmation(url)
+    if target is None:
+        raise DataError(
+            f"{url} leads to a page, {page.title!r}, not to a file: it may want a login or a click; open it "
+            "in a browser"
+        )
+    answer = _open(target, start, end, validator)
+    if _is_page(answer, url):
+        with answer:
+            raise SystemFault(f"{url}: answers a page again after its confirmation; try again later")
+    return answer
+
+
+class _HttpsAlone(urllib.request.HTTPRedirectHandler):
+    """Follows no redirect to where anyone on the way could read along or answer."""
+
+    def redirect_request(  # noqa: PLR0917 - the signature is urllib's
+        self, req: urllib.request.Request, fp: IO[bytes], code: int, msg: str, headers: Any, newurl: str
+    ) -> urllib.request.Request | None:
+        _require_https(newurl, req.full_url)
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
+def _require_https(target: str, source: str) -> None:
+    if not target.lower().startswith("https://"):
+        raise DataError(f"{source} leads to {target[:200]}, expected an https:// address")
+
+
+def _open(url: str, start: int, end: int | None, validator: str | None) -> Answer:
+    _require_https(url, "the address")
+    # A compressed answer would have other bytes than the file.
+    request = urllib.request.Request(url, headers={"Accept-Encoding": "identity", "User-Agent": "slamhive"})  # noqa: S310
+    if start or end is not None:
+        request.add_header("Range", f"bytes={start}-{'' if end is None else end - 1}")
+        # Weak tags say nothing of bytes.
+        if validator is not None and not validator.startswith("W/"):
+            request.add_header("If-Range", validator)
+    try:
+        response = urllib.request.build_opener(_HttpsAlone).open(request, timeout=TIMEOUT_SECONDS)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code == 416 and start:
+            return _open(url, 0, None, None)
+        kind = Interrupted if error.code in _AGAIN else SystemFault
+        raise kind(f"HTTP Error {error.code}: {error.reason}") from None
+    except (OSError, HTTPException) as error:
+        raise Interrupted(str(getattr(error, "reason", error))) from None
+    return _answer(response, start)
+
+
+def _answer(response: Any, start: int) -> Answer:
+    headers = response.headers
+    validator = headers.get("ETag") or headers.get("Last-Modified")
+    length = headers.get("Content-Length")
+    if response.status == 206:
+        match = _RANGE.fullmatch(headers.get("Content-Range", ""))
+        if match is None or int(match[1]) != start:
+            response.close()
+            raise Interrupted(f"sent another range than bytes {start}-: {headers.get('Content-Range')}")
+        total = None if match[3] == "*" else int(match[3])
+        return Answer(start, total, validator, by_ranges=True, _response=response)
+    total = int(length) if length and length.isdecimal() else None
+    by_ranges = headers.get("Accept-Ranges", "").strip().lower() == "bytes"
+    return Answer(0, total, validator, by_ranges=by_ranges, _response=response)
+
+
+def _is_page(answer: Answer, url: str) -> bool:
+    kind = answer._response.headers.get_content_type()  # noqa: SLF001 - of this module
+    return kind == "text/html" and not urlsplit(url).path.endswith((".html", ".htm"))
+
+
+class _Page(HTMLParser):
+    """A page in the place of a file: its title, and the form by which Google Drive has one confirm."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.title = ""
+        self._in_title = False
+        self._action: str | None = None
+        self._fields: list[tuple[str, str]] = []
+        self.feed(text)
+        self.title = " ".join(self.title.split())[:100]
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        known = {name: value or "" for name, value in attrs}
+        self._in_title = tag == "title"
+        if tag == "form" and known.get("id") == "download-form":
+            self._action = known.get("action")
+        if tag == "input" and self._action is not None and known.get("type") == "hidden":
+            self._fields.append((known.get("name", ""), known.get("value", "")))
+
+    def handle_endtag(self, tag: str) -> None:
+        self._in_title = self._in_title and tag != "title"
+
+    def handle_data(self, data: str) -> None:
+        if self._in_title:
+            self.title += data
+
+    def confirmation(self, url: str) -> str | None:
+        """Return the address that the form leads to; None where there is no such form."""
+        if self._action is None:
+            return None
+        target = urljoin(url, self._action)
+        return f"{target}{'&' if '?' in target else '?'}{urlencode(self._fields)}"

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A file that is being fetched, and which bytes of it are there: kill -9 loses a block at most.
+
+Beside ``NAME.part`` stands ``NAME.state`` with what the file is and which spans of it are there. The state is
+replaced after each block is written, so within one boot of the machine it is true whatever happens to the
+process. What the kernel has not brought to disk when the power fails is told by the second list of spans,
+which is written after an fsync.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slamhive.model.errors import SystemFault
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+FLUSH_BYTES = 256 << 20
+"""Bytes after which what was written is brought to disk."""
+
+Span = tuple[int, int]
+"""First byte, byte after the last."""
+
+
+class Partial:
+    """The bytes of a file that are there.
+
+    Args:
+        path: Where it lies; its state lies beside it.
+
+    Attributes:
+        url: Where the bytes came from.
+        validator: What the server knew the file by.
+        total: Size of the whole file, bytes; None where nobody has said.
+        spans: What is there, ascending and apart.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._state = path.with_suffix(".state")
+        self.url: str | None = None
+        self.validator: str | None = None
+        self.total: int | None = None
+        self.spans: list[Span] = []
+        self._flushed: list[Span] = []
+        self._since = 0
+        self._descriptor: int | None = None
+        self._load()
+
+    def _load(self) -> None:
+        try:
+            known = json.loads(self._state.read_text(encoding="utf-8"))
+            size = self.path.stat().st_size
+            spans = known["spans"] if known["boot"] == _boot() else known["flushed"]
+            self.spans = [(int(first), int(end)) for first, end in spans if int(end) <= size]
+            self.url, self.validator, self.total = known["url"], known["validator"], known["total"]
+        except (OSError, ValueError, KeyError, TypeError):
+            self.forget()
+        self._flushed = list(self.spans)
+
+    @property
+    def held(self) -> int:
+        """Return how many bytes are there."""
+        return sum(end - first for first, end in self.spans)
+
+    def held_from(self, start: int) -> int:
+        """Return up to where the bytes from one on are there without a hole."""
+        return next((end for first, end in self.spans if first <= start < end), start)
+
+    def begin(self, url: str, validator: str | None, total: int | None) -> None:
+        """Note what is fetched from now on."""
+        self.url, self.validator, self.total = url, validator, total
+
+    def write(self, at: int, data: bytes | memoryview) -> None:
+        """Write bytes at their place and note that they are there.
+
+        Raises:
+            OSError: The disk refuses; what was there before stays noted.
+        """
+        if self._descriptor is None:
+            self._descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        view, place = memoryview(data), at
+        while view:
+            written = os.pwrite(self._descriptor, view, place)
+            view, place = view[written:], place + written
+        self.spans = _with(self.spans, (at, place))
+        self._since += place - at
+        if self._since >= FLUSH_BYTES:
+            self.flush()
+        else:
+            self._save()
+
+    def flush(self) -> None:
+        """Bring what is there to disk.
+
+        Raises:
+            OSError: The disk refuses.
+        """
+        if self._descriptor is not None:
+            os.fdatasync(self._descriptor)
+        self._flushed, self._since = list(self.spans), 0
+        self._save()
+
+    def close(self) -> None:
+        """Let go of the file; it stays."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def drop(self, span: Span) -> None:
+        """Note that bytes are not there after all."""
+        kept = []
+        for first, end in self.spans:
+            kept += [(first, min(end, span[0])), (max(first, span[1]), end)]
+        self.spans = [(first, end) for first, end in kept if first < end]
+        self._flushed = list(self.spans)
+        if self.path.exists():
+            self._save()
+
+    def forget(self) -> None:
+        """Remove all of it."""
+        self.close()
+        self.spans, self._flushed = [], []
+        self.url = self.validator = self.total = None
+        with suppress(OSError):
+            self._state.unlink(missing_ok=True)
+            self.path.unlink(missing_ok=True)
+
+    def move(self, place: Path) -> None:
+        """Give the whole file its name.
+
+        Raises:
+            OSError: The disk refuses.
+        """
+        self.flush()
+        self.close()
+        self.path.replace(place)
+        self._state.unlink(missing_ok=True)
+
+    def _save(self) -> None:
+        state: dict[str, Any] = {
+            "url": self.url,
+            "validator": self.validator,
+            "total": self.total,
+            "boot": _boot(),
+            "spans": self.spans,
+            "flushed": self._flushed,
+        }
+        aside = self._state.with_suffix(".state~")
+        aside.write_text(json.dumps(state), encoding="utf-8")
+        aside.replace(self._state)
+
+
+def _with(spans: list[Span], new: Span) -> list[Span]:
+    merged: list[Span] = []
+    for first, end in sorted([*spans, new]):
+        if merged and first <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(end, merged[-1][1]))
+        else:
+            merged.append((first, end))
+    return merged
+
+
+def _boot() -> str:
+    """Return what this start of the machine is known by."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+
+
+@contextmanager
+def disk_words(what: str, path: Path) -> Iterator[None]:
+    """Turn a disk's refusal into a sentence that says what stays.
+
+    Raises:
+        SystemFault: The disk refused.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+            raise SystemFault(
+                f"{what}: the disk of {path.parent} is full; what was fetched stays: make room, and the same "
+                "command goes on"
+            ) from None
+        raise SystemFault(f"{what}: {path}: {error.strerror or error}") from None

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An https server on this machine that does what servers of data sets do, and fails as they do."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import http.server
+import re
+import ssl
+import subprocess
+import threading
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+BLOCK = 1 << 18
+
+
+@dataclass
+class Site:
+    """What is served, how, and what was asked.
+
+    Attributes:
+        folder: Files by their paths.
+        url: Its address.
+        by_ranges: Whether parts are sent.
+        tagged: Whether files have an ETag.
+        drops: Bytes after which an answer ends, one for each answer to come; None for whole ones.
+        wrong: Bytes of a file that are sent wrong once: path to position.
+        pages: Pages sent in the place of files: path to HTML.
+        asked: Path and Range of each request.
+        sent: Bytes of content that left.
+    """
+
+    folder: Path
+    url: str = ""
+    by_ranges: bool = True
+    tagged: bool = True
+    drops: list[int | None] = field(default_factory=list)
+    wrong: dict[str, int] = field(default_factory=dict)
+    pages: dict[str, str] = field(default_factory=dict)
+    asked: list[tuple[str, str | None]] = field(default_factory=list)
+    sent: int = 0
+
+
+class Handler(http.server.BaseHTTPRequestHandler):
+    """Answers for a `Site`."""
+
+    site: Site
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        site, self.close_connection = self.site, True
+        asked = self.headers.get("Range")
+        site.asked.append((self.path, asked))
+        if self.path == "/endless.bag":
+            self._endless()
+        elif self.path.startswith("/to/"):
+            self._head(302, {"Location": self.path.removeprefix("/to/"), "Content-Length": "0"})
+        elif self.path.split("?")[0] in site.pages and "confirm=" not in self.path:
+            page = site.pages[self.path.split("?")[0]].encode()
+            self._head(200, {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(page))})
+            self.wfile.write(page)
+        elif (path := site.folder / self.path.split("?")[0].lstrip("/")).is_file():
+            self._file(path, asked)
+        else:
+            self.send_error(404)
+
+    def _head(self, status: int, headers: dict[str, str]) -> None:
+        self.send_response(status)
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+
+    def _endless(self) -> None:
+        self._head(200, {})
+        with contextlib.suppress(OSError):  # until nobody listens any more
+            while True:
+                self.wfile.write(b"a recording\n" * 1000)
+
+    def _file(self, path: Path, asked: str | None) -> None:
+        site, size = self.site, path.stat().st_size
+        tag = f'"{hashlib.sha256(f"{size} {path.stat().st_mtime_ns}".encode()).hexdigest()[:16]}"'
+        start, end = 0, size
+        match = re.fullmatch(r"bytes=(\d+)-(\d*)", asked or "") if site.by_ranges else None
+        if self.headers.get("If-Range", tag) != tag:
+            match = None
+        if match:
+            start, end = int(match[1]), min(int(match[2] or size - 1) + 1, size)
+            if start >= size:
+                self._head(416, {"Content-Length": "0"})
+                return
+        headers = {"Content-Length": str(end - start), "Content-Type": "application/octet-stream"}
+        if site.by_ranges:
+            headers["Accept-Ranges"] = "bytes"
+        if site.tagged:
+            headers["ETag"] = tag
+        if match:
+            headers["Content-Range"] = f"bytes {start}-{end - 1}/{size}"
+        self._head(206 if "Content-Range" in headers else 200, headers)
+        drop = site.drops.pop(0) if site.drops else None
+        with path.open("rb") as file, contextlib.suppress(OSError):
+            file.seek(start)
+            last = end if drop is None else min(end, start + drop)
+            while start < last and (block := file.read(min(BLOCK, last - start))):
+                self.wfile.write(self._spoiled(block, start))
+                start += len(block)
+                site.sent += len(block)
+
+    def _spoiled(self, block: bytes, start: int) -> bytes:
+        at = self.site.wrong.get(self.path)
+        if at is None or not start <= at < start + len(block):
+            return block
+        del self.site.wrong[self.path]
+        return block[: at - start] + bytes([block[at - start] ^ 255]) + block[at - start + 1 :]
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+def make_certificate(folder: Path) -> tuple[Path, Path]:
+    """Make a certificate for localhost, and return it and its key."""
+    key, certificate = folder / "key.pem", folder / "certificate.pem"
+    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-days", "1"]
+    kind = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+    files = ["-keyout", str(key), "-out", str(certificate)]
+    subprocess.run(["openssl", "req", "-x509", *kind, *names, *files], check=True, capture_output=True)
+    return certificate, key
+
+
+@contextlib.contextmanager
+def serving(site: Site, certificate: Path, key: Path) -> Iterator[Site]:
+    """Serve a site until the end of the block."""
+    handler = type("SiteHandler", (Handler,), {"site": site})
+    httpd = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    httpd.socket = context.wrap_socket(httpd.socket, server_side=True, do_handshake_on_connect=False)
+    thread = threading.Thread(target=httpd.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    site.url = f"https://localhost:{httpd.server_port}"
+    try:
+        yield site
+    finally:
+        httpd.shutdown()
+        thread.join()
+        httpd.server_close()
