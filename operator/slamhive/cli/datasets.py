@@ -321,8 +321,8 @@ def _place(home: Home, name: str, *, replace: bool) -> Iterator[None]:
     count = referring(home, "dataset", name)
     if count:
         remark(
-            f"{plural(count, 'run')} of the former {name} stay as they are; what differs in the new one makes "
-            "them superseded, and the next slamhive run does them again"
+            f"{plural(count, 'run')} of the former {name} stay as they are; what differs in the new one "
+            "makes them superseded, and the next slamhive run does them again"
         )
     with alone(home, "slamhive dataset add --replace"), replaced(home, name):
         yield

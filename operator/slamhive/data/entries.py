@@ -114,7 +114,8 @@ def check_sums(entry: DatasetEntry, cache: Path | None = None) -> None:
         found = file_sha256(entry.root / path, cache) if expected else None
         if found != expected:
             raise DataError(
-                f"dataset {entry.name!r}: {where}: {entry.root / path} has sha256 {found}, expected {expected}"
+                f"dataset {entry.name!r}: {where}: {entry.root / path} has sha256 {found}, "
+                f"expected {expected}"
             )
 
 
