@@ -10,11 +10,15 @@ import typer
 from slamhive.analysis import Selection, choose
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
+from slamhive.tables.homes import read_homes
 from slamhive.tables.reading import read_archive
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from slamhive.analysis.frame import Frame
     from slamhive.reporting.presets import Preset
+    from slamhive.tables.homes import Beside
 
 Where = Annotated[
     str | None, typer.Option(metavar="EXPR", help='Only rows that meet it, as in "coverage >= 0.9".')
@@ -24,6 +28,16 @@ Sweeps = Annotated[
 ]
 EvaluationName = Annotated[
     str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as se3 or sim3.")
+]
+
+Also = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--also",
+        metavar="[LABEL=]PATH",
+        help="Runs of another home beside one's own, told apart by its label; several times. Default: what "
+        "$SLAMHIVE_ALSO names.",
+    ),
 ]
 
 
@@ -42,14 +56,22 @@ def select(
     return Selection(tuple(sweep or ()), chosen, both or None, superseded=superseded, option="--")
 
 
-def choose_runs(selection: Selection, otherwise: str) -> tuple[Frame, tuple[str, ...]]:
+def choose_runs(
+    selection: Selection, otherwise: str, also: Sequence[Beside] = ()
+) -> tuple[Frame, tuple[str, ...]]:
     """Return the selected rows, and sentences on what is left out.
+
+    Args:
+        selection: what is meant.
+        otherwise: what can't be done where there is none.
+        also: other homes.
 
     Raises:
         InputError: there are none.
     """
     home = Home.from_environment()
-    chosen = choose(read_archive(home.archive_url, home.path / "cache"), selection)
+    found = read_homes(home, also) if also else read_archive(home.archive_url, home.path / "cache")
+    chosen = choose(found, selection)
     if not len(chosen.frame):
         raise InputError("; ".join(chosen.notes) or f"no run is meant: {otherwise}")
     return chosen.frame, chosen.notes

@@ -215,7 +215,7 @@ def _report(fetched: Fetched, item: _Watched) -> None:
     """Print the table of a sweep's runs and a line of their number, as after a run on this machine."""
     if fetched.runs:
         out.print()
-        show_table(sweep=fetched.stored)
+        show_table(sweep=fetched.stored, also=[])
     found = status_of(item.body or {})
     if item.key.kind is Kind.MAPPING_RUN:
         out.print(f"{escape(fetched.name)}: {found.get('phase')}")

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from slamhive.analysis import Outcomes
-from slamhive.cli.choosing import EvaluationName, Sweeps, Where, choose_runs, select
+from slamhive.cli.choosing import Also, EvaluationName, Sweeps, Where, choose_runs, select
 from slamhive.cli.console import remark
 from slamhive.cli.results import Superseded
 from slamhive.figures.asking import Kind, Log, Wish
@@ -23,6 +23,7 @@ from slamhive.local.home import Home
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 from slamhive.reporting.papertables import Statistic
+from slamhive.tables.homes import homes_beside
 from slamhive.tables.reading import revision
 
 
@@ -83,6 +84,7 @@ def figure(
     sweep: Sweeps = None,
     evaluation: EvaluationName = None,
     superseded: Superseded = False,
+    also: Also = None,
 ) -> None:
     """Draw a figure for a paper, as PDF, SVG or PNG, with its numbers as CSV beside it.
 
@@ -97,8 +99,10 @@ def figure(
     if each and not kind.is_of_files:
         raise InputError("--each: every run is drawn by trajectories, error-over-time and usage")
     selection = select(sweep, evaluation, where, superseded=superseded)
-    frame, left_out = choose_runs(selection, "there is nothing to draw")
-    made = picture(frame, wish, Home.from_environment())
+    home = Home.from_environment()
+    others = homes_beside(home, also)
+    frame, left_out = choose_runs(selection, "there is nothing to draw", others)
+    made = picture(frame, wish, home, others)
     notes = (*made.notes, *left_out)
     caption = " ".join(
         f"{note if note.startswith('n = ') else note[:1].upper() + note[1:]}." for note in notes

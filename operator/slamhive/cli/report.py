@@ -15,9 +15,10 @@ import typer
 from slamhive import __version__
 from slamhive.analysis import Metric, Outcomes
 from slamhive.analysis.boards import COMPETITORS
-from slamhive.cli.choosing import EvaluationName, Sweeps, Where, choose_runs, select
+from slamhive.cli.choosing import Also, EvaluationName, Sweeps, Where, choose_runs, select
 from slamhive.cli.console import remark
 from slamhive.cli.results import Output, Superseded
+from slamhive.local.home import Home
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.reporting.latex import Rules, latex
@@ -27,6 +28,7 @@ from slamhive.reporting.papermarkdown import markdown
 from slamhive.reporting.papertables import Best, Layout, Overall, Statistic, flat, make_table
 from slamhive.reporting.presets import preset
 from slamhive.reporting.questions import parse_question, usual_metric, usual_questions
+from slamhive.tables.homes import homes_beside
 from slamhive.tables.reading import revision
 from slamhive_eval.csv_writing import csv_text
 
@@ -86,13 +88,16 @@ def report(
     sweep: Sweeps = None,
     evaluation: EvaluationName = None,
     superseded: Superseded = False,
+    also: Also = None,
 ) -> None:
     """Write one HTML page that needs nothing else: leaderboard, comparison, charts, every run.
 
     Example: slamhive report --analysis input.frameRate:usage.cpu.meanCores -o report.html
     """
     selection = select(sweep, evaluation, where, superseded=superseded)
-    frame, notes = choose_runs(selection, "there is nothing to report")
+    frame, notes = choose_runs(
+        selection, "there is nothing to report", homes_beside(Home.from_environment(), also)
+    )
     metric = metric or usual_metric(frame)
     for field, names in (("--metric", [metric]), ("--cost", cost or []), ("--by", _names(by, ""))):
         frame.require(names, field)
@@ -176,6 +181,7 @@ def paper_table(
     ] = TableStyle.BOOKTABS,
     form: Annotated[TableFormat | None, typer.Option("--format", hidden=True)] = None,
     output: Output = None,
+    also: Also = None,
 ) -> None:
     """Write a table for a paper: LaTeX, Markdown or CSV, best in bold, failures shown.
 
@@ -193,7 +199,9 @@ def paper_table(
         overall=_overall(overall),
     )
     selection = select(sweep, evaluation, where, given, superseded=superseded)
-    frame, left_out = choose_runs(selection, "there is nothing to make a table of")
+    frame, left_out = choose_runs(
+        selection, "there is nothing to make a table of", homes_beside(Home.from_environment(), also)
+    )
     frame.require(layout.rows, "--rows")
     frame.require(layout.columns, "--columns")
     names = [one.column for one in layout.metrics]

@@ -21,6 +21,7 @@ from slamhive.archive import Archive
 from slamhive.archive.connection import file_of, shown
 from slamhive.archive.records import run_row
 from slamhive.bridges.targets import Target
+from slamhive.cli.choosing import Also
 from slamhive.cli.console import out, plural, remark
 from slamhive.cli.forgetting import prune
 from slamhive.cli.tables import Format, show, write_json, write_markdown
@@ -28,6 +29,7 @@ from slamhive.cli.waiting import Work
 from slamhive.local.home import Home
 from slamhive.local.removed import absence
 from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.tables.homes import COLUMN
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import constants, flat_cells, implied, key_text, table_lines, value_text
 from slamhive_eval.csv_writing import write_csv
@@ -83,6 +85,7 @@ def list_results(
     sort: Sort = None,
     columns: Columns = None,
     superseded: Superseded = False,
+    also: Also = None,
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
 ) -> None:
     """List runs with their results, one line a run and evaluation.
@@ -90,10 +93,12 @@ def list_results(
     Example: slamhive results list --where "outcome != 'Tracked'" --sort=-coverage
     """
     found = _select(
-        Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=True, option="--")
+        Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=True, option="--"),
+        also,
     )
     frame = found.frame
-    shown = [Metric.parse(name) for name in _names(columns) or usual_columns(LIST_COLUMNS, frame)]
+    usual = _names(columns) or usual_columns(_with_home(LIST_COLUMNS, frame), frame)
+    shown = [Metric.parse(name) for name in usual]
     names = [metric.column for metric in shown]
     frame.require(names)
     rows = _sorted(frame, sort).records(names)
@@ -151,6 +156,7 @@ def show_table(
     evaluation: EvaluationName = None,
     sort: Sort = None,
     superseded: Superseded = False,
+    also: Also = None,
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
 ) -> None:
     """Average over repetitions: mean ± standard deviation (n − 1), coverage, n, and what failed.
@@ -159,7 +165,7 @@ def show_table(
 
     Example: slamhive results table --rows parameters.nFeatures -m ate.rmse:cm:.3f -m usage.cpu.meanCores
     """
-    chosen = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded, option="--"))
+    chosen = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded, option="--"), also)
     frame = chosen.frame
     metrics = [Metric.parse(text) for text in metric or usual_columns(TABLE_METRICS, frame, filled=True)]
     by, across = _names(rows), _names(columns) or []
@@ -209,6 +215,7 @@ def export(
     reused: Annotated[
         bool, typer.Option("--reused", help="Include runs that took over an equal run's result.")
     ] = False,
+    also: Also = None,
 ) -> None:
     """Write every run and evaluation as a row, numbers with all their digits.
 
@@ -216,11 +223,12 @@ def export(
     """
     selection = Selection(_sweeps(sweep), evaluation, where, superseded=superseded, each=reused, option="--")
     if to is not None:
-        _hand_over(to, output, selection, {"--format": form, "--sort": sort, "--columns": columns})
+        unused = {"--format": form, "--sort": sort, "--columns": columns, "--also": also}
+        _hand_over(to, output, selection, unused)
         return
     if form is Format.TABLE:
         raise InputError("--format: export writes csv, json or markdown; results list prints a table")
-    chosen = _select(selection)
+    chosen = _select(selection, also)
     frame = chosen.frame
     wanted = _names(columns) or frame.names
     frame.require(wanted)
@@ -274,9 +282,24 @@ def _archive() -> Iterator[Archive]:
         yield archive
 
 
-def _select(selection: Selection) -> Chosen:
-    """Return the rows asked for; an archive that isn't there yet is an empty one."""
+def _with_home(names: Sequence[str], frame: Frame) -> Sequence[str]:
+    """Return names of columns, with that of the home where there are several."""
+    return (names[0], COLUMN, *names[1:]) if COLUMN in frame.stored else names
+
+
+def _select(selection: Selection, also: Sequence[str] | None = ()) -> Chosen:
+    """Return the rows asked for; an archive that isn't there yet is an empty one.
+
+    Args:
+        selection: what is meant.
+        also: other homes; None for those of the environment.
+    """
     home = Home.from_environment()
+    if also is None or also:
+        from slamhive.tables.homes import homes_beside, read_homes
+
+        if others := homes_beside(home, also):
+            return choose(read_homes(home, others), selection)
     file = file_of(home.archive_url)
     absent = file is not None and not file.exists()
     found = Frame({}, 0) if absent else read_archive(home.archive_url, home.path / "cache")

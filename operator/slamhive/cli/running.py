@@ -506,7 +506,7 @@ def _report(job: Job, bench: Workbench) -> None:
     parts += [f"{job.reused} reused"] if job.reused else []
     if succeeded or failed:
         out.print()
-        show_table(sweep=job.sweep.name)
+        show_table(sweep=job.sweep.name, also=[])
     show_edits(job, bench.home)
     reason = f" ({job.verdict}: {job.message})" if job.message and waiting else ""
     out.print(

@@ -12,6 +12,7 @@ from slamhive.model.errors import InputError
 from slamhive_eval.csv_writing import csv_text
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
     from typing import Any
 
@@ -20,19 +21,21 @@ if TYPE_CHECKING:
     from slamhive.figures.paper import Paper
     from slamhive.figures.pictures import Picture
     from slamhive.local.home import Home
+    from slamhive.tables.homes import Beside
 
 FORMS = ("pdf", "svg", "png")
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]+")
 
 
-def picture(frame: Frame, wish: Wish, home: Home) -> Picture:
+def picture(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -> Picture:
     """Return what a figure shows.
 
     Args:
         frame: the runs.
         wish: what was asked for.
         home: has the files of runs.
+        also: other homes, whose rows stand beside.
 
     Raises:
         InputError: it can't be drawn, or nothing would be seen.
@@ -41,7 +44,7 @@ def picture(frame: Frame, wish: Wish, home: Home) -> Picture:
         # Readers of folders and ground truth: only some figures need them.
         from slamhive.figures.paths import paths  # noqa: PLC0415
 
-        return paths(frame, wish, home).settled()
+        return paths(frame, wish, home, also).settled()
     from slamhive.figures import groups, singles  # noqa: PLC0415
 
     makers = {

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +20,10 @@ from slamhive.figures.asking import Kind, check_panels, error_of, nothing, parte
 from slamhive.figures.groups import Series
 from slamhive.figures.pictures import Axis, Line, Panel, Picture
 from slamhive.model.errors import InputError
+from slamhive.tables.homes import COLUMN, OWN, uid_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from slamhive.analysis.columns import Floats, Indices
     from slamhive.analysis.frame import Frame
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from slamhive.figures.asking import Wish
     from slamhive.local.home import Home
     from slamhive.model.results import Result, RunRecord
+    from slamhive.tables.homes import Beside
 
     Rows = dict[str, Floats]
 
@@ -149,7 +151,7 @@ class Choice:
     row: int
 
 
-def paths(frame: Frame, wish: Wish, home: Home) -> Picture:
+def paths(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -> Picture:
     """Return lines of runs' files: of each series the run of median error, or every run."""
     reader = _READERS[wish.kind](wish)
     by, facet = wish.series(frame, ("dataset",)), wish.columns("facet", (), frame)
@@ -172,7 +174,7 @@ def paths(frame: Frame, wish: Wish, home: Home) -> Picture:
             "figure: choose some by --where"
         )
     lines = _Lines()
-    for choice, found in zip(chosen, _located(chosen, home), strict=True):
+    for choice, found in zip(chosen, _located(chosen, home, also), strict=True):
         lines.read(found, choice, reader, thin=wish.each)
     if not lines.runs:
         raise InputError(f"no run has files here to draw: {lines.missing[0]}")
@@ -231,14 +233,20 @@ def _stated(wish: Wish, frame: Frame, chosen: list[Choice]) -> str:
     )
 
 
-def _located(chosen: list[Choice], home: Home) -> Iterator[Found | str]:
+def _located(chosen: list[Choice], home: Home, also: Sequence[Beside]) -> Iterator[Found | str]:
     """Go through the runs with their folders; a sentence for one that has none here."""
-    station = Workstation(home.archive_url, home.path)
-    with closing(Archive(connect(home.archive_url, read_only=True))) as archive:
-        algorithms = archive.catalog("Algorithm")
+    places = {OWN: (home.archive_url, home.path), **{one.label: (one.url, one.path) for one in also}}
+    stations: dict[str, tuple[Archive, Workstation, list[CatalogEntry]]] = {}
+    with ExitStack() as stack:
         for choice in chosen:
-            told = choice.frame.row(choice.row, ("uid", "evaluation", "name"))
-            record = archive.get(str(told["uid"]))
+            told = choice.frame.row(choice.row, ("uid", "evaluation", "name", COLUMN))
+            label = str(told[COLUMN] or OWN)
+            if label not in stations:
+                url, path = places[label]
+                opened = stack.enter_context(closing(Archive(connect(url, read_only=True))))
+                stations[label] = opened, Workstation(url, path), opened.catalog("Algorithm")
+            archive, station, algorithms = stations[label]
+            record = archive.get(uid_in(str(told["uid"]), places)[0])
             record = _computed(archive, record)
             place = station.place(record) if record is not None else None
             if record is None or place is None:
