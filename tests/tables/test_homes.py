@@ -14,6 +14,7 @@ from sqlalchemy import update
 from slamhive.analysis.selection import Selection, choose
 from slamhive.archive import schema
 from slamhive.archive.connection import open_engine, parse, writing
+from slamhive.figures.making import numbers_file
 from slamhive.model.errors import InputError
 from slamhive.tables.homes import homes_beside, read_homes, uid_in
 
@@ -175,4 +176,4 @@ def test_a_figure_has_the_runs_of_both(
         "figure", "box", "-y", "ate.rmse", f"--also={anna.path}", "-o", tmp_path / "box.svg"
     )
     assert code == 0, err
-    assert "icp @anna" in (tmp_path / "box.csv").read_text()
+    assert "icp @anna" in numbers_file(tmp_path / "box.svg").read_text()

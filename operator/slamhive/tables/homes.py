@@ -4,8 +4,8 @@
 Rows are told apart by what they are, never by their names. A run that stands in several homes (one UID, one
 content) is there once. A name that means something else in another home (an algorithm, a dataset or a sweep
 of other content) gets that home's label there, as in ``icp @anna``, and so does a UID that two runs have:
-what has one name in the table is one thing. What is superseded was found out home by home. Nothing is written to
-other homes, and none of their locks is taken.
+what has one name in the table is one thing. What is superseded was found out home by home. Nothing is
+written to other homes, and none of their locks is taken.
 """
 
 from __future__ import annotations
