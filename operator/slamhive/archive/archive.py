@@ -459,6 +459,16 @@ class Archive:
             CatalogEntry.model_validate({"kind": kind} | {key: row[key] for key in fields}) for row in rows
         ]
 
+    def used(self, uids: Iterable[str]) -> dict[str, tuple[str | None, str | None]]:
+        """Return the content hashes of the Algorithm and the Dataset that runs used, by UID."""
+        runs, iterator = schema.runs.c, iter(uids)
+        found: dict[str, tuple[str | None, str | None]] = {}
+        while batch := list(islice(iterator, BATCH)):
+            query = select(runs.uid, runs.algorithm_hash, runs.dataset_hash).where(runs.uid.in_(batch))
+            with reading(self._engine) as connection:
+                found |= {uid: (algorithm, dataset) for uid, algorithm, dataset in connection.execute(query)}
+        return found
+
     def _stream(self, conditions: list[ColumnElement[bool]], limit: int | None) -> Iterator[RunRecord]:
         last, left = 0, limit
         while left is None or left > 0:

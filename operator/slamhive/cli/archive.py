@@ -4,17 +4,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slamhive.archive import keeping
-from slamhive.archive.connection import shown
+from slamhive.archive import Archive, keeping
+from slamhive.archive.connection import file_of, shown
 from slamhive.archive.upgrading import upgrade
-from slamhive.cli.console import complain, out, plural, remark
+from slamhive.cli.console import bytes_text, complain, open_archive, out, plural, remark
 from slamhive.cli.exits import FAILED
 from slamhive.cli.waiting import Work
 from slamhive.local.home import Home
+from slamhive.model.errors import InputError
+
+if TYPE_CHECKING:
+    from slamhive.local.merging import Merge
 
 app = typer.Typer(
     help="Look after the archive: $SLAMHIVE_HOME/archive.sqlite, or the database in $SLAMHIVE_ARCHIVE.",
@@ -90,6 +94,74 @@ def upgrade_archive() -> None:
         return
     kept = f"; as it was: {done.copy}" if done.copy is not None else ""
     out.print(f"{shown(url)}: brought from schema {done.before} to {done.after}{kept}", markup=False)
+
+
+@app.command()
+def merge(
+    other: Annotated[
+        str,
+        typer.Argument(metavar="[LABEL=]OTHER", help="Another home, an archive's file or a database URL."),
+    ],
+    *,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would come, and change nothing.")
+    ] = False,
+) -> None:
+    """Take the runs of another home into this one, with their files; the other one is not changed.
+
+    A run that stands in both is there once; nothing here is replaced. A merge that was stopped goes on.
+
+    Example: slamhive archive merge /data/anna/slamhive --dry-run
+    """
+    from slamhive.cli.asking import progress
+    from slamhive.local import merging
+    from slamhive.local.forgetting import alone
+    from slamhive.tables.homes import homes_beside
+
+    home = Home.from_environment()
+    found = homes_beside(home, [other])
+    if not found:
+        raise InputError(f"{other}: is this home itself")
+    (beside,) = found
+    file = file_of(home.archive_url)
+    nothing = dry_run and file is not None and not file.exists()
+    with (
+        alone(home, "slamhive archive merge"),
+        Archive.open("sqlite:///:memory:") if nothing else open_archive(home) as archive,
+    ):
+        merging.clear(home)
+        with merging.opened(beside.label, beside.url, beside.path, home) as theirs:
+            plan = merging.plan_merge(home, archive, theirs)
+            _tell_of_merge(plan)
+            if dry_run:
+                merging.clear(home)
+                remark("a dry run: nothing was changed")
+                return
+            with progress("merging", len(plan.coming) or 1) as step:
+                merging.merge(home, archive, theirs, plan, step)
+    for path in plan.unread[:_SHOWN]:
+        complain(f"{path}: can't be read, and was not copied")
+    out.print(
+        f"merged: {plural(len(plan.coming), 'run')}, {plural(len(plan.results), 'result')} of runs that were "
+        f"here; {bytes_text(plan.extent.size)} in {plural(plan.extent.files, 'file')}"
+    )
+    if plan.unread:
+        raise typer.Exit(FAILED)
+
+
+def _tell_of_merge(plan: Merge) -> None:
+    extent = plan.extent
+    out.print(
+        f"to merge: {plural(len(plan.coming), 'run')} ({bytes_text(extent.size)} in "
+        f"{plural(extent.files, 'file')}); {plural(plan.known, 'run')} here already, "
+        f"{plural(len(plan.results), 'result')} to add to them"
+    )
+    for sentence in plan.aside[:_SHOWN]:
+        remark(sentence)
+    if len(plan.aside) > _SHOWN:
+        remark(f"and {len(plan.aside) - _SHOWN:,} more are kept beside")
+    if plan.without:
+        remark(f"{plural(plan.without, 'run')} without files there: only the records come")
 
 
 def _counted(counts: dict[str, int]) -> str:

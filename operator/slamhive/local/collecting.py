@@ -24,6 +24,7 @@ from slamhive.local.attempt import end_left_behind
 from slamhive.local.environments import Environments, is_whole, remove_environment
 from slamhive.local.extent import Extent, Tally
 from slamhive.local.forgetting import is_left_behind, remove_empty
+from slamhive.local.merging import ASIDE
 from slamhive.local.removed import NOTE, leftovers_in, remove, remove_files, removed_from, run_parts
 from slamhive.local.unavailable import Unavailable
 from slamhive.model.base import Choice
@@ -315,6 +316,8 @@ class _Surveyor:
             linked = self._linked(file)
             if self._now - file.lstat().st_mtime >= GRACE_SECONDS:
                 yield self._find(Kind.LEFTOVERS, file, linked or "it was left half made", goes=not linked)
+        if (path / ASIDE).is_dir():
+            yield self._find(Kind.LEFTOVERS, path / ASIDE, "a merge was interrupted", goes=True)
         if (path / CHECKS).is_dir():
             yield self._find(Kind.LEFTOVERS, path / CHECKS, "a check was killed", goes=True)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from slamhive.data.store import MANIFEST
 from slamhive.local.collecting import CHECKS, MADE
 from slamhive.local.extent import Extent, Tally
+from slamhive.local.merging import ASIDE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -61,6 +62,8 @@ def _parts(home: Path) -> Iterator[tuple[tuple[str, str], Path]]:
     for path in sorted(home.iterdir()) if home.is_dir() else ():
         if not path.is_dir():
             yield _kind_of_file(path), path
+        elif path.name == ASIDE:
+            yield _leftover(), path
         elif path.name == "runs":
             for run in sorted(path.glob("*/*")):
                 yield _kind_of_run(run), run
