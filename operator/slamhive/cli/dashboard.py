@@ -8,9 +8,11 @@ from typing import Annotated
 
 import typer
 
+from slamhive.cli.choosing import Also
 from slamhive.cli.console import out, remark
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
+from slamhive.tables.homes import homes_beside
 
 DEFAULT_PORT = 8323
 
@@ -31,12 +33,14 @@ def dashboard(
         Path | None,
         typer.Option(metavar="FOLDER", help="DATASET.txt (TUM) or .csv (EuRoC) to draw paths over."),
     ] = None,
+    also: Also = None,
 ) -> None:
     """Show the archive in a web browser: leaderboard, charts, runs. It changes nothing; Ctrl-C ends it.
 
     Example: slamhive dashboard --port 8323
     """
     try:
+        from slamhive.dashboard.homes import Homes
         from slamhive.dashboard.serving import allowed_hosts, lets_others_in, listen, serve
         from slamhive.dashboard.sources import Workstation
     except ModuleNotFoundError as error:
@@ -45,6 +49,7 @@ def dashboard(
             "install slamhive with its extra: slamhive[dashboard]"
         ) from None
     home = Home.from_environment()
+    others = homes_beside(home, also)
     listening = listen(host, port)
     if lets_others_in(host):
         remark(
@@ -58,7 +63,9 @@ def dashboard(
         out.print(f"dashboard at {address} (Ctrl-C ends it)", markup=False)
 
     serve(
-        Workstation(home.archive_url, home.path, ground_truth),
+        Homes(home, others, ground_truth)
+        if others
+        else Workstation(home.archive_url, home.path, ground_truth),
         listening,
         hosts=allowed_hosts(host, allowed_host or ()),
         health=None if health_port is None else listen(host, health_port, "--health-port"),

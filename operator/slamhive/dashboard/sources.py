@@ -316,10 +316,18 @@ class Workstation:
         url: the archive's database URL.
         home: folder that holds the runs' folders; None for none.
         ground_truth: folder of files named after datasets, for plots.
+        cache: folder in which the table is kept for the next start; None for one in the home.
     """
 
-    def __init__(self, url: str, home: Path | None = None, ground_truth: Path | None = None) -> None:
-        self._data = ArchiveData(url, home / "cache" if home is not None else None)
+    def __init__(
+        self,
+        url: str,
+        home: Path | None = None,
+        ground_truth: Path | None = None,
+        *,
+        cache: Path | None = None,
+    ) -> None:
+        self._data = ArchiveData(url, cache or (home / "cache" if home is not None else None))
         self._under_way = UnderWay(home)
         self._home = home
         self._truths = Truths(ground_truth, home)

@@ -147,6 +147,17 @@ def uid_in(uid: str, labels: Collection[str]) -> tuple[str, str | None]:
     return (plain, label) if plain and label in labels else (uid, None)
 
 
+def told_name(name: str, label: str) -> str:
+    """Return what a name is called that means something else in a home."""
+    return f"{name} @{label}"
+
+
+def plain_name(name: str, labels: Collection[str]) -> tuple[str, str | None]:
+    """Return a name of the table as its home knows it, and that home's label; None where it could be any."""
+    plain, _, label = name.rpartition(" @")
+    return (plain, label) if plain and label in labels else (name, None)
+
+
 def _beside(text: str, field: str) -> Beside:
     label, equals, place = text.partition("=")
     if not equals or "/" in label or not place:
@@ -199,7 +210,7 @@ def _told_apart(frame: Frame, name: str, version: str, label: str, known: dict[s
         return what in known[one] if what is not None else here.get(one, set()) <= known[one]
 
     found = [
-        one if one is None or means_the_same(one, what) else f"{one} @{label}"
+        one if one is None or means_the_same(one, what) else told_name(one, label)
         for one, what in zip(names, versions, strict=True)
     ]
     for one, what in here.items():
