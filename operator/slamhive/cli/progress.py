@@ -121,6 +121,7 @@ class Display:
         )
         self._tasks: dict[str, TaskID] = {}
         self._elsewhere = ""
+        self._told_elsewhere = False
         self._live = Live(
             console=err,
             refresh_per_second=_REFRESH_PER_SECOND,
@@ -229,11 +230,12 @@ class Display:
         self._tell_elsewhere(jobs)
 
     def _tell_elsewhere(self, jobs: Sequence[Job]) -> None:
-        """Say what is waited for as other runners have it: in lines when that begins, else below the bars."""
+        """Say what is waited for as other runners have it: below the bars, and once in lines."""
         cores = max((job.cores_elsewhere for job in jobs), default=0)
         runs = sum(len(job.elsewhere) for job in jobs)
-        before, self._elsewhere = self._elsewhere, elsewhere_text(cores, runs)
-        if self._elsewhere and not before and not self._shows:
+        self._elsewhere = elsewhere_text(cores, runs)
+        if self._elsewhere and not self._told_elsewhere and not self._shows:
+            self._told_elsewhere = True
             if speaks_json():
                 emit("waits", cores=cores, runs=runs)
             else:
