@@ -11,13 +11,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.model.errors import InputError, UnknownNameError
-from slamhive.model.sweep import Sweep
-from slamhive.plan import local_uid
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from slamhive.archive import Archive, SweepRecord
+    from slamhive.model.sweep import Sweep
 
 _LEAST_UID = 8
 
@@ -93,6 +92,8 @@ def require_own_name(archive: Archive, sweeps: Sequence[Sweep]) -> None:
     Raises:
         InputError: one was.
     """
+    from slamhive.plan import local_uid  # noqa: PLC0415 - as below
+
     names = {one.uid: one.name for one in archive.sweeps()}
     for sweep in sweeps:
         now = names.get(local_uid(sweep), sweep.name)
@@ -104,6 +105,8 @@ def require_own_name(archive: Archive, sweeps: Sequence[Sweep]) -> None:
 
 
 def _require_name(name: str) -> None:
+    from slamhive.model.sweep import Sweep  # noqa: PLC0415 - a list of sweeps needs no language
+
     try:
         Sweep.model_validate({"metadata": {"name": name}, "spec": {}})
     except ValueError as error:
