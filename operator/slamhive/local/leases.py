@@ -19,6 +19,7 @@ nobody holds one that is no longer there.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import os
@@ -28,13 +29,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from slamhive.model.base import Choice
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
 _LONGEST = 200
+_OF_THE_MACHINE = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOLCK}
 _OTHERS = re.compile(r"[^A-Za-z0-9@._,-]")
 
 
@@ -78,7 +80,8 @@ class Leases:
         """Take leases, all of them or none; None where another one holds one.
 
         Raises:
-            InputError: the home can't be written, or its file system has no locks.
+            InputError: the home can't be written.
+            SystemFault: the disk refuses, or its file system has no locks.
         """
         with self._gate():
             taken: list[Lease] = []
@@ -215,7 +218,8 @@ class Leases:
                 os.close(descriptor)
         except OSError as error:
             place = error.filename or path
-            raise InputError(f"SLAMHIVE_HOME: {place}: {error.strerror or error}") from None
+            kind = SystemFault if error.errno in _OF_THE_MACHINE else InputError
+            raise kind(f"SLAMHIVE_HOME: {place}: {error.strerror or error}") from None
 
 
 def _file_name(name: str) -> str:
