@@ -130,6 +130,17 @@ def test_memory_is_weighted_by_time_and_ends_with_the_algorithm() -> None:
     assert account.usage("cgroup-v1", largest_process=500).memory.peak_bytes == 500
 
 
+def test_memory_that_no_sample_saw_is_unknown_and_not_zero() -> None:
+    account = Accounting(0.0)
+    account.add(Sample(0.004, 0.003, 0, 0, 0), final=True)
+    memory = account.usage("cgroup-v2", kernel_peak=5000).memory
+    assert (memory.peak_bytes, memory.mean_bytes, memory.kernel_peak_bytes) == (None, None, 5000)
+    assert (memory.anonymous_peak_bytes, memory.working_set_peak_bytes) == (None, None)
+    # Its only process has ended, and the kernel tells how large it was.
+    memory = account.usage("proc", largest_process=700).memory
+    assert (memory.peak_bytes, memory.mean_bytes) == (700, 700)
+
+
 @pytest.mark.parametrize(
     ("others", "waited", "expected"), [(0.5, 0.3, 0.3), (0.2, 0.9, 0.2), (0.01, 0.9, 0.0), (0.9, 0.0, 0.0)]
 )

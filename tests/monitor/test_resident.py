@@ -145,3 +145,14 @@ def test_reading(monkeypatch: pytest.MonkeyPatch, wait_for: Callable[..., Any], 
             process.kill()
     wait_for(lambda: memory.read([process.pid]) == 0)
     memory.close()
+
+
+def test_the_first_readings_are_all_done_as_a_run_may_be_over_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resident, "_SHARE", 1e-9)
+    monkeypatch.setattr(resident, "_LONGEST_SECONDS", 3600.0)
+    memory = ResidentMemory()
+    before = memory.read([os.getpid()])
+    held = b"1" * (40 * MIB)
+    assert memory.read([os.getpid()]) >= before + 35 * MIB
+    del held
+    memory.close()

@@ -71,7 +71,7 @@ class CpuUsage:
 
 @dataclass(frozen=True, slots=True)
 class MemoryUsage:
-    """Memory use.
+    """Memory use; None where no sample saw the algorithm alive, as nothing that ran had no memory.
 
     Attributes:
         peak_bytes: The headline: peak of the resident memory of all processes.
@@ -84,10 +84,10 @@ class MemoryUsage:
         kind: What `peak_bytes` and `mean_bytes` are.
     """
 
-    peak_bytes: int
-    mean_bytes: float
-    anonymous_peak_bytes: int
-    working_set_peak_bytes: int
+    peak_bytes: int | None
+    mean_bytes: float | None
+    anonymous_peak_bytes: int | None
+    working_set_peak_bytes: int | None
     kernel_peak_bytes: int | None
     kind: str = RESIDENT
 
@@ -208,7 +208,8 @@ class Accounting:
         reader = min(reader_cpu_seconds or 0.0, total)
         whole = total / wall if wall > 0 else 0.0
         seconds = total - reader
-        peak = max(self._peak, largest_process or 0)
+        peak = max(self._peak, largest_process or 0) or None
+        mean = self._byte_seconds / self._memory_seconds if self._memory_seconds > 0 else 0.0
         return Usage(
             cpu=CpuUsage(
                 mean_cores=seconds / wall if wall > 0 else 0.0,
@@ -219,9 +220,9 @@ class Accounting:
             ),
             memory=MemoryUsage(
                 peak_bytes=peak,
-                mean_bytes=self._byte_seconds / self._memory_seconds if self._memory_seconds > 0 else peak,
-                anonymous_peak_bytes=self._anonymous_peak,
-                working_set_peak_bytes=self._working_set_peak,
+                mean_bytes=mean or peak,
+                anonymous_peak_bytes=self._anonymous_peak or None,
+                working_set_peak_bytes=self._working_set_peak or None,
                 kernel_peak_bytes=kernel_peak,
             ),
             wall_seconds=wall,
