@@ -39,6 +39,13 @@ _MOST_SHOWN = 8
 _ESTIMATED_SECONDS = 1.0
 """For so long an estimate is shown."""
 
+_AWAITED = (Step.CORES, Step.DATASET, Step.PROGRAM)
+"""What a run waits for before anything is done for itself alone: datasets and programs are made once."""
+
+_MADE_AFTER_SECONDS = 15.0
+_MADE_APART = 0.25
+"""Off a terminal it is said after so long, and after so much of the time passed again, what is being made."""
+
 
 class Naming:
     """Words for the runs of a plan: what varies between them, and nothing that is the same in all.
@@ -74,7 +81,7 @@ class _Followed:
     Attributes:
         naming: words for its runs.
         estimate: how long they take.
-        began: when each that is at work began, s.
+        began: since when something is done for each of those at work alone, s.
         steps: what each of them is at, and since when.
         before: errors before an edit by setting, m.
     """
@@ -111,6 +118,7 @@ class Display:
         self._jobs: dict[str, Job] = {}
         self._followed: dict[str, _Followed] = {}
         self._left: tuple[float, float | None] | None = None
+        self._made: dict[str, tuple[float, float]] = {}
         self._bars = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -183,7 +191,7 @@ class Display:
         if followed is None:
             return
         now = self._clock()
-        if step is not Step.CORES:
+        if step not in _AWAITED:
             followed.began.setdefault(index, now)
         followed.steps[index] = (step, now)
 
@@ -218,8 +226,10 @@ class Display:
         err.print(f"[dim]{done}/{self._total(job)}[/] {run_line(record, words, before)}{ending}")
 
     def tick(self, jobs: Sequence[Job]) -> None:
-        """Move the bars."""
+        """Move the bars; off a terminal, say now and then what runs wait for."""
         self._look()
+        if not self._shows and not speaks_json():
+            self._say_what_is_made()
         for job in jobs:
             task = self._tasks.get(job.uid)
             if task is None:
@@ -240,6 +250,14 @@ class Display:
                 emit("waits", cores=cores, runs=runs)
             else:
                 err.print(f"[dim]{self._elsewhere}[/]")
+
+    def _say_what_is_made(self) -> None:
+        now, making = self._clock(), dict(self._bench.making)
+        self._made = {what: self._made.get(what, (now, now)) for what in making}
+        for what, (since, said) in self._made.items():
+            if now - said >= max(_MADE_AFTER_SECONDS, _MADE_APART * (now - since)):
+                self._made[what] = since, now
+                err.print(f"[dim]{escape(what)}: {making[what]:.0%}, {clock_text(now - since)} so far[/]")
 
     def _rendered(self) -> RenderableType:
         """Return what stands below the lines: a bar a sweep, the time, and what each run is at."""
@@ -303,8 +321,8 @@ class Display:
             job = self._jobs[uid]
             waiting = [index for index in job.order if job.states[index] == PointState.PENDING]
             running = {index: now - moment for index, moment in list(followed.began.items())}
-            # Those that wait for a core have begun nothing yet.
-            waiting += [index for index, (step, _) in list(followed.steps.items()) if step is Step.CORES]
+            steps = list(followed.steps.items())
+            waiting += [index for index, (step, _) in steps if step in _AWAITED and index not in running]
             left = followed.estimate.left(waiting, running, job.at_a_time)
             total = None if left is None or total is None else total + left
         self._left = (now, total)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Progress of `slamhive run` off a terminal: what is said of the time left, and of what runs wait for."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from slamhive.cli.progress import Display
+from slamhive.engine import PointState
+from slamhive.local.outlook import Outlook, Standing
+from slamhive.local.run import Step
+from slamhive.local.runner import Job
+from slamhive.model.results import CpuUsage, Phase, Provenance, RunRecord, Usage
+from slamhive.model.sweep import Sweep
+from slamhive.plan import FixedCatalog, Plan, local_uid
+
+SWEEP = {
+    "apiVersion": "slamhive.io/v1alpha1",
+    "kind": "Sweep",
+    "metadata": {"name": "short"},
+    "spec": {
+        "template": {"spec": {"algorithmRef": {"name": "kiss-icp"}, "datasetRef": {"name": "d"}}},
+        "matrix": [{"path": "parameters.maxRange", "values": [30, 60, 100]}],
+    },
+}
+
+
+class Clock:
+    """A clock that stands still unless it is moved."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def bench() -> Any:
+    return SimpleNamespace(making={}, archive=SimpleNamespace(wall_seconds=lambda *_: {}))
+
+
+@pytest.fixture
+def job() -> Job:
+    sweep = Sweep.model_validate(SWEEP)
+    points = Plan(sweep, FixedCatalog(), strict=False)
+    job = Job(sweep, local_uid(sweep), points)
+    job.outlook = Outlook(bytearray([Standing.NEW] * 3))
+    return job
+
+
+def test_what_is_made_once_is_not_expected_of_each_run(
+    job: Job, bench: Any, clock: Clock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    display = Display(bench, clock=clock)
+    display.begun(job)
+    for moment, step in ((0, Step.DATASET), (100, Step.PROGRAM), (300, Step.RECORDING), (301, Step.RUNNING)):
+        clock.now = moment
+        display.step(job, 0, step)
+    clock.now = 305
+    job.states[0] = PointState.SUCCEEDED
+    point = job.points.point(0)
+    record = RunRecord(
+        uid="a",
+        name=point.name,
+        index=0,
+        spec=point.spec,
+        phase=Phase.SUCCEEDED,
+        provenance=Provenance(),
+        usage=Usage(wall_seconds=4.0, cpu=CpuUsage(seconds=3.0)),
+        results=[],
+    )
+    display.finished(job, record)
+    assert "1/3 maxRange 30: 3.0 CPU s, – · 0:10 left" in capsys.readouterr().err
+
+
+def test_off_a_terminal_it_is_said_now_and_then_what_runs_wait_for(
+    bench: Any, clock: Clock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    display = Display(bench, clock=clock)
+    for second in range(101):
+        clock.now = second
+        bench.making = {"generating the dataset hall (once)": second / 200} if second < 90 else {}
+        display.tick([])
+    assert capsys.readouterr().err.splitlines() == [
+        f"generating the dataset hall (once): {share}%, {time} so far"
+        for share, time in ((8, "0:15"), (15, "0:30"), (22, "0:45"), (30, "1:00"), (40, "1:20"))
+    ]
