@@ -15,6 +15,7 @@ import pytest
 from slamhive.analysis import Outcomes, Selection, choose
 from slamhive.figures.asking import Kind, Log, Wish
 from slamhive.figures.making import picture
+from slamhive.figures.paper import Paper
 from slamhive.figures.pictures import Axis, Box, Dots, Line, Missing, Panel, Picture, Tiles
 from slamhive.figures.styles import Style
 from slamhive.figures.widths import WIDTHS, parse_width
@@ -431,3 +432,25 @@ def test_outcomes_all_draws_them_hollow(study: Path) -> None:
     assert sum(sum(mark.hollow) for number in range(3) for mark in marks(found, Dots, number)) == 1
     with pytest.raises(InputError, match="--outcomes"):
         made(study, Kind.REPETITIONS, outcomes=Outcomes.ALL)
+
+
+def test_one_path_has_its_name_and_matplotlib_says_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    from slamhive.figures.drawing import Drawing, rendered
+
+    path = np.linspace(0.0, 9.0, 20)
+    axis = Axis("x [m]", log=False, robust=False)
+    found = Picture(
+        axis,
+        axis,
+        (Panel("", (Line(-1, path, path**2), Line(0, path, path**2))),),
+        ("",),
+        (),
+        {},
+        1,
+        equal=True,
+        truth=True,
+    ).settled()
+    legend = Drawing(found, WIDTHS["ieee-column"]).draw().legends[0]
+    assert [text.get_text() for text in legend.get_texts()] == ["ground truth", "estimate"]
+    assert rendered(found, Paper(WIDTHS["ieee-column"]), "pdf", {}).startswith(b"%PDF")
+    assert not caplog.records

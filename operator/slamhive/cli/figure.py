@@ -107,6 +107,9 @@ def figure(
     caption = " ".join(
         f"{note if note.startswith('n = ') else note[:1].upper() + note[1:]}." for note in notes
     )
+    from slamhive.figures.drawing import leave_out_documents
+
+    leave_out_documents()
     command = shlex.join(["slamhive", *sys.argv[1:]])
     save(made, path, paper, command=command, revision=revision(frame), caption=caption)
     runs = "1 run" if made.runs == 1 else f"{made.runs:,} runs"

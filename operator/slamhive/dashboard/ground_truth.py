@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import glob
 import math
+import re
 import time
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -11,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.data.slamhive1 import GroundTruthFolder
 from slamhive.model.errors import SlamHiveError
 from slamhive_eval import EvaluationError, Trajectory, read_tum
 
@@ -21,8 +22,12 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
+    from slamhive.model.dataset import Dataset
+
 _KEPT = 8
 _KEPT_SECONDS = 60.0
+_DIGITS = re.compile(r"-[0-9a-f]{16}")
+"""What stands behind a dataset's name in the name of the folder that was generated of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +83,12 @@ class Truths:
         return truth
 
     def _in_folders(self, dataset: str, label: str | None) -> Truth | None:
-        for folder in self._folders:
+        folders = [folder for folder in self._folders if folder.is_dir()]
+        if not folders:
+            return None
+        from slamhive.data.slamhive1 import GroundTruthFolder  # noqa: PLC0415 - brings the whole language
+
+        for folder in folders:
             for name in dict.fromkeys((dataset, label)):
                 if name is None or "/" in name or name.startswith("."):
                     continue
@@ -98,22 +108,45 @@ class Truths:
 
 
 def _of_home(home: Path, dataset: str) -> Truth | None:
-    # Readers of recordings come with these: seconds and megabytes that a dashboard in a cluster never needs.
-    from slamhive.data.entries import DatasetEntry  # noqa: PLC0415
-    from slamhive.data.groundtruth import ground_truth  # noqa: PLC0415
-    from slamhive.local.catalog import load_workshop  # noqa: PLC0415
+    from slamhive.local.catalog import load_datasets  # noqa: PLC0415 - a cluster's dashboard never needs it
     from slamhive.local.home import Home  # noqa: PLC0415
 
-    place = load_workshop(Home.at(home)).dataset_places.get(dataset)
-    if place is None:
-        return None
-    if place.dataset.spec.recording.synthetic is not None:
-        made = sorted(home.glob(f"datasets/{dataset}-*/groundtruth.txt"))
-        return Truth(read_tum(made[-1]), np.eye(4)) if made else None
+    place = load_datasets(Home.at(home)).get(dataset)
+    if place is None or place.dataset.spec.recording.synthetic is not None:
+        made = _generated(home, place.dataset if place is not None else None, dataset)
+        return Truth(read_tum(made), np.eye(4)) if made is not None else None
     truth = place.dataset.spec.ground_truth
     if truth is None or truth.file is None or not (place.folder / truth.file).is_file():
         return None
+    # Readers of recordings come with these: seconds and megabytes.
+    from slamhive.data.entries import DatasetEntry  # noqa: PLC0415
+    from slamhive.data.groundtruth import ground_truth  # noqa: PLC0415
+
     found = ground_truth(DatasetEntry(place.dataset, place.folder))
     if found is None or not isinstance(found.poses, Trajectory):
         return None
     return Truth(found.poses, found.T_body_frame)
+
+
+def _generated(home: Path, declared: Dataset | None, dataset: str) -> Path | None:
+    """Return the ground truth that was generated with a dataset's recording; of several the current one's.
+
+    A dataset that stands beside a sweep, in its file, is not in the home's catalog: then it is the latest.
+
+    Args:
+        home: the home.
+        declared: the dataset as the catalog has it.
+        dataset: its name.
+    """
+    if "/" in dataset:
+        return None
+    folders = home.glob(f"datasets/{glob.escape(dataset)}-*")
+    made = [path / "groundtruth.txt" for path in folders if _DIGITS.fullmatch(path.name[len(dataset) :])]
+    made = sorted((path for path in made if path.is_file()), key=lambda path: path.stat().st_mtime)
+    if len(made) > 1 and declared is not None:
+        from slamhive.data.store import made_folder  # noqa: PLC0415 - brings the generator
+
+        current = made_folder(declared, home / "datasets") / "groundtruth.txt"
+        if current in made:
+            return current
+    return made[-1] if made else None

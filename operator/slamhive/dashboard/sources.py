@@ -23,9 +23,9 @@ from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.ground_truth import Truths
 from slamhive.dashboard.problems import Unavailable
 from slamhive.dashboard.underway import UnderWay
-from slamhive.data import slamhive1
 from slamhive.local.removed import absence, run_parts
 from slamhive.model.errors import SlamHiveError
+from slamhive.model.results import IMPORTED
 from slamhive.tables import snapshots
 from slamhive.tables.loading import Loaded, change_mark, load
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from slamhive.dashboard.ground_truth import Truth
     from slamhive.model.results import RunRecord
 
-_IMPORTED = frozenset({"traj.txt", "profiling.csv", "config.yaml"})
+_OF_IMPORTS = frozenset({"traj.txt", "profiling.csv", "config.yaml"})
 """What may be read of a folder that was imported from elsewhere."""
 
 LOOK_SECONDS = 0.5
@@ -379,8 +379,8 @@ class Workstation:
         if not record.folder:
             return None
         folder = Path(record.folder)
-        if record.labels.get("source") == slamhive1.SOURCE:
-            return Place(folder, allowed=_IMPORTED) if folder.is_dir() else None
+        if record.labels.get("source") == IMPORTED:
+            return Place(folder, allowed=_OF_IMPORTS) if folder.is_dir() else None
         parts = run_parts(record.folder)
         if self._home is None or parts is None or self.absence(record) is not None:
             return None

@@ -120,15 +120,31 @@ def load_workshop(home: Home | None = None) -> Workshop:
     """
     workshop = Workshop()
     # The home's own come last, so that an entry there replaces the one of that name that comes with slamhive.
-    sources = [(bundled("algorithms"), "algorithm.yaml"), (bundled("examples") / "datasets", "*.yaml")]
+    _read(workshop, bundled("algorithms"), "algorithm.yaml")
+    _read(workshop, bundled("examples") / "datasets", "*.yaml")
     if home is not None:
-        sources += [(home.path / "algorithms", "algorithm.yaml"), (home.path / "datasets", "dataset.yaml")]
-    for folder, pattern in sources:
-        found = folder.glob(pattern if "*" in pattern else f"*/{pattern}")
-        for path in sorted(found):
-            if not path.parent.name.startswith("."):  # half made, or half removed
-                workshop.add(load_file(path), path.parent)
+        _read(workshop, home.path / "algorithms", "algorithm.yaml")
+        _read(workshop, home.path / "datasets", "dataset.yaml")
     return workshop
+
+
+def load_datasets(home: Home) -> Mapping[str, DatasetPlace]:
+    """Read the datasets of `load_workshop` alone, which takes a fifth of the time.
+
+    Raises:
+        ManifestError: a file of the catalog doesn't follow the language.
+    """
+    workshop = Workshop()
+    _read(workshop, bundled("examples") / "datasets", "*.yaml")
+    _read(workshop, home.path / "datasets", "dataset.yaml")
+    return workshop.dataset_places
+
+
+def _read(workshop: Workshop, folder: Path, pattern: str) -> None:
+    """Take in what the manifests of a folder declare: those in it, or one in each folder of it."""
+    for path in sorted(folder.glob(pattern if "*" in pattern else f"*/{pattern}")):
+        if not path.parent.name.startswith("."):  # half made, or half removed
+            workshop.add(load_file(path), path.parent)
 
 
 def link_algorithm(folder: Path, home: Home, *, built: bool = True) -> str:
