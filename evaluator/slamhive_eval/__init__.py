@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from slamhive_eval.metrics import Statistics, ape_errors, rpe_errors
     from slamhive_eval.motion import Smoothness, smoothness, velocities, velocity_errors
     from slamhive_eval.pairs import find_pairs
+    from slamhive_eval.points import ControlPoints, PointErrors, evaluate_points
     from slamhive_eval.preparing import Preparation, Prepared, prepare
     from slamhive_eval.relations import RelationErrors, Relations, evaluate_relations, read_relations
     from slamhive_eval.relative import ScaleDrift, SubTrajectoryErrors, scale_drift, sub_trajectory_errors
@@ -97,6 +98,7 @@ _MODULES = {
     "metrics": ("Statistics", "ape_errors", "rpe_errors"),
     "pairs": ("find_pairs",),
     "relations": ("RelationErrors", "Relations", "evaluate_relations", "read_relations"),
+    "points": ("ControlPoints", "PointErrors", "evaluate_points"),
     "handeye": ("HandEye", "hand_eye"),
     "preparing": ("Preparation", "Prepared", "prepare"),
     "robust": ("align_robustly",),
@@ -170,6 +172,9 @@ __all__ = [  # noqa: RUF022 - by concept, not by letter
     "RelationErrors",
     "read_relations",
     "evaluate_relations",
+    "ControlPoints",
+    "PointErrors",
+    "evaluate_points",
     "kitti_errors",
     "KittiErrors",
     "sub_trajectory_errors",

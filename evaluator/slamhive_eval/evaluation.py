@@ -279,8 +279,7 @@ def evaluate(
         Errors, coverage and outcome. Too few common poses make a lost run, with a sentence that says why.
 
     Raises:
-        OptionError: An option that isn't allowed, or an extrinsic with a lever arm for ground truth
-            without orientations.
+        OptionError: An option that isn't allowed, or a lever arm where neither has orientations.
     """
     options = options or Options()
     if estimate is None:
@@ -293,8 +292,6 @@ def evaluate(
             reference_poses=len(reference),
             estimate_poses=0,
         )
-    if options.extrinsic is not None and not reference.oriented and np.any(options.extrinsic[:3, 3]):
-        raise OptionError("the ground truth has no orientations: it can't be moved by an extrinsic")
     how = options.preparation
     problem, clock = "", None
     try:
@@ -326,7 +323,7 @@ def evaluate(
     )
     if len(pairs) < MIN_POSES:
         return replace(result, message=problem or _too_few(reference, estimate, pairs, options))
-    return _measured(result, pairs, kept, lay(truth, kept, how), options)
+    return _measured(result, pairs, lay(truth, kept, how), options)
 
 
 def judge(coverage: Coverage, ate: Statistics, scale: float | None, options: Options) -> tuple[Outcome, str]:
@@ -370,11 +367,9 @@ def _too_few(reference: Trajectory, estimate: Trajectory, pairs: Association, op
     )
 
 
-def _measured(
-    result: Evaluation, pairs: Association, estimate: Trajectory, laid: Prepared, options: Options
-) -> Evaluation:
+def _measured(result: Evaluation, pairs: Association, laid: Prepared, options: Options) -> Evaluation:
     """The result with alignment, errors and outcome of associated trajectories."""
-    alignment, reference, aligned = laid.alignment, laid.reference, laid.estimate
+    alignment, reference, aligned, estimate = laid.alignment, laid.reference, laid.estimate, laid.matched
     errors = metrics.ape_errors(reference, aligned)
     notes, rpe, rotation_errors = result.notes + alignment.notes, options.rpe, np.empty(0)
     if reference.oriented and aligned.oriented:

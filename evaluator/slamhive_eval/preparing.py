@@ -6,22 +6,28 @@ In this order: the estimate's clock, the poses that belong together, the frame o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import numpy as np
+
+from slamhive_eval import rotation
 from slamhive_eval.alignment import METHODS, Alignment, Method, align
 from slamhive_eval.association import DEFAULT_GAP_SECONDS, MATCHINGS, Matching, match
 from slamhive_eval.errors import OptionError
+from slamhive_eval.trajectory import Trajectory, check_rigid
 
 if TYPE_CHECKING:
     from slamhive_eval.handeye import HandEye
     from slamhive_eval.robust import Loss
     from slamhive_eval.rotation import FloatArray
     from slamhive_eval.timing import TimeOffset
-    from slamhive_eval.trajectory import Trajectory
 
 Clock = Literal["given", "offset", "drift"]
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
+_LEVER_METRES = 1e-9
+_MOST_ROUNDS = 100
+_SETTLED = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +170,11 @@ def lay(
 ) -> Prepared:
     """Lay poses that belong together, pose k to pose k, into one frame of the body and one world.
 
+    Ground truth is moved by the extrinsic, never the estimate, unless it is of positions alone: a lever arm
+    needs an orientation, and the estimate's is the only one there is. Its alignment's notes say so.
+
     Raises:
-        OptionError: A number out of bounds.
+        OptionError: A number out of bounds, or a lever arm where neither has orientations.
         TrajectoryError: The poses don't determine what was to be found from them.
     """
     found = None
@@ -174,12 +183,56 @@ def lay(
 
         found = hand_eye(reference, estimate, with_scale=asked.alignment in ("sim3", "scale"))
         reference = reference.moved(found.extrinsic)
+    elif asked.extrinsic is not None and not reference.oriented:
+        lever = _lever(asked.extrinsic)
+        if lever is not None:
+            return _laid_by_lever(reference, estimate, lever, asked, clock)
     elif asked.extrinsic is not None:
         reference = reference.moved(asked.extrinsic)
-    if asked.robust is None:
-        alignment = align(reference, estimate, asked.alignment, asked.first_poses)
-    else:
-        from slamhive_eval.robust import align_robustly  # noqa: PLC0415 - few ask for it
-
-        alignment = align_robustly(reference, estimate, asked.alignment, asked.robust, asked.keep)
+    alignment = _aligned(reference, estimate, asked)
     return Prepared(reference, alignment.apply(estimate), estimate, alignment, clock, found)
+
+
+def _aligned(reference: Trajectory, estimate: Trajectory, asked: Preparation) -> Alignment:
+    if asked.robust is None:
+        return align(reference, estimate, asked.alignment, asked.first_poses)
+    from slamhive_eval.robust import align_robustly  # noqa: PLC0415 - few ask for it
+
+    return align_robustly(reference, estimate, asked.alignment, asked.robust, asked.keep)
+
+
+def _lever(extrinsic: FloatArray) -> FloatArray | None:
+    """Where the ground truth's frame is in the estimate's, in m, shape (3,); None where it is there too."""
+    matrix = check_rigid(extrinsic)
+    lever: FloatArray = -matrix[:3, :3].T @ matrix[:3, 3]
+    return lever if np.abs(lever).max() > _LEVER_METRES else None
+
+
+def _laid_by_lever(
+    reference: Trajectory,
+    estimate: Trajectory,
+    lever: FloatArray,
+    asked: Preparation,
+    clock: TimeOffset | None,
+) -> Prepared:
+    """Positions beside an estimate that was moved to their frame by its own orientations.
+
+    A lever arm is in m, an unscaled estimate isn't: the arm is divided by the scale of the alignment, round
+    after round until that stays.
+    """
+    if not estimate.oriented:
+        raise OptionError("neither ground truth nor estimate has orientations: no lever arm can be applied")
+    turned = rotation.rotate(estimate.quaternions, np.broadcast_to(lever, estimate.positions.shape))
+    scale = 1.0
+    for _ in range(_MOST_ROUNDS):
+        moved = Trajectory(estimate.stamps, estimate.positions + turned / scale, estimate.quaternions)
+        alignment = _aligned(reference, moved, asked)
+        if not alignment.scale > 0 or abs(alignment.scale - scale) <= _SETTLED * scale:
+            break
+        scale = alignment.scale
+    note = (
+        f"the ground truth has positions alone, of a frame {np.linalg.norm(lever):.3g} m away from the "
+        "estimate's: the estimate was moved there by its own orientations, whose errors are part of these"
+    )
+    alignment = replace(alignment, notes=(*alignment.notes, note))
+    return Prepared(reference, alignment.apply(moved), moved, alignment, clock)

@@ -10,7 +10,7 @@ from slamhive.data.inspection import inspect
 from slamhive.data.posetopics import poses_of_topic
 from slamhive.data.recordings import Recording, guess_format
 from slamhive.model.errors import DataError
-from slamhive_eval import Relations, read_tum
+from slamhive_eval import ControlPoints, Relations, read_tum
 
 TUM = "1600000000.0 1 2 3 0 0 0 1\n1600000001.0 2 2 3 0 0 0 1\n1600000002.0 3 2 3 0 0 0 1\n"
 EUROC = "#timestamp\n1600000000000000000,1,2,3,1,0,0,0,0\n1600000001000000000,2,2,3,1,0,0,0,0\n"
@@ -138,6 +138,36 @@ def test_relations_are_kept_as_they_are(shared: Path, tmp_path: Path, bag_with_t
     assert isinstance(found.poses, Relations)
     write_ground_truth(entry, found, tmp_path / "copy")
     assert (tmp_path / "copy").read_text() == text
+
+
+@pytest.mark.parametrize("form", ["ControlPoints", "Table"])
+def test_positions_are_written_without_orientations(tmp_path: Path, bag_with_truth: Any, form: str) -> None:
+    (tmp_path / "gt").write_text(TUM)
+    columns = {"table": {"columns": ["t", "tx", "ty", "tz"]}}
+    holes = [{"start": 1600000000.5, "end": 1600000001.5}]
+    entry = bag_with_truth(tmp_path, groundTruth={"file": "gt", "format": form, "holes": holes, **columns})
+    found = ground_truth(entry)
+    assert found.kind == ("points" if form == "ControlPoints" else "positions")
+    assert isinstance(found.poses, ControlPoints) == (form == "ControlPoints")
+    write_ground_truth(entry, found, tmp_path / "out")
+    text = "# t x y z\n1600000000.0 1.0 2.0 3.0\n1600000002.0 3.0 2.0 3.0\n"
+    assert (tmp_path / "out").read_text() == text
+    report = inspect(entry)
+    assert report.ground_truth.kind == found.kind
+    assert report.errors == []
+
+
+@pytest.mark.parametrize(
+    ("step", "form", "warned"), [(15, "Tum", True), (15, "ControlPoints", False), (1, "Tum", False)]
+)
+def test_truth_too_sparse_to_be_met_is_warned_of(
+    tmp_path: Path, bag_with_truth: Any, step: int, form: str, *, warned: bool
+) -> None:
+    (tmp_path / "gt").write_text("".join(f"{1600000000 + k * step} {k} 2 3 0 0 0 1\n" for k in range(4)))
+    entry = bag_with_truth(tmp_path, groundTruth={"file": "gt", "format": form})
+    sentences = [one for one in inspect(entry).warnings if "declare format: ControlPoints" in one]
+    assert len(sentences) == warned
+    assert not warned or "its 4 poses are 15 s apart typically" in sentences[0]
 
 
 def test_what_is_written_is_read_as_the_same_poses(tmp_path: Path, bag_with_truth: Any) -> None:

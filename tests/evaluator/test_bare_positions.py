@@ -3,17 +3,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from slamhive_eval import OptionError, Options, Trajectory, ape_errors, evaluate, find_pairs, rpe_errors
+from slamhive_eval import (
+    OptionError,
+    Options,
+    Trajectory,
+    ape_errors,
+    evaluate,
+    find_pairs,
+    rotation,
+    rpe_errors,
+)
 from slamhive_eval.relative import sub_trajectory_errors
 from slamhive_eval.report import report_data
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from slamhive_eval.alignment import Method
 
 
 @pytest.fixture(name="bare")
@@ -55,8 +67,29 @@ def test_lever_arms_and_sub_trajectories_need_them(
 ) -> None:
     lever = np.eye(4)
     lever[0, 3] = 0.1
-    with pytest.raises(OptionError, match="can't be moved by an extrinsic"):
-        evaluate(bare, wander(), Options(extrinsic=lever))
+    with pytest.raises(OptionError, match="no lever arm can be applied"):
+        evaluate(bare, bare, Options(extrinsic=lever))
     assert evaluate(bare, wander(), Options(extrinsic=np.eye(4))).ate.rmse < 1e-9
     with pytest.raises(OptionError, match="need orientations"):
         sub_trajectory_errors(bare, wander(), (1.0,))
+
+
+@pytest.mark.parametrize(("alignment", "scale"), [("se3", 1.0), ("sim3", 1.0), ("sim3", 7.5), ("none", 1.0)])
+def test_a_prism_is_reached_by_the_orientations_of_the_estimate(
+    wander: Callable[..., Trajectory], alignment: Method, scale: float
+) -> None:
+    """What a tracker sees is a prism on the body; the estimate is that of a camera, perhaps without scale."""
+    body, prism, camera = wander(), np.eye(4), np.eye(4)
+    prism[:3, 3] = -0.294, -0.012, -0.273
+    camera[:3, :3], camera[:3, 3] = rotation.to_matrix(np.array([0.5, -0.5, 0.5, -0.5])), (0.1, 0.3, -0.2)
+    seen = body.moved(prism)
+    truth = Trajectory(seen.stamps, seen.positions, np.tile((0.0, 0, 0, 1), (200, 1)), oriented=False)
+    estimate = body.moved(camera)
+    estimate = Trajectory(estimate.stamps, estimate.positions / scale, estimate.quaternions)
+    options = Options(alignment=alignment, extrinsic=np.linalg.inv(prism) @ camera, has_scale=scale == 1)
+    found = evaluate(truth, estimate, options)
+    assert found.ate.rmse < 1e-9
+    assert found.alignment.scale == pytest.approx(scale, rel=1e-9)
+    assert any("moved there by its own orientations" in note for note in found.notes)
+    without = evaluate(truth, estimate, replace(options, extrinsic=None))
+    assert without.ate.rmse > 0.01

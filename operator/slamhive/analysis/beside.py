@@ -26,20 +26,20 @@ if TYPE_CHECKING:
     from slamhive.analysis.measuring import Subject
     from slamhive.model.evaluation import EvaluationSettings
     from slamhive.model.results import Result
-    from slamhive_eval import Piece, Relations, Trajectory
+    from slamhive_eval import ControlPoints, Piece, Relations, Trajectory
 
 BESIDE = "beside"
 _FILES = {"keyframes": KEYFRAMES, "online": ONLINE}
 _KEPT = (
     *("message", "scale", "estimatePoses", "poses"),
-    *("ate", "ateRotationDeg", "rpe", "relations"),
+    *("ate", "ateRotationDeg", "rpe", "relations", "points"),
 )
 
 
 def with_others(
     result: Result,
     opened: Callable[[str], AbstractContextManager[int]],
-    reference: Trajectory | Relations,
+    reference: Trajectory | Relations | ControlPoints,
     settings: EvaluationSettings,
     subject: Subject,
     *,

@@ -85,7 +85,7 @@ TIMES = frozenset({"created", "started", "finished"})
 MAX_COLUMNS = 1500
 """Columns that a table has at most; an evaluator that invents a name for each run fills no memory."""
 
-LEFT_OUT = frozenset({"transform", "notes"})
+LEFT_OUT = frozenset({"transform", "notes", "pointErrors"})
 """Names of results that are no figures."""
 
 _KEPT = frozenset({"id", "uid", "name", "evaluation", "outcome", "coverage"})

@@ -19,13 +19,16 @@ from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Alignment, EvaluationSettings
 from slamhive.model.results import IntendedEvaluation, Outcome, Result
 from slamhive_eval import (
+    ControlPoints,
     NoPosesError,
     Options,
     Relations,
     RpeOptions,
     Trajectory,
+    TrajectoryError,
     evaluate,
     evaluate_pieces,
+    evaluate_points,
     evaluate_relations,
     number_poses,
     read_tum,
@@ -133,7 +136,7 @@ def settings_hash(settings: EvaluationSettings) -> str:
 
 
 def measure(
-    reference: Trajectory | Relations,
+    reference: Trajectory | Relations | ControlPoints,
     estimate: Trajectory | None,
     settings: EvaluationSettings,
     subject: Subject,
@@ -144,7 +147,7 @@ def measure(
     """Measure an estimate against its dataset's ground truth.
 
     Args:
-        reference: poses of the ground truth, or relations between poses.
+        reference: poses or positions of the ground truth, control points, or relations between poses.
         estimate: what the algorithm wrote; None: it ran to its end and wrote no pose, which is a lost run.
         settings: how to measure.
         subject: what is known of the run.
@@ -159,9 +162,31 @@ def measure(
     if isinstance(reference, Relations):
         name = name or RELATIONS
         return _measure_relations(reference, estimate, settings, subject, name, pieces=pieces)
-    alignment = method(settings, subject)
-    options = Options(
-        alignment=alignment,
+    options = _options(settings, subject)
+    if isinstance(reference, ControlPoints):
+        values = _measure_points(reference, estimate, options, pieces)
+    elif pieces is None or estimate is None:
+        values = evaluate(reference, estimate, options).as_dict()
+    else:
+        values = evaluate_pieces(reference, estimate, pieces, options, most=_MOST_MAPS)
+    outcome = Outcome(values.pop("outcome"))
+    coverage = values.pop("coverage")
+    return Result(
+        evaluation=name or options.alignment,
+        outcome=outcome,
+        coverage=coverage,
+        values=_tagged(values, settings),
+    )
+
+
+def _options(settings: EvaluationSettings, subject: Subject) -> Options:
+    """Return the settings in the evaluator's words.
+
+    Raises:
+        InputError: they don't fit the run.
+    """
+    return Options(
+        alignment=method(settings, subject),
         extrinsic=subject.extrinsic if settings.frame == "Estimate" else None,
         max_difference_seconds=seconds(settings.association.max_difference),
         offset_seconds=settings.association.offset,
@@ -180,18 +205,24 @@ def measure(
         has_scale=subject.mode.has_scale,
         window=subject.window,
     )
-    if pieces is None or estimate is None:
-        values = evaluate(reference, estimate, options).as_dict()
-    else:
-        values = evaluate_pieces(reference, estimate, pieces, options, most=_MOST_MAPS)
-    outcome = Outcome(values.pop("outcome"))
-    coverage = values.pop("coverage")
-    return Result(
-        evaluation=name or alignment,
-        outcome=outcome,
-        coverage=coverage,
-        values=_tagged(values, settings),
-    )
+
+
+def _measure_points(
+    reference: ControlPoints, estimate: Trajectory | None, options: Options, pieces: Sequence[Piece] | None
+) -> dict[str, Any]:
+    """Return what the evaluator finds of the estimate's map over the longest path; others share no frame."""
+    outside = 0
+    if pieces is not None and estimate is not None:
+        numbers, _ = number_poses(estimate, pieces)
+        maps = [estimate.select(np.flatnonzero(numbers == k)) for k in np.unique(numbers[numbers >= 0])]
+        if not maps:
+            raise TrajectoryError(f"no pose of the estimate is in a piece of {SEGMENTS}")
+        main = max(maps, key=lambda one: one.path_length)
+        outside, estimate = len(estimate) - len(main), main
+    values = evaluate_points(reference, estimate, options).as_dict()
+    if outside:
+        values["notes"].append(f"{outside} poses that are not of the map over the longest path were left out")
+    return values
 
 
 def read_estimate(path: str | Path) -> Trajectory | None:

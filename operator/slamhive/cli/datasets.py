@@ -48,6 +48,12 @@ MaxRange = Annotated[float | None, typer.Option("--max-range", min=0.01, help="L
 Rings = Annotated[int | None, typer.Option("--rings", min=1, help="LiDAR rings to keep.")]
 
 _MANIFESTS = {".yaml", ".yml"}
+_TRUTH_NOUNS = {
+    "trajectory": "pose",
+    "positions": "position",
+    "points": "control point",
+    "relations": "relation",
+}
 
 
 @app.command("list")
@@ -408,7 +414,7 @@ def _print_report(report: DatasetReport) -> None:
         remark(f"a gap: more than {GAP_PERIODS:g} periods of a sensor's mean rate without a message")
     truth = report.ground_truth
     if truth is not None:
-        noun = "pose" if truth.kind == "trajectory" else "relation"
+        noun = _TRUTH_NOUNS[truth.kind]
         path = f", path {truth.path_metres:.1f} m" if truth.path_metres is not None else ""
         gap = f", longest gap {truth.longest_gap:.2f} s" if truth.longest_gap is not None else ""
         overlap = f", {truth.overlap_seconds:.1f} s overlap" if report.sensors else ""

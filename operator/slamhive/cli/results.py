@@ -361,6 +361,7 @@ def _show_record(record: RunRecord, rows: Sequence[Row]) -> None:
         show(out, ["by evaluation", *(str(row["evaluation"]) for row in rows)], lines)
     for result in record.results:
         _show_relations(result)
+        _show_points(result)
     gone = absence(Home.from_environment().path, record.folder)
     if gone:
         out.print(f"{gone}: only the record is left", style="bold", markup=False)
@@ -385,6 +386,21 @@ def _show_relations(result: Result) -> None:
         lines.append([f"{group['fromSeconds']:g} … {until} s", str(group["count"]), *numbers])
     units = [f"{name} [{unit}]" for unit in ("m", "°") for name in ("mean", "rmse", "max")]
     show(out, ["relations by time", "n", *units], lines)
+
+
+def _show_points(result: Result) -> None:
+    """Show the errors at control points, one by one, and what such points can't say."""
+    errors = result.values.get("pointErrors") or []
+    if not errors:
+        return
+    counts = result.values.get("points") or {}
+    lines = [[f"{one['time']:.3f}", f"{one['error']:.4g}"] for one in errors]
+    show(out, [f"control points, {result.evaluation}: time [s]", "error [m]"], lines)
+    left_out = int(counts.get("met", len(errors))) - len(errors)
+    if left_out > 0:
+        out.print(f"and {plural(left_out, 'point')} with smaller errors")
+    for note in result.values.get("notes") or []:
+        out.print(f"note: {note}", markup=False)
 
 
 def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:

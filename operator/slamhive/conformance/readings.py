@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from slamhive.model.algorithm import Output
     from slamhive.model.results import Result
     from slamhive.model.sensors import SensorMode
-    from slamhive_eval import Relations
+    from slamhive_eval import ControlPoints, Relations
 
     Array = npt.NDArray[np.float64]
 
@@ -102,7 +102,7 @@ class Declared:
 
 
 def readings(
-    declared: Declared, truth: Trajectory | Relations, estimate: Trajectory, result: Result
+    declared: Declared, truth: Trajectory | Relations | ControlPoints, estimate: Trajectory, result: Result
 ) -> Iterator[Finding]:
     """Compare poses as they are declared with other readings of them: frames, the inverse, moved stamps.
 
@@ -157,7 +157,11 @@ def readings(
 
 
 def _fit(
-    declared: Declared, truth: Trajectory | Relations, poses: Trajectory, frame: str, shift: float = 0.0
+    declared: Declared,
+    truth: Trajectory | Relations | ControlPoints,
+    poses: Trajectory,
+    frame: str,
+    shift: float = 0.0,
 ) -> Fit:
     """Return how well poses fit as those of a frame, with their stamps moved."""
     settings = EvaluationSettings(association=Association(offset=shift))
@@ -170,7 +174,11 @@ def _fit(
 
 
 def _together(
-    declared: Declared, best: Fit, limit: float, estimate: Trajectory, truth: Trajectory | Relations
+    declared: Declared,
+    best: Fit,
+    limit: float,
+    estimate: Trajectory,
+    truth: Trajectory | Relations | ControlPoints,
 ) -> Iterator[Finding]:
     """Look for a reading that differs in several ways at once and is better than any that differs in one."""
     found = {}
@@ -184,7 +192,9 @@ def _together(
         yield Finding(Answer.FAIL, "frame and stamp", text, f"the poses are {name}: write or declare that")
 
 
-def misread_stamps(declared: Declared, truth: Trajectory | Relations, estimate: Trajectory) -> Finding:
+def misread_stamps(
+    declared: Declared, truth: Trajectory | Relations | ControlPoints, estimate: Trajectory
+) -> Finding:
     """Say what the stamps of poses are that meet no ground truth: frame indices, or time since the start."""
     stamps, frames = estimate.stamps, declared.stamps
     begin, end = float(frames[0]), float(frames[-1])

@@ -77,6 +77,7 @@ def group_of(name: str) -> str:
         ("ate", "errors"),
         ("rpe", "errors"),
         ("relations.", "errors"),
+        ("points.", "errors"),
     ):
         if name.startswith(prefix):
             return group

@@ -160,7 +160,8 @@ def _against(
     truth, extrinsic = given
     tried = []
     for matrix in (extrinsic, None) if extrinsic is not None else (None,):
-        reference = truth.poses if matrix is None else truth.poses.moved(matrix)
+        still = matrix is None or not truth.poses.oriented  # bare positions have no lever arm
+        reference = truth.poses if still else truth.poses.moved(matrix)
         pairs = associate(reference, poses, _MAX_DIFFERENCE)
         errors = np.full(len(poses), np.nan)
         differences = reference.positions[pairs.reference] - path[pairs.estimate]

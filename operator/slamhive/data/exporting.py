@@ -160,19 +160,27 @@ def _write_beside(
         _write_yaml(folder / MANIFEST, _manifest(order, made, about))
 
 
+_FORMATS: dict[str, dict[str, Any]] = {
+    "relations": {"format": "Relations"},
+    "points": {"format": "ControlPoints"},
+    "positions": {"format": "Table", "table": {"columns": ["t", "tx", "ty", "tz"]}},
+}
+
+
 def _write_truth(
     entry: DatasetEntry, truth: GroundTruthPoses, folder: Path, cache: Path | None
 ) -> dict[str, Any]:
-    """Write ground truth: poses of the body in TUM format, or relations as they are; say what it is."""
+    """Write ground truth, poses as those of the body in TUM format, all else as it is; return what it is."""
     pose = truth.T_body_frame
-    if isinstance(truth.poses, Trajectory) and not np.array_equal(pose, np.eye(4)):
+    if isinstance(truth.poses, Trajectory) and truth.poses.oriented and not np.array_equal(pose, np.eye(4)):
         write_tum(folder / "groundtruth.txt", truth.poses.moved(np.linalg.inv(pose).astype(np.float64)))
         return {"file": "groundtruth.txt"}
-    name = "groundtruth.relations" if truth.is_relations else "groundtruth.txt"
+    name = f"groundtruth.{'txt' if truth.kind == 'poses' else truth.kind}"
     write_ground_truth(entry, truth, folder / name, cache)
-    if truth.is_relations:
-        return {"file": name, "format": "Relations", "T_body_frame": pose.tolist()}
-    return {"file": name}
+    if truth.kind == "poses":
+        return {"file": name}
+    about = {"file": name, **_FORMATS[truth.kind]}
+    return about | {"T_body_frame": pose.tolist()}
 
 
 def _manifest(order: Order, made: Made, truth: dict[str, Any] | None) -> dict[str, Any]:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ground truth as the evaluator reads it: TUM lines, or relations, whatever the dataset keeps it as."""
+"""Ground truth as the evaluator reads it: TUM lines, positions, control points or relations.
+
+Whatever a dataset keeps it as, it is read and written for evaluators here.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from slamhive.model.canonical import digest
 from slamhive.model.dataset import TruthFormat
 from slamhive.model.errors import DataError
 from slamhive_eval import (
+    ControlPoints,
     EvaluationError,
     Relations,
     Trajectory,
@@ -35,6 +39,7 @@ if TYPE_CHECKING:
 
     from slamhive.data.entries import DatasetEntry
     from slamhive.model.dataset import GroundTruth
+    from slamhive.model.variant import TruthKind
 
 VERSION = 1
 """Raised when conversion makes something else of the same input."""
@@ -48,17 +53,22 @@ class GroundTruthPoses:
     """The reference that runs on a dataset are measured against.
 
     Attributes:
-        poses: Poses over time, or relations between pairs of times; poses in declared holes are left out.
+        poses: Poses over time, perhaps positions alone; relations between pairs of times; or control points.
+            What lies in declared holes is left out, of relations nothing.
         T_body_frame: Pose in the body of the frame that they are poses of, (4, 4).
     """
 
-    poses: Trajectory | Relations
+    poses: Trajectory | Relations | ControlPoints
     T_body_frame: npt.NDArray[np.float64]
 
     @property
-    def is_relations(self) -> bool:
-        """Tell whether there are relations instead of poses."""
-        return isinstance(self.poses, Relations)
+    def kind(self) -> TruthKind:
+        """Return what it is, as a variant's description and the reports of datasets call it."""
+        if isinstance(self.poses, Relations):
+            return "relations"
+        if isinstance(self.poses, ControlPoints):
+            return "points"
+        return "poses" if self.poses.oriented else "positions"
 
 
 def ground_truth(entry: DatasetEntry, cache: Path | None = None) -> GroundTruthPoses | None:
@@ -84,13 +94,15 @@ def ground_truth(entry: DatasetEntry, cache: Path | None = None) -> GroundTruthP
         raise DataError(f"dataset {entry.name!r}: ground truth: {error}") from None
     if isinstance(poses, Trajectory) and truth.holes:
         poses = _without_holes(poses, truth, entry.name)
+    if isinstance(poses, Trajectory) and truth.format is TruthFormat.CONTROL_POINTS:
+        poses = ControlPoints.of(poses)
     return GroundTruthPoses(poses, _frame(entry, truth))
 
 
 def write_ground_truth(
     entry: DatasetEntry, truth: GroundTruthPoses, path: Path, cache: Path | None = None
 ) -> None:
-    """Write a dataset's ground truth as evaluators get it: TUM lines, or relations as they are.
+    """Write a dataset's ground truth as evaluators get it: TUM lines, ``t x y z``, or relations as they are.
 
     What was read from TUM lines keeps its digits, so that reading it again gives the very same poses.
 
@@ -104,6 +116,9 @@ def write_ground_truth(
         DataError: It can't be read any more.
         OSError: The disk refuses.
     """
+    if truth.kind in ("positions", "points") and not isinstance(truth.poses, Relations):
+        _write_positions(truth.poses, path)
+        return
     spec = entry.dataset.spec.ground_truth
     source = _lines_of(entry, spec, cache)
     if isinstance(truth.poses, Trajectory) and (spec is None or source is None):
@@ -116,6 +131,13 @@ def write_ground_truth(
     if isinstance(truth.poses, Trajectory) and spec is not None and spec.holes:
         text = "\n".join(line for line in text.split("\n") if not _lies_in_hole(line, spec))
     path.write_text(text, encoding="utf-8")
+
+
+def _write_positions(truth: Trajectory | ControlPoints, path: Path) -> None:
+    """Write positions with all their digits, a time in s before each."""
+    rows = np.column_stack((truth.stamps, truth.positions)).tolist()
+    lines = [" ".join(map(repr, row)) for row in rows]
+    path.write_text("\n".join(["# t x y z", *lines, ""]), encoding="utf-8")
 
 
 def _lines_of(entry: DatasetEntry, truth: GroundTruth | None, cache: Path | None) -> Path | None:
@@ -132,7 +154,9 @@ def _lies_in_hole(line: str, truth: GroundTruth) -> bool:
     return bool(words) and any(hole.start <= float(words[0]) <= hole.end for hole in truth.holes)
 
 
-def require_overlap(truth: Trajectory | Relations, start: float, end: float, where: str) -> None:
+def require_overlap(
+    truth: Trajectory | Relations | ControlPoints, start: float, end: float, where: str
+) -> None:
     """Check that ground truth covers some of a recording.
 
     Args:
@@ -154,9 +178,9 @@ def require_overlap(truth: Trajectory | Relations, start: float, end: float, whe
         )
 
 
-def truth_range(truth: Trajectory | Relations) -> tuple[float, float]:
+def truth_range(truth: Trajectory | Relations | ControlPoints) -> tuple[float, float]:
     """Return the first and last time of ground truth, s."""
-    if isinstance(truth, Trajectory):
+    if not isinstance(truth, Relations):
         return float(truth.stamps[0]), float(truth.stamps[-1])
     times = np.concatenate((truth.begin, truth.end))
     return float(times.min()), float(times.max())

@@ -21,7 +21,8 @@ from slamhive.data.thinning import rate_of
 from slamhive.model.dataset import fills, sensor_for
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import ROLES
-from slamhive_eval import Trajectory
+from slamhive_eval import Relations, Trajectory
+from slamhive_eval.coverage import REFERENCE_GAP_SECONDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -95,13 +96,14 @@ class TruthReport:
     """What the ground truth is like.
 
     Attributes:
-        kind: ``trajectory`` or ``relations``.
-        count: Number of poses or relations.
+        kind: ``trajectory``, ``positions``, ``points`` or ``relations``.
+        count: Number of poses, positions, control points or relations.
         first: First time, s.
         last: Last time, s.
         overlap_seconds: How much of the recording lies between them, s.
         path_metres: Length of the path; None for relations.
         longest_gap: Longest span between poses, s; None for relations.
+        usual_gap: Median span between poses, s; None for relations.
     """
 
     kind: str
@@ -111,6 +113,7 @@ class TruthReport:
     overlap_seconds: float
     path_metres: float | None
     longest_gap: float | None
+    usual_gap: float | None = None
 
 
 @dataclass(frozen=True)
@@ -188,6 +191,7 @@ def inspect(
     truth = _truth(entry, cache, span, errors)
     if truth is not None and truth.kind == "trajectory":
         warnings += _truth_shares(spec, sensors, truth)
+    warnings += _sparse_truth(truth)
     stated, length = spec.recording.duration_seconds, span[1] - span[0] if span else None
     if stated and length is not None and abs(stated - length) > max(_RATE_TOLERANCE * stated, 1.0):
         warnings.append(f"recording.durationSeconds: states {stated:g} s, the messages last {length:.3f} s")
@@ -373,6 +377,21 @@ def _suspicions(report: SensorReport, sensor: Sensor) -> list[str]:
     return problems
 
 
+def _sparse_truth(truth: TruthReport | None) -> list[str]:
+    """Warn of ground truth with so much time between poses that few of an estimate's poses would meet one."""
+    if truth is None or truth.kind not in ("trajectory", "positions") or truth.count < 2:
+        return []
+    if truth.usual_gap is None or truth.usual_gap <= REFERENCE_GAP_SECONDS:
+        return []
+    sentence = (
+        f"groundTruth: its {truth.count} poses are {truth.usual_gap:.3g} s apart typically: an estimate "
+        "meets few of them within association.maxDifference (10 ms), and spans of more than "
+        f"{REFERENCE_GAP_SECONDS:g} s between poses count as holes, so that runs come out Lost; if these are "
+        "surveyed points, declare format: ControlPoints, and the estimate is interpolated to them"
+    )
+    return [sentence]
+
+
 def _truth(
     entry: DatasetEntry, cache: Path | None, span: tuple[float, float] | None, errors: list[str]
 ) -> TruthReport | None:
@@ -387,14 +406,14 @@ def _truth(
     except DataError as error:
         errors.append(str(error))
         return None
-    is_path = isinstance(truth, Trajectory)
-    steps = np.diff(truth.stamps) if isinstance(truth, Trajectory) else np.array([])
+    steps = np.array([]) if isinstance(truth, Relations) else np.diff(truth.stamps)
     return TruthReport(
-        kind="trajectory" if is_path else "relations",
+        kind="trajectory" if found.kind == "poses" else found.kind,
         count=len(truth),
         first=first,
         last=last,
         overlap_seconds=max(0.0, min(last, span[1]) - max(first, span[0])) if span else 0.0,
         path_metres=truth.path_length if isinstance(truth, Trajectory) else None,
         longest_gap=float(steps.max()) if steps.size else None,
+        usual_gap=float(np.median(steps)) if steps.size else None,
     )

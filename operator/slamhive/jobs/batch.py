@@ -28,7 +28,17 @@ from slamhive.jobs.opening import opened
 from slamhive.jobs.program import parse
 from slamhive.jobs.requests import RunItem
 from slamhive.model.errors import DataError, SlamHiveError
-from slamhive_eval import EvaluationError, Relations, Trajectory, read_relations, read_segments, read_tum
+from slamhive_eval import (
+    ControlPoints,
+    EvaluationError,
+    Relations,
+    TableFormat,
+    Trajectory,
+    read_columns,
+    read_relations,
+    read_segments,
+    read_tum,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -41,7 +51,8 @@ _SEGMENTS_BYTES = 1 << 20
 _WORKER_BYTES = 192 << 20
 _SPARE = 0.9
 
-Truth = Trajectory | Relations
+Truth = Trajectory | Relations | ControlPoints
+_POSITIONS = TableFormat(("t", "tx", "ty", "tz"))
 
 
 @dataclass(frozen=True)
@@ -215,6 +226,11 @@ def _read_truth(folder: Path, name: str) -> Truth | str:
     try:
         if relations.is_file():
             return read_relations(relations)
+        for ending in ("points", "positions"):
+            path = folder / f"{name}.{ending}"
+            if path.is_file():
+                found = read_columns(path, _POSITIONS)
+                return ControlPoints.of(found) if ending == "points" else found
         if not poses.is_file():
             return f"dataset {name!r} has no ground truth"
         truth = read_tum(poses)

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 _UID = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 _KEY = re.compile(r"[0-9a-f]{32}")
 _GENERATED = re.compile(r"(?P<name>.+)-[0-9a-f]{16}")
-_TRUTH = re.compile(r"(?P<name>[^.].*?)\.(txt|relations|rotations\.npy)")
+_TRUTH = re.compile(r"(?P<name>[^.].*?)\.(txt|relations|points|positions|rotations\.npy)")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _ASIDE = re.compile(r"\..+\.making|\.fetching-.+|\..+\.removing")
 _EVALUATION = re.compile(r"evaluate-[0-9a-f]{20}")

@@ -107,8 +107,9 @@ def _fetch(asset: FetchedAsset, where: str, aside: Path) -> None:
 def place_truth(entry: DatasetEntry, truth: GroundTruthPoses | None, folder: Path, cache: Path) -> None:
     """Lay a dataset's ground truth where evaluators find it.
 
-    ``NAME.txt`` are poses, ``NAME.relations`` relations. ``NAME.rotations.npy`` are the rotation matrices of
-    a file that holds such: they are orthonormal to their digits only, which errors have in them.
+    ``NAME.txt`` are poses, ``NAME.positions`` and ``NAME.points`` positions and control points (``t x y z``),
+    ``NAME.relations`` relations. ``NAME.rotations.npy`` are the rotation matrices of a file that holds such:
+    they are orthonormal to their digits only, which errors have in them.
 
     Raises:
         DataError: it can't be read.
@@ -118,11 +119,11 @@ def place_truth(entry: DatasetEntry, truth: GroundTruthPoses | None, folder: Pat
     poses = None if truth is None else truth.poses
     wanted: dict[str, Callable[[Path], object]] = {}
     if truth is not None:
-        ending = "relations" if truth.is_relations else "txt"
+        ending = "txt" if truth.kind == "poses" else truth.kind
         wanted[ending] = partial(write_ground_truth, entry, truth, cache=cache)
     if isinstance(poses, Trajectory) and poses.rotations is not None:
         wanted["rotations.npy"] = partial(_write_array, poses.rotations)
-    for ending in ("txt", "relations", "rotations.npy"):
+    for ending in ("txt", "relations", "points", "positions", "rotations.npy"):
         place = folder / f"{entry.name}.{ending}"
         if ending in wanted:
             write_aside(place, wanted[ending])
@@ -157,7 +158,7 @@ def _describe(
         source_sha256=variant.source_sha256,
         dataset_sha256=dataset_sha256(entry, hashes),
         size_bytes=sum(path.stat().st_size for path in files),
-        ground_truth=None if truth is None else "relations" if truth.is_relations else "poses",
+        ground_truth=None if truth is None else truth.kind,
         T_body_frame=None if truth is None else truth.T_body_frame.tolist(),
         extrinsics={name: sensor.T_body_sensor for name, sensor in spec.sensors.items()}
         | {view.name: view.T_body_sensor for view in variant.sensors.values()},

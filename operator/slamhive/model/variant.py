@@ -14,6 +14,9 @@ from slamhive.model.sensors import Extrinsics  # noqa: TC001 - the type of a fie
 FolderName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=128)]
 """A folder's own name: no path, so that it leads nowhere else."""
 
+TruthKind = Literal["poses", "positions", "points", "relations"]
+"""What ground truth is: poses, positions without orientation, control points, or relations between times."""
+
 
 class VariantDescription(PreparedRecording):
     """A variant on the data volume, as its preparation writes it and the operator reads it."""
@@ -27,7 +30,7 @@ class VariantDescription(PreparedRecording):
     source_sha256: str = Field(max_length=64)
     dataset_sha256: str = Field(max_length=64)
     size_bytes: int = Field(default=0, ge=0, le=2**53)
-    ground_truth: Literal["poses", "relations"] | None = None
+    ground_truth: TruthKind | None = None
     T_body_frame: Extrinsics | None = Field(default=None, alias="T_body_frame")
     extrinsics: dict[str, Extrinsics] = Field(default_factory=dict)
     gravity_aligned: bool | None = Field(
