@@ -8,7 +8,7 @@ a share of the points instead of a path. Runs against such datasets and ``slamhi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,6 +101,7 @@ class PointErrors:
         scale: Of the Sim(3) alignment whatever the method, None where it isn't determined.
         errors: Distance at each point that is met, in m, shape (met,).
         ate: Statistics of them, or None.
+        laid: The points that are met and the estimate there, aligned; None where it couldn't be.
         notes: Sentences on what was done and left out.
     """
 
@@ -114,6 +115,7 @@ class PointErrors:
     scale: float | None = None
     errors: FloatArray | None = None
     ate: Statistics | None = None
+    laid: Prepared | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
 
     @property
@@ -294,5 +296,6 @@ def _judged(result: PointErrors, laid: Prepared, options: Options) -> PointError
         scale=scale,
         errors=errors,
         ate=ate,
+        laid=laid,
         notes=result.notes + alignment.notes,
     )

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from slamhive_eval import metrics
-from slamhive_eval.commands import measuring
+from slamhive_eval.commands import measuring, tables
 from slamhive_eval.commands.output import Measured
 
 if TYPE_CHECKING:
@@ -20,10 +20,17 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.description = "Absolute pose error of estimates against ground truth."
     parser.epilog = "Example: slamhive-eval ape groundtruth.txt trajectory.txt --align sim3 --json"
     measuring.add_pair(parser)
+    parser.add_argument(
+        "--details", action="store_true", help="control points: print the error at each of them too"
+    )
 
 
 def run(asked: argparse.Namespace) -> int:
     """Measure and print."""
+    if asked.reference_format == tables.CONTROL_POINTS:
+        from slamhive_eval.commands import control_points  # noqa: PLC0415 - few ask for it
+
+        return control_points.measure(asked)
     return measuring.measure(asked, _errors)
 
 

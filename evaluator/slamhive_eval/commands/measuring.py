@@ -10,7 +10,9 @@ import argparse
 from typing import TYPE_CHECKING, Any, cast
 
 from slamhive_eval import alignment, association, files, metrics
-from slamhive_eval.commands import output
+from slamhive_eval.column_tables import read_columns
+from slamhive_eval.commands import output, tables
+from slamhive_eval.errors import OptionError
 from slamhive_eval.preparing import Preparation, prepare
 
 if TYPE_CHECKING:
@@ -46,7 +48,10 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("reading")
     group.add_argument("--format", choices=files.FORMATS, help="format of the estimates (default: found out)")
     group.add_argument(
-        "--reference-format", choices=files.FORMATS, help="format of the ground truth (default: found out)"
+        "--reference-format",
+        choices=(*files.FORMATS, *tables.FORMATS),
+        help="format of the ground truth (default: found out); table: as --columns says; control-points: "
+        "positions at instants, t x y z or as --columns says, which ape alone measures",
     )
     group.add_argument("--topic", metavar="TOPIC", help="topic of the estimates, for recordings")
     group.add_argument("--reference-topic", metavar="TOPIC", help="topic of the ground truth, for recordings")
@@ -56,6 +61,7 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
         help="stamps of KITTI poses; without it line k pairs with line k, or by the frame index "
         "where lines of 13 numbers begin with one",
     )
+    tables.add(parser)
     add_by_index(group)
     group.add_argument(
         "--sort", action="store_true", help="sort the poses of EST by time instead of refusing"
@@ -189,7 +195,17 @@ def alignment_method(asked: argparse.Namespace, name: str) -> alignment.Method:
 
 
 def read_reference(asked: argparse.Namespace) -> Trajectory:
-    """The ground truth."""
+    """The ground truth.
+
+    Raises:
+        OptionError: It is control points, or what is said of its columns doesn't fit.
+        FileError: It can't be read.
+    """
+    form = tables.form(asked)
+    if asked.reference_format == tables.CONTROL_POINTS:
+        raise OptionError("control points are positions at a few instants: only ape measures against them")
+    if form is not None:
+        return read_columns(asked.reference, form, asked.times)
     return files.read_trajectory(
         asked.reference, asked.reference_format, times=asked.times, topic=asked.reference_topic
     )
