@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "batch": ("slamhive_eval.commands.batch", "many estimates, one JSON object a line"),
     "traj": ("slamhive_eval.commands.traj", "what trajectories are like; convert, move, match, cut them"),
     "relations": ("slamhive_eval.commands.relations", "errors over pairwise relations"),
+    "score": ("slamhive_eval.commands.score", "score of a public challenge"),
 }
 """Module and one line of help by name, in the order of ``--help``; see `slamhive_eval.commands`."""
 

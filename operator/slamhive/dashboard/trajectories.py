@@ -160,8 +160,9 @@ def _against(
     truth, extrinsic = given
     tried = []
     for matrix in (extrinsic, None) if extrinsic is not None else (None,):
-        still = matrix is None or not truth.poses.oriented  # bare positions have no lever arm
-        reference = truth.poses if still else truth.poses.moved(matrix)
+        # Bare positions have no orientation by which they could be moved.
+        moves = truth.poses.oriented
+        reference = truth.poses.moved(matrix) if matrix is not None and moves else truth.poses
         pairs = associate(reference, poses, _MAX_DIFFERENCE)
         errors = np.full(len(poses), np.nan)
         differences = reference.positions[pairs.reference] - path[pairs.estimate]

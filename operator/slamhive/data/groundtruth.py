@@ -95,7 +95,7 @@ def ground_truth(entry: DatasetEntry, cache: Path | None = None) -> GroundTruthP
     if isinstance(poses, Trajectory) and truth.holes:
         poses = _without_holes(poses, truth, entry.name)
     if isinstance(poses, Trajectory) and truth.format is TruthFormat.CONTROL_POINTS:
-        poses = ControlPoints.of(poses)
+        return GroundTruthPoses(ControlPoints.of(poses), _frame(entry, truth))
     return GroundTruthPoses(poses, _frame(entry, truth))
 
 

@@ -119,8 +119,9 @@ def place_truth(entry: DatasetEntry, truth: GroundTruthPoses | None, folder: Pat
     poses = None if truth is None else truth.poses
     wanted: dict[str, Callable[[Path], object]] = {}
     if truth is not None:
-        ending = "txt" if truth.kind == "poses" else truth.kind
-        wanted[ending] = partial(write_ground_truth, entry, truth, cache=cache)
+        wanted["txt" if truth.kind == "poses" else truth.kind] = partial(
+            write_ground_truth, entry, truth, cache=cache
+        )
     if isinstance(poses, Trajectory) and poses.rotations is not None:
         wanted["rotations.npy"] = partial(_write_array, poses.rotations)
     for ending in ("txt", "relations", "points", "positions", "rotations.npy"):
