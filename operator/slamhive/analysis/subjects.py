@@ -62,7 +62,7 @@ def subject_of(algorithm: AlgorithmSpec, mode: SensorMode, given: Surroundings) 
         InputError: the algorithm has no such mode, or no sensor fills the role whose poses it writes.
     """
     output = algorithm.output_of(algorithm.mode(mode))
-    frame = np.eye(4) if output.frame == "body" else np.array(_pose_of(Role(output.frame), given))
+    frame = np.eye(4) if output.frame == "body" else np.array(pose_of_role(Role(output.frame), given))
     return Subject(
         mode=mode,
         extrinsic=np.linalg.inv(np.asarray(given.truth_frame, dtype=np.float64)) @ frame,
@@ -72,7 +72,12 @@ def subject_of(algorithm: AlgorithmSpec, mode: SensorMode, given: Surroundings) 
     )
 
 
-def _pose_of(role: Role, given: Surroundings) -> Matrix4:
+def pose_of_role(role: Role, given: Surroundings) -> Matrix4:
+    """Return T_body_sensor of the sensor that fills a role.
+
+    Raises:
+        InputError: none does.
+    """
     if role in given.by_role:
         return given.by_role[role]
     return given.by_name[sensor_for(role, given.by_name, given.remap)]

@@ -66,6 +66,11 @@ COMMANDS = {
         "figure",
         "Draw a figure for a paper, as PDF, SVG or PNG, with its numbers as CSV beside it.",
     ),
+    "submission": _Command(
+        "submission",
+        "submission",
+        "Write the archive that a challenge wants: one run a sequence, checked, in its form.",
+    ),
     "submit": _Command(
         "cluster", "submit", "Send sweeps, runs and what they need to a cluster, which runs them."
     ),
