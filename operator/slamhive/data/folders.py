@@ -8,9 +8,6 @@ Frame k of one sensor belongs to frame k of all others. `layouts` says where thi
 from __future__ import annotations
 
 import math
-import os
-from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -23,6 +20,7 @@ from slamhive.data.kinds import COMPRESSED_IMAGE, IMAGE, IMU, POINT_CLOUD
 from slamhive.data.layouts import DEPTH_FACTOR, LAYOUTS
 from slamhive.data.rectifying import rectify
 from slamhive.data.transfer import chosen_messages
+from slamhive.data.workers import Workers
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.formats import DataFormat
 from slamhive.model.sensors import Role, SensorType
@@ -53,9 +51,6 @@ _BGR = {"rgb8": cv2.COLOR_RGB2BGR, "rgb16": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLO
 _BGR |= dict.fromkeys(("bgra8", "8UC4"), cv2.COLOR_BGRA2BGR)
 _ENCODINGS = {("u1", 2): "mono8", ("u2", 2): "mono16", ("u1", 3): "bgr8", ("u2", 3): "bgr16"}
 _DEPTH_ENCODING = "16UC1"
-_THREADS = 4
-_WAITING = 2
-"""Images that wait for each thread at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,22 +171,16 @@ class _Frames:
         self._layout = layout
         self._encodings: dict[Role, str] = {}
         self._is_real: set[Role] = set()
-        # The cores of this process: a run's recording is prepared on the run's own.
-        self._count = min(len(os.sched_getaffinity(0)), _THREADS)
-        self._pool = ThreadPoolExecutor(self._count)
-        self._waiting: deque[Future[None]] = deque()
+        self._workers = Workers()
 
     def __enter__(self) -> Self:
+        self._workers.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            while kind is None and self._waiting:
-                self._waiting.popleft().result()
-        finally:
-            self._pool.shutdown(cancel_futures=True)
+        self._workers.__exit__(kind, error, trace)
 
     def take(self, role: Role, stream: Stream, index: int, raw: bytes) -> None:
         """Write one message: frame number `index` of a sensor, or a sample."""
@@ -253,7 +242,7 @@ class _Frames:
             )
         scale = declared.depth_scale if is_depth and declared is not None else None
         path = self._layout.place(role, index, color=pixels.ndim == 3)
-        self._later(lambda: self._write(path, role, _plain(pixels, encoding), scale, where))
+        self._workers.later(lambda: self._write(path, role, _plain(pixels, encoding), scale, where))
 
     def _write(self, path: Path, role: Role, pixels: Pixels, depth_scale: float | None, where: str) -> None:
         if self._changes.resolution != 1.0:
@@ -263,11 +252,6 @@ class _Frames:
         if role in self._plan.maps:
             pixels = cv2.remap(pixels, *self._plan.maps[role], cv2.INTER_LINEAR)
         path.write_bytes(cv2.imencode(".png", pixels, PNG)[1].tobytes())
-
-    def _later(self, write: Callable[[], None]) -> None:
-        while len(self._waiting) >= self._count * _WAITING:
-            self._waiting.popleft().result()
-        self._waiting.append(self._pool.submit(write))
 
 
 def _plain(pixels: Pixels, encoding: str) -> Pixels:

@@ -7,14 +7,15 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import cv2
+import numpy as np
 
 from slamhive.model.errors import DataError
+from slamhive.model.sensors import SensorType
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    import numpy as np
     import numpy.typing as npt
 
     from slamhive.data.rosmessages import BagWriter
@@ -39,12 +40,15 @@ class Stream:
         sensor: The sensor as the manifest has it, with topic, frame, pose and calibration.
         stamps: Header stamps, ns, ascending, shape (n,).
         write: Writes message k into a bag; raises DataError where its file is missing or damaged.
+        load: Reads message k and returns what writes it, to be called ahead on a thread of its own; None
+            where there is nothing to be read.
     """
 
     name: str
     sensor: Sensor
     stamps: Stamps
     write: Callable[[BagWriter, int], None]
+    load: Callable[[int], Callable[[BagWriter], None]] | None = None
 
     @property
     def frame(self) -> str:
@@ -101,13 +105,57 @@ def read_pixels(path: Path) -> Pixels:
     return pixels
 
 
+def camera_pixels(path: Path) -> Pixels:
+    """Return a camera's image in 8 bits, (height, width[, 3]), blue first.
+
+    Of 16 bits the upper 8 are taken, as OpenCV does for programs that read such files: few programs take
+    more. Transparency is left out.
+
+    Raises:
+        DataError: It is missing, or no image.
+    """
+    pixels = read_pixels(path)
+    if pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    return pixels[..., :3] if pixels.ndim == 3 and pixels.shape[2] == 4 else pixels
+
+
+def depth_pixels(path: Path) -> Pixels:
+    """Return a depth image, whole units of 16 bits, (height, width).
+
+    Raises:
+        DataError: It is missing, no image, or not of one channel of 16 bits.
+    """
+    pixels = read_pixels(path)
+    if pixels.ndim != 2 or pixels.dtype != np.uint16:
+        raise DataError(
+            f"{path}: a depth image must have one channel of 16 bits, not {encoding_of(pixels)}; a picture "
+            "of depths can't be measured in"
+        )
+    return pixels
+
+
 def encoding_of(pixels: Pixels) -> str:
     """Return the encoding of an image's pixels, as sensor_msgs/Image has it."""
     return _ENCODINGS.get((pixels.dtype.name, pixels.ndim), "mono8")
 
 
+def loaded_stream(
+    name: str, sensor: Sensor, stamps: Stamps, load: Callable[[int], Callable[[BagWriter], None]]
+) -> Stream:
+    """Return a stream whose messages are read from files.
+
+    Args:
+        name: Of the sensor.
+        sensor: As the manifest has it.
+        stamps: ns, shape (n,).
+        load: Reads message k, on any thread, and returns what writes it.
+    """
+    return Stream(name, sensor, stamps, lambda bag, k: load(k)(bag), load)
+
+
 def camera_stream(name: str, sensor: Sensor, stamps: Stamps, files: list[Path], source: Path) -> Stream:
-    """Return a camera's stream of image files.
+    """Return the stream of image files of a camera, in 8 bits, or of a depth camera.
 
     Args:
         name: Of the sensor.
@@ -120,15 +168,21 @@ def camera_stream(name: str, sensor: Sensor, stamps: Stamps, files: list[Path], 
     if known is None:
         raise ValueError(f"{name}: a camera without intrinsics")
     frame = sensor.frame_id or name
+    is_depth = sensor.type is SensorType.DEPTH_CAMERA
 
-    def write(bag: BagWriter, k: int) -> None:
-        pixels = read_pixels(files[k])
-        _require_fit(pixels, known, files[k], source)
+    def load(k: int) -> Callable[[BagWriter], None]:
+        pixels = depth_pixels(files[k]) if is_depth else camera_pixels(files[k])
+        encoding = known.encoding if is_depth else encoding_of(pixels)
+        _require_fit(pixels, encoding, known, files[k], source)
         stamp = int(stamps[k])
-        bag.camera_info(f"/{frame}/camera_info", stamp, frame, known)
-        bag.image(sensor.topic, stamp, frame, known.encoding, pixels)
 
-    return Stream(name, sensor, stamps, write)
+        def write(bag: BagWriter) -> None:
+            bag.camera_info(f"/{frame}/camera_info", stamp, frame, known)
+            bag.image(sensor.topic, stamp, frame, encoding, pixels)
+
+        return write
+
+    return loaded_stream(name, sensor, stamps, load)
 
 
 def imu_stream(name: str, sensor: Sensor, stamps: Stamps, rates: Array, forces: Array) -> Stream:
@@ -162,14 +216,17 @@ def cloud_stream(
         load: Returns the points of message k, of a structured type with x, y, z in m, shape (m,).
     """
     frame = sensor.frame_id or name
-    return Stream(
-        name, sensor, stamps, lambda bag, k: bag.points(sensor.topic, int(stamps[k]), frame, load(k))
-    )
+
+    def read(k: int) -> Callable[[BagWriter], None]:
+        points = load(k)
+        return lambda bag: bag.points(sensor.topic, int(stamps[k]), frame, points)
+
+    return loaded_stream(name, sensor, stamps, read)
 
 
-def _require_fit(pixels: Pixels, known: Camera, path: Path, source: Path) -> None:
-    if pixels.shape[:2] != (known.height, known.width) or encoding_of(pixels) != known.encoding:
+def _require_fit(pixels: Pixels, encoding: str, known: Camera, path: Path, source: Path) -> None:
+    if pixels.shape[:2] != (known.height, known.width) or encoding != known.encoding:
         raise DataError(
-            f"{path}: {pixels.shape[1]}×{pixels.shape[0]} {encoding_of(pixels)}, but {source} and the first "
+            f"{path}: {pixels.shape[1]}×{pixels.shape[0]} {encoding}, but {source} and the first "
             f"image say {known.width}×{known.height} {known.encoding}"
         )

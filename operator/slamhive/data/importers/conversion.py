@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import heapq
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from slamhive.data.importing import publish
 from slamhive.data.rosmessages import BagWriter
+from slamhive.data.workers import Workers
 from slamhive.model.errors import DataError
 from slamhive_eval import write_tum
 
@@ -60,13 +62,22 @@ def _write_bag(path: Path, contents: Contents, progress: Callable[[float], None]
     poses = {stream.frame: np.array(stream.sensor.T_body_sensor) for stream in contents.streams}
     poses.pop(contents.body, None)
     total = sum(stream.stamps.size for stream in streams)
-    with BagWriter(path) as bag:
+    with BagWriter(path) as bag, Workers() as workers:
         bag.static_transforms(min(int(stream.stamps[0]) for stream in streams), contents.body, poses)
         merged = heapq.merge(*(_events(contents, number) for number in range(len(contents.streams))))
-        for count, (_, _, number, k) in enumerate(merged):
-            contents.streams[number].write(bag, k)
+        loaded = workers.ahead(((number, k), _load(contents, number, k)) for _, _, number, k in merged)
+        for count, ((number, k), write) in enumerate(loaded):
+            if write is None:
+                contents.streams[number].write(bag, k)
+            else:
+                write(bag)
             if progress is not None and count % _SOME == 0:
                 progress(count / total)
+
+
+def _load(contents: Contents, number: int, k: int) -> Callable[[], Callable[[BagWriter], None]] | None:
+    load = contents.streams[number].load
+    return None if load is None else partial(load, k)
 
 
 def _events(contents: Contents, number: int) -> Iterator[tuple[int, bool, int, int]]:

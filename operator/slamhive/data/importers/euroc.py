@@ -1,51 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Import of folders in the ASL layout of the EuRoC MAV dataset: mav0/cam*, imu*, ground truth."""
+"""Import of folders in the ASL layout of the EuRoC MAV dataset, and of those that others publish in it.
+
+``mav0/cam*``, ``imu0`` and ground truth, with the calibration of EuRoC (sensor.yaml), TUM VI (a Kalibr
+camchain), Monado (Basalt's JSON) or LaMAria (JSON; its mav0 is named aria).
+"""
 
 from __future__ import annotations
 
-import csv
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import yaml
 
+from slamhive.data.importers import calibrations
 from slamhive.data.importers.contents import (
     Contents,
     Stream,
     Truth,
+    camera_pixels,
     camera_stream,
     encoding_of,
     imu_stream,
     read_pixels,
 )
+from slamhive.data.importers.lists import NANOSECONDS, read_images, read_samples
+from slamhive.data.thinning import partners, rate_of
 from slamhive.model.dataset import GroundTruth
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import Camera, Sensor
-from slamhive_eval import EvaluationError, read_trajectory
+from slamhive_eval import EvaluationError, Trajectory, read_trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
-    import numpy.typing as npt
-
     from slamhive.data.importers import ImportOptions
+    from slamhive.data.importers.calibrations import Calibration
 
-    Array = npt.NDArray[np.float64]
+TITLE = "a folder in EuRoC's layout (mav0/), also TUM VI's, Monado's and LaMAria's"
 
-TITLE = "a folder in EuRoC's layout (mav0/)"
-
-_DISTORTIONS = {"radial-tangential": "RadialTangential", "equidistant": "Equidistant", "none": "None"}
+_BASES = ("mav0", "aria")
 _TRUTHS = (
     "state_groundtruth_estimate0/data.csv",
+    "mocap0/data.csv",
+    "gt/data.csv",
     "../groundtruth.txt",
     "groundtruth.txt",
+    "../ground_truth/pGT/*.txt",
+    "../ground_truth/pseudo_dense/*.txt",
 )
+_MARKERS = ("vicon0", "leica0")
+_LONG_GAP_SECONDS = 10.0
+
+
+class _Rig(NamedTuple):
+    """Calibration of the sensors by the names of their folders, and the layout that it is in."""
+
+    sensors: dict[str, Calibration]
+    family: str
 
 
 def recognises(source: Path) -> bool:
-    """Tell whether something is a folder with mav0, or mav0 itself."""
-    return (source / "mav0").is_dir() or (source / "cam0").is_dir()
+    """Tell whether something is a folder with mav0 (of LaMAria: aria), or that folder itself."""
+    return (source / "mav0").is_dir() or any((path / "cam0").is_dir() for path in (source, source / "aria"))
 
 
 def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
@@ -56,179 +71,188 @@ def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
     Raises:
         DataError: Something in the folder is missing or damaged.
     """
-    base = source / "mav0" if (source / "mav0").is_dir() else source
-    cameras = _cameras(base)
-    imus = [_imu(path) for path in sorted(base.glob("imu[0-9]")) if (path / "data.csv").is_file()][:1]
+    base = next((source / name for name in _BASES if (source / name).is_dir()), source)
+    cameras = [path for path in sorted(base.glob("cam[0-9]")) if _is_sensor(path, "images")]
+    imus = [path for path in sorted(base.glob("imu[0-9]")) if _is_sensor(path, "samples")][:1]
     if not cameras and not imus:
         raise DataError(
             f"{base}: no cam0/data.csv and no imu0/data.csv in it: not a folder in EuRoC's layout"
         )
+    notes: list[str] = []
+    rig = _calibration(base, cameras, imus, notes)
+    roles = ["camera"] if len(cameras) == 1 else ["left", "right", *(path.name for path in cameras[2:])]
+    streams = [
+        _camera(path, role, rig.sensors[path.name], notes) for path, role in zip(cameras, roles, strict=False)
+    ]
+    _note_pairs(streams, notes)
+    streams += [_imu(path, rig.sensors[path.name], notes) for path in imus]
     return Contents(
-        description="Imported from a folder in EuRoC's layout.",
-        streams=cameras + imus,
-        truth=_truth(base),
+        description=f"Imported from a folder in {rig.family} layout.",
+        streams=streams,
+        truth=_truth(base, streams, notes),
         gravity_aligned=True,
+        notes=notes,
     )
 
 
-def _cameras(base: Path) -> list[Stream]:
-    folders = [path for path in sorted(base.glob("cam[0-9]")) if (path / "data.csv").is_file()]
-    roles = ["camera"] if len(folders) == 1 else ["left", "right", *(path.name for path in folders[2:])]
-    return [_camera(path, role) for path, role in zip(folders, roles, strict=False)]
+def _is_sensor(folder: Path, what: str) -> bool:
+    if (folder / "data.csv").is_file():
+        return True
+    if (folder / "data").is_dir() or (folder / "sensor.yaml").is_file():
+        raise DataError(f"{folder / 'data.csv'} does not exist: it lists the {what} and their stamps")
+    return False
 
 
-def _camera(folder: Path, role: str) -> Stream:
-    path = folder / "sensor.yaml"
-    known = _calibration(path)
-    frames = []
-    for line, (stamp, file) in _rows(folder / "data.csv", 2):
-        image = folder / "data" / file.strip()
-        if not image.is_file():
-            raise DataError(f"{folder / 'data.csv'}, line {line}: {image} does not exist")
-        frames.append((_stamp(stamp, folder / "data.csv", line), image))
-    distortion = str(known.get("distortion_model", "none"))
-    if known.get("camera_model") != "pinhole" or distortion not in _DISTORTIONS:
-        raise DataError(
-            f"{path}: camera_model {known.get('camera_model')!r} with distortion_model {distortion!r} is "
-            f"not known; "
-            f"allowed: pinhole with {', '.join(_DISTORTIONS)}"
-        )
-    fx, fy, cx, cy = _numbers(known, "intrinsics", 4, path)
-    width, height = (int(number) for number in _numbers(known, "resolution", 2, path))
-    coefficients = _coefficients(known, path) if distortion != "none" else []
-    camera = Camera.model_validate(
-        {
-            "width": width,
-            "height": height,
-            "encoding": encoding_of(read_pixels(frames[0][1])),
-            "fx": fx,
-            "fy": fy,
-            "cx": cx,
-            "cy": cy,
-            "distortion": _DISTORTIONS[distortion],
-            "coefficients": _with_k3(coefficients) if distortion == "radial-tangential" else coefficients[:4],
-        }
+def _calibration(base: Path, cameras: list[Path], imus: list[Path], notes: list[str]) -> _Rig:
+    """Read the calibration of all sensors, wherever the layout has it."""
+    names = [path.name for path in cameras]
+    lacking = [path for path in (*cameras, *imus) if not (path / "sensor.yaml").is_file()]
+    around = (base.parent, base)
+    chain = _first(around, "dso/camchain*.yaml", "camchain*.yaml")
+    pinholes = _first(around, "pinhole_calibrations/*.json")
+    basalt = _first(around, "*calib*.json", "extras/*calib*.json", "../extras/*calib*.json")
+    if not lacking:
+        found = {path.name: calibrations.read_asl_camera(path / "sensor.yaml") for path in cameras}
+        found |= {path.name: calibrations.read_asl_imu(path / "sensor.yaml") for path in imus}
+        return _Rig(found, "EuRoC's")
+    if chain is not None:
+        imu = _first((chain.parent,), "imu_config.yaml", "imu*.yaml")
+        found = calibrations.read_kalibr(chain, names)
+        if imu is not None:
+            found |= {path.name: calibrations.read_kalibr_imu(imu) for path in imus}
+        return _Rig(_with_imu(found, imus, chain, notes), "TUM VI's")
+    if pinholes is not None:
+        found = calibrations.read_lamaria(pinholes, names)
+        return _Rig(_with_imu(found, imus, pinholes, notes), "LaMAria's")
+    if basalt is not None:
+        return _Rig(calibrations.read_basalt(basalt, names), "Monado's")
+    raise DataError(
+        f"{lacking[0] / 'sensor.yaml'} does not exist, and there is no calibration of all sensors beside "
+        f"{base.name}: dso/camchain.yaml (TUM VI), calibration.json (Monado) or pinhole_calibrations/*.json "
+        "(LaMAria)"
     )
+
+
+def _first(folders: tuple[Path, ...], *patterns: str) -> Path | None:
+    found = (path for folder in folders for pattern in patterns for path in sorted(folder.glob(pattern)))
+    return next(found, None)
+
+
+def _with_imu(
+    found: dict[str, Calibration], imus: list[Path], source: Path, notes: list[str]
+) -> dict[str, Calibration]:
+    """Add the IMU, which is the body, where nothing is stated of it."""
+    for path in imus:
+        if path.name not in found:
+            found[path.name] = calibrations.Calibration(source, np.eye(4))
+            notes.append(
+                f"{path.name}: its noise is not stated beside {source.name}; typical noise is assumed"
+            )
+    return found
+
+
+def _camera(folder: Path, role: str, known: Calibration, notes: list[str]) -> Stream:
+    images = read_images(folder / "data.csv", folder / "data", NANOSECONDS)
+    notes += images.notes
+    if read_pixels(images.files[0]).dtype == np.uint16:
+        notes.append(f"{folder}: images of 16 bits become images of 8, by the upper 8 bits")
+    camera = known.camera | {"encoding": encoding_of(camera_pixels(images.files[0]))}
     sensor = Sensor.model_validate(
         {
             "type": "Camera",
             "topic": f"/{folder.name}/image_raw",
             "frameId": folder.name,
-            "rate": float(known.get("rate_hz", 20)),
-            "T_body_sensor": _pose(known, path).tolist(),
-            "camera": camera,
+            "rate": known.rate or _measured(images.stamps),
+            "timeOffset": known.time_offset,
+            "T_body_sensor": known.pose.tolist(),
+            "camera": Camera.model_validate(camera),
         }
     )
-    stamps = np.array([stamp for stamp, _ in frames], dtype=np.int64)
-    return camera_stream(role, sensor, stamps, [image for _, image in frames], path)
+    return camera_stream(role, sensor, images.stamps, images.files, known.source)
 
 
-def _imu(folder: Path) -> Stream:
-    path = folder / "sensor.yaml"
-    known = _calibration(path)
-    rows = [(line, row) for line, row in _rows(folder / "data.csv", 7)]
-    stamps = np.array([_stamp(row[0], folder / "data.csv", line) for line, row in rows], dtype=np.int64)
-    try:
-        samples = np.array([row[1:7] for _, row in rows], dtype=np.float64)
-    except ValueError as error:
-        raise DataError(f"{folder / 'data.csv'}: {error}") from None
-    wrong = np.flatnonzero(~np.isfinite(samples).all(axis=1))
-    if wrong.size:
-        raise DataError(f"{folder / 'data.csv'}, line {rows[wrong[0]][0]}: a value is not a finite number")
-    names = {
-        "accelerometerNoise": "accelerometer_noise_density",
-        "gyroscopeNoise": "gyroscope_noise_density",
-        "accelerometerRandomWalk": "accelerometer_random_walk",
-        "gyroscopeRandomWalk": "gyroscope_random_walk",
-    }
-    noise = {key: float(known[name]) for key, name in names.items() if name in known}
+def _imu(folder: Path, known: Calibration, notes: list[str]) -> Stream:
+    samples = read_samples(folder / "data.csv", 6, NANOSECONDS)
+    notes += samples.notes
     sensor = Sensor.model_validate(
         {
             "type": "Imu",
             "topic": f"/{folder.name}",
             "frameId": folder.name,
-            "rate": float(known.get("rate_hz", 200)),
-            "T_body_sensor": _pose(known, path).tolist(),
-            "imu": noise,
+            "rate": known.rate or _measured(samples.stamps),
+            "T_body_sensor": known.pose.tolist(),
+            "imu": known.imu,
         }
     )
-    return imu_stream("imu", sensor, stamps, samples[:, :3], samples[:, 3:])
+    return imu_stream("imu", sensor, samples.stamps, samples.values[:, :3], samples.values[:, 3:])
 
 
-def _calibration(path: Path) -> dict[str, Any]:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}") from None
-    # OpenCV's header is not YAML's, nor are its tags.
-    lines = [line for line in text.splitlines() if not line.startswith("%YAML")]
-    try:
-        known = yaml.safe_load("\n".join(lines).replace("!!opencv-matrix", ""))
-    except yaml.YAMLError as error:
-        raise DataError(f"{path}: not YAML: {getattr(error, 'problem', error)}") from None
-    if not isinstance(known, dict):
-        raise DataError(f"{path}: no calibration in it")
-    return known
+def _measured(stamps: np.ndarray[tuple[int], np.dtype[np.int64]]) -> float | None:
+    rate = rate_of(stamps)
+    return None if rate is None else round(rate, 3)
 
 
-def _pose(known: dict[str, Any], path: Path) -> Array:
-    block = known.get("T_BS")
-    values = np.array(block.get("data", []) if isinstance(block, dict) else [], dtype=np.float64)
-    if values.size != 16:
-        raise DataError(f"{path}: T_BS: 16 numbers are needed, found {values.size}")
-    pose = values.reshape(4, 4)
-    pose[3] = 0.0, 0.0, 0.0, 1.0
-    return pose
+def _note_pairs(streams: list[Stream], notes: list[str]) -> None:
+    """Say how many frames of a pair have no partner: rows of the same number don't belong together then."""
+    if len(streams) < 2:
+        return
+    left, right = streams[:2]
+    rate = rate_of(left.stamps)
+    pairs = partners(left.stamps, right.stamps, 0.5e9 / rate if rate else 0.5e9)
+    alone = int(np.count_nonzero(pairs < 0))
+    rest = right.stamps.size - (pairs.size - alone)
+    if alone or rest:
+        notes.append(
+            f"{left.name} and {right.name} have {left.stamps.size} and {right.stamps.size} images; "
+            f"{alone} and {rest} of them have no partner. Images are paired by their stamps"
+        )
 
 
-def _coefficients(known: dict[str, Any], path: Path) -> list[float]:
-    """Return all coefficients: EuRoC's own files have four, others may have those of more terms."""
-    values = known.get("distortion_coefficients")
-    return _numbers(
-        known, "distortion_coefficients", max(4, len(values) if isinstance(values, list) else 0), path
-    )
-
-
-def _with_k3(coefficients: list[float]) -> list[float]:
-    return [*coefficients, 0.0] if len(coefficients) == 4 else coefficients
-
-
-def _numbers(known: dict[str, Any], key: str, count: int, path: Path) -> list[float]:
-    values = known.get(key)
-    if not isinstance(values, list) or len(values) < count:
-        raise DataError(f"{path}: {key}: {count} numbers are needed, found {values!r}")
-    return [float(value) for value in values[:count]]
-
-
-def _rows(path: Path, columns: int) -> Iterator[tuple[int, list[str]]]:
-    found = False
-    with path.open(encoding="utf-8", newline="") as file:
-        for line, row in enumerate(csv.reader(file), start=1):
-            if not row or row[0].lstrip().startswith("#"):
-                continue
-            if len(row) < columns:
-                raise DataError(f"{path}, line {line}: {columns} values are needed, found {len(row)}")
-            found = True
-            yield line, row
-    if not found:
-        raise DataError(f"{path}: no rows in it")
-
-
-def _stamp(text: str, path: Path, line: int) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise DataError(f"{path}, line {line}: {text!r} is not a time stamp in ns") from None
-
-
-def _truth(base: Path) -> Truth | None:
-    source = next((base / path for path in _TRUTHS if (base / path).is_file()), None)
+def _truth(base: Path, streams: list[Stream], notes: list[str]) -> Truth | None:
+    source = next((path for pattern in _TRUTHS if (path := _first((base,), pattern)) is not None), None)
     if source is None:
+        markers = [name for name in _MARKERS if (base / name).is_dir()]
+        if markers:
+            notes.append(
+                f"no ground truth: {' and '.join(markers)} hold poses of a marker, not of the body, and are "
+                "left out"
+            )
         return None
     manifest = GroundTruth(file="groundtruth.txt")
-    if source.suffix == ".txt":
-        return Truth(manifest, source)
     try:
-        return Truth(manifest, read_trajectory(source, "euroc"))
+        poses = _poses(source)
     except EvaluationError as error:
         raise DataError(f"ground truth: {error}") from None
+    if source.parent.name.startswith("state_") and "V1_01" in str(base.parent.name):
+        notes.append(
+            "the orientation of V1_01's published ground truth is inaccurate; OpenVINS (ov_data) offers a "
+            "recomputed one"
+        )
+    _note_gap(poses, streams, notes)
+    return Truth(manifest, source if source.name == "groundtruth.txt" else poses)
+
+
+def _poses(source: Path) -> Trajectory:
+    if source.suffix == ".csv":
+        return read_trajectory(source, "euroc")
+    poses = read_trajectory(source, "tum") if source.name == "groundtruth.txt" else None
+    # LaMAria's have the columns of TUM, but stamps in ns.
+    return poses or _in_nanoseconds(source)
+
+
+def _in_nanoseconds(source: Path) -> Trajectory:
+    samples = read_samples(source, 7, NANOSECONDS)
+    return Trajectory(samples.stamps / 1e9, samples.values[:, :3], samples.values[:, 3:])
+
+
+def _note_gap(poses: Trajectory, streams: list[Stream], notes: list[str]) -> None:
+    """Say where ground truth is absent for long: TUM VI's is, but in a room."""
+    steps = np.diff(poses.stamps)
+    gap = int(np.argmax(steps)) if steps.size else 0
+    if steps.size and steps[gap] > _LONG_GAP_SECONDS:
+        start = min(float(stream.stamps[0]) for stream in streams) / 1e9
+        first, last = poses.stamps[gap] - start, poses.stamps[gap + 1] - start
+        notes.append(
+            f"ground truth has no poses from {first:.0f} to {last:.0f} s of the recording: only the rest is "
+            "measured"
+        )
