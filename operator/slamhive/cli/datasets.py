@@ -91,7 +91,8 @@ def add(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="SOURCE", help="A manifest, a bag, an EuRoC folder (with mav0/) or a CARMEN log."
+            metavar="SOURCE",
+            help="A manifest, a bag, a folder as EuRoC, TUM and others publish it, or a CARMEN log.",
         ),
     ],
     *,
@@ -105,7 +106,7 @@ def add(
 ) -> None:
     """Make a dataset known: from its manifest, or from what is found in a recording.
 
-    A bag gets a manifest in this folder, to be completed and added then. EuRoC folders and CARMEN logs
+    A bag gets a manifest in this folder, to be completed and added then. Folders of images and CARMEN logs
     are converted into the home and are known at once.
 
     Example: slamhive dataset add my.bag --name hall

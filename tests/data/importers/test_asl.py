@@ -153,7 +153,9 @@ def test_lamaria(asl: Any, imported: Any, tmp_path: Path) -> None:
     (folder / "ground_truth" / "pGT").mkdir(parents=True)
     rows = [f"{START + 50_000_000 * k} {k} 0 0 0 0 0 1" for k in range(4)]
     (folder / "ground_truth" / "pGT" / "R_01.txt").write_text("\n".join(rows) + "\n")
+    (folder / "ground_truth" / "control_points").mkdir()
     found = imported(folder, "Euroc")
+    assert "control points are left out: they are seen in images" in found.notes
     assert found.sensors["left"].camera.distortion == "None"
     assert np.allclose(np.diag(np.array(found.sensors["left"].T_body_sensor)), [-1, -1, 1, 1])
     assert ground_truth(found.entry).poses.stamps[0] == pytest.approx(START / 1e9)
@@ -173,9 +175,8 @@ def test_stereo_is_paired_by_stamp_in_folders(
     folders = ("mav0/cam0/data", "mav0/cam1/data") if form is DataFormat.EUROC else ("image_0", "image_1")
     left, right = (sorted((variant.path / folder).glob("*.png")) for folder in folders)
     assert [path.name for path in left] == [path.name for path in right]
-    if form is DataFormat.EUROC:
-        values = [[int(cv2.imread(str(path), 0)[0, 0]) for path in paths] for paths in (left, right)]
-        assert values == [[1, 2, 5, 6, 8], [1, 2, 5, 6, 8]]
+    values = [[int(cv2.imread(str(path), 0)[3, 4]) for path in paths] for paths in (left, right)]
+    assert values == [[1, 2, 5, 6, 8], [1, 2, 5, 6, 8]]
     assert variant.frames == 5
 
 

@@ -50,7 +50,11 @@ class LayoutModule(Protocol):
         """
 
 
-LAYOUTS = {"Euroc": "euroc", "TumRgbd": "tum_rgbd", "Carmen": "carmen"}
+LAYOUTS = {
+    "Euroc": "euroc",
+    "TumRgbd": "tum_rgbd",
+    "Carmen": "carmen",
+}
 """Modules by the names of their layouts, as catalogues name them, in the order in which they are tried."""
 
 

@@ -229,6 +229,11 @@ def _truth(base: Path, streams: list[Stream], notes: list[str]) -> Truth | None:
             "recomputed one"
         )
     _note_gap(poses, streams, notes)
+    if any((base.parent / "ground_truth" / name).is_dir() for name in ("control_points", "sparse")):
+        notes.append(
+            "LaMAria's control points are left out: they are seen in images, not passed by the body; the "
+            "pseudo-dense poses are the ground truth"
+        )
     return Truth(manifest, source if source.name == "groundtruth.txt" else poses)
 
 
