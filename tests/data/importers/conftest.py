@@ -90,7 +90,7 @@ def asl(png: Any) -> Callable[..., Path]:
                 if (n, k) in missing:
                     continue
                 stamp = START + 50_000_000 * k + 1000 * n
-                value = (k + 1) * (257 if dtype == np.uint16 else 1)
+                value = (k + 1) * 256 + 99 if dtype == np.uint16 else k + 1
                 png(folder / base / f"cam{n}" / "data" / f"{stamp}.png", value, dtype=dtype)
                 rows.append(f"{stamp},{stamp}.png")
             (folder / base / f"cam{n}" / "data.csv").write_text("\n".join(rows) + "\n")

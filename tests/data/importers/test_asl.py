@@ -12,6 +12,7 @@ import pytest
 
 from slamhive.data.exporting import export_dataset
 from slamhive.data.groundtruth import ground_truth
+from slamhive.data.importers import ImportOptions, layout_module
 from slamhive.data.inspection import inspect
 from slamhive.data.preparation import prepare
 from slamhive.model.errors import DataError
@@ -233,6 +234,8 @@ def test_rows_out_of_order_are_sorted(euroc: Any, imported: Any, tmp_path: Path)
     path = folder / "mav0" / "cam0" / "data.csv"
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join([head, *rows[4:], *rows[:4]]) + "\n")
+    left = layout_module("Euroc").read(folder, ImportOptions()).streams[0]
+    assert left.stamps.tolist() == [START + 50_000_000 * k for k in range(8)]
     found = imported(folder, "Euroc")
     assert found.first_pixels("left") == [1, 2, 3, 4, 5, 6, 7, 8]
     assert "1 rows are stamped before the one above them; sorted by time" in found.notes
