@@ -87,7 +87,8 @@ def _events(contents: Contents, number: int) -> Iterator[tuple[int, bool, int, i
     """
     stream = contents.streams[number]
     is_frame = stream.sensor.type.has_frames
-    return ((stamp, is_frame, number, k) for k, stamp in enumerate(stream.stamps.tolist()))
+    # A list of all would take more memory than the array itself, several times.
+    return ((int(stamp), is_frame, number, k) for k, stamp in enumerate(stream.stamps))
 
 
 def _write_truth(truth: Truth, folder: Path) -> None:

@@ -97,8 +97,8 @@ def read_images(path: Path, folder: Path, unit: int) -> Images:
             f"{path}: {len(missing)} of {len(missing) + len(files)} images do not exist and are left out: "
             f"{names}{more}"
         )
-    times, order, unsorted = _in_order(np.array(stamps, dtype=np.int64), path)
-    return Images(times, [files[k] for k in order.tolist()], notes + unsorted)
+    times, order, unsorted = _in_order(np.frombuffer(stamps, dtype=np.int64), path)
+    return Images(times, files if order is None else [files[k] for k in order.tolist()], notes + unsorted)
 
 
 def read_samples(path: Path, columns: int, unit: int) -> Samples:
@@ -117,8 +117,9 @@ def read_samples(path: Path, columns: int, unit: int) -> Samples:
         stamps.append(_time(words[0], unit, path, line))
         for word in words[1 : 1 + columns]:
             values.append(_number(word, path, line))
-    times, order, notes = _in_order(np.array(stamps, dtype=np.int64), path)
-    return Samples(times, np.array(values).reshape(-1, columns)[order], notes)
+    table = np.frombuffer(values).reshape(-1, columns)
+    times, order, notes = _in_order(np.frombuffer(stamps, dtype=np.int64), path)
+    return Samples(times, table if order is None else table[order], notes)
 
 
 def _rows(path: Path, columns: int, *, rest: bool = False) -> Iterator[tuple[int, list[str]]]:
@@ -173,9 +174,14 @@ def _number(word: str, path: Path, line: int) -> float:
     return value
 
 
-def _in_order(stamps: Stamps, path: Path) -> tuple[Stamps, npt.NDArray[np.intp], list[str]]:
-    """Return stamps in the order of time, where each was, and a note if they weren't."""
+def _in_order(stamps: Stamps, path: Path) -> tuple[Stamps, npt.NDArray[np.intp] | None, list[str]]:
+    """Return stamps in the order of time; where each was, and a note, if they weren't."""
     back = int(np.count_nonzero(np.diff(stamps) < 0))
+    if not back:
+        return stamps, None, []
     order = np.argsort(stamps, kind="stable")
-    notes = [f"{path}: {back} rows are stamped before the one above them; sorted by time"] if back else []
-    return stamps[order], order, notes
+    return (
+        stamps[order],
+        order,
+        [f"{path}: {back} rows are stamped before the one above them; sorted by time"],
+    )
