@@ -53,6 +53,7 @@ class LayoutModule(Protocol):
 LAYOUTS = {
     "Euroc": "euroc",
     "TumRgbd": "tum_rgbd",
+    "Kitti": "kitti",
     "Carmen": "carmen",
 }
 """Modules by the names of their layouts, as catalogues name them, in the order in which they are tried."""
