@@ -54,6 +54,7 @@ LAYOUTS = {
     "Euroc": "euroc",
     "TumRgbd": "tum_rgbd",
     "Kitti": "kitti",
+    "KittiRaw": "kitti_raw",
     "Carmen": "carmen",
 }
 """Modules by the names of their layouts, as catalogues name them, in the order in which they are tried."""
