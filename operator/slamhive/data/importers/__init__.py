@@ -55,6 +55,8 @@ LAYOUTS = {
     "TumRgbd": "tum_rgbd",
     "Kitti": "kitti",
     "KittiRaw": "kitti_raw",
+    "MulRan": "mulran",
+    "HeLiPR": "helipr",
     "Carmen": "carmen",
 }
 """Modules by the names of their layouts, as catalogues name them, in the order in which they are tried."""
