@@ -57,6 +57,8 @@ LAYOUTS = {
     "KittiRaw": "kitti_raw",
     "MulRan": "mulran",
     "HeLiPR": "helipr",
+    "Boreas": "boreas",
+    "Nclt": "nclt",
     "Carmen": "carmen",
 }
 """Modules by the names of their layouts, as catalogues name them, in the order in which they are tried."""
