@@ -58,6 +58,8 @@ LAYOUTS = {
     "MulRan": "mulran",
     "HeLiPR": "helipr",
     "Boreas": "boreas",
+    "TartanAir": "tartanair",
+    "Replica": "replica",
     "Nclt": "nclt",
     "Carmen": "carmen",
 }
