@@ -93,10 +93,15 @@ def add(
         typer.Argument(
             metavar="SOURCE",
             help="A manifest, a bag, a folder as EuRoC, TUM and others publish it, or a CARMEN log.",
+            metavar="SOURCE", help="A manifest, a bag, a folder of a known dataset, or a CARMEN log."
         ),
     ],
     *,
     name: Annotated[str | None, typer.Option("--name", help="Name of the dataset.")] = None,
+    sequence: Annotated[
+        str | None,
+        typer.Option("--sequence", help="Which sequence, drive or LiDAR of a folder that holds several."),
+    ] = None,
     relations: Annotated[
         Path | None, typer.Option("--relations", help="Ground truth of a CARMEN log: a .relations file.")
     ] = None,
@@ -107,6 +112,7 @@ def add(
     """Make a dataset known: from its manifest, or from what is found in a recording.
 
     A bag gets a manifest in this folder, to be completed and added then. Folders of images and CARMEN logs
+    A bag gets a manifest in this folder, to be completed and added then. Folders and CARMEN logs
     are converted into the home and are known at once.
 
     Example: slamhive dataset add my.bag --name hall
@@ -126,7 +132,7 @@ def add(
         return
     folder = home.folder("datasets") / chosen
     with _place(home, chosen, replace=replace), Work(f"importing {chosen}") as work:
-        options = ImportOptions(relations=relations)
+        options = ImportOptions(sequence=sequence, relations=relations)
         _, notes = import_recording(source, folder, chosen, layout, options=options, progress=work.share)
     for sentence in notes:
         remark(f"- {sentence}")

@@ -248,3 +248,18 @@ def _require_same_poses(entry: Any, found: Any, first: Any) -> None:
     assert body.stamps.tolist() == expected.stamps.tolist()
     assert np.abs(body.positions - expected.positions).max() < 1e-9
     assert np.abs(body.matrices - expected.matrices).max() < 1e-9
+
+
+def test_a_sequence_is_added_by_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from typer.testing import CliRunner
+
+    from slamhive.cli.datasets import app
+
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
+    write_sequence(tmp_path / "kitti", "07")
+    write_sequence(tmp_path / "kitti", "08")
+    order = ["add", str(tmp_path / "kitti"), "--name", "kitti-08", "--sequence", "08"]
+    result = CliRunner().invoke(app, order, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert "deskewed already" in " ".join(result.output.split())
+    assert "kitti-08" in CliRunner().invoke(app, ["list"]).output
