@@ -160,8 +160,8 @@ def measure(folder: Path, layout: str, rounds: int, *, with_copy: bool = True) -
         shutil.rmtree(out)
     copy = f"a copy {_speed(size, len(files), copies)}, " if copies else ""
     print(
-        f"{layout} · {_speed(size, len(files), times)}; peak memory {max(peaks):.0f} MB · {copy}{size:.0f} MB "
-        f"in {len(files)} files, best of {rounds}",
+        f"{layout} · {_speed(size, len(files), times)}; peak memory {max(peaks):.0f} MB · {copy}"
+        f"{size:.0f} MB in {len(files)} files, best of {rounds}",
         flush=True,
     )
 
