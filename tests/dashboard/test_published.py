@@ -137,3 +137,15 @@ async def test_over_common_support_a_run_that_broke_off_gains_nothing(api: Any) 
     assert all(run["problem"] is None for run in runs.values())
     assert runs[63]["common"] == pytest.approx(runs[63]["own"], rel=0.1)
     assert not any("can't be reproduced" in note for note in group["notes"])
+
+
+async def test_printed_numbers_stand_beside_the_runs_and_not_among_them(api: Any) -> None:
+    before = (await api.get(f"/analysis/aggregate?metrics=ate.rmse&by=dataset&dataset={DESK}"))["groups"]
+    found = await api.get(f"/analysis/published?dataset={DESK}")
+    after = (await api.get(f"/analysis/aggregate?metrics=ate.rmse&by=dataset&dataset={DESK}"))["groups"]
+    assert before == after
+    assert {item["dataset"] for item in found["items"]} == {DESK}
+    first = next(item for item in found["items"] if item["system"].endswith("nFeatures 500"))
+    assert first["values"]["ate.rmse"] == pytest.approx(0.00807)
+    assert first["where"] == "ICRA 2023, Table IV"
+    assert not any("aligned by" in sentence for sentence in found["why"])

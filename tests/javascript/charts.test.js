@@ -21,7 +21,11 @@ import {
   toldApart,
 } from '../../operator/slamhive/dashboard/static/charts/ratios.js';
 import { labelRoom } from '../../operator/slamhive/dashboard/static/charts/rows.js';
-import { scatter } from '../../operator/slamhive/dashboard/static/charts/scatter.js';
+import {
+  publishedSeries,
+  publishedText,
+  scatter,
+} from '../../operator/slamhive/dashboard/static/charts/scatter.js';
 import { spreadChart, suspectChart } from '../../operator/slamhive/dashboard/static/charts/spread.js';
 import { overTime, plane } from '../../operator/slamhive/dashboard/static/charts/trajectory.js';
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
@@ -497,4 +501,21 @@ test('repetitions are drawn over the median of their configuration', () => {
       [2, 0],
     ],
   );
+});
+
+test('published numbers are hollow marks where they have both numbers', () => {
+  const axes = {
+    x: { name: 'usage.memory.peakBytes', title: 'memory', factor: 2 ** -20, values: [2 ** 20] },
+    y: { name: 'ate.rmse', title: 'ATE', values: [0.1] },
+  };
+  const row = { system: 's', dataset: 'd', where: 'w', runs: 5, statistic: 'Mean', differences: ['why'] };
+  const both = { ...row, values: { 'usage.memory.peakBytes': 2 ** 21, 'ate.rmse': 0.2 } };
+  const one = { ...row, values: { 'ate.rmse': 0.2 } };
+  const [series] = publishedSeries(/** @type {any} */ ({ axes }), /** @type {any} */ ([both, one]));
+  assert.deepEqual(
+    series.data.map((/** @type {any} */ point) => point.value),
+    [[2, 0.2]],
+  );
+  assert.match(series.symbol, /^empty/);
+  assert.match(publishedText(/** @type {any} */ (both)), /Mean of 5\nwhy/);
 });

@@ -93,7 +93,6 @@ def add(
         typer.Argument(
             metavar="SOURCE",
             help="A manifest, a bag, a folder as EuRoC, TUM and others publish it, or a CARMEN log.",
-            metavar="SOURCE", help="A manifest, a bag, a folder of a known dataset, or a CARMEN log."
         ),
     ],
     *,
@@ -112,7 +111,6 @@ def add(
     """Make a dataset known: from its manifest, or from what is found in a recording.
 
     A bag gets a manifest in this folder, to be completed and added then. Folders of images and CARMEN logs
-    A bag gets a manifest in this folder, to be completed and added then. Folders and CARMEN logs
     are converted into the home and are known at once.
 
     Example: slamhive dataset add my.bag --name hall

@@ -80,6 +80,9 @@ def figure(
     each: Annotated[
         bool, typer.Option("--each", help="Paths, errors and usage of every run, not one a series.")
     ] = False,
+    published: Annotated[
+        bool, typer.Option("--published", help="Published numbers on the same datasets, as hollow marks.")
+    ] = False,
     where: Where = None,
     sweep: Sweeps = None,
     evaluation: EvaluationName = None,
@@ -102,7 +105,7 @@ def figure(
     home = Home.from_environment()
     others = homes_beside(home, also)
     frame, left_out = choose_runs(selection, "there is nothing to draw", others)
-    made = picture(frame, wish, home, others)
+    made = picture(frame, wish, home, others, published=published)
     notes = (*made.notes, *left_out)
     caption = " ".join(
         f"{note if note.startswith('n = ') else note[:1].upper() + note[1:]}." for note in notes

@@ -51,6 +51,7 @@ COMMANDS = {
         "dashboard",
         "Show the archive in a web browser: leaderboard, charts, runs. It changes nothing; Ctrl-C ends it.",
     ),
+    "published": _Command("published", "app", "Numbers of papers and leaderboards, shown beside own runs."),
     "report": _Command(
         "report",
         "report",

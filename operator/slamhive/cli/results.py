@@ -24,6 +24,7 @@ from slamhive.bridges.targets import Target
 from slamhive.cli.choosing import Also
 from slamhive.cli.console import out, plural, remark
 from slamhive.cli.forgetting import prune
+from slamhive.cli.published import found_for, print_published
 from slamhive.cli.tables import Format, show, write_json, write_markdown
 from slamhive.cli.waiting import Work
 from slamhive.local.home import Home
@@ -157,6 +158,9 @@ def show_table(
     sort: Sort = None,
     superseded: Superseded = False,
     also: Also = None,
+    published: Annotated[
+        bool, typer.Option("--published", help="Published numbers on the same datasets, apart.")
+    ] = False,
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
 ) -> None:
     """Average over repetitions: mean ± standard deviation (n − 1), coverage, n, and what failed.
@@ -174,12 +178,13 @@ def show_table(
     if not metric:
         metrics = [one for one in metrics if any(cell.figures[one.column].summary for cell in found.cells)]
     found = _sorted_cells(found, sort)
-    flat = flat_cells(found)
+    beside = found_for(frame) if published else []
+    flat = [*flat_cells(found), *(one.flat() for one in beside)]
     match form:
         case Format.JSON:
             write_json(sys.stdout, flat)
         case Format.CSV:
-            names = list(flat[0]) if flat else []
+            names = list(dict.fromkeys(name for row in flat for name in row))
             write_csv(sys.stdout, names, ([row.get(name) for name in names] for row in flat))
         case _:
             shared = {name: value for name, value in constants(found, by or ()).items() if name not in across}
@@ -191,6 +196,8 @@ def show_table(
             for note in found.notes:
                 remark(note)
             _remark(chosen, found)
+            if published:
+                print_published(beside, metrics, lambda heads, lines: _print(form, heads, lines))
 
 
 @app.command("export")

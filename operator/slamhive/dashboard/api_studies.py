@@ -18,11 +18,13 @@ from slamhive.dashboard.tables import (
     interval_json,
     summary_json,
 )
+from slamhive.tables.published import differences_of, load_published, published_on
 from slamhive.tables.queries import columns, number_column, outcomes, select
 from slamhive.tables.text import as_columns, flat_summary
 
 if TYPE_CHECKING:
     from collections.abc import Collection
+    from pathlib import Path
 
     from slamhive.analysis.comparing import Pair
     from slamhive.analysis.importance import Influences
@@ -254,4 +256,30 @@ def suspicions(snapshot: Snapshot, pairs: Pairs) -> Body:
     return Body(
         {"revision": snapshot.revision, "rows": len(frame), "items": items, "notes": list(chosen.notes)},
         lambda: as_columns([_flat(dict(item)) for item in items]),
+    )
+
+
+def published(snapshot: Snapshot, pairs: Pairs, home: Path | None) -> Body:
+    """Return the published numbers on the datasets of the runs that are meant: never rows of their table."""
+    chosen = select(snapshot.frame, pairs, RESERVED)
+    found = published_on(chosen.frame, load_published(home))
+    items = [
+        {
+            "system": one.system,
+            "dataset": one.dataset,
+            "where": one.where,
+            "url": one.source.url,
+            "title": one.source.title,
+            "alignment": one.table.alignment and str(one.table.alignment),
+            "statistic": one.table.statistic and str(one.table.statistic),
+            "runs": one.table.runs,
+            "notes": one.row.notes,
+            "values": one.values,
+            "differences": list(one.differences),
+        }
+        for one in found
+    ]
+    return Body(
+        {"revision": snapshot.revision, "items": items, "why": differences_of(found)},
+        lambda: as_columns([one.flat() for one in found]),
     )

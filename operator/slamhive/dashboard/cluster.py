@@ -230,6 +230,10 @@ class ClusterSource:
         """Return None: the data volume is not mounted here."""
         return None
 
+    def home(self) -> Path | None:
+        """There is no home on a cluster."""
+        return None
+
     def live_runs(self) -> int:
         """Return the number of runs that have not finished."""
         return sum(run.live for run in self._cluster.all_runs())

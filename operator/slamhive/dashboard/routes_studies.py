@@ -129,4 +129,17 @@ def router(service: Service) -> APIRouter:
         asked = pairs(request)
         return await service.answer(request, lambda data: api_studies.suspicions(data, asked))
 
+    @routes.get("/published", summary="Published numbers on the datasets of runs")
+    async def published(
+        request: Request,
+        *,
+        where: Where = None,  # noqa: ARG001
+        superseded: Superseded = None,  # noqa: ARG001
+        format: FormatName = None,  # noqa: A002, ARG001
+    ) -> Response:
+        """Shown beside own runs, never averaged with them; with why own numbers may differ."""
+        asked = pairs(request)
+        home = service.source.home()
+        return await service.answer(request, lambda data: api_studies.published(data, asked, home))
+
     return routes

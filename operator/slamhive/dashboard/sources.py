@@ -119,6 +119,9 @@ class Source(Protocol):
     def variants(self) -> Path | None:
         """Return the folder of prepared recordings, if it is at hand."""
 
+    def home(self) -> Path | None:
+        """Return the home that datasets and published numbers were added to, if it is at hand."""
+
     def live_runs(self) -> int:
         """Return the number of runs that have not finished."""
 
@@ -398,6 +401,10 @@ class Workstation:
     def variants(self) -> Path | None:
         """Return the folder of prepared recordings in the home."""
         return self._home / "variants" if self._home is not None else None
+
+    def home(self) -> Path | None:
+        """Return the home."""
+        return self._home
 
     def live_runs(self) -> int:
         """Return the number of runs that are at work in the home."""

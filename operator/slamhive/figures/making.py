@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from slamhive import __version__
 from slamhive.figures.asking import Kind
 from slamhive.model.errors import InputError
+from slamhive.tables.published import load_published, published_on
 from slamhive_eval.csv_writing import csv_text
 
 if TYPE_CHECKING:
@@ -28,7 +29,9 @@ FORMS = ("pdf", "svg", "png")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]+")
 
 
-def picture(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -> Picture:
+def picture(
+    frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = (), *, published: bool = False
+) -> Picture:
     """Return what a figure shows.
 
     Args:
@@ -36,10 +39,13 @@ def picture(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -
         wish: what was asked for.
         home: has the files of runs.
         also: other homes, whose rows stand beside.
+        published: whether published numbers are drawn beside them, in a scatter plot.
 
     Raises:
         InputError: it can't be drawn, or nothing would be seen.
     """
+    if published and wish.kind is not Kind.SCATTER:
+        raise InputError("--published: published numbers are drawn by scatter alone")
     if wish.kind.is_of_files:
         # Readers of folders and ground truth: only some figures need them.
         from slamhive.figures.paths import paths  # noqa: PLC0415
@@ -47,8 +53,10 @@ def picture(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = ()) -
         return paths(frame, wish, home, also).settled()
     from slamhive.figures import groups, singles  # noqa: PLC0415
 
+    if wish.kind is Kind.SCATTER:
+        beside = published_on(frame, load_published(home.path)) if published else ()
+        return singles.scatter(frame, wish, beside).settled()
     makers = {
-        Kind.SCATTER: singles.scatter,
         Kind.LINES: groups.lines,
         Kind.BOX: groups.box,
         Kind.HEAT: groups.heat,

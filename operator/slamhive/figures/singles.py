@@ -21,9 +21,12 @@ from slamhive.tables.reading import with_figure
 from slamhive.tables.text import as_columns, n_text
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from slamhive.analysis.columns import Mask
     from slamhive.analysis.frame import Frame
     from slamhive.figures.asking import Wish
+    from slamhive.tables.published import Published
 
 MOST_ROWS = 40
 """Configurations of which the repetitions are drawn, at most."""
@@ -39,8 +42,14 @@ def _tally(frame: Frame, inside: Mask) -> Tally:
     return Tally(len(frame), int(inside.sum()), left)
 
 
-def scatter(frame: Frame, wish: Wish) -> Picture:
-    """Return one column of numbers over another, a mark a run."""
+def scatter(frame: Frame, wish: Wish, beside: Sequence[Published] = ()) -> Picture:
+    """Return one column of numbers over another, a mark a run; published numbers are hollow marks beside.
+
+    Args:
+        frame: the runs.
+        wish: what was asked for.
+        beside: published rows on the datasets of the runs; those that have both numbers are drawn.
+    """
     y = wish.number("y", error_of(frame), frame)
     x = wish.number("x", cost_of(frame), frame)
     frame, left = with_figure(frame, y.column)
@@ -48,6 +57,8 @@ def scatter(frame: Frame, wish: Wish) -> Picture:
     parts = parted(frame, facet, by, (x.column, y.column))
     check_panels(len(parts.panels), parts.names, parts.frame, wish.facet)
     series = Series(by, parts.frame)
+    both = [one for one in beside if x.column in one.values and y.column in one.values]
+    sources = ", ".join(dict.fromkeys(one.where for one in both))
     panels = []
     for keys, part in parts.panels:
         inside = counts(part, x, wish) & counts(part, y, wish)
@@ -60,6 +71,11 @@ def scatter(frame: Frame, wish: Wish) -> Picture:
             hollow = tuple(word != Outcome.TRACKED.value for word in status)
             if len(drawn):
                 marks.append(Dots(series.of(values), across, up, hollow))
+        datasets = set(part.column("dataset").tolist())
+        apart = [one for one in both if one.dataset in datasets]
+        if marks and apart:
+            ways = [np.array([one.values[axis.column] * axis.factor for one in apart]) for axis in (x, y)]
+            marks.append(Dots(len(series.labels), *ways, hollow=(True,) * len(apart)))
         panels.append(Panel(parts.title(keys), tuple(marks)))
     inside = counts(parts.frame, x, wish) & counts(parts.frame, y, wish)
     if not inside.any():
@@ -69,17 +85,31 @@ def scatter(frame: Frame, wish: Wish) -> Picture:
         x=Axis(x.label, wish.log.of("x"), robust=wish.robust),
         y=Axis(y.label, wish.log.of("y"), robust=wish.robust),
         panels=tuple(panel for panel in panels if panel.marks),
-        series=series.labels,
+        series=(*series.labels, "published"),
         notes=(
             "each mark is one run",
+            *([f"published are {len(both)} hollow marks, from {sources}"] if both else []),
             *untracked,
             *_tally(parts.frame, inside).notes(wish.outcomes, above=False),
             *disturbance_notes(parts.frame, (x.column, y.column)),
             *left,
         ),
-        columns=_runs(parts.frame, [*parts.names, *by], (x, y), inside),
+        columns=_with_published(_runs(parts.frame, [*parts.names, *by], (x, y), inside), both),
         runs=len(parts.frame),
     )
+
+
+def _with_published(columns: dict[str, list[Any]], both: Sequence[Published]) -> dict[str, list[Any]]:
+    """Return the runs of a figure with the published rows below them, which a column of their own marks."""
+    if not both:
+        return columns
+    count = len(next(iter(columns.values())))
+    said: dict[str, list[Any]] = {"published": [one.where for one in both]}
+    said["published.system"] = [one.system for one in both]
+    for name in columns:
+        said[name] = [one.dataset if name == "dataset" else one.values.get(name) for one in both]
+    said["drawn"] = [True] * len(both)
+    return {name: [*columns.get(name, [None] * count), *below] for name, below in said.items()}
 
 
 def ecdf(frame: Frame, wish: Wish) -> Picture:

@@ -9,6 +9,54 @@ declare namespace Api {
   type Counts = Record<string, number | undefined>;
   type Numbers = Array<number | null>;
 
+  /** What is drawn of a sensor's messages; times in s since the recording's start. */
+  type SensorView = {
+    name: string;
+    type: string;
+    topic: string;
+    messages: number;
+    first: number | null;
+    last: number | null;
+    rates: number[];
+    gaps: number[][];
+    pictures: Array<{ t: number; data: string }>;
+    clouds: Array<{ t: number; x: number[]; y: number[] }>;
+    imu: Record<string, Record<string, Numbers[]>>;
+  };
+
+  /** What is drawn of a dataset's recording. */
+  type Overview = {
+    name: string;
+    start: number;
+    seconds: number;
+    sensors: SensorView[];
+    truth: {
+      count: number;
+      first: number;
+      last: number;
+      t: number[];
+      x: number[];
+      y: number[];
+      z: number[];
+    } | null;
+    notes: string[];
+  };
+
+  /** A number of a paper or leaderboard, beside own runs; `values` in stored units by column. */
+  type PublishedRow = {
+    system: string;
+    dataset: string;
+    where: string;
+    url: string | null;
+    title: string;
+    alignment: string | null;
+    statistic: string | null;
+    runs: number | null;
+    notes: string | null;
+    values: Record<string, number>;
+    differences: string[];
+  };
+
   /** A column as tables and charts need it; `kind` is number, integer, time, text, boolean or other. */
   type Heading = {
     name: string;

@@ -13,9 +13,10 @@ const MANY = 3000;
  * @param {Api.Points} data answer of analysis/points
  * @param {number[]} indices which of its points
  * @param {{xlog: boolean, ylog: boolean, top: number|null}} settings top: where points without y are drawn
+ * @param {Api.PublishedRow[]} [beside] published numbers, drawn hollow beside the runs
  * @returns {ChartOption}
  */
-export function scatter(data, indices, { xlog, ylog, top }) {
+export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
   const x = readAxis(data.axes.x);
   const y = readAxis(data.axes.y);
   const status = data.status ? readAxis(data.status) : null;
@@ -74,8 +75,10 @@ export function scatter(data, indices, { xlog, ylog, top }) {
     data: members.map((point) => dress(point, COLOURS[number % COLOURS.length])),
     id: String(number),
   }));
+  series.push(...publishedSeries(data, beside));
   /** @param {Item} item */
   const tell = (item) => {
+    if (item.data?.published) return publishedText(item.data.published);
     const index = item.value[2];
     return [
       `run ${data.run?.[index] ?? data.id?.[index] ?? ''}`,
@@ -92,7 +95,10 @@ export function scatter(data, indices, { xlog, ylog, top }) {
       top: groups ? 40 : 16,
       bottom: x.categories && x.categories.length > 4 ? 76 : 46,
     },
-    legend: groups ? { data: series.filter((one) => one.data.length).map((one) => one.name) } : undefined,
+    legend:
+      groups || beside.length
+        ? { data: series.filter((one) => one.data.length).map((one) => one.name) }
+        : undefined,
     tooltip: { trigger: 'item', formatter: tell },
     visualMap: continuous ? range(kept.map(colour.at), colour.heading.title) : undefined,
     xAxis: axisOption(x, { log: xlog }),
@@ -127,3 +133,50 @@ function range(values, title) {
     inRange: { color: ['#440154', '#31688e', '#35b779', '#d8b000'] },
   };
 }
+
+/**
+ * Return the published numbers that have a place on the axes, as a series of hollow marks; [] for none.
+ * @param {Api.Points} data
+ * @param {Api.PublishedRow[]} rows
+ * @returns {any[]}
+ */
+export function publishedSeries(data, rows) {
+  const { x, y } = data.axes;
+  if (!y || y.codes) return [];
+  /** @param {Api.Axis} axis @param {Api.PublishedRow} row */
+  const along = (axis, row) => {
+    if (axis.codes) {
+      const at = axis.name === 'dataset' ? (axis.categories ?? []).map(String).indexOf(row.dataset) : -1;
+      return at < 0 ? null : at;
+    }
+    const value = row.values[axis.name];
+    return value === undefined ? null : value * (axis.factor ?? 1);
+  };
+  const points = rows
+    .map((row) => ({ published: row, value: [along(x, row), along(y, row)] }))
+    .filter((one) => one.value.every((number) => number !== null));
+  if (!points.length) return [];
+  return [
+    {
+      type: 'scatter',
+      id: 'published',
+      name: 'published',
+      symbol: 'emptyDiamond',
+      symbolSize: 12,
+      color: '#8a929b',
+      itemStyle: { borderWidth: 2 },
+      data: points,
+    },
+  ];
+}
+
+/**
+ * Say what a published number is and why own ones may differ.
+ * @param {Api.PublishedRow} row
+ */
+export const publishedText = (row) =>
+  [
+    `published: ${clip(row.system, 60)} on ${clip(row.dataset, 40)}`,
+    `${clip(row.where, 80)}, ${row.runs ? `${row.statistic ?? ''} of ${row.runs}`.trim() : 'runs not said'}`,
+    ...row.differences.map((one) => clip(one, 110)),
+  ].join('\n');

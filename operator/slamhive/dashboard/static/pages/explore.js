@@ -17,6 +17,7 @@ import { Heat } from './heat.js';
 import { SmallMultiples } from './multiples.js';
 import { Parallel } from './parallel.js';
 import { Pareto } from './pareto.js';
+import { usePublished } from './published.js';
 import { RunRows } from './runrows.js';
 import { Contours, Slices } from './surface.js';
 
@@ -362,9 +363,10 @@ function Drawing({ set, data, title, csv }) {
   const { query } = useAddress();
   const [area, setArea] = useState(null);
   const [brushing, setBrushing] = useState(false);
+  const beside = usePublished(query.filters(), set.kind === 'scatter');
   const parts = useMemo(
-    () => (set.kind === 'line' ? lineParts(data, set) : pointParts(data, set)),
-    [data, JSON.stringify(set)],
+    () => (set.kind === 'line' ? lineParts(data, set) : pointParts(data, set, beside)),
+    [data, JSON.stringify(set), beside],
   );
   if (parts === null)
     return html`
@@ -405,6 +407,7 @@ function Drawing({ set, data, title, csv }) {
           <span class="quiet">
             A click on a point opens its run. Hollow: not tracked to the end. Crosses have no
             value: they are drawn above the others.
+            ${beside.length > 0 && 'Grey, hollow diamonds are published numbers.'}
           </span>
         </p>
       `
@@ -493,9 +496,10 @@ function facetName(data, facet, value) {
 /**
  * @param {Api.Points} data
  * @param {Settings} set
+ * @param {Api.PublishedRow[]} beside
  * @returns {ChartOfSettings[]|null}
  */
-function pointParts(data, set) {
+function pointParts(data, set, beside) {
   const parts = facets(data);
   if (parts === null) return null;
   const y = readAxis(data.axes.y);
@@ -509,9 +513,21 @@ function pointParts(data, set) {
     option:
       set.kind === 'box'
         ? box(data, indices, { ylog: set.ylog, tracked: set.outcomes === 'tracked' })
-        : scatter(data, indices, { ...set, top }),
+        : scatter(
+            data,
+            indices,
+            { ...set, top },
+            set.facet && set.facet !== 'dataset' ? [] : of(name, beside),
+          ),
   }));
 }
+
+/**
+ * Return the published rows of one part: of all datasets, or of the one that it is of.
+ * @param {string|null} part
+ * @param {Api.PublishedRow[]} rows
+ */
+const of = (part, rows) => (part === null ? rows : rows.filter((row) => row.dataset === part));
 
 /**
  * @param {Api.Points} data

@@ -11,6 +11,7 @@ import { foremost, useNarrow } from '../core/narrow.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
 import { html } from '../core/ui.js';
 import { failureText } from './groups.js';
+import { PublishedRows } from './published.js';
 
 /** What tells competitors apart. */
 export const COMPETITORS = [
@@ -108,6 +109,7 @@ export default function Leaderboard() {
               />
             `,
           )}
+          <${PublishedRows} filters=${query.filters()} metrics=${[state.data.metric]} />
           ${state.data.boards.length === 0 && html`<${NothingFits} />`}
           <${Notes} notes=${state.data.notes} />
         `
