@@ -153,3 +153,18 @@ async def test_pages_lead_to_the_index_and_files_do_not(api: Any) -> None:
         answer = await api.raw.get(path)
         assert answer.status_code == 404 or answer.headers["content-type"].startswith("text/html")
         assert "import" not in answer.text or "<html" in answer.text
+
+
+async def test_the_picture_of_a_recording_is_the_kept_one(
+    open_app: Callable[..., Any], tmp_path: Path
+) -> None:
+    url, kept = f"sqlite:///{tmp_path / 'none.sqlite'}", tmp_path / "cache" / "overviews"
+    kept.mkdir(parents=True)
+    overview = {"version": 1, "name": "hall", "start": 5.0, "seconds": 1.0, "sensors": [], "notes": []}
+    (kept / "hall-0123456789abcdef.json").write_text(json.dumps(overview))
+    async with open_app(Workstation(url, tmp_path)) as client:
+        assert (await client.get("/datasets/hall/overview"))["start"] == 5.0
+        missing = await client.get("/datasets/hal/overview", 404)
+        assert "slamhive dataset show hal --html" in missing["error"]
+    async with open_app(Workstation(url)) as client:
+        assert "not at hand" in (await client.get("/datasets/hall/overview", 404))["error"]

@@ -20,6 +20,13 @@ import {
   settingText,
   toldApart,
 } from '../../operator/slamhive/dashboard/static/charts/ratios.js';
+import {
+  coverage,
+  envelopes,
+  path,
+  rate,
+  spans,
+} from '../../operator/slamhive/dashboard/static/charts/recording.js';
 import { labelRoom } from '../../operator/slamhive/dashboard/static/charts/rows.js';
 import {
   publishedSeries,
@@ -516,6 +523,47 @@ test('published numbers are hollow marks where they have both numbers', () => {
     series.data.map((/** @type {any} */ point) => point.value),
     [[2, 0.2]],
   );
-  assert.match(series.symbol, /^empty/);
-  assert.match(publishedText(/** @type {any} */ (both)), /Mean of 5\nwhy/);
+  assert.equal(series.itemStyle.color, 'transparent');
+  assert.match(publishedText(/** @type {any} */ (both)), /Mean of 5 runs\nwhy/);
+});
+
+const SENSOR = {
+  name: 'cam',
+  type: 'Camera',
+  topic: '/cam',
+  messages: 3,
+  first: 0,
+  last: 10,
+  rates: [1, 0],
+  gaps: [
+    [4, 6],
+    [1, 2],
+  ],
+  pictures: [],
+  clouds: [],
+  imu: {
+    gyro: {
+      x: [
+        [-1, null],
+        [1, null],
+      ],
+    },
+  },
+};
+const TRACK = { count: 2, first: 0, last: 1, t: [0, 1], x: [0, 2], y: [0, 1], z: [0, 0] };
+const RECORDING = { name: 'd', start: 5, seconds: 10, sensors: [SENSOR], truth: TRACK, notes: [] };
+
+test('what a sensor covers is interrupted by its gaps', () => {
+  assert.deepEqual(spans(SENSOR), [
+    [0, 1],
+    [2, 4],
+    [6, 10],
+  ]);
+});
+
+test('a recording is drawn', () => {
+  assert.match(drawn(coverage(RECORDING)), /ground truth/);
+  assert.match(drawn(path(TRACK, 'x', 'y')), /x \[m\]/);
+  assert.match(drawn(rate(RECORDING, SENSOR)), />Hz</);
+  assert.match(drawn(envelopes(RECORDING, SENSOR.imu.gyro, 'rad/s')), /rad/);
 });

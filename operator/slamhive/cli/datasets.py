@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-import yaml
 from pydantic import ValidationError
 from rich.markup import escape
 from rich.table import Table
@@ -18,6 +17,7 @@ from rich.table import Table
 from slamhive.cli.console import bytes_text, complain, listing, open_workbench, out, plural, remark
 from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
+from slamhive.cli.showing import show
 from slamhive.cli.unlisting import remove_dataset, rename
 from slamhive.cli.waiting import Work
 from slamhive.local.catalog import editor_line, load_workshop
@@ -76,14 +76,7 @@ def list_datasets(*, as_json: AsJson = False) -> None:
         remark("more of each: slamhive dataset show NAME")
 
 
-@app.command("show")
-def show(name: Name) -> None:
-    """Show a dataset's manifest.
-
-    Example: slamhive dataset show synthetic-lidar
-    """
-    dataset = load_workshop(Home.from_environment()).dataset(name).dataset
-    typer.echo(yaml.safe_dump(dataset.as_json(), sort_keys=False, allow_unicode=True), nl=False)
+app.command("show")(show)
 
 
 @app.command("add")

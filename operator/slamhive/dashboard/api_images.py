@@ -9,9 +9,7 @@ import json
 import os
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from slamhive.dashboard.encoding import Body
 from slamhive.dashboard.problems import Missing
@@ -21,8 +19,6 @@ from slamhive.model.errors import DataError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import numpy.typing as npt
-
     from slamhive.dashboard.artifacts import Place
     from slamhive.dashboard.sources import Snapshot, Source
 
@@ -31,8 +27,6 @@ _NEAR_NS = 1_000_000_000
 """How far from the moment an image may be."""
 
 _MOST_CAMERAS = 2
-_WIDEST = 640
-_QUALITY = 80
 _MOST_JSON = 2**20
 
 
@@ -57,7 +51,7 @@ def prepared(source: Source, uid: str) -> Prepared:
     """
     # They take long to be imported, and more memory than a worker has: here, once somebody asks for images.
     importlib.import_module("slamhive.data.recordings")
-    importlib.import_module("slamhive.data.images")
+    importlib.import_module("slamhive.data.pictures")
     record = source.record(uid) if len(uid) <= 253 else None
     if record is None:
         raise Missing(f"there is no run with the UID {uid[:100]!r}", "uid")
@@ -103,6 +97,7 @@ def images(snapshot: Snapshot, given: Prepared, moment: float) -> Body:
         Missing: the recording can't be read, or has no image there.
     """
     from slamhive.data.kinds import COMPRESSED_IMAGE, IMAGE  # noqa: PLC0415
+    from slamhive.data.pictures import jpeg  # noqa: PLC0415
     from slamhive.data.recordings import Recording  # noqa: PLC0415
 
     at = round(moment * 1e9)
@@ -126,7 +121,7 @@ def images(snapshot: Snapshot, given: Prepared, moment: float) -> Body:
                 {
                     "topic": name,
                     "stamp": stamp / 1e9,
-                    "data": _jpeg(recording.decode(raw, kind), name),
+                    "data": base64.b64encode(jpeg(recording.decode(raw, kind), name)).decode("ascii"),
                 }
                 for name, (stamp, raw, kind) in sorted(best.items())
             ]
@@ -135,27 +130,3 @@ def images(snapshot: Snapshot, given: Prepared, moment: float) -> Body:
     if not found:
         raise Missing("the recording has no image within a second of this moment", "t")
     return Body({"revision": snapshot.revision, "t": moment, "images": found})
-
-
-def _jpeg(message: Any, where: str) -> str:
-    """Return an image as JPEG in base64, 8 bits and at most 640 pixels wide."""
-    import cv2  # noqa: PLC0415
-
-    from slamhive.data.images import compressed_pixels, image_pixels  # noqa: PLC0415
-
-    raw = hasattr(message, "encoding")
-    pixels: npt.NDArray[Any] = image_pixels(message, where) if raw else compressed_pixels(message, where)
-    if raw and message.encoding in {"rgb8", "rgba8"}:
-        pixels = pixels[..., :3][..., ::-1]
-    elif pixels.ndim == 3 and pixels.shape[2] == 4:
-        pixels = pixels[..., :3]
-    if pixels.dtype != np.uint8:
-        # Depths have no brightness of their own: the farthest is the brightest.
-        known = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-        pixels = (255 * known / max(float(known.max()), 1e-9)).astype(np.uint8)
-    height, width = pixels.shape[:2]
-    if width > _WIDEST:
-        size = (_WIDEST, max(1, round(height * _WIDEST / width)))
-        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    encoded = cv2.imencode(".jpg", np.ascontiguousarray(pixels), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
-    return base64.b64encode(encoded.tobytes()).decode("ascii")

@@ -4,14 +4,14 @@
 # FastAPI reads the annotations of these functions, so they are no mere texts here.
 import os
 from collections.abc import Awaitable, Callable, Iterator
-from typing import Annotated
+from typing import Annotated, Any
 from urllib.parse import quote
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.responses import StreamingResponse
 
 from slamhive.archive.records import CatalogEntry
-from slamhive.dashboard import api_catalog, api_run
+from slamhive.dashboard import api_catalog, api_recordings, api_run
 from slamhive.dashboard.costs import costs_little
 from slamhive.dashboard.events import MAX_LISTENERS, Events
 from slamhive.dashboard.problems import Unavailable
@@ -30,6 +30,7 @@ def router(service: Service, events: Events) -> APIRouter:
     routes = APIRouter(prefix="/api/v1")
     _add_lists(routes, service)
     _add_catalog(routes, service)
+    _add_recordings(routes, service)
     _add_run(routes, service)
     _add_files(routes, service)
 
@@ -128,6 +129,17 @@ def _add_catalog(routes: APIRouter, service: Service) -> None:
             datasets_known,
             lambda data, known: api_catalog.catalog_entry(data, known, "Dataset", name),
         )
+
+
+def _add_recordings(routes: APIRouter, service: Service) -> None:
+    @routes.get("/datasets/{name}/overview", summary="What is drawn of a dataset's recording")
+    async def overview(request: Request, name: Name) -> Response:
+        """Images, path, rates and gaps, IMU; on a workstation, once `dataset show --html` made it."""
+
+        async def found(_: Snapshot) -> dict[str, Any]:
+            return await service.run(lambda: api_recordings.kept(service.source, name))
+
+        return await service.answer_with(request, found, api_recordings.overview)
 
 
 def _add_run(routes: APIRouter, service: Service) -> None:

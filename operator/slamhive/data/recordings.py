@@ -116,6 +116,11 @@ class Recording:
         return self._reader.connections
 
     @property
+    def start_ns(self) -> int:
+        """Return the time of the first record, ns."""
+        return int(self._reader.start_time)
+
+    @property
     def seconds(self) -> float:
         """Return the time from the first record to the last, s."""
         return float(self._reader.duration) / 1e9
@@ -294,6 +299,11 @@ def guess_format(path: Path) -> RecordingFormat:
         return RecordingFormat.ROSBAG1
     if path.suffix == ".mcap":
         return RecordingFormat.MCAP
+    if path.suffix == ".rawlog":
+        raise DataError(
+            f"{path}: rawlogs of MRPT aren't read; convert it to a ROS bag, or take the CARMEN log of the "
+            "same recording (.log, .clf), if there is one"
+        )
     raise DataError(
         f"{path}: not a recording: a ROS 1 bag ends in .bag, an MCAP file in .mcap, a ROS 2 bag is a folder "
         "with metadata.yaml"

@@ -75,7 +75,7 @@ def scatter(frame: Frame, wish: Wish, beside: Sequence[Published] = ()) -> Pictu
         apart = [one for one in both if one.dataset in datasets]
         if marks and apart:
             ways = [np.array([one.values[axis.column] * axis.factor for one in apart]) for axis in (x, y)]
-            marks.append(Dots(len(series.labels), *ways, hollow=(True,) * len(apart)))
+            marks.append(Dots(len(series.labels), ways[0], ways[1], (True,) * len(apart)))
         panels.append(Panel(parts.title(keys), tuple(marks)))
     inside = counts(parts.frame, x, wish) & counts(parts.frame, y, wish)
     if not inside.any():

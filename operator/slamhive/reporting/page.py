@@ -111,10 +111,11 @@ def report_html(frame: Frame, contents: Contents, now: datetime | None = None) -
     counts = f"{runs_of(frame):,} runs · {stamp:%Y-%m-%d} · slamhive {__version__} · data {revision(frame)}"
     header = element("header", element("h1", clip(contents.title, 300)), element("p", counts, class_="quiet"))
     navigation = element("nav", element("ul", *links), aria_label="Sections")
-    return _document(contents.title, joined([header, navigation, element("main", *body)]))
+    return document(contents.title, joined([header, navigation, element("main", *body)]))
 
 
-def _document(title: str, body: Markup) -> str:
+def document(title: str, body: Markup) -> str:
+    """Return a page that needs nothing but itself, in the report's style."""
     style = _style()
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     policy = (

@@ -63,7 +63,7 @@ class Scale:
         else:
             low -= 0.07 * (high - low)
         high += 0.06 * (high - low)
-        return cls(low, high, begin, end, False, _linear_ticks(low, high, ticks))
+        return cls(low, high, begin, end, False, nice_ticks(low, high, ticks))
 
     def at(self, number: float) -> float:
         """Return the place of a number."""
@@ -80,7 +80,8 @@ class Scale:
         return f"{tick:.6f}".rstrip("0").rstrip(".")
 
 
-def _linear_ticks(low: float, high: float, count: int) -> tuple[float, ...]:
+def nice_ticks(low: float, high: float, count: int) -> tuple[float, ...]:
+    """Return about so many round numbers between two, none where there is no room."""
     rough = (high - low) / max(count, 1)
     if not rough > 0 or not math.isfinite(rough):
         return ()
@@ -102,4 +103,4 @@ def _log_ticks(low: float, high: float, count: int) -> tuple[float, ...]:
         if len(ticks) >= 3:
             every = math.ceil(len(ticks) / (2 * count))
             return tuple(float(f"{tick:.12g}") for tick in ticks[::every])
-    return _linear_ticks(low, high, count)
+    return nice_ticks(low, high, count)

@@ -134,6 +134,9 @@ function range(values, title) {
   };
 }
 
+/** Published numbers are hollow and grey: what is below shows through. */
+export const HOLLOW = { color: 'transparent', borderColor: '#8a929b', borderWidth: 2 };
+
 /**
  * Return the published numbers that have a place on the axes, as a series of hollow marks; [] for none.
  * @param {Api.Points} data
@@ -161,14 +164,20 @@ export function publishedSeries(data, rows) {
       type: 'scatter',
       id: 'published',
       name: 'published',
-      symbol: 'emptyDiamond',
+      symbol: 'diamond',
       symbolSize: 12,
-      color: '#8a929b',
-      itemStyle: { borderWidth: 2 },
+      itemStyle: HOLLOW,
       data: points,
     },
   ];
 }
+
+/**
+ * Say what a published number stands for.
+ * @param {Api.PublishedRow} row
+ */
+export const countText = ({ runs, statistic }) =>
+  !runs ? 'runs not said' : runs === 1 ? '1 run' : `${statistic ? `${statistic} of ` : ''}${runs} runs`;
 
 /**
  * Say what a published number is and why own ones may differ.
@@ -177,6 +186,6 @@ export function publishedSeries(data, rows) {
 export const publishedText = (row) =>
   [
     `published: ${clip(row.system, 60)} on ${clip(row.dataset, 40)}`,
-    `${clip(row.where, 80)}, ${row.runs ? `${row.statistic ?? ''} of ${row.runs}`.trim() : 'runs not said'}`,
+    `${clip(row.where, 80)}, ${countText(row)}`,
     ...row.differences.map((one) => clip(one, 110)),
   ].join('\n');

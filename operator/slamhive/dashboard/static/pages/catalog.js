@@ -5,6 +5,7 @@ import { useData } from '../core/api.js';
 import { cell, clip, number } from '../core/format.js';
 import { Fault, Link, Status, useTitle, Waiting } from '../core/parts.js';
 import { html } from '../core/ui.js';
+import { Recording } from './recording.js';
 
 const LONGEST = 2000;
 const LONG = 100;
@@ -133,6 +134,7 @@ function One({ kind, name }) {
         `
         : !error && html`<${Waiting} />`
     }
+    ${kind === 'datasets' && (data || error) && html`<${Recording} name=${name} />`}
     <p>
       <${Link} href=${`/${kind}`}>To all ${kind}</${Link}>
     </p>

@@ -407,7 +407,7 @@ function Drawing({ set, data, title, csv }) {
           <span class="quiet">
             A click on a point opens its run. Hollow: not tracked to the end. Crosses have no
             value: they are drawn above the others.
-            ${beside.length > 0 && 'Grey, hollow diamonds are published numbers.'}
+            ${' '}${beside.length > 0 && 'Grey, hollow diamonds are published numbers.'}
           </span>
         </p>
       `

@@ -11,7 +11,8 @@ import { foremost, useNarrow } from '../core/narrow.js';
 import { Mark, suspectOf, useSuspects } from '../core/suspects.js';
 import { html } from '../core/ui.js';
 import { failureText } from './groups.js';
-import { PublishedRows } from './published.js';
+import { HOLLOW, publishedText } from '../charts/scatter.js';
+import { PublishedRows, usePublished } from './published.js';
 
 /** What tells competitors apart. */
 export const COMPETITORS = [
@@ -45,6 +46,7 @@ export default function Leaderboard() {
   const elsewhere =
     state.error && !shownByFilters(state.error, query) && !['metric', 'by'].includes(state.error.field ?? '');
   const tables = published(all);
+  const beside = usePublished(query.filters(), true);
   return html`
     <h1>Leaderboard</h1>
     ${
@@ -106,6 +108,7 @@ export default function Leaderboard() {
                 by=${state.data.by}
                 csv=${csvOf(url)}
                 suspects=${suspects}
+                beside=${beside}
               />
             `,
           )}
@@ -119,9 +122,10 @@ export default function Leaderboard() {
 }
 
 /**
- * @param {{board: Api.Board, metric: Api.Heading, by: string[], csv: string, suspects: Api.Suspect[]}} props
+ * @param {{board: Api.Board, metric: Api.Heading, by: string[], csv: string, suspects: Api.Suspect[],
+ *   beside: Api.PublishedRow[]}} props beside: published numbers
  */
-function Board({ board, metric, by, csv, suspects }) {
+function Board({ board, metric, by, csv, suspects, beside }) {
   const narrow = useNarrow();
   const facets = keysText(board.facets);
   const factor = metric.factor ?? 1;
@@ -185,20 +189,25 @@ function Board({ board, metric, by, csv, suspects }) {
     tooltip: {
       trigger: 'item',
       formatter: ({ seriesName, name, data, value }) =>
-        `${seriesName}\n${name}: ${data?.label ? 'the median run failed' : number(value)}`,
+        data?.published
+          ? publishedText(data.published)
+          : `${seriesName}\n${name}: ${data?.label ? 'the median run failed' : number(value)}`,
     },
     xAxis: { type: 'category', data: board.datasets.map((name) => clip(name, 28)), name: '' },
     yAxis: { type: 'value', name: `${clip(axisName(metric), 40)}, median`, nameGap: 52 },
-    series: board.entries.map((entry) => ({
-      type: 'bar',
-      barMaxWidth: 36,
-      name: clip(keysText(entry.keys), 50),
-      data: board.datasets.map((name) => {
-        const found = entry.datasets.find((one) => one.dataset === name);
-        if (found?.medianFailed) return { value: 0, label: FAILED };
-        return found?.median === null || found?.median === undefined ? null : found.median * factor;
-      }),
-    })),
+    series: [
+      ...board.entries.map((entry) => ({
+        type: 'bar',
+        barMaxWidth: 36,
+        name: clip(keysText(entry.keys), 50),
+        data: board.datasets.map((name) => {
+          const found = entry.datasets.find((one) => one.dataset === name);
+          if (found?.medianFailed) return { value: 0, label: FAILED };
+          return found?.median === null || found?.median === undefined ? null : found.median * factor;
+        }),
+      })),
+      ...publishedMarks(board, metric, beside),
+    ],
   };
   return html`
     <section>
@@ -227,6 +236,23 @@ function Board({ board, metric, by, csv, suspects }) {
     </section>
   `;
 }
+
+/**
+ * Return hollow marks of published numbers over the bars, as a series; [] for none.
+ * @param {Api.Board} board
+ * @param {Api.Heading} metric
+ * @param {Api.PublishedRow[]} rows
+ */
+const publishedMarks = (board, metric, rows) => {
+  const data = rows
+    .filter((row) => row.values[metric.name] !== undefined && board.datasets.includes(row.dataset))
+    .map((row) => ({
+      published: row,
+      value: [board.datasets.indexOf(row.dataset), row.values[metric.name] * (metric.factor ?? 1)],
+    }));
+  const dress = { type: 'scatter', name: 'published', symbol: 'diamond', symbolSize: 11, itemStyle: HOLLOW };
+  return data.length ? [{ ...dress, data }] : [];
+};
 
 /** A median run that failed has no bar: a cross stands in its place. */
 const FAILED = { show: true, position: 'top', formatter: '×', fontSize: 15, color: 'inherit' };

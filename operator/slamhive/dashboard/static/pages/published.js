@@ -4,6 +4,7 @@ import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { clip, columnTitle, number } from '../core/format.js';
 import { Table } from '../core/parts.js';
+import { countText } from '../charts/scatter.js';
 import { html } from '../core/ui.js';
 
 /** @type {Api.PublishedRow[]} */
@@ -46,7 +47,7 @@ export function PublishedRows({ filters, metrics }) {
   const rows = items.map((row) => ({
     ...row,
     alignment: row.alignment ?? 'not said',
-    of: row.runs ? `${row.statistic ?? ''} of ${row.runs}`.trim() : 'not said',
+    of: countText(row),
     notes: row.notes ?? '',
     ...Object.fromEntries(
       metrics.map((metric) => {
