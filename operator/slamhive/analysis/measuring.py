@@ -122,7 +122,7 @@ def intended_evaluations(
     usual: str = alignment
     if dataset is not None:
         truth = dataset.ground_truth
-        if truth is None and dataset.recording.synthetic is None:
+        if truth is None and dataset.recording.synthetic is None and not dataset.is_to_fetch:
             return []
         if truth is not None and truth.format is TruthFormat.RELATIONS:
             alignment, usual = "none", RELATIONS

@@ -283,6 +283,8 @@ def _catalog_cells(spec: DatasetSpec) -> tuple[str, ...]:
 def _source(spec: DatasetSpec) -> str:
     if spec.recording.synthetic is not None:
         return "generated"
+    if spec.is_to_fetch:
+        return "catalogue"
     return str(spec.recording.format)
 
 

@@ -15,11 +15,14 @@ from slamhive.data import synthetic
 from slamhive.data.entries import DatasetEntry, check_sums, dataset_sha256, file_sha256, recording_sha256
 from slamhive.data.fetching import fetch
 from slamhive.data.groundtruth import GroundTruthPoses, ground_truth
+from slamhive.data.obtaining import Listener, obtain
 from slamhive.data.once import make_once
 from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.canonical import digest, normalize
+from slamhive.model.catalogue import find_sequence
 from slamhive.model.dataset import DataFile, Dataset, GroundTruth, Recording
 from slamhive.model.errors import DataError, InputError
+from slamhive.model.loading import load_file
 from slamhive.model.sensors import Sensor
 
 if TYPE_CHECKING:
@@ -42,12 +45,14 @@ __all__ = [
 
 MANIFEST = "dataset.yaml"
 HASHES = ".hashes"
+IMPORTED = "imported"
+"""Folder of a dataset of the catalogue in the folder that is made for it."""
 
 
 def materialise(
     dataset: Dataset, root: Path, datasets: Path, progress: Callable[[float], None] | None = None
 ) -> DatasetEntry:
-    """Return a dataset with its files at hand; a synthetic recording is made unless it was before.
+    """Return a dataset with its files at hand, generated or fetched unless they were before.
 
     Args:
         dataset: The dataset as declared.
@@ -56,9 +61,12 @@ def materialise(
         progress: Called with the share made, 0 to 1.
 
     Raises:
-        DataError: A file is missing.
-        SystemFault: The disk refuses.
+        InputError: The catalogue has no such sequence, or a file of it is to be fetched by hand.
+        DataError: A file is missing, or isn't what was said of it.
+        SystemFault: The disk or the network refuses.
     """
+    if dataset.spec.is_to_fetch:
+        return _of_catalogue(dataset, datasets, progress)
     spec = dataset.spec.recording.synthetic
     if spec is None:
         return _with_recording(dataset, root, datasets)
@@ -74,7 +82,7 @@ def materialise(
 def is_made(dataset: Dataset, root: Path, datasets: Path) -> bool:
     """Tell whether a dataset's files are at hand: whether `materialise` would neither generate nor fetch."""
     there = made_folder(dataset, datasets).is_dir()
-    if dataset.spec.recording.synthetic is not None:
+    if dataset.spec.recording.synthetic is not None or dataset.spec.is_to_fetch:
         return there
     return there or all((root / file.path).exists() for file in dataset.spec.recording.files)
 
@@ -87,12 +95,42 @@ def made_folder(dataset: Dataset, datasets: Path) -> Path:
         datasets: The home's folder for datasets.
     """
     spec = dataset.spec.recording.synthetic
-    if spec is None:
+    if dataset.spec.is_to_fetch:
+        key = digest({"catalogue": dataset.spec.catalogue})
+    elif spec is None:
         key = digest(normalize(dataset.spec.recording.as_json()))
     else:
         generator = _generator_hash()
         key = digest({"recording": spec.model_dump(mode="json", by_alias=True), "generator": generator})
     return datasets / f"{dataset.name}-{key[:16]}"
+
+
+def _of_catalogue(
+    dataset: Dataset, datasets: Path, progress: Callable[[float], None] | None
+) -> DatasetEntry:
+    """Return a sequence of the catalogue under the name of a dataset, fetched if need be."""
+    sequence = find_sequence(str(dataset.spec.catalogue))
+    folder = made_folder(dataset, datasets)
+    listener = Listener() if progress is None else Listener(share=progress)
+
+    def make(aside: Path) -> None:
+        obtain(sequence, aside / IMPORTED, dataset.name, downloads_of(datasets), listener=listener)
+
+    make_once(folder, make)
+    found = load_file(folder / IMPORTED / MANIFEST)[0]
+    if not isinstance(found, Dataset):
+        raise DataError(f"{folder}: not a dataset")
+    declared = dataset.spec
+    spec = declared.replace(
+        recording=found.spec.recording,
+        sensors=found.spec.sensors | declared.sensors,
+        ground_truth=declared.ground_truth or found.spec.ground_truth,
+        gravity_aligned=declared.gravity_aligned or found.spec.gravity_aligned,
+        homepage=declared.homepage or found.spec.homepage,
+        license=declared.license or found.spec.license,
+        attributes=found.spec.attributes | declared.attributes,
+    )
+    return DatasetEntry(dataset.replace(spec=spec), folder / IMPORTED)
 
 
 def downloads_of(datasets: Path) -> Path:

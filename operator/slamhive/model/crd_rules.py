@@ -64,7 +64,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
     ),
     "DataFile": (("!has(self.url) || has(self.sha256)", "sha256: needed with a url"),),
     "Recording": (
-        ("(size(self.files) > 0) != has(self.synthetic)", "files: give either files or synthetic"),
+        ("size(self.files) == 0 || !has(self.synthetic)", "files: give either files or synthetic"),
     ),
     "GroundTruth": (
         ("has(self.file) != has(self.topic)", "file: give either file or topic"),
@@ -75,6 +75,13 @@ RULES: dict[str, tuple[Rule, ...]] = {
         ("self.format != 'Table' || has(self.table)", "table: the format Table needs it"),
     ),
     "DatasetSpec": (
+        (
+            (
+                "has(self.catalogue) || (has(self.recording)"
+                " && (size(self.recording.files) > 0 || has(self.recording.synthetic)))"
+            ),
+            "recording: give either files or synthetic, or a sequence as catalogue",
+        ),
         (
             (
                 "!has(self.groundTruth) || size(self.sensors) == 0 || has(self.groundTruth.T_body_frame)"

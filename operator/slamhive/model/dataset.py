@@ -45,7 +45,7 @@ class Recording(Model):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        if bool(self.files) == (self.synthetic is not None):
+        if self.files and self.synthetic is not None:
             raise ValueError("give either files or synthetic")
         return self
 
@@ -205,7 +205,13 @@ class DatasetSpec(Model):
     description: str = Field(default="", description="One sentence.")
     homepage: str | None = Field(default=None, description="Where the data come from.")
     license: str | None = Field(default=None, description="Licence of the data.")
-    recording: Recording = Field(description="The sensors' messages.")
+    catalogue: str | None = Field(
+        default=None,
+        pattern=r"^[^/\s]+/[^/\s]+$",
+        description="The sequence of the catalogue that it is, FAMILY/SEQUENCE; without a recording it is "
+        "fetched when it is first needed.",
+    )
+    recording: Recording = Field(default_factory=Recording, description="The sensors' messages.")
     sensors: dict[str, Sensor] = Field(
         default_factory=dict,
         description="Sensors by name; a name that is a role fills it. Empty for a synthetic recording, which "
@@ -216,6 +222,18 @@ class DatasetSpec(Model):
     attributes: dict[str, Scalar] = Field(
         default_factory=dict, description="Free attributes to select and plot by, such as loops: 2."
     )
+
+    @model_validator(mode="after")
+    def _has_a_source(self) -> Self:
+        recording = self.recording
+        if not recording.files and recording.synthetic is None and self.catalogue is None:
+            raise ValueError("recording: give either files or synthetic, or a sequence as catalogue")
+        return self
+
+    @property
+    def is_to_fetch(self) -> bool:
+        """Tell whether its recording comes from the catalogue, by its name alone."""
+        return self.catalogue is not None and not self.recording.files and self.recording.synthetic is None
 
     @model_validator(mode="after")
     def _names_a_frame(self) -> Self:

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from slamhive.model.base import explain
 from slamhive.model.canonical import normalize
+from slamhive.model.catalogue import find_sequence
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.run import MappingRunSpec
 from slamhive.model.sensors import ROLE_TYPES, STAND_INS, SensorType
@@ -142,7 +143,11 @@ def mode_of(algorithm: Algorithm | None, name: str | None) -> tuple[Mode | None,
 
 def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Iterator[str]:
     """Yield the roles of a mode that a dataset has no sensor for."""
-    sensors = sensors_of(dataset)
+    try:
+        sensors = sensors_of(dataset)
+    except InputError as error:
+        yield str(error)
+        return
     if not sensors and dataset.spec.recording.synthetic is not None:
         return
     has = ", ".join(sorted(sensors)) or "no sensor"
@@ -167,9 +172,16 @@ def role_problems(mode: Mode, dataset: Dataset, remap: Mapping[str, str]) -> Ite
 
 
 def sensors_of(dataset: Dataset) -> dict[str, SensorType]:
-    """Return the kinds of a dataset's sensors by name; none where its generator isn't known."""
-    if dataset.spec.sensors:
-        return {name: sensor.type for name, sensor in dataset.spec.sensors.items()}
+    """Return the kinds of a dataset's sensors by name; none where its generator isn't known.
+
+    Raises:
+        InputError: The catalogue has no such sequence.
+    """
+    declared = {name: sensor.type for name, sensor in dataset.spec.sensors.items()}
+    if dataset.spec.is_to_fetch:
+        return find_sequence(str(dataset.spec.catalogue)).family.sensors | declared
+    if declared:
+        return declared
     synthetic = dataset.spec.recording.synthetic
     result: dict[str, SensorType] = {}
     for sensor in synthetic.sensors if synthetic else ():

@@ -8,13 +8,13 @@ loaded when they are needed, as they bring OpenCV along.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 
 from slamhive.data.importers import conversion
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from slamhive.data.importers.contents import Contents
@@ -90,6 +90,7 @@ def import_recording(
     *,
     options: ImportOptions | None = None,
     progress: Callable[[float], None] | None = None,
+    also: Mapping[str, Any] | None = None,
 ) -> tuple[Dataset, list[str]]:
     """Turn a recording in a foreign layout into a dataset.
 
@@ -100,6 +101,7 @@ def import_recording(
         layout: One of `LAYOUTS`.
         options: What isn't in the folder itself.
         progress: Called with the share that is done, 0 to 1, now and then.
+        also: What the manifest's spec has beside what is found, plain values; it comes first.
 
     Returns:
         The dataset that is in the folder now, and sentences about what was assumed or left out.
@@ -109,4 +111,4 @@ def import_recording(
         InputError: The folder to make exists, or the layout is unknown.
     """
     contents = layout_module(layout).read(source, options or ImportOptions())
-    return conversion.convert(contents, out, name, progress), contents.notes
+    return conversion.convert(contents, out, name, progress, also), contents.notes

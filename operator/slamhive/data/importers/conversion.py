@@ -18,7 +18,7 @@ from slamhive.model.errors import DataError
 from slamhive_eval import write_tum
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from slamhive.data.importers.contents import Contents, Truth
     from slamhive.model.dataset import Dataset
@@ -29,7 +29,11 @@ _SOME = 64
 
 
 def convert(
-    contents: Contents, out: Path, name: str, progress: Callable[[float], None] | None = None
+    contents: Contents,
+    out: Path,
+    name: str,
+    progress: Callable[[float], None] | None = None,
+    also: Mapping[str, Any] | None = None,
 ) -> Dataset:
     """Turn what was found into a dataset.
 
@@ -38,6 +42,7 @@ def convert(
         out: Folder to make: dataset.yaml, recording.bag and the file of the ground truth.
         name: Name of the dataset.
         progress: Called with the share of the messages that are written, 0 to 1, now and then.
+        also: What the manifest's spec has beside what was found; it comes first.
 
     Returns:
         The dataset that is in the folder now.
@@ -54,7 +59,7 @@ def convert(
         if contents.truth is not None:
             _write_truth(contents.truth, aside)
 
-    return publish(out, _manifest(contents, name), make)
+    return publish(out, _manifest(contents, name, also or {}), make)
 
 
 def _write_bag(path: Path, contents: Contents, progress: Callable[[float], None] | None) -> None:
@@ -99,7 +104,7 @@ def _write_truth(truth: Truth, folder: Path) -> None:
         write_tum(target, truth.source)
 
 
-def _manifest(contents: Contents, name: str) -> dict[str, Any]:
+def _manifest(contents: Contents, name: str, also: Mapping[str, Any]) -> dict[str, Any]:
     truth = contents.truth
     spec = {
         "description": contents.description,
@@ -107,6 +112,7 @@ def _manifest(contents: Contents, name: str) -> dict[str, Any]:
         "sensors": {stream.name: stream.sensor.as_json() for stream in contents.streams},
         "groundTruth": truth.manifest.as_json() if truth else None,
         "gravityAligned": contents.gravity_aligned,
-        "attributes": contents.attributes or None,
     }
+    spec |= also
+    spec["attributes"] = contents.attributes | dict(also.get("attributes") or {}) or None
     return {"apiVersion": "slamhive.io/v1alpha1", "kind": "Dataset", "metadata": {"name": name}, "spec": spec}

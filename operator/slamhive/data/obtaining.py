@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sequences of the catalogue as datasets: fetched, unpacked, imported, whole or not at all.
+
+What is fetched waits in a folder of downloads until its dataset is there, so that the same call goes on after
+any end. The command and the preparation of a cluster use it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from slamhive.data.fetching import Progress, Wanted, fetch_file, one_at_a_time, require_sha256
+from slamhive.data.importing import publish
+from slamhive.data.partial import Partial, disk_words
+from slamhive.data.remotezip import fetch_members
+from slamhive.data.unpacking import Damaged, unpack
+from slamhive.model.canonical import digest
+from slamhive.model.catalogue import BAG
+from slamhive.model.dataset import Dataset
+from slamhive.model.errors import DataError, InputError
+from slamhive.model.loading import load_file
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    from slamhive.model.catalogue import CatalogueSequence, Part
+
+SUMS = "known-sums.json"
+"""File of what was fetched without a known checksum: a later fetch that differs is refused."""
+_NOT_ZIP = (".tar", ".tgz", ".tar.gz", ".tar.bz2", ".tar.xz", ".7z")
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who is told how far it is.
+
+    Attributes:
+        step: Called with what is being done from now on.
+        share: Called with the share of that that is done, 0 to 1.
+        notify: Called with sentences for the user.
+    """
+
+    step: Callable[[str], None] = lambda _: None
+    share: Callable[[float], None] = lambda _: None
+    notify: Callable[[str], None] = lambda _: None
+
+
+def obtain(
+    sequence: CatalogueSequence,
+    out: Path,
+    name: str,
+    downloads: Path,
+    *,
+    keep_archive: bool = False,
+    listener: Listener | None = None,
+) -> Dataset:
+    """Have a sequence of the catalogue as a dataset.
+
+    Args:
+        sequence: The sequence.
+        out: Folder to make: dataset.yaml, the recording, the ground truth. If it is there, it is taken.
+        name: Name of the dataset.
+        downloads: Folder of what is fetched, on the same disk.
+        keep_archive: Whether what was fetched stays.
+        listener: Who is told.
+
+    Raises:
+        InputError: A file is to be fetched by hand; the sentence says where and whereto.
+        DataError: What came is damaged, or isn't what the catalogue says.
+        SystemFault: The network or the disk refuses; the same call goes on.
+    """
+    listener = listener or Listener()
+    downloads.mkdir(parents=True, exist_ok=True)
+    work = downloads / f".unpacked-{digest(str(out))[:16]}"
+    with one_at_a_time(work, sequence.title, Progress(notify=listener.notify)):
+        if not out.exists():
+            shutil.rmtree(work, ignore_errors=True)  # what a killed one left
+            shop = _Shop(sequence, downloads, listener)
+            shop.require_manual()
+            try:
+                taken = [_take(shop, title, part, work) for title, part in sequence.parts.items()]
+                _publish(sequence, work, out, name, listener)
+            finally:
+                shutil.rmtree(work, ignore_errors=True)
+            for path in taken:
+                if path is not None and not keep_archive:
+                    Partial(path).forget()
+        return _described(out)
+
+
+def _described(out: Path) -> Dataset:
+    found = load_file(out / "dataset.yaml")[0]
+    if not isinstance(found, Dataset):
+        raise DataError(f"{out}: not a dataset")
+    return found
+
+
+def _take(shop: _Shop, title: str, part: Part, work: Path) -> Path | None:
+    """Fetch a part and unpack what is wanted of it.
+
+    Returns:
+        What may go when the dataset is there; None where it is the user's.
+    """
+    for again in (False, True):
+        path = shop.bring(title, part)
+        work.mkdir(exist_ok=True)
+        if part.members is None:
+            with disk_words(shop.sequence.title, path):
+                place = work / part.name
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.unlink(missing_ok=True)
+                place.hardlink_to(path)
+            break
+        shop.listener.step(f"unpacking {part.name}")
+        held = max(path.stat().st_blocks * 512, 1)
+
+        def share(done: int, held: int = held) -> None:
+            shop.listener.share(min(done / held, 1.0))
+
+        try:
+            unpack(path, part.members, work, share)
+        except Damaged as error:
+            if again or part.manual is not None:
+                raise
+            shop.listener.notify(f"{error}: fetched again")
+            Partial(path).forget()
+        else:
+            break
+    return None if part.manual is not None else path
+
+
+class _Shop:
+    """Brings the parts of a sequence here."""
+
+    def __init__(self, sequence: CatalogueSequence, downloads: Path, listener: Listener) -> None:
+        self.sequence, self.listener = sequence, listener
+        self._downloads = downloads
+
+    def require_manual(self) -> None:
+        """Check that what is to be fetched by hand is there, before anything else is fetched.
+
+        Raises:
+            InputError: It isn't; the sentence says where to get it and where to put it.
+        """
+        folder = self._downloads / self.sequence.family.name
+        for part in self.sequence.parts.values():
+            if part.manual is not None and not (folder / part.name).is_file():
+                folder.mkdir(exist_ok=True)
+                raise InputError(
+                    f"{self.sequence.title}: {part.name} is to be fetched by hand: log in or accept the "
+                    f"licence at {part.manual}, put the file into {folder}, then give the same command again"
+                )
+
+    def bring(self, title: str, part: Part) -> Path:
+        """Return a part's file, fetched if it isn't here.
+
+        Raises:
+            DataError: It isn't what the catalogue says.
+            SystemFault: It can't be had right now.
+        """
+        if part.manual is not None:
+            return self._by_hand(part)
+        what = f"{self.sequence.title}: {part.name}"
+        urls = [str(part.url), *part.mirrors]
+        place = self._downloads / f"{digest(urls[0])[:16]}-{part.name}"
+        if place.is_file():
+            return place
+        sums = _KnownSums(self._downloads / SUMS)
+        known = sums.get(urls[0])
+        wanted = Wanted(
+            urls,
+            what,
+            part.sha256 or known,
+            part.size,
+            piece_bytes=part.piece_bytes,
+            pieces=part.pieces,
+        )
+        self.listener.step(f"fetching {what}")
+        progress = Progress(self._count, self.listener.notify)
+        if part.members and title in self.sequence.shared and not part.name.lower().endswith(_NOT_ZIP):
+            outer = [member.split("!")[0] for member in part.members]
+            partly = fetch_members(wanted, outer, self._downloads, progress)
+            if partly is not None:
+                return partly
+        try:
+            found = fetch_file(wanted, place, progress)
+        except DataError as error:
+            if known is not None and part.sha256 is None and known in str(error):
+                raise DataError(
+                    f"{error}, which it had when it was fetched first: if its publisher changed it, remove its "
+                    f"line from {self._downloads / SUMS}"
+                ) from None
+            raise
+        if part.sha256 is None and known is None:
+            sums.add(urls[0], found, place.stat().st_size)
+        return place
+
+    def _count(self, held: int, total: int | None) -> None:
+        if total:
+            self.listener.share(held / total)
+
+    def _by_hand(self, part: Part) -> Path:
+        path = self._downloads / self.sequence.family.name / part.name
+        size = path.stat().st_size
+        if part.size is not None and size != part.size:
+            raise DataError(
+                f"{path}: has {size:,} bytes, expected {part.size:,}: fetch it again at {part.manual}"
+            )
+        if part.sha256 is not None:
+            require_sha256(path, part.sha256, str(path))
+        return path
+
+
+def _publish(sequence: CatalogueSequence, work: Path, out: Path, name: str, listener: Listener) -> None:
+    """Make the dataset of what was unpacked."""
+    listener.step(f"importing {name}")
+    also = {
+        "catalogue": sequence.title,
+        "homepage": sequence.family.homepage,
+        "license": sequence.family.license,
+        "attributes": dict(sequence.attributes),
+        **sequence.dataset,
+    }
+    source = work / sequence.folder
+    if sequence.family.layout != BAG:
+        # OpenCV comes with importers.
+        from slamhive.data.importers import ImportOptions, import_recording  # noqa: PLC0415
+
+        if not source.exists():
+            raise DataError(f"{sequence.title}: has no {sequence.folder}; it has: {_names(work)}")
+        _, notes = import_recording(
+            source,
+            out,
+            name,
+            sequence.family.layout,
+            options=ImportOptions(sequence=sequence.choice),
+            progress=listener.share,
+            also=also,
+        )
+        for note in notes:
+            listener.notify(note)
+        return
+    also.setdefault("description", f"{sequence.family.title}: {sequence.name}")
+    manifest = {
+        "apiVersion": "slamhive.io/v1alpha1",
+        "kind": "Dataset",
+        "metadata": {"name": name},
+        "spec": also,
+    }
+    publish(out, manifest, lambda aside: _move(sequence, also, source, aside))
+
+
+def _move(sequence: CatalogueSequence, spec: Mapping[str, Any], source: Path, aside: Path) -> None:
+    """Put the files that a manifest names into a folder."""
+    truth = spec.get("groundTruth") or {}
+    paths = [file["path"] for file in spec["recording"]["files"]] + [truth.get("file"), truth.get("times")]
+    for path in filter(None, paths):
+        if not (source / path).exists():
+            raise DataError(f"{sequence.title}: has no {path}; it has: {_names(source)}")
+        (aside / path).parent.mkdir(parents=True, exist_ok=True)
+        with disk_words(sequence.title, aside / path):
+            (source / path).rename(aside / path)
+
+
+def _names(folder: Path) -> str:
+    if not folder.is_dir():
+        return "nothing"
+    names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+    return ", ".join(names[:8]) + (", …" if len(names) > 8 else "") or "nothing"
+
+
+class _KnownSums:
+    """Checksums of what was fetched without a known one, by address."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def get(self, url: str) -> str | None:
+        """Return the checksum that an address had when it was fetched first."""
+        found = self._read().get(url)
+        return None if found is None else str(found["sha256"])
+
+    def add(self, url: str, sha256: str, size: int) -> None:
+        """Note what an address has."""
+        with _locked(self._path):
+            known = self._read()
+            known[url] = {"sha256": sha256, "bytes": size, "fetched": time.strftime("%Y-%m-%d")}
+            lines = ",\n".join(
+                f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in sorted(known.items())
+            )
+            aside = self._path.with_suffix(".json~")
+            aside.write_text("{\n" + lines + "\n}\n", encoding="utf-8")
+            aside.replace(self._path)
+
+    def _read(self) -> dict[str, Any]:
+        try:
+            known = json.loads(self._path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return {}
+        except ValueError as error:
+            raise DataError(f"{self._path}: can't be read: {error}") from None
+        return dict(known)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    descriptor = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
