@@ -73,7 +73,9 @@ FILES: dict[str, Any] = {"files": [{"path": "a.bag"}]}
         ),
         (Asset, {"name": "a", "path": "a/../../b"}, "pattern"),
         (DataFile, {"path": "a", "url": "https://x"}, "needs its sha256"),
-        (Recording, {}, "either files or synthetic"),
+        (DatasetSpec, {"recording": {}}, "either files or synthetic, or a sequence as catalogue"),
+        (DatasetSpec, {}, "either files or synthetic, or a sequence as catalogue"),
+        (DatasetSpec, {"catalogue": "euroc"}, "pattern"),
         (Recording, FILES | {"synthetic": {}}, "either files or synthetic"),
         (GroundTruth, {}, "either file or topic"),
         (

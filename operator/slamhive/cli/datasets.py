@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from rich.markup import escape
 from rich.table import Table
 
+from slamhive.cli import catalogue
 from slamhive.cli.console import bytes_text, complain, listing, open_workbench, out, plural, remark
 from slamhive.cli.exits import FAILED
 from slamhive.cli.listing import show_catalog
@@ -24,7 +25,7 @@ from slamhive.local.catalog import editor_line, load_workshop
 from slamhive.local.home import Home
 from slamhive.model.base import explain
 from slamhive.model.dataset import Dataset
-from slamhive.model.errors import InputError
+from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.formats import DataFormat, holds, misfit
 from slamhive.model.run import InputOptions, LidarInput
 from slamhive.model.sensors import ROLES, SensorMode
@@ -57,12 +58,21 @@ _TRUTH_NOUNS = {
 
 
 @app.command("list")
-def list_datasets(*, as_json: AsJson = False) -> None:
+def list_datasets(
+    *,
+    available: Annotated[
+        bool, typer.Option("--available", help="The sequences of the catalogue instead.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
     """List the datasets that are known here.
 
     Example: slamhive dataset list
     """
     datasets = load_workshop(Home.from_environment()).datasets
+    if available:
+        catalogue.show_available(list(datasets.values()), as_json=as_json)
+        return
     if as_json:
         rows = [
             {"name": name, "source": _source(one.spec), "attributes": one.spec.attributes}
@@ -85,7 +95,8 @@ def add(
         Path,
         typer.Argument(
             metavar="SOURCE",
-            help="A manifest, a bag, a folder as EuRoC, TUM and others publish it, or a CARMEN log.",
+            help="A manifest, a bag, a folder as EuRoC, TUM and others publish it, a CARMEN log, or "
+            "FAMILY/SEQUENCE of the catalogue.",
         ),
     ],
     *,
@@ -100,15 +111,22 @@ def add(
     replace: Annotated[
         bool, typer.Option("--replace", help="Take the place of a dataset of that name.")
     ] = False,
+    keep_archive: Annotated[
+        bool, typer.Option("--keep-archive", help="Keep what was fetched of the catalogue.")
+    ] = False,
 ) -> None:
     """Make a dataset known: from its manifest, or from what is found in a recording.
 
-    A bag gets a manifest in this folder, to be completed and added then. Folders of images and CARMEN logs
-    are converted into the home and are known at once.
+    A bag gets a manifest in this folder, to be completed and added then. Folders and CARMEN logs
+    are converted into the home and are known at once. A sequence of the catalogue is fetched first; if that
+    is interrupted, the same command goes on.
 
     Example: slamhive dataset add my.bag --name hall
     """
     home = Home.from_environment()
+    if not source.exists() and catalogue.is_title(str(source)):
+        _add_sequence(str(source), name, home, replace=replace, keep_archive=keep_archive)
+        return
     if not source.exists():
         raise InputError(f"{source}: no such file or folder")
     if source.suffix in _MANIFESTS and source.is_file():
@@ -130,6 +148,7 @@ def add(
     _added(folder / "dataset.yaml")
 
 
+app.command("search")(catalogue.search)
 app.command("remove")(remove_dataset)
 app.command("rename")(rename)
 
@@ -332,6 +351,26 @@ def _place(home: Home, name: str, *, replace: bool) -> Iterator[None]:
         )
     with alone(home, "slamhive dataset add --replace"), replaced(home, name):
         yield
+
+
+def _add_sequence(title: str, name: str | None, home: Home, *, replace: bool, keep_archive: bool) -> None:
+    from slamhive.model.catalogue import dataset_name, find_sequence
+
+    try:
+        find_sequence(title)
+    except UnknownNameError as error:
+        raise InputError(f"{title}: no such file or folder, and {error}") from None
+    chosen = name or dataset_name(*title.split("/"))
+    folder = home.path / "datasets" / chosen
+    if not replace and folder.exists():
+        known = load_workshop(home).datasets.get(chosen)
+        if known is None or known.spec.catalogue != title:
+            raise InputError(
+                f"dataset {chosen!r} is known already and is another one; give this one a --name"
+            )
+    with _place(home, chosen, replace=replace):
+        manifest, _ = catalogue.add_sequence(title, chosen, home, keep_archive=keep_archive)
+    _added(manifest)
 
 
 def _added(manifest: Path) -> None:

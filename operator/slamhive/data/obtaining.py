@@ -20,7 +20,7 @@ from slamhive.data.fetching import Progress, Wanted, fetch_file, one_at_a_time, 
 from slamhive.data.importing import publish
 from slamhive.data.partial import Partial, disk_words
 from slamhive.data.remotezip import fetch_members
-from slamhive.data.unpacking import Damaged, unpack
+from slamhive.data.unpacking import DamagedArchiveError, unpack
 from slamhive.model.canonical import digest
 from slamhive.model.catalogue import BAG
 from slamhive.model.dataset import Dataset
@@ -127,7 +127,7 @@ def _take(shop: _Shop, title: str, part: Part, work: Path) -> Path | None:
 
         try:
             unpack(path, part.members, work, share)
-        except Damaged as error:
+        except DamagedArchiveError as error:
             if again or part.manual is not None:
                 raise
             shop.listener.notify(f"{error}: fetched again")
@@ -195,8 +195,8 @@ class _Shop:
         except DataError as error:
             if known is not None and part.sha256 is None and known in str(error):
                 raise DataError(
-                    f"{error}, which it had when it was fetched first: if its publisher changed it, remove its "
-                    f"line from {self._downloads / SUMS}"
+                    f"{error}, which it had when it was fetched first: if its publisher changed it, remove "
+                    f"its line from {self._downloads / SUMS}"
                 ) from None
             raise
         if part.sha256 is None and known is None:

@@ -105,9 +105,7 @@ def made_folder(dataset: Dataset, datasets: Path) -> Path:
     return datasets / f"{dataset.name}-{key[:16]}"
 
 
-def _of_catalogue(
-    dataset: Dataset, datasets: Path, progress: Callable[[float], None] | None
-) -> DatasetEntry:
+def _of_catalogue(dataset: Dataset, datasets: Path, progress: Callable[[float], None] | None) -> DatasetEntry:
     """Return a sequence of the catalogue under the name of a dataset, fetched if need be."""
     sequence = find_sequence(str(dataset.spec.catalogue))
     folder = made_folder(dataset, datasets)

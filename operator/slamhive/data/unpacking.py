@@ -39,7 +39,7 @@ _MAGIC_7Z = b"7z\xbc\xaf\x27\x1c"
 _PASSED_OVER = ("__MACOSX", ".DS_Store")
 
 
-class Damaged(DataError):
+class DamagedArchiveError(DataError):
     """An archive that is broken: fetched again it may be whole."""
 
 
@@ -123,7 +123,7 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
                     missing.discard(matching)
                     _place(member, name, title, work)
     except (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, NotImplementedError) as error:
-        raise Damaged(f"{title}: is damaged, or no archive that can be read: {error}") from None
+        raise DamagedArchiveError(f"{title}: is damaged, or no archive that can be read: {error}") from None
     if missing:
         some = ", ".join(list(seen)[:5]) + (", …" if len(seen) > 5 else "")
         raise DataError(f"{title}: has no {', '.join(sorted(missing))}; it has: {some or 'nothing'}")

@@ -23,7 +23,9 @@ _NAME = r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$"
 _IMAGE = r"^\S+$"
 _SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
 RELATIVE_PATH = rf"^{_SEGMENT}(/{_SEGMENT})*$"
+CATALOGUE_TITLE = r"^[^/\s]+/[^/\s]+$"
 _MEANINGS = {
+    CATALOGUE_TITLE: "expected FAMILY/SEQUENCE of the catalogue, such as euroc/MH_01_easy",
     _IMAGE: "expected the name of an image, without blanks",
     _DURATION: "expected a duration such as 90s, 1h30m or 250ms",
     QUANTITY_PATTERN: "expected a quantity such as 2, 500m or 4Gi",

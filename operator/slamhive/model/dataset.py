@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from slamhive.model.algorithm import RecordingFormat, RelativePath
-from slamhive.model.base import Choice, Model, Resource, Scalar, Sha256, optional
+from slamhive.model.base import CATALOGUE_TITLE, Choice, Model, Resource, Scalar, Sha256, optional
 from slamhive.model.errors import InputError, suggestion
 from slamhive.model.sensors import ROLE_TYPES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
@@ -207,7 +207,7 @@ class DatasetSpec(Model):
     license: str | None = Field(default=None, description="Licence of the data.")
     catalogue: str | None = Field(
         default=None,
-        pattern=r"^[^/\s]+/[^/\s]+$",
+        pattern=CATALOGUE_TITLE,
         description="The sequence of the catalogue that it is, FAMILY/SEQUENCE; without a recording it is "
         "fetched when it is first needed.",
     )

@@ -1,0 +1,356 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sequences of a catalogue over a real https server: fetched, unpacked, imported; hostile archives."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import stat
+import subprocess
+import tarfile
+import zipfile
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from slamhive.data import unpacking
+from slamhive.data.exporting import all_roles, export_dataset
+from slamhive.data.groundtruth import ground_truth
+from slamhive.data.obtaining import Listener, obtain
+from slamhive.data.store import dataset_sha256, materialise
+from slamhive.data.unpacking import unpack
+from slamhive.model.catalogue import FOLDERS, dataset_name, find_sequence, load_catalogue
+from slamhive.model.dataset import Dataset
+from slamhive.model.errors import DataError, InputError, ManifestError, SystemFault, UnknownNameError
+from slamhive.model.formats import DataFormat
+from slamhive.model.run import InputOptions
+from slamhive.model.sensors import ROLES, SensorMode
+from slamhive.plan.resolution import role_problems
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HEAD = """
+name: test
+title: A test
+homepage: https://localhost/
+license: CC0-1.0
+cite: Nobody
+layout: Euroc
+sensors: {left: Camera, right: Camera}
+"""
+
+
+def zipped(path: Path, members: dict[str, bytes], *, deflated: bool = True) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED if deflated else zipfile.ZIP_STORED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return path
+
+
+def tarred(path: Path, members: list[tarfile.TarInfo], contents: dict[str, bytes]) -> Path:
+    with tarfile.open(path, "w:gz") as archive:
+        for member in members:
+            content = contents.get(member.name, b"")
+            member.size = len(content)
+            archive.addfile(member, io.BytesIO(content))
+    return path
+
+
+def named(name: str, kind: bytes = tarfile.REGTYPE, linked: str = "") -> tarfile.TarInfo:
+    member = tarfile.TarInfo(name)
+    member.type, member.linkname = kind, linked
+    return member
+
+
+@pytest.fixture(scope="session")
+def euroc(camera_entries: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """A folder in EuRoC's layout with ground truth, and the truth of what it was made of."""
+    entry, out = camera_entries[0.5], tmp_path_factory.mktemp("euroc") / "hall"
+    truth = ground_truth(entry)
+    roles = all_roles(entry, DataFormat.EUROC)
+    export_dataset(entry, roles, InputOptions(), DataFormat.EUROC, out, truth=truth)
+    return out, truth
+
+
+@pytest.fixture
+def catalogue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Writes a family into a folder of the catalogue."""
+    folder = tmp_path / "families"
+    folder.mkdir()
+    monkeypatch.setenv(FOLDERS, str(folder))
+
+    def write(text: str, head: str = HEAD, name: str = "test") -> None:
+        (folder / f"{name}.yaml").write_text(head + text)
+
+    return write
+
+
+@pytest.fixture
+def halls(site: Any, catalogue: Any, euroc: tuple[Path, Any]) -> Any:
+    """A server with an archive of two sequences in archives of their own, as EuRoC's are."""
+    inner = {}
+    for name, deflated in (("A", True), ("B", False)):
+        path = zipped(site.folder / "inner.zip", {}, deflated=deflated)
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED if deflated else zipfile.ZIP_STORED) as archive:
+            for file in sorted(euroc[0].rglob("*")):
+                if file.is_file() and file.name != "sensors.yaml":
+                    relative = file.relative_to(euroc[0])
+                    place = relative if relative.parts[0] == "mav0" else f"mav0/{relative}"
+                    archive.write(file, str(place))
+            archive.writestr("__MACOSX/mav0/._cam0", b"x")
+        inner[f"hall/{name}/{name}.zip"] = path.read_bytes()
+        path.unlink()
+    inner["hall/C/C.zip"] = os.urandom(1 << 20)
+    zipped(site.folder / "hall.zip", inner, deflated=False)
+    catalogue(
+        f"""
+parts:
+  hall: {{url: "{site.url}/hall.zip", members: ["hall/{{sequence}}/{{sequence}}.zip!mav0"]}}
+attributes: {{indoor: true}}
+sequences: {{A: {{attributes: {{loops: 1}}}}, B: , C: }}
+"""
+    )
+    return site
+
+
+def test_one_sequence_of_an_archive_of_many_comes_without_the_others(
+    halls: Any, tmp_path: Path, euroc: tuple[Path, Any]
+) -> None:
+    for name in "AB":
+        before = halls.sent
+        out = tmp_path / "datasets" / name
+        dataset = obtain(find_sequence(f"test/{name}"), out, f"test-{name.lower()}", tmp_path / "downloads")
+        assert set(dataset.spec.sensors) == {"left", "right"}
+        assert dataset.spec.catalogue == f"test/{name}"
+        assert (dataset.spec.license, dataset.spec.attributes["indoor"]) == ("CC0-1.0", True)
+        assert halls.sent - before < (halls.folder / "hall.zip").stat().st_size / 2
+        np.testing.assert_allclose(
+            np.loadtxt(out / "groundtruth.txt"), np.loadtxt(euroc[0] / "groundtruth.txt"), atol=1e-9
+        )
+    kept = [path for path in (tmp_path / "downloads").iterdir() if path.suffix != ".lock"]
+    assert kept == []
+
+
+def test_a_server_without_parts_sends_the_whole_archive_once(halls: Any, tmp_path: Path) -> None:
+    halls.by_ranges = False
+    downloads = tmp_path / "downloads"
+    obtain(find_sequence("test/A"), tmp_path / "a", "a", downloads, keep_archive=True)
+    sent = halls.sent
+    assert sent >= (halls.folder / "hall.zip").stat().st_size
+    obtain(find_sequence("test/B"), tmp_path / "b", "b", downloads)
+    assert halls.sent == sent
+    assert "hall.zip" in (downloads / "known-sums.json").read_text()
+
+
+def test_a_broken_member_is_fetched_again_once(halls: Any, tmp_path: Path) -> None:
+    with zipfile.ZipFile(halls.folder / "hall.zip") as archive:
+        halls.wrong = {"/hall.zip": archive.getinfo("hall/A/A.zip").header_offset + 5000}
+    said: list[str] = []
+    obtain(
+        find_sequence("test/A"), tmp_path / "a", "a", tmp_path / "d", listener=Listener(notify=said.append)
+    )
+    assert any("is damaged" in sentence and "fetched again" in sentence for sentence in said)
+    with pytest.raises(DataError, match=r"hall/C/C.zip: is damaged, or no archive"):
+        obtain(find_sequence("test/C"), tmp_path / "c", "c", tmp_path / "d")
+    assert not (tmp_path / "c").exists()
+
+
+def test_a_file_that_changed_since_its_first_fetch_is_refused(
+    site: Any, catalogue: Any, tmp_path: Path, euroc: tuple[Path, Any]
+) -> None:
+    def publish(extra: bytes) -> None:
+        with tarfile.open(site.folder / "s.tar", "w") as archive:
+            archive.add(euroc[0], "s")
+            archive.addfile(named(f"s/{extra.decode()}"))
+
+    publish(b"one")
+    catalogue(
+        f'folder: s\nparts: {{archive: {{url: "{site.url}/s.tar", members: [s]}}}}\nsequences: {{s: }}\n'
+    )
+    obtain(find_sequence("test/s"), tmp_path / "a", "a", tmp_path / "d")
+    publish(b"two")
+    with pytest.raises(
+        DataError, match=r"has sha256 \w+, expected \w+, which it had when it was fetched first"
+    ):
+        obtain(find_sequence("test/s"), tmp_path / "b", "b", tmp_path / "d")
+
+
+def test_what_is_fetched_by_hand_says_where_from_and_whereto(
+    site: Any, catalogue: Any, tmp_path: Path, bag_with_truth: Any
+) -> None:
+    bag_with_truth(tmp_path)
+    head = HEAD.replace("Euroc", "Bag").replace("left: Camera, right: Camera", "lidar: Lidar")
+    catalogue(
+        """
+parts:
+  bag: {manual: "https://localhost/login", file: walk.bag}
+dataset:
+  recording: {files: [{path: walk.bag}]}
+  sensors: {lidar: {type: Lidar, topic: /points}}
+  groundTruth: {topic: /truth}
+sequences: {walk: }
+""",
+        head,
+    )
+    walk, downloads = find_sequence("test/walk"), tmp_path / "downloads"
+    with pytest.raises(
+        InputError, match=r"log in or accept the licence at https://localhost/login, put the file"
+    ):
+        obtain(walk, tmp_path / "out", "walk", downloads)
+    (tmp_path / "walk.bag").rename(downloads / "test" / "walk.bag")
+    dataset = obtain(walk, tmp_path / "out", "walk", downloads)
+    assert [file.path for file in dataset.spec.recording.files] == ["walk.bag"]
+    assert (tmp_path / "out" / "walk.bag").is_file()
+    assert (downloads / "test" / "walk.bag").is_file(), "it is the user's"
+
+
+def test_a_manifest_that_names_a_sequence_is_a_dataset(
+    halls: Any, tmp_path: Path, euroc: tuple[Path, Any]
+) -> None:
+    dataset = Dataset.model_validate(
+        {"metadata": {"name": "mine"}, "spec": {"catalogue": "test/A", "attributes": {"loops": 3}}}
+    )
+    algorithm_mode = type("Mode", (), {"name": "stereo", "needs": ROLES[SensorMode.STEREO]})
+    assert list(role_problems(algorithm_mode, dataset, {})) == []  # type: ignore[arg-type]
+    rgbd = type("Mode", (), {"name": "rgbd", "needs": ROLES[SensorMode.RGBD]})
+    assert "has: left, right" in next(role_problems(rgbd, dataset, {}))  # type: ignore[arg-type]
+    entry = materialise(dataset, tmp_path, tmp_path / "home" / "datasets")
+    assert entry.dataset.spec.attributes == {"indoor": True, "loops": 3}
+    assert set(entry.dataset.spec.sensors) == {"left", "right"}
+    truth = ground_truth(entry)
+    assert truth is not None
+    np.testing.assert_allclose(
+        truth.poses.positions,
+        euroc[1].poses.positions,
+        atol=1e-6,  # type: ignore[union-attr]
+    )
+    assert len(dataset_sha256(entry)) == 64
+    sent = halls.sent
+    assert materialise(dataset, tmp_path, tmp_path / "home" / "datasets").root == entry.root
+    assert halls.sent == sent
+
+
+def test_an_unknown_sequence_says_what_is_near() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'MH_01_easy'"):
+        find_sequence("euroc/MH_01_eas")
+    with pytest.raises(UnknownNameError, match="did you mean 'euroc'"):
+        find_sequence("eurok/MH_01_easy")
+
+
+def test_all_that_comes_with_slamhive_follows_the_model() -> None:
+    names = set()
+    for family in load_catalogue().values():
+        for name in family.rows:
+            sequence = family.sequence_of(name)
+            names.add(dataset_name(family.name, name))
+            spec = {"catalogue": sequence.title, "attributes": sequence.attributes, **sequence.dataset}
+            Dataset.model_validate({"metadata": {"name": dataset_name(family.name, name)}, "spec": spec})
+    assert len(names) == sum(len(family.rows) for family in load_catalogue().values()) > 250
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("parts: {a: {url: 'https://x/a.zip'}}\nsequences: {a: , a: }", "'a' is there twice"),
+        (
+            "parts: {a: {url: 'https://x/a.zip'}}\nsequences: {a_b: , a-b: }",
+            "a_b and a-b make datasets of one",
+        ),
+        ("parts: {a: {url: 'http://x/a.zip'}}\nsequences: {a: }", "begins with https://|match pattern"),
+        ("parts: {a: {}}\nsequences: {a: }", "give either url or manual"),
+    ],
+)
+def test_mistakes_of_a_family_name_the_file(catalogue: Any, text: str, message: str) -> None:
+    catalogue(text)
+    with pytest.raises(ManifestError, match=rf"test.yaml: .*({message})"):
+        load_catalogue()
+
+
+def test_two_families_of_one_name_are_refused(catalogue: Any) -> None:
+    catalogue("parts: {a: {url: 'https://x/a.zip'}}\nsequences: {a: }", HEAD.replace("test", "euroc"))
+    with pytest.raises(ManifestError, match=r"test.yaml: a family 'euroc' is in .*euroc.yaml, too"):
+        load_catalogue()
+
+
+HOSTILE = {
+    "absolute": (named("/etc/x"), "leads outside of its folder"),
+    "above": (named("s/../../x"), "leads outside of its folder"),
+    "symbolic link": (named("s/x", tarfile.SYMTYPE, "../../etc/passwd"), "link 's/x' leads outside"),
+    "absolute link": (named("s/x", tarfile.SYMTYPE, "/etc/passwd"), "link 's/x' leads outside"),
+    "hard link": (named("s/x", tarfile.LNKTYPE, "../x"), "link 's/x' leads outside"),
+    "dangling link": (named("s/x", tarfile.SYMTYPE, "y"), "no file in it"),
+    "device": (named("s/x", tarfile.CHRTYPE), "is a device: refused"),
+    "pipe": (named("s/x", tarfile.FIFOTYPE), "is a device: refused"),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_what_leads_out_of_the_folder_is_refused(tmp_path: Path, kind: str) -> None:
+    member, message = HOSTILE[kind]
+    archive = tarred(tmp_path / "a.tgz", [named("s/ok"), member], {"s/ok": b"ok"})
+    out = tmp_path / "in" / "out"
+    with pytest.raises(DataError, match=message):
+        unpack(archive, [""], out)
+    assert [path.name for path in (tmp_path / "in").iterdir()] == ["out"]
+
+
+def test_a_zip_that_leads_out_is_refused_too(tmp_path: Path) -> None:
+    for name in ("../x", "/x", "..\\x"):
+        with pytest.raises(DataError, match="leads outside of its folder"):
+            unpack(zipped(tmp_path / "a.zip", {name: b"x"}), [""], tmp_path / "out")
+    link = zipfile.ZipInfo("s/x")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
+        archive.writestr(link, "/etc/passwd")
+    with pytest.raises(DataError, match="leads outside of its folder"):
+        unpack(tmp_path / "b.zip", [""], tmp_path / "out")
+
+
+def test_links_inside_become_copies(tmp_path: Path) -> None:
+    members = [named("s/a"), named("s/d/b", tarfile.SYMTYPE, "../a"), named("s/c", tarfile.LNKTYPE, "s/a")]
+    unpack(tarred(tmp_path / "a.tgz", members, {"s/a": b"content"}), ["s"], tmp_path / "out")
+    for name in ("s/d/b", "s/c"):
+        assert (tmp_path / "out" / name).read_bytes() == b"content"
+        assert not (tmp_path / "out" / name).is_symlink()
+
+
+def test_a_bomb_is_refused_before_it_fills_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unpacking, "FREE_BYTES", 1 << 20)
+    bomb = zipped(tmp_path / "bomb.zip", {"s/zeros": bytes(32 << 20)})
+    with pytest.raises(DataError, match=r"grows to more than \d+ MiB, 200 times its size: refused"):
+        unpack(bomb, ["s"], tmp_path / "out")
+    written = sum(path.stat().st_size for path in (tmp_path / "out").rglob("*") if path.is_file())
+    assert written <= 10 << 20
+
+
+def test_what_is_missing_is_named_with_what_is_there(tmp_path: Path) -> None:
+    archive = zipped(tmp_path / "a.zip", {"one/x": b"", "two/y": b""})
+    with pytest.raises(DataError, match=r"a.zip: has no three; it has: one/x, two/y"):
+        unpack(archive, ["one", "three"], tmp_path / "out")
+
+
+def test_a_truncated_archive_is_damaged(tmp_path: Path) -> None:
+    whole = tarred(tmp_path / "a.tgz", [named("s/a")], {"s/a": os.urandom(5000)})
+    whole.write_bytes(whole.read_bytes()[:3000])
+    with pytest.raises(DataError, match="is damaged"):
+        unpack(whole, ["s"], tmp_path / "out")
+
+
+def test_a_7z_says_which_package_reads_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.7z").write_bytes(b"7z\xbc\xaf\x27\x1c" + bytes(64))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SystemFault, match="apt-get install libarchive-tools"):
+        unpack(tmp_path / "a.7z", ["s"], tmp_path / "out")
+
+
+def test_a_7z_is_read_by_bsdtar(tmp_path: Path) -> None:
+    if shutil.which("bsdtar") is None:
+        pytest.skip("no bsdtar: apt-get install libarchive-tools")
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / "a").write_bytes(b"content")
+    subprocess.run(["bsdtar", "--format=7zip", "-cf", "a.7z", "s"], cwd=tmp_path, check=True)
+    unpack(tmp_path / "a.7z", ["s"], tmp_path / "out")
+    assert (tmp_path / "out" / "s" / "a").read_bytes() == b"content"
