@@ -137,7 +137,10 @@ def test_one_sequence_of_an_archive_of_many_comes_without_the_others(
 def test_a_server_without_parts_sends_the_whole_archive_once(halls: Any, tmp_path: Path) -> None:
     halls.by_ranges = False
     downloads = tmp_path / "downloads"
-    obtain(find_sequence("test/A"), tmp_path / "a", "a", downloads, keep_archive=True)
+    said: list[str] = []
+    listener = Listener(notify=said.append)
+    obtain(find_sequence("test/A"), tmp_path / "a", "a", downloads, listener=listener)
+    assert any("stays, as other sequences come from it" in sentence for sentence in said)
     sent = halls.sent
     assert sent >= (halls.folder / "hall.zip").stat().st_size
     obtain(find_sequence("test/B"), tmp_path / "b", "b", downloads)

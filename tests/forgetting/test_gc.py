@@ -259,3 +259,22 @@ def test_a_home_of_a_newer_version_is_refused(
     monkeypatch.setattr("slamhive.archive.schema.VERSION", 2)
     said = slamhive(*words)
     assert (said.code, "written by a newer slamhive" in said.err) == (2, True)
+
+
+def test_kept_archives_go_with_all_and_parts_of_them_at_once(lab: Any, slamhive: Callable[..., Any]) -> None:
+    lab.run("a")
+    downloads = lab.home.path / "downloads"
+    (downloads / "mcd").mkdir(parents=True)
+    kept, part = downloads / f"{'a' * 16}-hall.zip", downloads / f".fetching-{'b' * 24}.part"
+    state, own, sums = part.with_suffix(".state"), downloads / "mcd" / "a.bag", downloads / "known-sums.json"
+    for path in (kept, part, state, own, sums):
+        path.write_bytes(b"x" * 5000)
+        os.utime(path, (LONG_AGO, LONG_AGO))
+    with lock(part.with_suffix(".lock")):
+        slamhive("gc", "--yes")
+        assert there([kept, part, state, own, sums]) == [True] * 5
+    slamhive("gc", "--yes")
+    assert there([kept, part, state, own, sums]) == [True, False, False, True, True]
+    said = slamhive("gc", "--all", "--yes")
+    assert "dataset add takes other sequences from it" in said.out
+    assert there([kept, own, sums]) == [False, True, True]

@@ -115,6 +115,15 @@ def _of_home(home: Path, dataset: str) -> Truth | None:
     if place is None or place.dataset.spec.recording.synthetic is not None:
         made = _generated(home, place.dataset if place is not None else None, dataset)
         return Truth(read_tum(made), np.eye(4)) if made is not None else None
+    if place.dataset.spec.is_to_fetch:
+        from slamhive.data.store import is_made, materialise  # noqa: PLC0415
+        from slamhive.local.catalog import DatasetPlace  # noqa: PLC0415
+
+        datasets = home / "datasets"
+        if not is_made(place.dataset, place.folder, datasets):
+            return None
+        entry = materialise(place.dataset, place.folder, datasets)
+        place = DatasetPlace(entry.dataset, entry.root)
     truth = place.dataset.spec.ground_truth
     if truth is None or truth.file is None or not (place.folder / truth.file).is_file():
         return None

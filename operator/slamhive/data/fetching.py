@@ -150,6 +150,21 @@ def one_at_a_time(path: Path, what: str, progress: Progress) -> Iterator[bool]:
         os.close(descriptor)
 
 
+def is_busy(path: Path) -> bool:
+    """Tell whether a process fetches to a path, or works with what it fetched."""
+    try:
+        descriptor = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
 def _whole(wanted: Wanted, partial: Partial, progress: Progress) -> str:
     """Fetch all of a file until its checksum is right, at most twice."""
     urls = list(wanted.urls)

@@ -86,7 +86,10 @@ def obtain(
             shop = _Shop(sequence, downloads, listener)
             shop.require_manual()
             try:
-                taken = [_take(shop, title, part, work) for title, part in sequence.parts.items()]
+                taken = [
+                    _take(shop, title, part, work, keep_archive=keep_archive)
+                    for title, part in sequence.parts.items()
+                ]
                 _publish(sequence, work, out, name, listener)
             finally:
                 shutil.rmtree(work, ignore_errors=True)
@@ -103,11 +106,11 @@ def _described(out: Path) -> Dataset:
     return found
 
 
-def _take(shop: _Shop, title: str, part: Part, work: Path) -> Path | None:
+def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool) -> Path | None:
     """Fetch a part and unpack what is wanted of it.
 
     Returns:
-        What may go when the dataset is there; None where it is the user's.
+        What may go when the dataset is there; None where it is the user's, or others need it.
     """
     for again in (False, True):
         path = shop.bring(title, part)
@@ -134,6 +137,12 @@ def _take(shop: _Shop, title: str, part: Part, work: Path) -> Path | None:
             Partial(path).forget()
         else:
             break
+    if part.manual is None and title in shop.sequence.shared and path.suffix != ".part" and not keep_archive:
+        size = f"{path.stat().st_size / 1e9:.1f} GB"
+        shop.listener.notify(
+            f"{part.name}, {size}, stays, as other sequences come from it; slamhive gc --all removes it"
+        )
+        return None
     return None if part.manual is not None else path
 
 

@@ -53,7 +53,7 @@ def _work(root: Path) -> str:
     data = root / "data"
     dataset, folder = request.dataset, data / "datasets" / request.dataset.name
     _require_files(dataset, folder)
-    entry = materialise(dataset, folder, data / "generated", _teller("generating the recording"))
+    entry = materialise(dataset, folder, data / "generated", _teller(_making(dataset)))
     for asset in request.assets:
         _place(asset, data / "assets")
     variant = prepare(
@@ -67,6 +67,12 @@ def _work(root: Path) -> str:
     return described(_describe(entry, variant, truth, data / "variants" / ".hashes").as_json())
 
 
+def _making(dataset: Dataset) -> str:
+    if dataset.spec.is_to_fetch:
+        return f"fetching {dataset.spec.catalogue}"
+    return "generating the recording"
+
+
 def _require_files(dataset: Dataset, folder: Path) -> None:
     """Check that what can't be fetched is there.
 
@@ -75,7 +81,7 @@ def _require_files(dataset: Dataset, folder: Path) -> None:
     """
     truth, recording = dataset.spec.ground_truth, dataset.spec.recording
     needed = [("recording.files", file.path) for file in recording.files if file.url is None]
-    if truth is not None and recording.synthetic is None:
+    if truth is not None and recording.synthetic is None and not dataset.spec.is_to_fetch:
         needed += [("groundTruth.file", truth.file or ""), ("groundTruth.times", truth.times or "")]
     for field, path in needed:
         if path and not (folder / path).exists():

@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
+from slamhive.data.fetching import is_busy
 from slamhive.data.once import GRACE_SECONDS, last_use, leftovers, remove_free, remove_leftover
 from slamhive.data.store import MANIFEST, made_folder
 from slamhive.local.assets import remove_asset
@@ -47,6 +48,8 @@ REMOVING = ".removing"
 """End of the name of what is being removed from the catalog."""
 
 _KEY = re.compile(r"[0-9a-f]{16,64}")
+_ARCHIVE = re.compile(r"[0-9a-f]{16}-.+|[0-9a-f]{64}")
+_PARTIAL = re.compile(r"\.fetching-.+\.(part|state~?)|\.unpacked-[0-9a-f]+|\.known-sums.*~")
 _ENVIRONMENT = re.compile(rb"/environments/([0-9a-f]{16})/")
 _MOST = 4 << 20
 _AGAIN = "made again when it is needed"
@@ -62,6 +65,7 @@ class Kind(Choice):
     ENVIRONMENTS = "environments"
     ASSETS = "assets"
     CACHE = "cache"
+    DOWNLOADS = "downloads"
     LEFTOVERS = "leftovers"
 
 
@@ -140,6 +144,7 @@ def survey(
         *surveyor.environments(),
         *surveyor.assets(),
         *surveyor.cache(),
+        *surveyor.downloads(),
         *surveyor.leftovers(),
     ]
 
@@ -297,6 +302,23 @@ class _Surveyor:
             if not path.name.startswith("."):
                 yield self._made(Kind.CACHE, path, "it makes large tables load faster", recent=False)
 
+    def downloads(self) -> Iterator[Find]:
+        """Yield archives of datasets that were kept, and parts of others; what users put there is theirs."""
+        for path in sorted((self._home.path / "downloads").glob("*")):
+            if path.is_file() and _ARCHIVE.fullmatch(path.name):
+                if self._now - path.lstat().st_mtime < GRACE_SECONDS:
+                    yield self._find(
+                        Kind.DOWNLOADS, path, "it was fetched in the last 10 minutes", goes=False
+                    )
+                else:
+                    why = "it was kept: dataset add takes other sequences from it"
+                    yield self._made(Kind.DOWNLOADS, path, why, recent=False)
+            elif _PARTIAL.fullmatch(path.name) and not is_busy(path):
+                recent = self._now - path.lstat().st_mtime < GRACE_SECONDS
+                stays = self._linked(path) or ("it was fetched in the last 10 minutes" if recent else "")
+                why = stays or "its fetch was interrupted"
+                yield self._find(Kind.LEFTOVERS, path, why, goes=not stays)
+
     def leftovers(self) -> Iterator[Find]:
         """Yield what killed work left half made."""
         path = self._home.path
@@ -314,6 +336,8 @@ class _Surveyor:
             yield self._find(Kind.LEFTOVERS, folder, "a removal was interrupted", goes=True)
         for file in (file for pattern in patterns for file in sorted(path.glob(pattern))):
             linked = self._linked(file)
+            if file.suffix == ".lock" or is_busy(file):  # one that waits for a lock must not lose it
+                continue
             if self._now - file.lstat().st_mtime >= GRACE_SECONDS:
                 yield self._find(Kind.LEFTOVERS, file, linked or "it was left half made", goes=not linked)
         if (path / ASIDE).is_dir():

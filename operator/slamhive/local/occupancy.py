@@ -20,6 +20,7 @@ _FOLDERS = {
     "environments": ("environments of algorithms", _COLLECT),
     "assets": ("assets: files fetched for algorithms", _COLLECT),
     "truths": ("ground truth read from topics", _COLLECT),
+    "downloads": ("downloads: archives of datasets, whole or in part", _COLLECT),
     "cache": ("tables kept for the next start", _COLLECT),
     "algorithms": ("algorithms", "slamhive algorithm remove"),
     "groundtruth": ("ground truth of imported runs", ""),

@@ -98,7 +98,8 @@ class Workbench:
         # wait.
         with self.lock(name):
             if name not in self._datasets:
-                with self._making(f"generating the dataset {name} (once)", self._notify) as progress:
+                verb = "fetching" if place.dataset.spec.is_to_fetch else "generating"
+                with self._making(f"{verb} the dataset {name} (once)", self._notify) as progress:
                     self._datasets[name] = materialise(
                         place.dataset, place.folder, self.home.folder("datasets"), progress
                     )
