@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
 import stat
@@ -233,6 +234,34 @@ def test_a_manifest_that_names_a_sequence_is_a_dataset(
     assert len(dataset_sha256(entry)) == 64
     sent = halls.sent
     assert materialise(dataset, tmp_path, tmp_path / "home" / "datasets").root == entry.root
+    assert halls.sent == sent
+
+
+def test_a_preparation_of_a_cluster_fetches_it_once_to_the_data_volume(
+    halls: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from slamhive.jobs.prepare import main
+
+    request = {
+        "dataset": {
+            "apiVersion": "slamhive.io/v1alpha1",
+            "kind": "Dataset",
+            "metadata": {"name": "mine"},
+            "spec": {"catalogue": "test/A"},
+        },
+        "roles": ["left", "right"],
+        "input": {},
+        "formats": ["Rosbag1"],
+        "assets": [],
+    }
+    for folder in ("request", "data"):
+        (tmp_path / "pod" / folder).mkdir(parents=True)
+    (tmp_path / "pod" / "request" / "request.json").write_text(json.dumps(request))
+    assert main(["--root", str(tmp_path / "pod")]) == 0
+    sent = halls.sent
+    assert len(list((tmp_path / "pod" / "data" / "variants").glob("[0-9a-f]*"))) == 1
+    assert (tmp_path / "pod" / "data" / "groundtruth" / "mine.txt").is_file()
+    assert main(["--root", str(tmp_path / "pod")]) == 0
     assert halls.sent == sent
 
 
