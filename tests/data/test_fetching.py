@@ -234,6 +234,12 @@ def test_a_file_of_another_size_is_refused_before_it_comes(large: Any, tmp_path:
     assert large.sent < len(LARGE)
 
 
+def test_an_empty_file_is_a_file(large: Any, tmp_path: Path) -> None:
+    (large.folder / "large.bag").write_bytes(b"")
+    fetching.fetch_file(wanted(large, sha256=hashlib.sha256(b"").hexdigest()), tmp_path / "empty")
+    assert (tmp_path / "empty").read_bytes() == b""
+
+
 def test_the_next_mirror_is_asked(large: Any, tmp_path: Path) -> None:
     urls = ["https://localhost:1/large.bag", f"{large.url}/gone.bag", f"{large.url}/large.bag"]
     fetching.fetch_file(wanted(large, urls=urls), tmp_path / "large.bag")

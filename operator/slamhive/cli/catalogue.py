@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slamhive.cli.console import bytes_text, plural, remark
-from slamhive.cli.listing import show_catalog
+from slamhive.cli.console import bytes_text, out, plural, remark
+from slamhive.cli.tables import show
 from slamhive.model.sensors import ROLES, SensorMode
 
 if TYPE_CHECKING:
@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from slamhive.local.home import Home
     from slamhive.model.catalogue import Family
     from slamhive.model.dataset import Dataset
+
+_GAP = 3
+"""Characters between columns."""
+_LEAST = 24
+"""Characters below which attributes say nothing."""
 
 
 def search(
@@ -135,32 +140,34 @@ def _serves(family: Family, mode: SensorMode) -> bool:
 
 
 def _is_met(row: dict[str, Any], words: Sequence[str]) -> bool:
-    attributes = (f"{key}: {value}" for key, value in row["attributes"].items())
+    attributes = (f"{key}: {_word(value)}" for key, value in row["attributes"].items())
     text = " ".join([row["sequence"], row["title"], *row["sensors"], *attributes]).casefold()
     return all(word.casefold() in text for word in words)
 
 
 def _show(rows: Sequence[dict[str, Any]]) -> None:
+    """Print a line for each sequence; on a terminal attributes are cut to what there is room for."""
     lines = [
-        (
+        [
             row["sequence"],
             row.get("known") or "",
             ", ".join(row["sensors"]),
             bytes_text(row["bytes"]) if row["bytes"] else "",
-            ", ".join(f"{key}: {value}" for key, value in row["attributes"].items()),
             row["title"],
-        )
+            ", ".join(f"{key}: {_word(value)}" for key, value in row["attributes"].items()),
+        ]
         for row in rows
     ]
-    columns = [0, 2, 4, 5]
-    if any(line[1] for line in lines):
-        columns.insert(1, 1)
-    if any(line[3] for line in lines):
-        columns.insert(-2, 3)
-    headings = ("sequence", "known as", "sensors", "size", "attributes", "what it is")
-    last = len(columns) - 1
-    show_catalog(
-        [headings[at] for at in columns],
-        [[line[at] for at in columns] for line in lines],
-        prose=(last - 1, last),
-    )
+    headings = ["sequence", "known as", "sensors", "size", "what it is", "attributes"]
+    kept = [at for at in range(len(headings)) if any(line[at] for line in lines)]
+    if out.is_terminal and lines:
+        taken = sum(max(len(line[at]) for line in lines) + _GAP for at in kept[:-1])
+        most = max(out.width - taken, _LEAST)
+        for line in lines:
+            line[-1] = line[-1] if len(line[-1]) <= most else line[-1][: most - 1] + "…"
+    # Rich takes half a second for a thousand lines.
+    show(out, [headings[at] for at in kept], [[line[at] for at in kept] for line in lines])
+
+
+def _word(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)

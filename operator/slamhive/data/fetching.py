@@ -43,7 +43,7 @@ BLOCK = 1 << 20
 """Bytes that are written at a time: what an end by kill -9 loses."""
 _READ = 1 << 14
 """Bytes of a record of TLS: no read gives more."""
-_WAITING = 4
+_WAITING = 2
 """Blocks that wait for the disk."""
 
 

@@ -21,7 +21,7 @@ from slamhive.model.errors import SystemFault
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-FLUSH_BYTES = 256 << 20
+FLUSH_BYTES = 64 << 20
 """Bytes after which what was written is brought to disk."""
 
 Span = tuple[int, int]
@@ -89,7 +89,8 @@ class Partial:
         while view:
             written = os.pwrite(self._descriptor, view, place)
             view, place = view[written:], place + written
-        self.spans = _with(self.spans, (at, place))
+        if at < place:
+            self.spans = _with(self.spans, (at, place))
         self._since += place - at
         if self._since >= FLUSH_BYTES:
             self.flush()
@@ -138,6 +139,7 @@ class Partial:
         Raises:
             OSError: The disk refuses.
         """
+        self.write(0, b"")  # an empty file is one, too
         self.flush()
         self.close()
         self.path.replace(place)

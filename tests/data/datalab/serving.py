@@ -7,6 +7,7 @@ import contextlib
 import hashlib
 import http.server
 import re
+import socket
 import ssl
 import subprocess
 import threading
@@ -139,6 +140,8 @@ def serving(site: Site, certificate: Path, key: Path) -> Iterator[Site]:
     httpd = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key)
+    # What waits in the kernel counts as sent: little of it.
+    httpd.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
     httpd.socket = context.wrap_socket(httpd.socket, server_side=True, do_handshake_on_connect=False)
     thread = threading.Thread(target=httpd.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
