@@ -160,6 +160,10 @@ class Homes:
         """Return the folder of prepared recordings in one's own home."""
         return self._stations[OWN].variants()
 
+    def home(self) -> Path | None:
+        """Return one's own home."""
+        return self._stations[OWN].home()
+
     def live_runs(self) -> int:
         """Return the number of runs that are at work in one's own home."""
         return self._stations[OWN].live_runs()
