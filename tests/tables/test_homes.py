@@ -153,6 +153,10 @@ def test_tables_say_whose_a_row_is(keep: Callable[[str], Any], run_command: Call
     mine.run("a")
     anna.run("a", content="c2", version="v2", error=0.3)
     also = f"--also={anna.path}"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SLAMHIVE_ALSO", str(anna.path))
+        _, out, _ = run_command("results", "export", "--columns", "home,algorithm")
+    assert out.splitlines() == ["home,algorithm", "here,icp", "anna,icp @anna"]
     _, out, _ = run_command("results", "table", "--format", "json", also)
     assert {row["algorithm"]: row["ate.rmse.mean"] for row in json.loads(out)} == {
         "icp": 0.1,
@@ -177,3 +181,18 @@ def test_a_figure_has_the_runs_of_both(
     )
     assert code == 0, err
     assert "icp @anna" in numbers_file(tmp_path / "box.svg").read_text()
+
+
+def test_a_run_of_another_home_is_shown_by_name_and_by_uid(
+    keep: Callable[[str], Any], run_command: Callable[..., Any]
+) -> None:
+    mine, anna = keep("mine"), keep("anna")
+    mine.run("a")
+    anna.run("a", content="c2", error=0.3)
+    also = f"--also={anna.path}"
+    _, out, _ = run_command("results", "show", "a~anna", "--json", also)
+    assert [(row["home"], row["ate.rmse"]) for row in json.loads(out)] == [("anna", 0.3)]
+    _, out, _ = run_command("results", "show", "s-a", also)
+    assert out.count("provenance.contentHash") == 2
+    code, _, err = run_command("results", "show", "b~anna", also)
+    assert (code, "b" in err) == (2, True)

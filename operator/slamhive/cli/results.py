@@ -30,7 +30,7 @@ from slamhive.cli.waiting import Work
 from slamhive.local.home import Home
 from slamhive.local.removed import absence
 from slamhive.model.errors import InputError, UnknownNameError
-from slamhive.tables.homes import COLUMN
+from slamhive.tables.homes import COLUMN, OWN, homes_beside, read_homes, uid_in
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import constants, flat_cells, implied, key_text, table_lines, value_text
 from slamhive_eval.csv_writing import write_csv
@@ -119,21 +119,22 @@ def show_run(
     run: Annotated[str, typer.Argument(metavar="RUN", help="Name, UID or label run of a run.")],
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    also: Also = None,
 ) -> None:
     """Show all that is known of a run.
 
     Example: slamhive results show demo-3f2a
     """
-    with _archive() as archive:
-        records = find_runs(archive, run)
-    for record in records:
+    for record, label, folder in _found(run, also):
         rows = _rows_of(record)
+        gone = absence(folder, record.folder)
+        if label is not None:
+            rows = [{COLUMN: label} | row for row in rows]
         if as_json:
-            gone = absence(Home.from_environment().path, record.folder)
             rows = [row | {"files.absence": gone} for row in rows] if gone else rows
             write_json(sys.stdout, rows)
             continue
-        _show_record(record, rows)
+        _show_record(record, rows, gone)
 
 
 @app.command("table")
@@ -283,10 +284,32 @@ def _hand_over(to: Target, output: Path | None, selection: Selection, unused: di
 app.command("prune")(prune)
 
 
-@contextmanager
-def _archive() -> Iterator[Archive]:
-    with Archive.open(Home.from_environment().archive_url, read_only=True) as archive:
-        yield archive
+def _found(run: str, also: Sequence[str] | None) -> list[tuple[RunRecord, str | None, Path | None]]:
+    """Return the runs that a name means in all homes that are read, with label and folder of each home.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    home = Home.from_environment()
+    others = homes_beside(home, also)
+    places: list[tuple[str, str, Path | None]] = [(OWN, home.archive_url, home.path)]
+    places += [(one.label, one.url, one.path) for one in others]
+    plain, meant = uid_in(run, [label for label, _, _ in places])
+    found: list[tuple[RunRecord, str | None, Path | None]] = []
+    unknown: UnknownNameError | None = None
+    for label, url, folder in places:
+        if meant not in {None, label}:
+            continue
+        with Archive.open(url, read_only=True) as archive:
+            try:
+                records = find_runs(archive, plain)
+            except UnknownNameError as error:
+                unknown = unknown or error
+                continue
+        found += [(record, label if others else None, folder) for record in records]
+    if unknown is not None and not found:
+        raise unknown
+    return found
 
 
 def _with_home(names: Sequence[str], frame: Frame) -> Sequence[str]:
@@ -302,11 +325,8 @@ def _select(selection: Selection, also: Sequence[str] | None = ()) -> Chosen:
         also: other homes; None for those of the environment.
     """
     home = Home.from_environment()
-    if also is None or also:
-        from slamhive.tables.homes import homes_beside, read_homes
-
-        if others := homes_beside(home, also):
-            return choose(read_homes(home, others), selection)
+    if others := homes_beside(home, also):
+        return choose(read_homes(home, others), selection)
     file = file_of(home.archive_url)
     absent = file is not None and not file.exists()
     found = Frame({}, 0) if absent else read_archive(home.archive_url, home.path / "cache")
@@ -349,7 +369,7 @@ def find_runs(archive: Archive, run: str) -> list[RunRecord]:
     return matching
 
 
-def _show_record(record: RunRecord, rows: Sequence[Row]) -> None:
+def _show_record(record: RunRecord, rows: Sequence[Row], gone: str | None) -> None:
     names = [name for name in rows[0] if not name.startswith(("transform", "id", _BY_TIME))]
     common = [name for name in names if all(name in row and row[name] == rows[0][name] for row in rows)]
     out.print(record.name, style="bold", markup=False)
@@ -369,7 +389,6 @@ def _show_record(record: RunRecord, rows: Sequence[Row]) -> None:
     for result in record.results:
         _show_relations(result)
         _show_points(result)
-    gone = absence(Home.from_environment().path, record.folder)
     if gone:
         out.print(f"{gone}: only the record is left", style="bold", markup=False)
     if record.log_tail:

@@ -72,10 +72,11 @@ def homes_beside(own: Home, places: Sequence[str] | None) -> list[Beside]:
     Raises:
         InputError: there is no such place, or two have one label.
     """
-    field = "--also" if places else VARIABLE
-    wanted = places or [one for one in os.environ.get(VARIABLE, "").split(",") if one.strip()]
+    field = VARIABLE if places is None else "--also"
+    if places is None:
+        places = [one for one in os.environ.get(VARIABLE, "").split(",") if one.strip()]
     found: dict[str, Beside] = {}
-    for text in wanted:
+    for text in places:
         if text.strip().rpartition("=")[2] == str(own.path):
             continue
         one = _beside(text.strip(), field)
