@@ -233,3 +233,11 @@ def test_on_a_phone_the_score_stands_before_the_name(browser: Any, site: str) ->
     assert browser.run(heads)[:3] == ["rank", "score (0 best)", "over the best"]
     browser.look(width=1280)
     browser.wait(f"{heads}[2] === 'algorithm'")
+
+
+def test_runs_show_the_settings_that_vary(browser: Any, site: str) -> None:
+    browser.open(f"{site}/runs")
+    heads = browser.run("[...document.querySelectorAll('th')].map((one) => one.innerText.trim())")
+    place = next(number for number, head in enumerate(heads) if "nFeatures" in head)
+    assert "dataset" in heads[:place]
+    assert "sweep" in heads[place:]

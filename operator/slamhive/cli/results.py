@@ -13,7 +13,7 @@ import typer
 
 from slamhive.analysis.flattening import Results, columns_of_runs
 from slamhive.analysis.frame import Frame
-from slamhive.analysis.grouping import Outcomes, aggregate, where_equal
+from slamhive.analysis.grouping import Outcomes, aggregate, varying, where_equal
 from slamhive.analysis.metrics import Metric
 from slamhive.analysis.ordering import order_by, order_rows
 from slamhive.analysis.selection import Chosen, Selection, choose
@@ -32,7 +32,15 @@ from slamhive.local.removed import absence
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.tables.homes import COLUMN, OWN, homes_beside, read_homes, uid_in
 from slamhive.tables.reading import read_archive
-from slamhive.tables.text import constants, flat_cells, implied, key_text, table_lines, value_text
+from slamhive.tables.text import (
+    constants,
+    flat_cells,
+    implied,
+    key_text,
+    short_name,
+    table_lines,
+    value_text,
+)
 from slamhive_eval.csv_writing import write_csv
 
 if TYPE_CHECKING:
@@ -55,6 +63,8 @@ TABLE_METRICS = (
     *("ate.rmse", "rpe[0].rmse", "relations.translation.mean", "relations.rotationDeg.mean"),
     *("usage.cpu.secondsPerDataSecond", "usage.cpu.meanCores", "usage.memory.peakBytes"),
 )
+_SAID_ONCE = ("sweep", "algorithm", "sensors", "dataset", "phase", "evaluation")
+_MOST_SETTINGS = 6
 _BY_TIME = "relations.byTime["
 
 Where = Annotated[
@@ -98,7 +108,11 @@ def list_results(
         also,
     )
     frame = found.frame
-    usual = _names(columns) or usual_columns(_with_home(LIST_COLUMNS, frame), frame)
+    wanted = _names(columns)
+    same: dict[str, Any] = {}
+    if wanted is None and form not in (Format.JSON, Format.CSV):
+        wanted, same = _telling(frame)
+    usual = wanted or usual_columns(_with_home(LIST_COLUMNS, frame), frame)
     shown = [Metric.parse(name) for name in usual]
     names = [metric.column for metric in shown]
     frame.require(names)
@@ -109,8 +123,16 @@ def list_results(
         case Format.CSV:
             write_csv(sys.stdout, names, ([row[name] for name in names] for row in rows))
         case _:
+            if same:
+                out.print(
+                    ", ".join(f"{name} {key_text(value)}" for name, value in same.items()), markup=False
+                )
             lines = [[value_text(metric, row[metric.column]) for metric in shown] for row in rows]
-            _print(form, [metric.title for metric in shown], lines)
+            titles = [
+                short_name(one.column, names) if one.column.startswith("parameters.") else one.title
+                for one in shown
+            ]
+            _print(form, titles, lines)
             _remark(found)
 
 
@@ -427,6 +449,24 @@ def _show_points(result: Result) -> None:
         out.print(f"and {plural(left_out, 'point')} with smaller errors")
     for note in result.values.get("notes") or []:
         out.print(f"note: {note}", markup=False)
+
+
+def _telling(frame: Frame) -> tuple[list[str], dict[str, Any]]:
+    """Return the columns of a list for people: settings that vary, and not what is the same in all runs.
+
+    Returns:
+        The columns, and what all runs share, by name.
+    """
+    names = usual_columns(_with_home(LIST_COLUMNS, frame), frame)
+    same: dict[str, Any] = {}
+    if len(frame) > 1:
+        for name in _SAID_ONCE:
+            _, values = frame.column(name).factorized()
+            if len(values) == 1 and frame.column(name).present.all():
+                same[name] = values[0]
+    at = names.index("repetition")
+    names[at:at] = [name for name in varying(frame)[:_MOST_SETTINGS] if name not in names]
+    return [name for name in names if name not in same], same
 
 
 def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:

@@ -27,6 +27,8 @@ const USUAL = [
 /** What comes first where little is seen. */
 const ON_A_PHONE = ['run', 'status', 'ate.rmse'];
 const MOST_COMPARED = 8;
+/** Settings that vary are shown too, so many. */
+const MOST_SETTINGS = 6;
 
 export default function Runs() {
   const { path } = useAddress();
@@ -40,8 +42,12 @@ function AllRuns() {
   const columns = useColumns();
   const known = columns.data?.items ?? [];
   const narrow = useNarrow();
+  const settings = known
+    .filter(({ group, distinct }) => (group === 'input' || group === 'parameters') && distinct > 1)
+    .slice(0, MOST_SETTINGS)
+    .map(({ name }) => name);
   const usual = foremost(
-    USUAL.map((name) => ({ name })),
+    USUAL.flatMap((name) => (name === 'dataset' ? [name, ...settings] : [name])).map((name) => ({ name })),
     narrow ? ON_A_PHONE : [],
   )
     .map((one) => one.name)

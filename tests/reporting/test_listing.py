@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`slamhive results list` for people: what tells the runs apart is shown, what they share is said once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    Slamhive = Callable[..., tuple[int, str, str]]
+    Fill = Callable[..., Path]
+
+
+def test_settings_that_vary_are_columns_and_what_is_the_same_is_said_once(
+    records: Any, fill: Fill, slamhive: Slamhive
+) -> None:
+    home = fill([records.run(number, parameters={"nFeatures": 500 + number, "k": 1}) for number in (0, 6)])
+    code, out, _ = slamhive(home, "results", "list")
+    said, *table = out.splitlines()
+    assert code == 0
+    assert said.startswith("sweep study, algorithm algorithm-0, sensors stereo, dataset dataset-0, phase")
+    heads = " ".join(table[:3]).split()
+    assert "nFeatures" in heads
+    assert not {"k", "parameters.nFeatures", "algorithm", "dataset"} & set(heads)
+    assert [line.split()[:2] for line in table if line.startswith("run-")] == [
+        ["run-000", "500"],
+        ["run-006", "506"],
+    ]
+
+
+def test_one_run_has_all_columns_and_so_has_what_programs_read(
+    records: Any, fill: Fill, slamhive: Slamhive
+) -> None:
+    home = fill([records.run(0)])
+    assert "algorithm" in slamhive(home, "results", "list")[1].split()
+    home = fill([records.run(0), records.run(6)])
+    head = slamhive(home, "results", "list", "--format", "csv")[1].splitlines()[0]
+    assert head.startswith("run,sweep,algorithm,sensors,dataset,repetition,phase,")
