@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from slamhive_eval import Trajectory, write_tum
+from slamhive_eval import Trajectory, write_trajectory, write_tum
 from slamhive_eval.command import main
 from slamhive_eval.subcommands import COMMANDS
 
@@ -34,13 +34,22 @@ def desk(tmp_path: Path, wander: Callable[..., Trajectory], monkeypatch: pytest.
         write_tum(
             tmp_path / f"{name}.txt", Trajectory(truth.stamps, truth.positions + noise, truth.quaternions)
         )
+    rows = zip(truth.stamps.tolist(), truth.positions.tolist(), truth.quaternions.tolist(), strict=True)
+    lines = [",".join(map(str, (int(t), round(t % 1 * 1e9), *p, *q))) for t, p, q in rows]
+    (tmp_path / "registered_poses.csv").write_text("\n".join(["#sec,nsec", *lines]))
+    points = np.column_stack((truth.stamps, truth.positions))[::40].tolist()
+    (tmp_path / "points.txt").write_text("\n".join(" ".join(map(str, row)) for row in points))
+    np.savetxt(tmp_path / "T_lidar_imu.txt", np.eye(4))
+    for folder in ("poses", "estimates"):
+        (tmp_path / folder).mkdir()
+        write_trajectory(tmp_path / folder / "00.txt", truth, "kitti")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def test_commands(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = [line for block in blocks("text") for line in block.splitlines()]
-    assert len(lines) == 9
+    assert len(lines) == 13
     for line in lines:
         program, *words = shlex.split(line)
         assert program == "slamhive-eval"
