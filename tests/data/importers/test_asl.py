@@ -12,10 +12,10 @@ import pytest
 
 from slamhive.data.exporting import export_dataset
 from slamhive.data.groundtruth import ground_truth
-from slamhive.data.importers import ImportOptions, layout_module
+from slamhive.data.importers import ImportOptions, layout_module, layout_of
 from slamhive.data.inspection import inspect
 from slamhive.data.preparation import prepare
-from slamhive.model.errors import DataError
+from slamhive.model.errors import DataError, InputError
 from slamhive.model.formats import DataFormat
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Role
@@ -325,6 +325,18 @@ def test_a_generated_recording_comes_back_from_euroc(
         assert (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) == pixels).all()
     assert np.array_equal(ground_truth(found.entry).poses.positions, truth.poses.positions)
     assert found.notes == ""
+
+
+def test_one_of_several_sequences(euroc: Any, tmp_path: Path) -> None:
+    for name in ("MH_01", "MH_02"):
+        euroc(tmp_path / "hall" / name)
+    assert layout_of(tmp_path / "hall") == "Euroc"
+    read = layout_module("Euroc").read
+    assert len(read(tmp_path / "hall", ImportOptions(sequence="MH_02")).streams) == 3
+    with pytest.raises(InputError, match=r"several sequences in it; choose .* by --sequence: MH_01, MH_02"):
+        read(tmp_path / "hall", ImportOptions())
+    with pytest.raises(InputError, match="no sequence 'MH_03' in it"):
+        read(tmp_path / "hall", ImportOptions(sequence="MH_03"))
 
 
 def test_what_fails_leaves_nothing(euroc: Any, imported: Any, tmp_path: Path) -> None:

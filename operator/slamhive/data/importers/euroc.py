@@ -22,7 +22,9 @@ from slamhive.data.importers.contents import (
     imu_stream,
     read_pixels,
 )
-from slamhive.data.importers.lists import NANOSECONDS, read_images, read_samples
+from slamhive.data.importers.lists import read_images
+from slamhive.data.importers.sequences import sequence_folder
+from slamhive.data.importers.tables import read_table
 from slamhive.data.thinning import partners, rate_of
 from slamhive.model.dataset import GroundTruth
 from slamhive.model.errors import DataError
@@ -47,6 +49,7 @@ _TRUTHS = (
     "../ground_truth/pGT/*.txt",
     "../ground_truth/pseudo_dense/*.txt",
 )
+_IMU_ROW = "a stamp in ns, angular velocities, specific forces"
 _MARKERS = ("vicon0", "leica0")
 _LONG_GAP_SECONDS = 10.0
 
@@ -59,18 +62,24 @@ class _Rig(NamedTuple):
 
 
 def recognises(source: Path) -> bool:
-    """Tell whether something is a folder with mav0 (of LaMAria: aria), or that folder itself."""
+    """Tell whether something is a folder with mav0 (of LaMAria: aria), that folder itself, or has such in it."""
+    return _is_sequence(source) or any(next(source.glob(f"*/{name}"), None) for name in _BASES)
+
+
+def _is_sequence(source: Path) -> bool:
     return (source / "mav0").is_dir() or any((path / "cam0").is_dir() for path in (source, source / "aria"))
 
 
-def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
-    """Read a folder in EuRoC's layout: the folder with mav0, or mav0 itself.
+def read(source: Path, options: ImportOptions) -> Contents:
+    """Read a folder in EuRoC's layout: the folder with mav0, or mav0 itself, or one of several.
 
     The body frame is the one of its calibration, the IMU's.
 
     Raises:
         DataError: Something in the folder is missing or damaged.
+        InputError: There are several sequences in it, and none is chosen.
     """
+    source = sequence_folder(source, options.sequence, _is_sequence)
     base = next((source / name for name in _BASES if (source / name).is_dir()), source)
     cameras = [path for path in sorted(base.glob("cam[0-9]")) if _is_sensor(path, "images")]
     imus = [path for path in sorted(base.glob("imu[0-9]")) if _is_sensor(path, "samples")][:1]
@@ -152,7 +161,7 @@ def _with_imu(
 
 
 def _camera(folder: Path, role: str, known: Calibration, notes: list[str]) -> Stream:
-    images = read_images(folder / "data.csv", folder / "data", NANOSECONDS)
+    images = read_images(folder / "data.csv", folder / "data", "ns")
     notes += images.notes
     if read_pixels(images.files[0]).dtype == np.uint16:
         notes.append(f"{folder}: images of 16 bits become images of 8, by the upper 8 bits")
@@ -172,8 +181,8 @@ def _camera(folder: Path, role: str, known: Calibration, notes: list[str]) -> St
 
 
 def _imu(folder: Path, known: Calibration, notes: list[str]) -> Stream:
-    samples = read_samples(folder / "data.csv", 6, NANOSECONDS)
-    notes += samples.notes
+    table = read_table(folder / "data.csv", 6, _IMU_ROW, stamp="ns")
+    samples = table.ascending("samples", notes)
     sensor = Sensor.model_validate(
         {
             "type": "Imu",
@@ -246,7 +255,7 @@ def _poses(source: Path) -> Trajectory:
 
 
 def _in_nanoseconds(source: Path) -> Trajectory:
-    samples = read_samples(source, 7, NANOSECONDS)
+    samples = read_table(source, 7, "a stamp in ns, tx ty tz qx qy qz qw", stamp="ns")
     return Trajectory(samples.stamps / 1e9, samples.values[:, :3], samples.values[:, 3:])
 
 

@@ -24,7 +24,9 @@ from slamhive.data.importers.contents import (
     imu_stream,
     read_pixels,
 )
-from slamhive.data.importers.lists import SECONDS, Images, read_images, read_samples
+from slamhive.data.importers.lists import Images, read_images
+from slamhive.data.importers.sequences import sequence_folder
+from slamhive.data.importers.tables import read_table
 from slamhive.data.thinning import rate_of
 from slamhive.model.dataset import GroundTruth
 from slamhive.model.errors import DataError
@@ -35,13 +37,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.data.importers import ImportOptions
-    from slamhive.data.importers.lists import Samples
+    from slamhive.data.importers.tables import Table
     from slamhive.data.importers.tum_cameras import Device, Rig
 
 TITLE = (
     "a folder in the layout of TUM RGB-D (rgb.txt, depth.txt), also Bonn's, ETH3D's, ICL-NUIM's, OpenLORIS'"
 )
 
+_LISTS = ("rgb.txt", "color.txt", "depth.txt", "aligned_depth.txt")
 _FRAME_RATE = 30
 """Of ICL-NUIM, which has numbers of frames instead of stamps."""
 _FIRST_STAMP = 10**9
@@ -57,19 +60,24 @@ class _Lists(NamedTuple):
 
 
 def recognises(source: Path) -> bool:
-    """Tell whether something is a folder with a list of colour or depth images, or ICL-NUIM's folders."""
-    lists = ("rgb.txt", "color.txt", "depth.txt", "aligned_depth.txt")
-    return any((source / name).is_file() for name in lists) or _is_numbered(source)
+    """Tell whether something is a folder with a list of images, or ICL-NUIM's folders, or has such in it."""
+    return _is_sequence(source) or any(next(source.glob(f"*/{name}"), None) for name in _LISTS)
 
 
-def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
-    """Read a folder in the layout of TUM RGB-D.
+def _is_sequence(source: Path) -> bool:
+    return any((source / name).is_file() for name in _LISTS) or _is_numbered(source)
+
+
+def read(source: Path, options: ImportOptions) -> Contents:
+    """Read a folder in the layout of TUM RGB-D, or one of several.
 
     The body is the colour camera, for OpenLORIS the robot's base, whose ground truth they have.
 
     Raises:
         DataError: Something in the folder is missing or damaged.
+        InputError: There are several sequences in it, and none is chosen.
     """
+    source = sequence_folder(source, options.sequence, _is_sequence)
     notes: list[str] = []
     if _is_numbered(source):
         images = {"rgb": _numbered(source / "rgb")}
@@ -81,15 +89,15 @@ def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
         )
     else:
         lists = _lists(source, notes)
-        images = {"rgb": read_images(lists.color, source, SECONDS)}
+        images = {"rgb": read_images(lists.color, source, "s")}
         if lists.depth is not None:
-            images["depth"] = read_images(lists.depth, source, SECONDS)
+            images["depth"] = read_images(lists.depth, source, "s")
         rig = tum_cameras.rig_of(source, lists.color)
         second = source / "rgb2.txt"
         if "rgb2" in rig.devices:
             paths = [source / "rgb2" / path.name for path in images["rgb"].files]
             images["rgb2"] = (
-                read_images(second, source, SECONDS)
+                read_images(second, source, "s")
                 if second.is_file()
                 else _same_names(images["rgb"], paths, notes)
             )
@@ -194,8 +202,10 @@ def _imu(source: Path, rig: Rig, notes: list[str]) -> list[Stream]:
     if not rate_path.is_file():
         notes.append(f"{force_path.name} is left out: without a gyroscope it is no IMU that programs take")
         return []
-    rates, forces = read_samples(rate_path, 3, SECONDS), read_samples(force_path, 3, SECONDS)
-    notes += rates.notes + forces.notes
+    rates, forces = (
+        read_table(path, 3, "a stamp in s and three numbers", stamp="s").ascending("samples", notes)
+        for path in (rate_path, force_path)
+    )
     rates, values = interpolated(rates, forces)
     if not rates.stamps.size:
         raise DataError(f"{force_path} and {rate_path}: no time in common")
@@ -218,12 +228,12 @@ def _imu(source: Path, rig: Rig, notes: list[str]) -> list[Stream]:
 
 
 def interpolated(
-    rates: Samples, forces: Samples
-) -> tuple[Samples, np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+    rates: Table, forces: Table
+) -> tuple[Table, np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
     """Return the rates within the time of the forces, and the forces at their stamps, shape (n, 3)."""
     first, last = forces.stamps[0], forces.stamps[-1]
     inside = (rates.stamps >= first) & (rates.stamps <= last)
-    kept = rates._replace(stamps=rates.stamps[inside], values=rates.values[inside])
+    kept = rates.rows(np.flatnonzero(inside))
     # Stamps in ns need more digits than float64 has: times are taken from the first one.
     at, known = (kept.stamps - first).astype(np.float64), (forces.stamps - first).astype(np.float64)
     return kept, np.column_stack([np.interp(at, known, forces.values[:, k]) for k in range(3)])
