@@ -62,7 +62,7 @@ class _Rig(NamedTuple):
 
 
 def recognises(source: Path) -> bool:
-    """Tell whether something is a folder with mav0 (of LaMAria: aria), that folder itself, or has such in it."""
+    """Tell whether something is a folder with mav0 (of LaMAria: aria), that folder, or has such in it."""
     return _is_sequence(source) or any(next(source.glob(f"*/{name}"), None) for name in _BASES)
 
 
