@@ -109,6 +109,15 @@ def test_what_is_no_file_of_published_numbers(written: Any, content: Any, words:
     assert words in str(error.value)
 
 
+def test_the_documents_example_is_one(written: Any) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "results.md").read_text(encoding="utf-8")
+    example = next(block for block in text.split("```text\n") if block.startswith("source: "))
+    (item,) = published_on(
+        runs(dataset=["euroc-mh-01-easy"]), [read_published(written(example.partition("```")[0]))]
+    )
+    assert (item.where, item.values) == ("ICRA 2024, Table 2", {"ate.rmse": pytest.approx(0.035)})
+
+
 def test_names_without_case_and_punctuation() -> None:
     assert plain_name("MH_01_easy") == "mh-01-easy"
 
