@@ -64,9 +64,8 @@ def rate_beside_curl(site: Site, folder: Path, sha256: str) -> None:
         place.unlink()
     peer = SIZE / min(times["curl"]) / 1e6
     own = SIZE / (min(times["slamhive"]) - min(start)) / 1e6
-    print(
-        f"fetch with checksum · {own:.0f} MB/s, {own / peer:.2f} of curl's · curl {peer:.0f} MB/s, limit 0.9"
-    )
+    rates = f"{own:.0f} MB/s, {own / peer:.2f} of curl's"
+    print(f"fetch with checksum · {rates} · curl, sync: {peer:.0f} MB/s, limit 0.9")
 
 
 def killed(site: Site, folder: Path, content: Path, sha256: str) -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.metrics import Metric
     from slamhive.tables.published import Published
 
-app = typer.Typer(no_args_is_help=True, help="Published numbers: list them, add more.")
+app = typer.Typer(no_args_is_help=True, help="Numbers of papers and leaderboards, shown beside own runs.")
 
 
 @app.command("list")

@@ -24,7 +24,6 @@ from slamhive.bridges.targets import Target
 from slamhive.cli.choosing import Also
 from slamhive.cli.console import out, plural, remark
 from slamhive.cli.forgetting import prune
-from slamhive.cli.published import found_for, print_published
 from slamhive.cli.tables import Format, show, write_json, write_markdown
 from slamhive.cli.waiting import Work
 from slamhive.local.home import Home
@@ -49,6 +48,7 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.grouping import Aggregate, Cell
     from slamhive.model.results import Result, RunRecord
+    from slamhive.tables.published import Published
 
     Row = dict[str, Any]
 
@@ -201,7 +201,7 @@ def show_table(
     if not metric:
         metrics = [one for one in metrics if any(cell.figures[one.column].summary for cell in found.cells)]
     found = _sorted_cells(found, sort)
-    beside = found_for(frame) if published else []
+    beside = _published_on(frame) if published else []
     flat = [*flat_cells(found), *(one.flat() for one in beside)]
     match form:
         case Format.JSON:
@@ -220,6 +220,8 @@ def show_table(
                 remark(note)
             _remark(chosen, found)
             if published:
+                from slamhive.cli.published import print_published
+
                 print_published(beside, metrics, lambda heads, lines: _print(form, heads, lines))
 
 
@@ -332,6 +334,12 @@ def _found(run: str, also: Sequence[str] | None) -> list[tuple[RunRecord, str | 
     if unknown is not None and not found:
         raise unknown
     return found
+
+
+def _published_on(frame: Frame) -> list[Published]:
+    from slamhive.cli.published import found_for
+
+    return found_for(frame)
 
 
 def _with_home(names: Sequence[str], frame: Frame) -> Sequence[str]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import threading
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,6 +52,8 @@ class Partial:
         self._flushed: list[Span] = []
         self._since = 0
         self._descriptor: int | None = None
+        self._flusher: threading.Thread | None = None
+        self._refused: OSError | None = None
         self._load()
 
     def _load(self) -> None:
@@ -92,10 +95,13 @@ class Partial:
         if at < place:
             self.spans = _with(self.spans, (at, place))
         self._since += place - at
-        if self._since >= FLUSH_BYTES:
-            self.flush()
-        else:
-            self._save()
+        if self._since >= FLUSH_BYTES and not (self._flusher and self._flusher.is_alive()):
+            self._wait()
+            self._since = 0
+            # Aside: neither network nor disk waits for the other.
+            self._flusher = threading.Thread(target=self._flush_aside, args=(list(self.spans),), daemon=True)
+            self._flusher.start()
+        self._save()
 
     def flush(self) -> None:
         """Bring what is there to disk.
@@ -103,13 +109,38 @@ class Partial:
         Raises:
             OSError: The disk refuses.
         """
+        self._wait()
         if self._descriptor is not None:
             os.fdatasync(self._descriptor)
         self._flushed, self._since = list(self.spans), 0
         self._save()
 
+    def _flush_aside(self, spans: list[Span]) -> None:
+        try:
+            os.fdatasync(self._descriptor or 0)
+        except OSError as error:
+            self._refused = error
+        else:
+            self._flushed = spans
+
+    def _wait(self) -> None:
+        """Wait for what is being brought to disk.
+
+        Raises:
+            OSError: The disk refused.
+        """
+        if self._flusher is not None:
+            self._flusher.join()
+            self._flusher = None
+        if self._refused is not None:
+            error, self._refused = self._refused, None
+            raise error
+
     def close(self) -> None:
         """Let go of the file; it stays."""
+        if self._flusher is not None:
+            self._flusher.join()
+            self._flusher = None
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
