@@ -73,8 +73,9 @@ def make_points(
             fields.append((name, kind))
             columns[name] = column
     x, y, z = (columns[axis] for axis in "xyz")
-    # A sum is finite only of finite numbers: one look at each point instead of three.
-    kept = np.isfinite(x + y + z) & ((x != 0) | (y != 0) | (z != 0))
+    with np.errstate(all="ignore"):
+        # A sum is finite only of finite numbers: one look at each point instead of three.
+        kept = np.isfinite(x + y + z) & ((x != 0) | (y != 0) | (z != 0))
     points = np.empty(int(np.count_nonzero(kept)), dtype=fields)
     for name, column in columns.items():
         points[name] = column[kept]

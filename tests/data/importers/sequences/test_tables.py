@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamhive.data.importers.scans import XYZI, make_points
 from slamhive.data.importers.tables import ascending, nanoseconds, read_table
 from slamhive.model.errors import DataError
 
@@ -78,3 +79,10 @@ def test_stamps_that_repeat_or_step_back_are_left_out() -> None:
     stamps[1] = 1000
     with pytest.raises(DataError, match=r"38 of 40 stamps of poses .* stamps must ascend"):
         ascending(stamps, "a.csv", "poses", [])
+
+
+def test_points_without_a_place_or_a_return_are_left_out() -> None:
+    points = np.zeros(5, dtype=XYZI)
+    points["x"] = [1, np.nan, 0, np.inf, 3e38]
+    points["y"][4] = 3e38
+    assert make_points(points)["x"].tolist() == [1]
