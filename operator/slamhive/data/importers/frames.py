@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.data.importers.contents import Stream, camera_stream, encoding_of, read_pixels
+from slamhive.data.importers.contents import Stream, camera_pixels, camera_stream, encoding_of, read_pixels
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import Camera, Sensor
 
@@ -76,7 +76,7 @@ def view_stream(
         DataError: The first image is missing or of another size.
     """
     rate = float(f"{1e9 / np.diff(stamps).mean():.6g}") if len(stamps) > 1 else None
-    pixels = read_pixels(files[0]) if depth is None else depth[1](files[0])
+    pixels = camera_pixels(files[0]) if depth is None else depth[1](files[0])
     if pixels.shape[:2] != (lens["height"], lens["width"]):
         raise DataError(
             f"{files[0]}: {pixels.shape[1]}×{pixels.shape[0]} pixels, but {source} is for "

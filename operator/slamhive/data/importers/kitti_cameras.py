@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.data.importers.contents import camera_stream, encoding_of, read_pixels
+from slamhive.data.importers.contents import camera_pixels, camera_stream, encoding_of
 from slamhive.data.importers.scans import mean_rate
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import Camera, Sensor
@@ -97,7 +97,7 @@ def kitti_camera(
     Raises:
         DataError: The calibration isn't that of the images.
     """
-    pixels = read_pixels(files[0])
+    pixels = camera_pixels(files[0])
     height, width = pixels.shape[:2]
     if size is not None and size != (width, height):
         raise DataError(

@@ -263,3 +263,13 @@ def test_a_sequence_is_added_by_its_number(tmp_path: Path, monkeypatch: pytest.M
     assert result.exit_code == 0, result.output
     assert "deskewed already" in " ".join(result.output.split())
     assert "kitti-08" in CliRunner().invoke(app, ["list"]).output
+
+
+def test_images_of_16_bits_become_8(tmp_path: Path, take_in: Callable[..., Any]) -> None:
+    folder = write_sequence(tmp_path, cameras=(0,))
+    for k in range(FRAMES):
+        pixels = np.full((24, 80), (50 + k) * 256 + 7, dtype=np.uint16)
+        cv2.imwrite(str(folder / "image_0" / f"{k:06}.png"), pixels)
+    found = take_in(folder, "Kitti")
+    assert found.spec.sensors["camera"].camera.encoding == "mono8"
+    assert [pixels.flat[0] for _, pixels in found.messages("camera")] == [50 + k for k in range(FRAMES)]
