@@ -80,11 +80,11 @@ def test_a_sequence_is_known_by_an_attribute(written: Any) -> None:
     assert published_on(runs(dataset=["hall-010"]), [read_published(written())]) == []
 
 
-@pytest.mark.parametrize(("alignment", "said"), [("Se3", True), ("Sim3", False)])
+@pytest.mark.parametrize(("alignment", "said"), [("SE3", True), ("Sim3", False)])
 def test_another_alignment_is_named(written: Any, alignment: str, said: bool) -> None:
     frame = runs(dataset=["hall-01"], alignment=[alignment])
     (item,) = published_on(frame, [read_published(written())])
-    assert any("aligned by Sim3, own runs by Se3" in one for one in item.differences) is said
+    assert any("aligned by Sim3, own runs by SE3" in one for one in item.differences) is said
 
 
 def test_no_column_of_a_published_row_is_one_of_own_results(written: Any) -> None:

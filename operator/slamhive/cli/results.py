@@ -201,7 +201,11 @@ def show_table(
     if not metric:
         metrics = [one for one in metrics if any(cell.figures[one.column].summary for cell in found.cells)]
     found = _sorted_cells(found, sort)
-    beside = _published_on(frame) if published else []
+    beside: list[Published] = []
+    if published:
+        from slamhive.cli.published import found_for, print_published
+
+        beside = found_for(frame)
     flat = [*flat_cells(found), *(one.flat() for one in beside)]
     match form:
         case Format.JSON:
@@ -220,8 +224,6 @@ def show_table(
                 remark(note)
             _remark(chosen, found)
             if published:
-                from slamhive.cli.published import print_published
-
                 print_published(beside, metrics, lambda heads, lines: _print(form, heads, lines))
 
 
@@ -334,12 +336,6 @@ def _found(run: str, also: Sequence[str] | None) -> list[tuple[RunRecord, str | 
     if unknown is not None and not found:
         raise unknown
     return found
-
-
-def _published_on(frame: Frame) -> list[Published]:
-    from slamhive.cli.published import found_for
-
-    return found_for(frame)
 
 
 def _with_home(names: Sequence[str], frame: Frame) -> Sequence[str]:
