@@ -19,6 +19,7 @@ import pytest
 from slamhive.data import unpacking
 from slamhive.data.exporting import all_roles, export_dataset
 from slamhive.data.groundtruth import ground_truth
+from slamhive.data.importers import import_recording
 from slamhive.data.obtaining import Listener, obtain
 from slamhive.data.store import dataset_sha256, materialise
 from slamhive.data.unpacking import unpack
@@ -133,6 +134,24 @@ def test_one_sequence_of_an_archive_of_many_comes_without_the_others(
         )
     kept = [path for path in (tmp_path / "downloads").iterdir() if path.suffix != ".lock"]
     assert kept == []
+
+
+@pytest.mark.parametrize(("layout", "form"), [("TumRgbd", DataFormat.TUM), ("Kitti", DataFormat.KITTI)])
+def test_what_is_fetched_is_what_its_folder_would_give(  # noqa: PLR0917
+    site: Any, catalogue: Any, tmp_path: Path, camera_entries: Any, layout: str, form: DataFormat
+) -> None:
+    entry, made = camera_entries[0.5], tmp_path / "made" / "s"
+    export_dataset(entry, all_roles(entry, form), InputOptions(), form, made, truth=ground_truth(entry))
+    with tarfile.open(site.folder / "s.tgz", "w:gz") as archive:
+        archive.add(made, "s")
+    catalogue(
+        f'folder: s\nparts: {{archive: {{url: "{site.url}/s.tgz", members: [s]}}}}\nsequences: {{s: }}\n',
+        HEAD.replace("Euroc", layout),
+    )
+    obtain(find_sequence("test/s"), tmp_path / "fetched", "s", tmp_path / "downloads")
+    import_recording(made, tmp_path / "imported", "s", layout)
+    for name in ("recording.bag", "groundtruth.txt"):
+        assert (tmp_path / "fetched" / name).read_bytes() == (tmp_path / "imported" / name).read_bytes()
 
 
 def test_a_server_without_parts_sends_the_whole_archive_once(halls: Any, tmp_path: Path) -> None:
