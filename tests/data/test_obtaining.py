@@ -284,6 +284,31 @@ def test_a_preparation_of_a_cluster_fetches_it_once_to_the_data_volume(
     assert halls.sent == sent
 
 
+def test_a_sequence_is_searched_and_added_by_its_name(
+    halls: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: Any
+) -> None:
+    monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
+    code, printed, _ = run_command("dataset", "search", "test", "LOOPS: 1", "--sensors", "stereo", "--json")
+    (found,) = json.loads(printed)
+    assert (code, found["sequence"], found["license"]) == (0, "test/A", "CC0-1.0")
+    assert "test/" not in run_command("dataset", "search", "--sensors", "lidar")[1]
+    code, printed, said = run_command("dataset", "add", "test/A")
+    assert (code, "known now as test-a:" in printed) == (0, True)
+    assert "licence: CC0-1.0" in said
+    assert "cite: Nobody" in said
+    sent = halls.sent
+    assert run_command("dataset", "add", "test/A")[0] == 0
+    assert halls.sent == sent
+    (row,) = (
+        line for line in run_command("dataset", "list", "--available")[1].splitlines() if "test/A" in line
+    )
+    assert row.split()[:2] == ["test/A", "test-a"]
+    code, _, said = run_command("dataset", "add", "test/B", "--name", "test-a")
+    assert (code, "is known already and is another one" in said) == (2, True)
+    code, _, said = run_command("dataset", "add", "tets/B")
+    assert (code, "no such file or folder" in said, "did you mean 'test'" in said) == (2, True, True)
+
+
 def test_an_unknown_sequence_says_what_is_near() -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'MH_01_easy'"):
         find_sequence("euroc/MH_01_eas")
