@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A file that is being fetched, and which bytes of it are there: kill -9 loses a block at most.
 
-Beside ``NAME.part`` stands ``NAME.state`` with what the file is and which spans of it are there. The state is
-replaced after each block is written, so within one boot of the machine it is true whatever happens to the
-process. What the kernel has not brought to disk when the power fails is told by the second list of spans,
-which is written after an fsync.
+Beside ``NAME.part`` stands ``NAME.state`` with what the file is and which spans of it are there, and
+``NAME.at`` with the span that grows, written in place after each block: a rename for each would wait for
+the disk. Within one boot of the machine both are true whatever happens to the process. What the kernel has
+not brought to disk when the power fails is told by the second list of spans, which is written after an
+fsync.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 FLUSH_BYTES = 64 << 20
 """Bytes after which what was written is brought to disk."""
 
+_AT_BYTES = 48
 Span = tuple[int, int]
 """First byte, byte after the last."""
 
@@ -44,7 +46,7 @@ class Partial:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._state = path.with_suffix(".state")
+        self._state, self._at = path.with_suffix(".state"), path.with_suffix(".at")
         self.url: str | None = None
         self.validator: str | None = None
         self.total: int | None = None
@@ -52,6 +54,8 @@ class Partial:
         self._flushed: list[Span] = []
         self._since = 0
         self._descriptor: int | None = None
+        self._place: int | None = None
+        self._grows: Span | None = None
         self._flusher: threading.Thread | None = None
         self._refused: OSError | None = None
         self._load()
@@ -60,7 +64,9 @@ class Partial:
         try:
             known = json.loads(self._state.read_text(encoding="utf-8"))
             size = self.path.stat().st_size
-            spans = known["spans"] if known["boot"] == _boot() else known["flushed"]
+            spans = known["flushed"]
+            if known["boot"] == _boot():
+                spans = _with([(int(first), int(end)) for first, end in known["spans"]], self._growing())
             self.spans = [(int(first), int(end)) for first, end in spans if int(end) <= size]
             self.url, self.validator, self.total = known["url"], known["validator"], known["total"]
         except (OSError, ValueError, KeyError, TypeError):
@@ -92,8 +98,7 @@ class Partial:
         while view:
             written = os.pwrite(self._descriptor, view, place)
             view, place = view[written:], place + written
-        if at < place:
-            self.spans = _with(self.spans, (at, place))
+        self._note(at, place)
         self._since += place - at
         if self._since >= FLUSH_BYTES and not (self._flusher and self._flusher.is_alive()):
             self._wait()
@@ -101,7 +106,25 @@ class Partial:
             # Aside: neither network nor disk waits for the other.
             self._flusher = threading.Thread(target=self._flush_aside, args=(list(self.spans),), daemon=True)
             self._flusher.start()
-        self._save()
+
+    def _note(self, at: int, end: int) -> None:
+        """Note that bytes are there."""
+        if self._grows is None or self._grows[1] != at:
+            self._save()  # what grew until now is part of the state from here on
+            self._grows = (at, at)
+        if self._place is None:
+            self._place = os.open(self._at, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        self._grows = (self._grows[0], end)
+        if at < end:
+            self.spans = _with(self.spans, (at, end))
+        os.pwrite(self._place, f"{self._grows[0]} {end}".ljust(_AT_BYTES).encode("ascii"), 0)
+
+    def _growing(self) -> Span:
+        try:
+            first, end = self._at.read_text(encoding="ascii").split()
+            return int(first), int(end)
+        except (OSError, ValueError):
+            return 0, 0
 
     def flush(self) -> None:
         """Bring what is there to disk.
@@ -141,9 +164,10 @@ class Partial:
         if self._flusher is not None:
             self._flusher.join()
             self._flusher = None
-        if self._descriptor is not None:
-            os.close(self._descriptor)
-            self._descriptor = None
+        for descriptor in (self._descriptor, self._place):
+            if descriptor is not None:
+                os.close(descriptor)
+        self._descriptor = self._place = self._grows = None
 
     def drop(self, span: Span) -> None:
         """Note that bytes are not there after all."""
@@ -152,6 +176,8 @@ class Partial:
             kept += [(first, min(end, span[0])), (max(first, span[1]), end)]
         self.spans = [(first, end) for first, end in kept if first < end]
         self._flushed = list(self.spans)
+        self.close()
+        self._at.unlink(missing_ok=True)
         if self.path.exists():
             self._save()
 
@@ -161,6 +187,7 @@ class Partial:
         self.spans, self._flushed = [], []
         self.url = self.validator = self.total = None
         with suppress(OSError):
+            self._at.unlink(missing_ok=True)
             self._state.unlink(missing_ok=True)
             self.path.unlink(missing_ok=True)
 
@@ -174,6 +201,7 @@ class Partial:
         self.flush()
         self.close()
         self.path.replace(place)
+        self._at.unlink(missing_ok=True)
         self._state.unlink(missing_ok=True)
 
     def _save(self) -> None:
@@ -192,7 +220,7 @@ class Partial:
 
 def _with(spans: list[Span], new: Span) -> list[Span]:
     merged: list[Span] = []
-    for first, end in sorted([*spans, new]):
+    for first, end in sorted(span for span in (*spans, new) if span[0] < span[1]):
         if merged and first <= merged[-1][1]:
             merged[-1] = (merged[-1][0], max(end, merged[-1][1]))
         else:

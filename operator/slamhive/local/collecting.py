@@ -49,7 +49,7 @@ REMOVING = ".removing"
 
 _KEY = re.compile(r"[0-9a-f]{16,64}")
 _ARCHIVE = re.compile(r"[0-9a-f]{16}-.+|[0-9a-f]{64}")
-_PARTIAL = re.compile(r"\.fetching-.+\.(part|state~?)|\.unpacked-[0-9a-f]+|\.known-sums.*~")
+_PARTIAL = re.compile(r"\.fetching-.+\.(part|at|state~?)|\.unpacked-[0-9a-f]+|\.known-sums.*~")
 _ENVIRONMENT = re.compile(rb"/environments/([0-9a-f]{16})/")
 _MOST = 4 << 20
 _AGAIN = "made again when it is needed"
