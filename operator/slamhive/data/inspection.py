@@ -16,7 +16,7 @@ from slamhive.data.entries import DatasetEntry, check_sums
 from slamhive.data.groundtruth import ground_truth, require_overlap, truth_range
 from slamhive.data.posetopics import check_pose_topic, truth_topic
 from slamhive.data.recordings import open_recording
-from slamhive.data.streams import STATIC_TRANSFORMS, camera_info_topic, check_topic
+from slamhive.data.streams import STATIC_TRANSFORMS, camera_info_topic, check_topic, sound_sensors
 from slamhive.data.thinning import rate_of
 from slamhive.model.dataset import fills, sensor_for
 from slamhive.model.errors import DataError
@@ -268,13 +268,7 @@ def _sensors(
     warnings: list[str],
     progress: Callable[[float], None] | None,
 ) -> list[SensorReport]:
-    sound: dict[str, Sensor] = {}
-    for name, sensor in entry.dataset.spec.sensors.items():
-        try:
-            check_topic(recording, name, sensor)
-            sound[name] = sensor
-        except DataError as error:
-            errors.append(str(error))
+    sound = sound_sensors(recording, entry.dataset.spec.sensors, errors)
     contents = content_findings(recording, sound, errors, warnings)
     scans = recording.scan({sensor.topic for sensor in sound.values()}, progress)
     reports = []

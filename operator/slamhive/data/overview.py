@@ -24,7 +24,7 @@ from slamhive.data.groundtruth import ground_truth
 from slamhive.data.overviews import VERSION
 from slamhive.data.pictures import from_above, jpeg
 from slamhive.data.recordings import open_recording
-from slamhive.data.streams import check_topic
+from slamhive.data.streams import sound_sensors
 from slamhive.model.errors import DataError
 from slamhive_eval import Trajectory
 
@@ -154,13 +154,7 @@ def look_over(
     """
     notes: list[str] = []
     with open_recording(entry.dataset, entry.root) as recording:
-        sound: dict[str, Sensor] = {}
-        for name, sensor in entry.dataset.spec.sensors.items():
-            try:
-                check_topic(recording, name, sensor)
-                sound[name] = sensor
-            except DataError as error:
-                notes.append(str(error))
+        sound = sound_sensors(recording, entry.dataset.spec.sensors, notes)
         times = _Times(recording, sound, notes)
         times.read(progress)
         start, end = times.extent()

@@ -214,8 +214,8 @@ def add_dataset(dataset: Dataset, root: Path, datasets: Path) -> Path:
     if manifest.exists() and manifest.read_text(encoding="utf-8") != text:
         raise InputError(
             f"dataset {dataset.name!r} is known already and differs; results stay valid only if a "
-            f"dataset never changes: give it another name, or have it take the place of the one that is "
-            "known: slamhive dataset add --replace"
+            f"dataset never changes: give it another name, have it take the place of the one that is known: "
+            f"slamhive dataset add --replace, or forget that one: slamhive dataset remove {dataset.name}"
         )
     fetched = {file.path for file in dataset.spec.recording.files if file.url}
     for relative in _paths(dataset):

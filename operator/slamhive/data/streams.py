@@ -87,6 +87,26 @@ def check_topic(recording: Recording, name: str, sensor: Sensor) -> None:
         raise DataError(f"{where}: {sensor.topic} has no messages in {recording.label}")
 
 
+def sound_sensors(
+    recording: Recording, sensors: Mapping[str, Sensor], problems: list[str]
+) -> dict[str, Sensor]:
+    """Return the sensors whose topics can be read.
+
+    Args:
+        recording: The recording.
+        sensors: All that a dataset names.
+        problems: What is wrong with the others is added, a sentence each.
+    """
+    sound: dict[str, Sensor] = {}
+    for name, sensor in sensors.items():
+        try:
+            check_topic(recording, name, sensor)
+            sound[name] = sensor
+        except DataError as error:
+            problems.append(str(error))
+    return sound
+
+
 def streams_of(
     recording: Recording,
     sensors: Mapping[Role, SensorView],
