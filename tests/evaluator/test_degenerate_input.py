@@ -144,6 +144,13 @@ CASES: list[tuple[str, Make, list[str], int, str]] = [
     ("no orientations (a tracker, GNSS)", bare, ["ape", "--align", "se3"], 0, "rmse"),
     ("no orientations (a tracker, GNSS)", bare, ["rpe"], 2, "orientations"),
     ("no orientations (a tracker, GNSS)", bare, ["ape", "--relation", "angle_deg"], 2, "orientations"),
+    (
+        "control points, fewer than three of them met, or on a line",
+        some(0, 1),
+        ["ape", "--reference-format", "control-points"],
+        2,
+        "2 of 50",
+    ),
     ("ground truth shorter than every length", lambda truth: truth, ["kitti"], 0, "0 segments"),
     (
         "ground truth shorter than every length",

@@ -151,8 +151,16 @@ def test_the_first_readings_are_all_done_as_a_run_may_be_over_soon(monkeypatch: 
     monkeypatch.setattr(resident, "_SHARE", 1e-9)
     monkeypatch.setattr(resident, "_LONGEST_SECONDS", 3600.0)
     memory = ResidentMemory()
-    before = memory.read([os.getpid()])
-    held = b"1" * (40 * MIB)
-    assert memory.read([os.getpid()]) >= before + 35 * MIB
-    del held
+    code = f"{BEGIN}sys.stdin.readline()\nx = hold(40)\nprint(flush=True)\nsys.stdin.readline()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        before = memory.read([process.pid])
+        print(file=process.stdin, flush=True)
+        process.stdout.readline()
+        after = memory.read([process.pid])
+        process.kill()
+    assert after >= before + 35 * MIB
     memory.close()
