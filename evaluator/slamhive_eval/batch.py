@@ -33,8 +33,8 @@ from slamhive_eval.trajectory import Trajectory
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-TRUTH_NAMES = ("groundtruth", "gt")
-"""Names, without their ending, of a folder's ground truth."""
+TRUTH_NAMES = ("groundtruth", "gt", "stamped_groundtruth")
+"""Names, without their ending, of a folder's ground truth; the last is that of rpg_trajectory_evaluation."""
 _POSES_IN_COMMON = 10_000_000
 """Poses of ground truth that are read beforehand, some 700 MB; more is read by the processes."""
 _LARGEST_GROUP = 16
@@ -89,7 +89,7 @@ def find_pairs(folder: str | Path, reference: str | Path | None = None, pattern:
 
     Args:
         folder: Where to look.
-        reference: Ground truth of all of them; None for the file called groundtruth or gt, with any
+        reference: Ground truth of all of them; None for the file with one of `TRUTH_NAMES`, with any
             ending, in the estimate's folder or the nearest one above, not above ``folder``.
         pattern: What estimates are called, as in ``trajectory*.txt``.
 

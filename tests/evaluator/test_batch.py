@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,6 @@ from slamhive_eval.command import main
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 Results = list[dict[str, Any]]
 
@@ -69,6 +69,17 @@ def test_one_ground_truth_for_all(runs: Path) -> None:
     pairs = batch.find_pairs(runs, runs / "b" / "groundtruth.txt", "estimate[01].txt")
     assert [pair.estimate.rsplit("/", 1)[1] for pair in pairs] == [f"estimate{n}.txt" for n in (0, 1, 0, 1)]
     assert {pair.reference for pair in pairs} == {str(runs / "b" / "groundtruth.txt")}
+
+
+def test_a_folder_of_rpg_trajectory_evaluation(tmp_path: Path, wander: Callable[..., Trajectory]) -> None:
+    names = ["stamped_traj_estimate0.txt", "stamped_traj_estimate1.txt"]
+    for name in ("stamped_groundtruth.txt", *names):
+        write_tum(tmp_path / name, wander(20))
+    (tmp_path / "eval_cfg.yaml").write_text("align_type: se3\nalign_num_frames: -1\n")
+    pairs = batch.find_pairs(tmp_path)
+    assert [(Path(pair.reference).name, Path(pair.estimate).name) for pair in pairs] == [
+        ("stamped_groundtruth.txt", name) for name in names
+    ]
 
 
 def test_each_shared_ground_truth_is_read_once(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
