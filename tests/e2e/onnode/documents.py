@@ -40,6 +40,13 @@ def files(text: str) -> dict[str, str]:
     return {match[1]: body for match, body in named if match}
 
 
+STANDING = """
+kubectl get pods,persistentvolumeclaims --all-namespaces --output wide || true
+kubectl get events --all-namespaces --field-selector type=Warning --sort-by .lastTimestamp | tail -n 30
+"""
+"""What is printed where a block fails: why a cluster doesn't go on stands at its objects."""
+
+
 @dataclass(frozen=True)
 class Desk:
     """A folder that looks like a checkout, and a shell in it.
@@ -60,7 +67,13 @@ class Desk:
 
     def run(self, script: str, timeout: float = 900) -> str:
         """Run a block; all of its commands have to succeed. Returns what they print."""
-        done = subprocess.run(
+        done = self._shell(script, timeout)
+        if done.returncode:
+            raise AssertionError(f"{script}\n{done.stdout}{done.stderr}\n{self._shell(STANDING, 60).stdout}")
+        return done.stdout + done.stderr
+
+    def _shell(self, script: str, timeout: float) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
             ["bash", "-euo", "pipefail", "-c", script],
             cwd=self.folder,
             env=dict(self.environment),
@@ -69,5 +82,3 @@ class Desk:
             timeout=timeout,
             check=False,
         )
-        assert done.returncode == 0, f"{script}\n{done.stdout}{done.stderr}"
-        return done.stdout + done.stderr
