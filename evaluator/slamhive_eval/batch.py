@@ -119,7 +119,8 @@ def find_pairs(folder: str | Path, reference: str | Path | None = None, pattern:
         if truth is not None:
             pairs.append(Pair(str(truth), str(estimate)))
     if not pairs:
-        truth = "" if reference else f" with a ground truth ({' or '.join(TRUTH_NAMES)}.*) beside or above it"
+        names = ", ".join(f"{name}.*" for name in TRUTH_NAMES)
+        truth = "" if reference else f" with a ground truth ({names}) beside or above it"
         raise FileError(folder, f"has no estimate {pattern}{truth}")
     return pairs
 

@@ -257,9 +257,11 @@ def test_a_manifest_that_names_a_sequence_is_a_dataset(
 
 
 def test_a_preparation_of_a_cluster_fetches_it_once_to_the_data_volume(
-    halls: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    halls: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from slamhive.jobs.prepare import main
+
+    monkeypatch.setenv("SLAMHIVE_TERMINATION_LOG", str(tmp_path / "message"))
 
     request = {
         "dataset": {

@@ -211,7 +211,10 @@ def test_batch_measures_as_ape_does(runs: Path, capsys: pytest.CaptureFixture[st
     ("words", "says"),
     [
         (["{runs}/nowhere"], "nowhere: can't be read"),
-        (["{runs}", "--pattern", "*.csv"], "has no estimate *.csv with a ground truth (groundtruth or gt.*)"),
+        (
+            ["{runs}", "--pattern", "*.csv"],
+            "has no estimate *.csv with a ground truth (groundtruth.*, gt.*, stamped_groundtruth.*)",
+        ),
         (["{runs}/a/gt.tum", "--reference", "x"], "--reference goes with a folder"),
         (["{runs}", "--delta", "0.5"], "whole number of frames, not 0.5"),
         (["{runs}", "--max-diff", "-1"], "must be ≥ 0 s, not -1"),
