@@ -59,8 +59,7 @@ def cluster(name: str, *, node: bool) -> Iterator[Cluster]:
     try:
         access = local.up(node=node, owner=reading)
         access.apply_files(CRDS)
-        names = [f"crd/{path.stem.partition('_')[2]}.slamhive.io" for path in CRDS]
-        access.kubectl("wait", "--for=condition=Established", "--timeout=60s", *names)
+        access.await_kinds(f"{path.stem.partition('_')[2]}.slamhive.io" for path in CRDS)
         yield access
     finally:
         local.down()

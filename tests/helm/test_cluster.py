@@ -38,9 +38,7 @@ def kinds(helm: Any, control_plane: Cluster) -> Cluster:
     """The cluster with our kinds, by their chart."""
     words = ("upgrade", "--install", "slamhive-crds", str(CHARTS / "slamhive-crds"), "--take-ownership")
     run(helm, control_plane, *words, "-n", "kube-system", "--set", "aggregateRoles=true")
-    control_plane.kubectl(
-        "wait", "--for=condition=Established", "--timeout=60s", *(f"crd/{kind}" for kind in KINDS)
-    )
+    control_plane.await_kinds(KINDS)
     return control_plane
 
 

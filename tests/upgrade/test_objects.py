@@ -59,8 +59,7 @@ def store(local: Local, items: list[dict[str, Any]]) -> None:
 
 def establish(cluster: Cluster, paths: list[Path]) -> None:
     cluster.apply_files(paths)
-    names = [f"crd/{path.stem.partition('_')[2]}.slamhive.io" for path in paths]
-    cluster.kubectl("wait", "--for=condition=Established", "--timeout=60s", *names)
+    cluster.await_kinds(f"{path.stem.partition('_')[2]}.slamhive.io" for path in paths)
 
 
 def objects(cluster: Cluster) -> dict[tuple[str, str], dict[str, Any]]:

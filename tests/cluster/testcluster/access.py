@@ -80,6 +80,18 @@ class Cluster:
         files = [argument for path in paths for argument in ("-f", str(path))]
         self.kubectl("apply", "--server-side", "--force-conflicts", *more, *files)
 
+    def await_kinds(self, names: Iterable[str]) -> None:
+        """Wait until kinds are served, by the names of their definitions.
+
+        ``kubectl wait`` fails at once while a definition that was just made has no conditions.
+        """
+        for name in names:
+            until(lambda name=name: self._is_established(name), f"{name} to be served")
+
+    def _is_established(self, name: str) -> bool:
+        conditions = self.get("customresourcedefinition", name).get("status", {}).get("conditions") or []
+        return any(one["type"] == "Established" and one["status"] == "True" for one in conditions)
+
     def patch(
         self, kind: str, name: str, change: dict[str, Any], namespace: str, subresource: str = ""
     ) -> None:

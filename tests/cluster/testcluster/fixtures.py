@@ -106,8 +106,7 @@ def local_cluster(request: pytest.FixtureRequest, node_cluster: Cluster) -> Loca
 def crds(control_plane: Cluster) -> Cluster:
     """The cluster with our kinds."""
     control_plane.apply_files(CRDS)
-    names = [f"crd/{path.stem.partition('_')[2]}.slamhive.io" for path in CRDS]
-    control_plane.kubectl("wait", "--for=condition=Established", "--timeout=60s", *names)
+    control_plane.await_kinds(f"{path.stem.partition('_')[2]}.slamhive.io" for path in CRDS)
     return control_plane
 
 
