@@ -10,21 +10,18 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import resource
 import shutil
 import sys
 import tempfile
-import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import cv2
 import numpy as np
+from bench_import import copied, imported
 
-from slamhive.data.importers import import_recording
 from slamhive.data.importers.helipr import DEVICES
 from slamhive.data.importers.nclt import RECORD
-from slamhive.data.once import settle
 
 SCANS, IMAGES, KINDS, ROUNDS = 150, 60, 4, 2
 START = 1_600_000_000 * 10**9
@@ -123,24 +120,6 @@ CASES = {
     "TartanAir": tartanair,
 }
 """What writes a folder, by its layout."""
-
-
-def imported(source: Path, target: Path, layout: str) -> tuple[float, float]:
-    """Import in a process of its own; return the time, s, and the peak of the memory, MB."""
-    begin = time.perf_counter()
-    import_recording(source, target, "bench", layout)
-    elapsed = time.perf_counter() - begin
-    return elapsed, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
-
-
-def copied(source: Path, target: Path) -> float:
-    """Return how long a copy takes, through to the disk as an import goes."""
-    begin = time.perf_counter()
-    shutil.copytree(source, target)
-    settle(target, read_only=False)
-    elapsed = time.perf_counter() - begin
-    shutil.rmtree(target)
-    return elapsed
 
 
 def measure(folder: Path, layout: str, rounds: int, *, with_copy: bool = True) -> None:
