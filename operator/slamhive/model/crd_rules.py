@@ -9,14 +9,18 @@ not look into.
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from slamhive.model.algorithm import TEXT_LIMIT, AssetName, SettingsPath
 from slamhive.model.base import Sha256, explain
+from slamhive.model.formats import FIRST_CAMERAS, HELD, DataFormat, holds
 from slamhive.model.run import MappingRunSpec
-from slamhive.model.sensors import Role, SensorMode
+from slamhive.model.sensors import ROLES, Role, SensorMode
 from slamhive.model.sweep import IMMUTABLE, MAX_POINTS
 from slamhive.model.synthetic import NOMINAL_LAP_METRES, REST_SECONDS, SyntheticSensor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 Rule = tuple[str, str]
 
@@ -24,6 +28,27 @@ _ROLES = ", ".join(f"'{role}'" for role in Role)
 MAX_SPEED = 6.0
 """Greatest speed of a synthetic recording's platform, m/s."""
 _SELECTABLE = "'algorithm', 'dataset', 'algorithmRef.name', 'datasetRef.name'"
+
+
+def _texts(items: Iterable[str]) -> str:
+    """Return a list of texts in CEL."""
+    return "[" + ", ".join(f"'{item}'" for item in items) + "]"
+
+
+def _holding(form: DataFormat) -> str:
+    """Return in CEL that a folder of this form holds the sensors of the mode m: ``formats.holds``."""
+    modes = _texts(mode for mode, roles in ROLES.items() if holds(form, roles))
+    cameras = f"m.roles.filter(role, role in {_texts(FIRST_CAMERAS)}).size()"
+    lidar_alone = "'lidar' in m.roles && !('right' in m.roles) && !('depth' in m.roles)"
+    roles = f"m.roles.all(role, role in {_texts(HELD[form])})"
+    return (
+        f"(form == '{form}' && (size(m.roles) == 0 ? m.name in {modes}"
+        f" : {roles} && ({cameras} == 1 || ({cameras} == 0 && {lidar_alone}))))"
+    )
+
+
+_BAGS = _texts(form for form in DataFormat if not form.is_folder)
+_FOLDERS = " || ".join(_holding(form) for form in DataFormat if form.is_folder)
 
 RULES: dict[str, tuple[Rule, ...]] = {
     "AlgorithmSpec": (
@@ -43,6 +68,17 @@ RULES: dict[str, tuple[Rule, ...]] = {
         (
             "!has(self.ros1) || (!has(self.output.trajectory) && !has(self.output.keyframes))",
             "output.trajectory: a ROS 1 node's poses are those that it publishes",
+        ),
+        (
+            (
+                f"self.recording.exists(form, form in {_BAGS})"
+                " || self.modes.all(m, !has(m.topics) || size(m.topics) == 0)"
+            ),
+            "modes: only a bag holds topics, and recording names none",
+        ),
+        (
+            f"self.modes.all(m, self.recording.exists(form, form in {_BAGS} || {_FOLDERS}))",
+            "recording: none of its forms can hold the sensors of a mode",
         ),
     ),
     "PoseFile": (("!has(self.columns) || self.format == 'Csv'", "columns: only the format Csv takes it"),),

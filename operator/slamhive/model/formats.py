@@ -33,26 +33,26 @@ class DataFormat(Choice):
     @property
     def is_folder(self) -> bool:
         """Tell whether it is a folder of files, not a bag."""
-        return self in _HELD
+        return self in HELD
 
 
-_MAIN = (Role.CAMERA, Role.LEFT, Role.COLOR)
+FIRST_CAMERAS = (Role.CAMERA, Role.LEFT, Role.COLOR)
 """Roles of which a folder has one, as its first camera."""
 
-_HELD: dict[DataFormat, tuple[Role, ...]] = {
-    DataFormat.EUROC: (*_MAIN, Role.RIGHT, Role.IMU),
+HELD: dict[DataFormat, tuple[Role, ...]] = {
+    DataFormat.EUROC: (*FIRST_CAMERAS, Role.RIGHT, Role.IMU),
     DataFormat.TUM: (Role.CAMERA, Role.COLOR, Role.DEPTH, Role.IMU),
-    DataFormat.KITTI: (*_MAIN, Role.RIGHT, Role.LIDAR),
+    DataFormat.KITTI: (*FIRST_CAMERAS, Role.RIGHT, Role.LIDAR),
 }
 """Roles that a folder of each form has a place for."""
 
-_EUROC_FILES = {**dict.fromkeys(_MAIN, "mav0/cam0"), Role.RIGHT: "mav0/cam1", Role.IMU: "mav0/imu0"}
+_EUROC_FILES = {**dict.fromkeys(FIRST_CAMERAS, "mav0/cam0"), Role.RIGHT: "mav0/cam1", Role.IMU: "mav0/imu0"}
 _TUM_FILES = {
-    **dict.fromkeys(_MAIN, "rgb.txt"),
+    **dict.fromkeys(FIRST_CAMERAS, "rgb.txt"),
     Role.DEPTH: "depth.txt",
     Role.IMU: "accelerometer.txt",
 }
-_KITTI_FILES = {**dict.fromkeys(_MAIN, "image_0"), Role.RIGHT: "image_1", Role.LIDAR: "velodyne"}
+_KITTI_FILES = {**dict.fromkeys(FIRST_CAMERAS, "image_0"), Role.RIGHT: "image_1", Role.LIDAR: "velodyne"}
 _KITTI_COLOR = {"image_0": "image_2", "image_1": "image_3"}
 
 
@@ -60,10 +60,10 @@ def holds(form: DataFormat, roles: Collection[Role]) -> bool:
     """Tell whether data in a form can hold the sensors of some roles; a bag holds any."""
     if not form.is_folder:
         return True
-    first = [role for role in roles if role in _MAIN]
+    first = [role for role in roles if role in FIRST_CAMERAS]
     others = [role for role in roles if role in {Role.RIGHT, Role.DEPTH}]
     frames = bool(first) or (Role.LIDAR in roles and not others)
-    return frames and len(first) <= 1 and all(role in _HELD[form] for role in roles)
+    return frames and len(first) <= 1 and all(role in HELD[form] for role in roles)
 
 
 def fitting_formats(formats: Iterable[DataFormat], roles: Collection[Role]) -> list[DataFormat]:
