@@ -30,6 +30,7 @@ def results(
     evaluation: str | None = None,
     superseded: bool = False,
     reused: bool = False,
+    also: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
     frame: str = "pandas",
 ) -> Any:
     """Return finished runs as a data frame, one row a run and evaluation.
@@ -61,6 +62,9 @@ def results(
         evaluation: only this evaluation; failed runs that it was meant to measure are there without figures.
         superseded: whether results of earlier versions are there too; column ``superseded`` says which.
         reused: whether runs that took over an equal one's result are there too.
+        also: another home, an archive's file or a database URL, or several, read beside it, as ``--also``
+            takes them: ``anna=/data/anna/slamhive``. Column ``home`` says whose a row is. By default
+            those that ``$SLAMHIVE_ALSO`` names, if ``home_or_url`` isn't given.
         frame: ``pandas`` or ``polars``; each is an extra of slamhive.
 
     Returns:
@@ -83,6 +87,7 @@ def results(
         evaluation=evaluation,
         superseded=superseded,
         reused=reused,
+        also=also,
         frame=frame,
     )
     if frame == "pandas":

@@ -9,8 +9,10 @@ import subprocess
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from matplotlib.legend import Legend
 from sqlalchemy import update
 
+import slamhive
 from slamhive.analysis.selection import Selection, choose
 from slamhive.archive import schema
 from slamhive.archive.connection import open_engine, parse, writing
@@ -181,6 +183,38 @@ def test_a_figure_has_the_runs_of_both(
     )
     assert code == 0, err
     assert "icp @anna" in numbers_file(tmp_path / "box.svg").read_text()
+
+
+def test_a_data_frame_has_the_runs_of_both(
+    keep: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine, anna = keep("mine"), keep("anna")
+    mine.run("a")
+    anna.run("a", content="c2", version="v2", error=0.3)
+    both = [("here", "icp", 0.1), ("anna", "icp @anna", 0.3)]
+
+    def found(*place: Path, **also: Any) -> list[tuple[Any, ...]]:
+        columns = ["home", "algorithm", "ate.rmse"]
+        return [*slamhive.results(*place, columns=columns, frame="polars", **also).iter_rows()]
+
+    assert found(mine.path, also=anna.path) == found(mine.path, also=[f"anna={anna.path}"]) == both
+    monkeypatch.setenv("SLAMHIVE_HOME", str(mine.path))
+    monkeypatch.setenv("SLAMHIVE_ALSO", str(anna.path))
+    assert found() == both
+    assert "home" not in slamhive.results(mine.path).columns  # a home that is named stands alone
+    assert not (anna.path / "cache").exists()
+    with pytest.raises(InputError, match=r"^also: /nowhere: no such folder or file"):
+        slamhive.results(mine.path, also="/nowhere")
+
+
+def test_a_figure_of_a_data_frame_finds_the_files_of_both(keep: Callable[[str], Any]) -> None:
+    mine, anna = keep("mine"), keep("anna")
+    mine.run("a")
+    anna.run("b", content="c2", version="v2")
+    drawn = slamhive.results(mine.path, also=anna.path).figure("error-over-time")
+    assert "its folder is not here" not in drawn.caption
+    labels = {text.get_text() for legend in drawn.findobj(Legend) for text in legend.get_texts()}
+    assert labels >= {"icp", "icp @anna"}
 
 
 def test_a_run_of_another_home_is_shown_by_name_and_by_uid(

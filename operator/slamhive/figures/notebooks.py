@@ -20,8 +20,11 @@ from slamhive.reporting.dataframes import source
 from slamhive.reporting.papertables import Statistic
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from slamhive.analysis.frame import Frame
     from slamhive.local.home import Home
+    from slamhive.tables.homes import Beside
 
 _ROWS = ("id", "evaluation")
 """Columns by which a row of a data frame is found again."""
@@ -93,20 +96,20 @@ class Figures:
         )
         size, face = parse_width(width), _choice(Face, "font", font)
         tall = None if height is None else parse_height(height)
-        rows, home = self._source()
-        made = picture(rows, wish, home)
+        rows, home, others = self._source()
+        made = picture(rows, wish, home, others)
         with library("").rc_context(settings(size.points, face)):
             figure = Drawing(made, size, tall).draw()
         figure.caption = ". ".join((*made.notes, ""))
         return figure
 
-    def _source(self) -> tuple[Frame, Home]:
-        """Return the rows of the archive's table that the data frame has, each once, and the home."""
+    def _source(self) -> tuple[Frame, Home, Sequence[Beside]]:
+        """Return the rows of the archive's table that the data frame has, each once, and the homes."""
         found = source(self._frame)
         if found is None:
             sentence = "not a data frame that slamhive.results() returned here: call it (again)"
             raise InputError(f"figure: {sentence}")
-        whole, home = found
+        whole, home, others = found
         missing = [name for name in _ROWS if name not in self._frame.columns]
         if missing:
             sentence = f"needs the columns {' and '.join(_ROWS)}, of which {missing[0]!r} is gone"
@@ -116,7 +119,7 @@ class Figures:
         here = {(int(number), _text(name)) for number, name in rows}
         columns = (whole.column(name).tolist() for name in _ROWS)
         kept = [(int(number), _text(name)) in here for number, name in zip(*columns, strict=True)]
-        return whole.select(np.array(kept, dtype=bool)), home
+        return whole.select(np.array(kept, dtype=bool)), home, others
 
 
 class _Limits(Choice):

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import uuid
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +15,10 @@ import numpy as np
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.selection import Selection, choose
 from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.tables.homes import homes_beside, read_homes
 from slamhive.tables.reading import archive_url, home_of, read_archive
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Callable, Sequence
 
     import numpy.typing as npt
@@ -24,12 +26,13 @@ if TYPE_CHECKING:
     from slamhive.analysis.columns import Column
     from slamhive.analysis.frame import Frame
     from slamhive.local.home import Home
+    from slamhive.tables.homes import Beside
 
 MARK = "slamhive.results"
 REMEMBERED = 16
 """Data frames whose rows are kept, so that figures can be drawn of them."""
 
-_MADE_FROM: dict[str, tuple[Frame, Home]] = {}
+_MADE_FROM: dict[str, tuple[Frame, Home, Sequence[Beside]]] = {}
 
 
 def results(
@@ -41,6 +44,7 @@ def results(
     evaluation: str | None,
     superseded: bool,
     reused: bool,
+    also: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None,
     frame: str,
 ) -> Any:
     """Return the archive's rows as a data frame; see ``slamhive.results``."""
@@ -49,32 +53,45 @@ def results(
     library = _library(frame)
     sweeps = () if sweep is None else (sweep,) if isinstance(sweep, str) else tuple(sweep)
     selection = Selection(sweeps, evaluation, where, superseded=superseded, each=reused)
-    chosen = choose(read_archive(archive_url(place)), selection).frame
+    own = replace(home_of(place), archive_url=archive_url(place))
+    others = homes_beside(own, _places(place, also), "also")
+    found = read_homes(own, others, keep=False) if others else read_archive(own.archive_url)
+    chosen = choose(found, selection).frame
     wanted = columns.split(",") if isinstance(columns, str) else columns
     names = chosen.names if wanted is None else list(dict.fromkeys(name.strip() for name in wanted))
     chosen.require(names, "columns")
     made = MAKERS[frame](library, chosen, names)
     if frame == "pandas":
-        made.attrs[MARK] = _remember(chosen, home_of(place))
+        made.attrs[MARK] = _remember(chosen, own, others)
     return made
 
 
-def _remember(frame: Frame, home: Home) -> str:
+def _places(
+    own: str | os.PathLike[str] | None, also: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None
+) -> list[str] | None:
+    """Return the other homes that are meant; None for those of the environment."""
+    if also is None:
+        return None if own is None else []
+    return [os.fspath(one) for one in ([also] if isinstance(also, str | os.PathLike) else also)]
+
+
+def _remember(frame: Frame, home: Home, others: Sequence[Beside]) -> str:
     """Keep what a data frame was made from, and return the key under which it is kept.
 
     The key alone goes with the data frame: pandas writes attributes into files.
     """
     key = uuid.uuid4().hex
-    _MADE_FROM[key] = frame, home
+    _MADE_FROM[key] = frame, home, others
     while len(_MADE_FROM) > REMEMBERED:
         del _MADE_FROM[next(iter(_MADE_FROM))]
     return key
 
 
-def source(frame: Any) -> tuple[Frame, Home] | None:
+def source(frame: Any) -> tuple[Frame, Home, Sequence[Beside]] | None:
     """Return what a data frame of pandas was made from; None where it is none of the last ones.
 
-    These are the rows of the archive's table and the home that has the files of their runs.
+    These are the rows of the archive's table and the homes that have the files of their runs: one's own, and
+    the other ones.
     """
     return _MADE_FROM.get(frame.attrs.get(MARK, ""))
 

@@ -61,18 +61,19 @@ class Beside:
         return Home(self.path, self.url) if self.path is not None else None
 
 
-def homes_beside(own: Home, places: Sequence[str] | None) -> list[Beside]:
+def homes_beside(own: Home, places: Sequence[str] | None, option: str = "--also") -> list[Beside]:
     """Return the other homes that are meant.
 
     Args:
         own: one's own, which is not another one.
         places: each a home, an archive's file or a database URL, or LABEL= and that; None for those that
             ``$SLAMHIVE_ALSO`` names, with commas between them.
+        option: what a user calls the places, for sentences.
 
     Raises:
         InputError: there is no such place, or two have one label.
     """
-    field = VARIABLE if places is None else "--also"
+    field = VARIABLE if places is None else option
     if places is None:
         places = [one for one in os.environ.get(VARIABLE, "").split(",") if one.strip()]
     found: dict[str, Beside] = {}
@@ -90,18 +91,19 @@ def homes_beside(own: Home, places: Sequence[str] | None) -> list[Beside]:
     return list(found.values())
 
 
-def read_homes(own: Home, others: Iterable[Beside]) -> Frame:
+def read_homes(own: Home, others: Iterable[Beside], *, keep: bool = True) -> Frame:
     """Read the runs of several homes, one row a run and evaluation.
 
     Args:
         own: one's own home; one without an archive has no runs.
         others: the other ones.
+        keep: whether large tables are kept in one's own home for the next time.
 
     Raises:
         InputError: there is no archive, or one of another version.
         SystemFault: a database doesn't answer.
     """
-    cache = own.path / "cache"
+    cache = own.path / "cache" if keep else None
     file = own.path / "archive.sqlite"
     absent = own.archive_url == f"sqlite:///{file}" and not file.exists()
     frames = [(OWN, Frame({}, 0) if absent else read_archive(own.archive_url, cache))]
