@@ -6,11 +6,13 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 from jsonschema import Draft7Validator
+from pydantic import StringConstraints, TypeAdapter, ValidationError
 
+from slamhive.model.base import explain
 from slamhive.model.errors import UnknownNameError
 from slamhive.model.loading import KINDS, parse
 from slamhive.model.schemas import file_name, schema, schema_names, text
@@ -42,6 +44,23 @@ def test_committed_schemas_are_those_of_the_models(name: str) -> None:
 
 def test_nothing_else_is_published() -> None:
     assert {path.name for path in (ROOT / "schemas").iterdir()} == set(map(file_name, schema_names()))
+
+
+def patterns(value: Any) -> set[str]:
+    """All patterns of a schema."""
+    if isinstance(value, list):
+        return set().union(*map(patterns, value))
+    if not isinstance(value, dict):
+        return set()
+    here = {value["pattern"]} if isinstance(value.get("pattern"), str) else set()
+    return here.union(*map(patterns, value.values()))
+
+
+@pytest.mark.parametrize("pattern", sorted(patterns(schema("slamhive"))))
+def test_mistakes_are_told_without_regular_expressions(pattern: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        TypeAdapter(Annotated[str, StringConstraints(pattern=pattern)]).validate_python("")
+    assert explain(caught.value.errors()[0]).startswith("expected ")
 
 
 @pytest.mark.parametrize("path", MANIFESTS, ids=lambda path: f"{path.parent.name}/{path.name}")

@@ -17,6 +17,7 @@ from slamhive.cli.console import complain, open_archive, out, plural
 from slamhive.cli.exits import FAILED
 from slamhive.cli.waiting import Work
 from slamhive.data import slamhive1
+from slamhive.data.truthfolders import GroundTruthFolder
 from slamhive.local.home import Home
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.evaluation import Alignment, EvaluationSettings
@@ -88,7 +89,7 @@ def import_slam_hive(
     method(settings, Subject(SensorMode.STEREO))  # refuses what no run could be measured by
     home = Home.from_environment()
     with open_archive(home) as archive:
-        truth = slamhive1.GroundTruthFolder(ground_truth)
+        truth = GroundTruthFolder(ground_truth)
         importer = SlamHiveImporter(archive, truth, settings)
         with Work("importing") as work:
             report = importer.take(_counted(folders, work))
@@ -140,9 +141,7 @@ class SlamHiveImporter:
     was run, or whose ground truth is missing, is left out.
     """
 
-    def __init__(
-        self, archive: Archive, truth: slamhive1.GroundTruthFolder, settings: EvaluationSettings
-    ) -> None:
+    def __init__(self, archive: Archive, truth: GroundTruthFolder, settings: EvaluationSettings) -> None:
         self._archive = archive
         self._truth = truth
         self._settings = settings
@@ -228,7 +227,7 @@ class SlamHiveImporter:
         report.added += 1
 
 
-def keep_ground_truth(truth: slamhive1.GroundTruthFolder, datasets: Iterable[str], home: Home) -> list[str]:
+def keep_ground_truth(truth: GroundTruthFolder, datasets: Iterable[str], home: Home) -> list[str]:
     """Copy ground truth into the home, for the dashboard's plots; return remarks.
 
     Args:
@@ -278,7 +277,7 @@ def _algorithm_entry(run: slamhive1.OriginalRun) -> CatalogEntry:
     )
 
 
-def _dataset_entry(run: slamhive1.OriginalRun, truth: slamhive1.GroundTruthFolder) -> CatalogEntry:
+def _dataset_entry(run: slamhive1.OriginalRun, truth: GroundTruthFolder) -> CatalogEntry:
     return CatalogEntry(
         kind="Dataset",
         name=run.dataset,

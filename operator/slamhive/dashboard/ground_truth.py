@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamhive.data.truthfolders import GroundTruthFolder
 from slamhive.model.errors import SlamHiveError
 from slamhive_eval import EvaluationError, Trajectory, read_tum
 
@@ -86,8 +87,6 @@ class Truths:
         folders = [folder for folder in self._folders if folder.is_dir()]
         if not folders:
             return None
-        from slamhive.data.slamhive1 import GroundTruthFolder  # noqa: PLC0415 - brings the whole language
-
         for folder in folders:
             for name in dict.fromkeys((dataset, label)):
                 if name is None or "/" in name or name.startswith("."):

@@ -18,14 +18,12 @@ import csv
 import hashlib
 import io
 import math
-import os
 import re
-import tempfile
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slamhive.data.truthfolders import catalog_name
 from slamhive.model.canonical import digest
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.loading import Document, parse, read_text
@@ -40,10 +38,13 @@ from slamhive.model.results import (
     Usage,
 )
 from slamhive.model.sensors import SensorMode
-from slamhive_eval import Trajectory, read_trajectory
+from slamhive_eval import read_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
+
+    from slamhive_eval import Trajectory
 
 SOURCE = IMPORTED
 """Name of the sweep that imported runs belong to, and value of their label ``source``."""
@@ -277,15 +278,6 @@ def identify(name: str, topics: Iterable[str] = ()) -> tuple[str, SensorMode | N
     return whole, found
 
 
-def catalog_name(name: str) -> str:
-    """Return a name as the catalog writes names: lower case letters, digits, dots and dashes.
-
-    >>> catalog_name("MH_01_easy")
-    'mh-01-easy'
-    """
-    return re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-.") or "unnamed"
-
-
 def read_usage(path: Path) -> Usage | None:
     """Return what a run cost, None without samples.
 
@@ -320,78 +312,6 @@ def read_usage(path: Path) -> Usage | None:
         includes_reader=True,
         max_includes_reader=True,
     )
-
-
-_SUFFIXES = (".txt", ".csv", ".tum", ".txt.gz", ".csv.gz")
-
-
-class GroundTruthFolder:
-    """Ground truth by the dataset's name, each file read once."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._read: dict[str, Trajectory] = {}
-
-    def path(self, dataset: str) -> Path:
-        """Return the file of a dataset: ``NAME.txt``, ``NAME.csv``, or one of EuRoC's places in ``NAME/``.
-
-        Raises:
-            DataError: there is none.
-        """
-        names = [entry.name for entry in sorted(self._folder.iterdir())] if self._folder.is_dir() else []
-        for suffix in _SUFFIXES:
-            for name in names:
-                if catalog_name(name.removesuffix(suffix)) == catalog_name(dataset) and name.endswith(suffix):
-                    return self._folder / name
-        for place in ("groundtruth.txt", "data.csv", "state_groundtruth_estimate0/data.csv"):
-            for parent in (dataset, f"{dataset}/mav0"):
-                if (self._folder / parent / place).is_file():
-                    return self._folder / parent / place
-        raise DataError(
-            f"{self._folder}: no ground truth of the dataset {dataset!r}; "
-            f"expected {dataset}.txt (TUM) or {dataset}.csv (EuRoC)"
-        )
-
-    def read(self, dataset: str) -> Trajectory:
-        """Return the ground truth of a dataset.
-
-        Raises:
-            DataError: there is none.
-            EvaluationError: it can't be read.
-        """
-        if dataset not in self._read:
-            self._read[dataset] = read_trajectory(self.path(dataset))
-        return self._read[dataset]
-
-    def copy(self, dataset: str, folder: Path) -> bool:
-        """Put a dataset's file into another such folder, under the dataset's name in the catalog.
-
-        What is there already stays.
-
-        Returns:
-            Whether the folder now holds what this one does.
-
-        Raises:
-            DataError: there is no ground truth of the dataset.
-            OSError: it can't be written.
-        """
-        source = self.path(dataset)
-        content = source.read_bytes()
-        try:
-            return GroundTruthFolder(folder).path(dataset).read_bytes() == content
-        except DataError:
-            suffix = next((ending for ending in reversed(_SUFFIXES) if source.name.endswith(ending)), "")
-            name = f"{catalog_name(dataset)}{suffix or source.suffix}"
-            descriptor, aside = tempfile.mkstemp(dir=folder, prefix=".")
-            try:
-                with os.fdopen(descriptor, "wb") as stream:
-                    stream.write(content)
-                Path(aside).chmod(0o644)
-                Path(aside).replace(folder / name)
-            except OSError:
-                Path(aside).unlink(missing_ok=True)
-                raise
-        return True
 
 
 def _as_text(value: Any) -> str:

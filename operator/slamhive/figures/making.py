@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from slamhive import __version__
 from slamhive.figures.asking import Kind
 from slamhive.model.errors import InputError
-from slamhive.tables.published import load_published, published_on
 from slamhive_eval.csv_writing import csv_text
 
 if TYPE_CHECKING:
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from slamhive.figures.pictures import Picture
     from slamhive.local.home import Home
     from slamhive.tables.homes import Beside
+    from slamhive.tables.published import Published
 
 FORMS = ("pdf", "svg", "png")
 
@@ -54,8 +54,7 @@ def picture(
     from slamhive.figures import groups, singles  # noqa: PLC0415
 
     if wish.kind is Kind.SCATTER:
-        beside = published_on(frame, load_published(home.path)) if published else ()
-        return singles.scatter(frame, wish, beside).settled()
+        return singles.scatter(frame, wish, _published(frame, home) if published else ()).settled()
     makers = {
         Kind.LINES: groups.lines,
         Kind.BOX: groups.box,
@@ -65,6 +64,13 @@ def picture(
         Kind.REPETITIONS: singles.repetitions,
     }
     return makers[wish.kind](frame, wish).settled()
+
+
+def _published(frame: Frame, home: Home) -> Sequence[Published]:
+    """Return the published numbers on datasets of the runs; few figures need them and their reader."""
+    from slamhive.tables.published import load_published, published_on  # noqa: PLC0415
+
+    return published_on(frame, load_published(home.path))
 
 
 def form_of(path: Path) -> str:

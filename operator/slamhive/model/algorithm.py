@@ -11,6 +11,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from slamhive.contract.posefiles import BY_FRAMES
 from slamhive.model.base import (
+    HTTPS,
     RELATIVE_PATH,
     Choice,
     Image,
@@ -21,6 +22,7 @@ from slamhive.model.base import (
     Scalar,
     Sha256,
     optional,
+    worded,
 )
 from slamhive.model.errors import InputError, UnknownNameError, suggestion
 from slamhive.model.formats import DataFormat, RecordingFormat, fitting_formats, misfit
@@ -32,13 +34,23 @@ from slamhive.model.templates import FILES_LIMIT, TEMPLATE_LIMIT, TEMPLATES_LIMI
 _BOUND_SEGMENT = r"([^/.:]|\.[^/.:]|\.\.[^/:])[^/:]*"
 AssetName = Annotated[
     str,
-    StringConstraints(pattern=rf"^{_BOUND_SEGMENT}(/{_BOUND_SEGMENT})*$", max_length=1024),
+    StringConstraints(
+        pattern=worded(
+            rf"^{_BOUND_SEGMENT}(/{_BOUND_SEGMENT})*$",
+            "expected a path below its folder, without . or .. or a colon in it",
+        ),
+        max_length=1024,
+    ),
     Field(description="A path that stays below its folder and holds no colon: it is mounted in containers."),
 ]
 SettingsPath = Annotated[
     str,
     StringConstraints(
-        pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*$", max_length=255
+        pattern=worded(
+            r"^[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*$",
+            "expected a path below its folder: letters, digits, . _ - and /, no part that begins with a dot",
+        ),
+        max_length=255,
     ),
     Field(description="A path below its folder: letters, digits, . _ - and /, no part beginning with a dot."),
 ]
@@ -215,7 +227,7 @@ class Asset(Model):
 
     name: AssetName = Field(description="File name under assets/ in the run folder, without a colon.")
     path: RelativePath | None = optional("File beside the Algorithm's own.")
-    url: str | None = optional("Where to get it.", pattern=r"^https://")
+    url: str | None = optional("Where to get it.", pattern=HTTPS)
     sha256: Sha256 | None = optional("Checksum of the file.")
 
     @model_validator(mode="after")

@@ -17,21 +17,30 @@ GROUP = "slamhive.io"
 VERSION = "v1alpha1"
 API_VERSION = f"{GROUP}/{VERSION}"
 
-_DURATION = r"^([0-9]{1,5}(h|m|s|ms)){1,4}$"
-QUANTITY_PATTERN = r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$"
-_NAME = r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$"
-_IMAGE = r"^\S+$"
+_MEANINGS: dict[str, str] = {}
+
+
+def worded(pattern: str, words: str) -> str:
+    """Return a pattern of a field, of which mistakes are told in these words."""
+    _MEANINGS[pattern] = words
+    return pattern
+
+
+_DURATION = worded(r"^([0-9]{1,5}(h|m|s|ms)){1,4}$", "expected a duration such as 90s, 1h30m or 250ms")
+QUANTITY_PATTERN = worded(
+    r"^[0-9]+(\.[0-9]+)?(m|k|M|G|T|Ki|Mi|Gi|Ti)?$", "expected a quantity such as 2, 500m or 4Gi"
+)
+_NAME = worded(r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$", "expected a name of lower-case letters, digits, - and .")
+_IMAGE = worded(r"^\S+$", "expected the name of an image, without blanks")
 _SEGMENT = r"([^/.]|\.[^/.]|\.\.[^/])[^/]*"
-RELATIVE_PATH = rf"^{_SEGMENT}(/{_SEGMENT})*$"
-CATALOGUE_TITLE = r"^[^/\s]+/[^/\s]+$"
-_MEANINGS = {
-    CATALOGUE_TITLE: "expected FAMILY/SEQUENCE of the catalogue, such as euroc/MH_01_easy",
-    _IMAGE: "expected the name of an image, without blanks",
-    _DURATION: "expected a duration such as 90s, 1h30m or 250ms",
-    QUANTITY_PATTERN: "expected a quantity such as 2, 500m or 4Gi",
-    RELATIVE_PATH: "expected a path below its folder: not absolute, no . or .. in it",
-    _NAME: "expected a name of lower-case letters, digits, - and .",
-}
+RELATIVE_PATH = worded(
+    rf"^{_SEGMENT}(/{_SEGMENT})*$", "expected a path below its folder: not absolute, no . or .. in it"
+)
+CATALOGUE_TITLE = worded(
+    r"^[^/\s]+/[^/\s]+$", "expected FAMILY/SEQUENCE of the catalogue, such as euroc/MH_01_easy"
+)
+HTTPS = worded(r"^https://", "expected an address that begins with https://")
+_SHA256 = worded(r"^[0-9a-f]{64}$", "expected a SHA-256 checksum: 64 digits and letters from a to f")
 _UNIT_SECONDS = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 0.001}
 _UNIT_SIZE = {
     "": 1.0,
@@ -77,7 +86,7 @@ RelativePath = Annotated[
     Field(description="A path that stays below its folder: not absolute, no . or .. in it."),
 ]
 Image = Annotated[str, StringConstraints(pattern=_IMAGE)]
-Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+Sha256 = Annotated[str, StringConstraints(pattern=_SHA256)]
 Scalar = bool | int | float | str | None
 
 
@@ -142,10 +151,15 @@ class Resource(Model):
         return self.metadata.name
 
 
+def meaning(pattern: str) -> str | None:
+    """Return in words what a pattern asks, None where nobody has written it down."""
+    return _MEANINGS.get(pattern)
+
+
 def explain(error: ErrorDetails) -> str:
     """Return what a mistake found by pydantic is, patterns put in words."""
     pattern = error.get("ctx", {}).get("pattern")
-    return _MEANINGS.get(str(pattern)) or error["msg"].removeprefix("Value error, ")
+    return meaning(str(pattern)) or error["msg"].removeprefix("Value error, ")
 
 
 def seconds(duration: str) -> float:

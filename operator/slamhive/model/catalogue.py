@@ -18,7 +18,7 @@ import yaml
 from pydantic import Field, ValidationError, model_validator
 
 from slamhive.model.algorithm import RelativePath
-from slamhive.model.base import NAME_LIMIT, Model, Scalar, Sha256, explain, optional
+from slamhive.model.base import HTTPS, NAME_LIMIT, Model, Scalar, Sha256, explain, optional
 from slamhive.model.errors import InputError, ManifestError, UnknownNameError
 from slamhive.model.sensors import SensorType
 
@@ -29,7 +29,6 @@ FOLDERS = "SLAMHIVE_CATALOGUE"
 """Variable with further folders of families, separated as in PATH."""
 BAG = "Bag"
 """Layout of recordings that need no importer."""
-_HTTPS = r"^https://"
 _FIELD = re.compile(r"\{(\w+)\}")
 
 
@@ -39,10 +38,10 @@ class Part(Model):
     In all texts ``{sequence}`` and the words of a sequence stand for what they are.
     """
 
-    url: str | None = optional("Where it is.", pattern=_HTTPS)
+    url: str | None = optional("Where it is.", pattern=HTTPS)
     mirrors: list[str] = Field(default_factory=list, description="Where else it is.")
     manual: str | None = optional(
-        "The page from which it is to be fetched by hand, after a login or a click.", pattern=_HTTPS
+        "The page from which it is to be fetched by hand, after a login or a click.", pattern=HTTPS
     )
     file: RelativePath | None = optional("Its name, where it isn't the last part of the url.")
     size: int | None = optional("Bytes.", gt=0)
@@ -86,7 +85,7 @@ class FamilyHead(Model):
 
     name: str = Field(pattern=r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$", description="First word of its datasets.")
     title: str = Field(description="What it is called.")
-    homepage: str = Field(pattern=_HTTPS, description="Where it is described.")
+    homepage: str = Field(pattern=HTTPS, description="Where it is described.")
     license: str = Field(description="Licence of the data.")
     cite: str = Field(description="What is to be cited where results are published.")
     unverified: str = Field(default="", description="What nobody has verified yet, one sentence.")

@@ -16,7 +16,7 @@ import yaml
 from pydantic import BaseModel
 
 from slamhive.model.algorithm import Algorithm
-from slamhive.model.base import GROUP, NAME_LIMIT, QUANTITY_PATTERN, VERSION
+from slamhive.model.base import GROUP, NAME_LIMIT, QUANTITY_PATTERN, VERSION, meaning
 from slamhive.model.crd_columns import COLUMNS, Schema
 from slamhive.model.crd_rules import (
     EXTRA,
@@ -27,7 +27,6 @@ from slamhive.model.crd_rules import (
     PATTERN_LENGTH,
     RULES,
     TEXT_LENGTH,
-    meaning,
 )
 from slamhive.model.dataset import Dataset
 from slamhive.model.evaluation import Evaluation

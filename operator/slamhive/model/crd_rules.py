@@ -9,10 +9,9 @@ not look into.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
-from slamhive.model.algorithm import TEXT_LIMIT, AssetName, SettingsPath
-from slamhive.model.base import Sha256, explain
+from slamhive.model.algorithm import TEXT_LIMIT
 from slamhive.model.formats import FIRST_CAMERAS, HELD, DataFormat, holds
 from slamhive.model.run import MappingRunSpec
 from slamhive.model.sensors import ROLES, Role, SensorMode
@@ -229,22 +228,6 @@ FROZEN: dict[str, tuple[str, ...] | None] = {
     "Sweep": IMMUTABLE,
 }
 """Fields of a kind's spec that may not change, None for all of them."""
-
-_MEANINGS = {
-    get_args(AssetName)[1].pattern: "expected a path below its folder, without . or .. or a colon in it",
-    get_args(SettingsPath)[1].pattern: (
-        "expected a path below its folder: letters, digits, . _ - and /, no part that begins with a dot"
-    ),
-    get_args(Sha256)[1].pattern: "expected a SHA-256 checksum: 64 digits and letters from a to f",
-    "^https://": "expected an address that begins with https://",
-}
-
-
-def meaning(pattern: str) -> str | None:
-    """Return in words what a pattern asks, None where nobody has written it down."""
-    error: Any = {"ctx": {"pattern": pattern}, "msg": ""}
-    return explain(error) or _MEANINGS.get(pattern)
-
 
 _SMALL = 64
 LENGTHS: dict[str, int] = {

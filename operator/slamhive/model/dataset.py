@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from slamhive.model.algorithm import RecordingFormat, RelativePath
-from slamhive.model.base import CATALOGUE_TITLE, Choice, Model, Resource, Scalar, Sha256, optional
+from slamhive.model.base import CATALOGUE_TITLE, HTTPS, Choice, Model, Resource, Scalar, Sha256, optional
 from slamhive.model.errors import InputError, suggestion
 from slamhive.model.sensors import ROLE_TYPES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
@@ -23,7 +23,7 @@ class DataFile(Model):
     """A file of a recording."""
 
     path: RelativePath = Field(description="Path below the dataset's folder on the dataset volume.")
-    url: str | None = Field(default=None, pattern=r"^https://", description="Where to get it when absent.")
+    url: str | None = Field(default=None, pattern=HTTPS, description="Where to get it when absent.")
     sha256: Sha256 | None = Field(default=None, description="Checksum of the file.")
 
     @model_validator(mode="after")

@@ -7,12 +7,18 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from slamhive.model.base import Choice, Duration, Model, optional
+from slamhive.model.base import Choice, Duration, Model, optional, worded
 from slamhive.model.sensors import Role
 
 _WORD = r"[A-Za-z][A-Za-z0-9_]*"
-RosTopic = Annotated[str, StringConstraints(pattern=rf"^(/{_WORD})+$", max_length=255)]
-RosFrame = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_/.-]*$", max_length=255)]
+_TOPIC = worded(
+    rf"^(/{_WORD})+$", "expected a topic such as /camera/left: a letter after each /, then letters, digits, _"
+)
+_FRAME = worded(
+    r"^[A-Za-z0-9_][A-Za-z0-9_/.-]*$", "expected a frame such as base_link: letters, digits, _ / . and -"
+)
+RosTopic = Annotated[str, StringConstraints(pattern=_TOPIC, max_length=255)]
+RosFrame = Annotated[str, StringConstraints(pattern=_FRAME, max_length=255)]
 
 
 class PoseMessage(Choice):
