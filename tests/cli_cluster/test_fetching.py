@@ -172,6 +172,34 @@ async def test_run_on_a_cluster_fails_like_a_run_here(
     assert text in said.out
 
 
+async def test_lines_of_json_say_what_runs_of_a_cluster_came_to(lab: Lab, desk: Desk) -> None:
+    words = ("--on", "cluster", "--log-format", "json")
+    async with lab.operator():
+        said = await desk.types("run", desk.write(sweep(sizes=4), run()), *words)
+    assert (said.code, said.err) == (0, "")
+    lines = [json.loads(line) for line in said.out.splitlines()]
+    told = {kind: [line for line in lines if line["event"] == kind] for kind in ("begin", "run", "end")}
+    assert [(line["sweep"], line["runs"]) for line in told["begin"]] == [("study", 4), ("one", 1)]
+    members = [line for line in told["run"] if line["sweep"] == "study"]
+    assert [line["done"] for line in members] == [1, 2, 3, 4]
+    kept = {record.name: record for record in records(desk)}
+    for line in members:
+        record = kept[line["run"]]
+        assert line["settings"] == {"parameters.size": record.spec["parameters"]["size"]}
+        assert (line["uid"], line["phase"], line["ate"]) == (
+            record.uid,
+            "Succeeded",
+            record.results[0].values["ate"]["rmse"] if record.results else None,
+        )
+    assert [line["run"] for line in told["run"] if line["sweep"] == "one"] == ["one"]
+    assert {line["sweep"]: (line["runs"], line["succeeded"], line["verdict"]) for line in told["end"]} == {
+        "study": (4, 4, "Complete"),
+        "one": (1, 1, "Succeeded"),
+    }
+    assert lines[-1]["event"] == "exit"
+    assert lines[-1]["code"] == 0
+
+
 async def test_run_on_a_cluster_takes_single_runs_too(lab: Lab, desk: Desk) -> None:
     async with lab.operator():
         said = await desk.types("run", desk.write(run()), "--on", "cluster")

@@ -12,9 +12,19 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from slamhive.cli.cluster_fetch import fetch_into
 from slamhive.cli.cluster_work import Place, Submission, read, show_sent, submit_to
-from slamhive.cli.console import command_name, complain, err, open_archive, out, plural, remark
+from slamhive.cli.console import (
+    command_name,
+    complain,
+    emit,
+    err,
+    open_archive,
+    out,
+    plural,
+    remark,
+    speaks_json,
+)
 from slamhive.cli.exits import FAILED, INTERRUPTED
-from slamhive.cli.progress import run_line
+from slamhive.cli.progress import Naming, run_line, run_values
 from slamhive.cli.results import show_table
 from slamhive.kube.errors import ApiError, NotFound
 from slamhive.kube.kinds import Key, Kind, Object
@@ -22,6 +32,7 @@ from slamhive.kube.records import record_of
 from slamhive.kube.user.queries import has_failed, is_over, is_stuck, name_of, runs_of, status_of, troubles
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
+from slamhive.model.results import Phase
 from slamhive.model.sweep import Sweep
 
 if TYPE_CHECKING:
@@ -31,6 +42,7 @@ if TYPE_CHECKING:
     from slamhive.kube.user.connecting import Cluster
     from slamhive.kube.user.fetching import Fetched
     from slamhive.kube.user.manifests import Manifest
+    from slamhive.model.results import RunRecord
 
 
 LOOK_SECONDS = 1.0
@@ -53,6 +65,7 @@ class _Watched:
         told: runs that a line was printed of.
         listed_at: when its runs were last listed.
         listed: how many of them were done then.
+        naming: words for its runs; None where they aren't planned here.
     """
 
     key: Key
@@ -62,6 +75,7 @@ class _Watched:
     told: set[str] = field(default_factory=set)
     listed_at: float = 0.0
     listed: int = 0
+    naming: Naming | None = None
 
     @property
     def is_done(self) -> bool:
@@ -100,7 +114,10 @@ def run_on_cluster(files: Sequence[Path], place: Place, parallelism: int | None)
     for item in submitted:
         if item.key.kind is Kind.EVALUATION and item.body is not None:
             done = status_of(item.body).get("evaluated", 0)
-            out.print(f"Evaluation {escape(item.key.name)}: {plural(done, 'run')} evaluated")
+            if speaks_json():
+                emit("evaluation", name=item.key.name, evaluated=done)
+            else:
+                out.print(f"Evaluation {escape(item.key.name)}: {plural(done, 'run')} evaluated")
         if item.stopped:
             complain(f"{item.key.kind} {item.key.name}: {item.stopped}")
     return FAILED if any(item.has_failed for item in submitted) else 0
@@ -118,11 +135,14 @@ async def _work(submission: Submission, home: Home, submitted: list[_Watched]) -
     async with submission.place.connect() as cluster:
         sent = await submit_to(cluster, submission, with_catalog=True)
         show_sent(sent, submission, remark)
-        submitted += [
-            _Watched(cluster.key(one.manifest.kind, one.manifest.name))
-            for one in sent
-            if one.manifest.kind in _WATCHED
-        ]
+        for one in sent:
+            if one.manifest.kind in _WATCHED:
+                plan = submission.plans.get(str(one.manifest))
+                naming = Naming(plan) if plan is not None else None
+                key = cluster.key(one.manifest.kind, one.manifest.name)
+                submitted.append(_Watched(key, naming=naming))
+                if plan is not None and speaks_json():
+                    emit("begin", sweep=key.name, runs=len(plan))
         await _wait(cluster, submitted)
         names = [item.key.name for item in submitted if item.key.kind is not Kind.EVALUATION and item.body]
         if not names:
@@ -139,7 +159,7 @@ async def _wait(cluster: Cluster, items: Sequence[_Watched]) -> None:
     )
     loop = asyncio.get_running_loop()
     begun, warned = loop.time(), False
-    with Progress(*columns, console=err, refresh_per_second=2, disable=not err.is_terminal) as progress:
+    with Progress(*columns, console=err, refresh_per_second=2, disable=not _shows()) as progress:
         tasks = {
             item.key: progress.add_task(escape(item.key.name), total=None, notes="")
             for item in items
@@ -156,6 +176,11 @@ async def _wait(cluster: Cluster, items: Sequence[_Watched]) -> None:
             if not warned and loop.time() - begun > _NOTICE_SECONDS:
                 warned = _warn(items)
             await asyncio.sleep(LOOK_SECONDS)
+
+
+def _shows() -> bool:
+    """Tell whether bars are shown."""
+    return err.is_terminal and not speaks_json()
 
 
 async def _look(cluster: Cluster, item: _Watched, now: float) -> None:
@@ -186,7 +211,29 @@ async def _tell_runs(cluster: Cluster, item: _Watched, body: Object, now: float)
     for run in await runs_of(cluster, body):
         if is_over(Kind.MAPPING_RUN, run) and name_of(run) not in item.told:
             item.told.add(name_of(run))
-            err.print(f"[dim]{len(item.told)}/{found.get('total', '?')}[/] {run_line(record_of(run))}")
+            _tell(item, record_of(run), found.get("total"))
+
+
+def _tell(item: _Watched, record: RunRecord, total: int | None) -> None:
+    """Say in a line what came out of a run."""
+    index, naming = record.index, item.naming
+    if speaks_json():
+        emit(
+            "run",
+            sweep=item.key.name,
+            index=index,
+            run=record.name,
+            settings=naming.settings(index) if naming is not None and index is not None else {},
+            repetition=record.spec.get("repetition", 0),
+            done=len(item.told),
+            runs=total,
+            leftSeconds=None,
+            **run_values(record),
+            ateBefore=None,
+        )
+        return
+    words = naming.words(index) or None if naming is not None and index is not None else None
+    err.print(f"[dim]{len(item.told)}/{total or '?'}[/] {run_line(record, words)}")
 
 
 def _shown(body: Object) -> dict[str, Any]:
@@ -213,6 +260,9 @@ def _warn(items: Sequence[_Watched]) -> bool:
 
 def _report(fetched: Fetched, item: _Watched) -> None:
     """Print the table of a sweep's runs and a line of their number, as after a run on this machine."""
+    if speaks_json():
+        _emit_end(fetched, item)
+        return
     if fetched.runs:
         out.print()
         show_table(sweep=fetched.stored, also=[])
@@ -228,6 +278,33 @@ def _report(fetched: Fetched, item: _Watched) -> None:
         out.print(f"{escape(fetched.name)}: {plural(total, 'run')}: {', '.join(parts)}")
     more = f"{command_name()} results table --sweep {fetched.stored}   (list, show, export)"
     out.print(f"More:       {more}", soft_wrap=True, markup=False)
+
+
+def _emit_end(fetched: Fetched, item: _Watched) -> None:
+    found = status_of(item.body or {})
+    if item.key.kind is Kind.MAPPING_RUN:
+        if item.body is not None and item.is_done:
+            item.told.add(item.key.name)
+            _tell(item, record_of(item.body), 1)
+        succeeded = found.get("phase") == Phase.SUCCEEDED
+        failed = item.body is not None and has_failed(item.body)
+        counts = {"total": 1, "succeeded": int(succeeded), "failed": int(failed)}
+    else:
+        counts = {key: found.get(key, 0) for key in ("total", "succeeded", "failed")}
+    emit(
+        "end",
+        sweep=fetched.name,
+        runs=counts["total"],
+        succeeded=counts["succeeded"],
+        failed=counts["failed"],
+        notRun=counts["total"] - counts["succeeded"] - counts["failed"],
+        leftOut=0,
+        doneBefore=None,
+        reused=found.get("reused", 0),
+        verdict=found.get("phase"),
+        message=found.get("message"),
+        folder=None,
+    )
 
 
 def _interrupted(submitted: Sequence[_Watched], place: Place) -> int:

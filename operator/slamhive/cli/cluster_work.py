@@ -78,14 +78,14 @@ class Submission:
     Attributes:
         manifests: what was given.
         place: where it goes.
-        runs: number of runs by Sweep or MappingRun.
+        plans: the runs of each Sweep or MappingRun.
         added: entries of the catalog here that go along.
         notes: what the user should know.
     """
 
     manifests: list[Manifest]
     place: Place
-    runs: dict[str, int] = field(default_factory=dict)
+    plans: dict[str, Plan] = field(default_factory=dict)
     added: list[Manifest] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -182,9 +182,9 @@ def show_sent(
         text = f"{one.manifest}: {'would be ' if trial and one.deed is not Deed.UNCHANGED else ''}{one.deed}"
         if one.changes:
             text += f" ({'; '.join(one.changes)})"
-        runs = submission.runs.get(str(one.manifest))
-        if one.manifest.kind is Kind.SWEEP and runs is not None:
-            text += f", {plural(runs, 'run')}"
+        plan = submission.plans.get(str(one.manifest))
+        if one.manifest.kind is Kind.SWEEP and plan is not None:
+            text += f", {plural(len(plan), 'run')}"
         say(text)
 
 
@@ -197,7 +197,6 @@ def _check(submission: Submission, there: ClusterCatalog, *, with_catalog: bool)
         {**here.algorithms, **there.items.algorithms, **given.algorithms},
         {**here.datasets, **there.items.datasets, **given.datasets},
     )
-    plans: list[tuple[str, Plan]] = []
     problems = []
     for manifest in submission.manifests:
         for sweep in sweeps_of([manifest.item]):  # type: ignore[list-item]
@@ -207,15 +206,14 @@ def _check(submission: Submission, there: ClusterCatalog, *, with_catalog: bool)
                 problems.append(str(error))
                 continue
             problems += [f"{manifest}: {problem}" for problem in plan_problems(plan)]
-            plans.append((str(manifest), plan))
-            submission.runs[str(manifest)] = len(plan)
-    problems += unable(plans, catalog.algorithms)
+            submission.plans[str(manifest)] = plan
+    problems += unable([*submission.plans.items()], catalog.algorithms)
     if problems:
         raise InputError("\n".join(problems[:_REFUSED]))
     local: dict[str, Resource] = {f"Algorithm {name}": item for name, item in here.algorithms.items()}
     local |= {f"Dataset {name}": item for name, item in here.datasets.items()}
-    only_plans = [plan for _, plan in plans]
-    submission.added = missing_entries(only_plans, there, submission.manifests, local)
+    plans = [*submission.plans.values()]
+    submission.added = missing_entries(plans, there, submission.manifests, local)
     if submission.added:
         names = listing([str(manifest) for manifest in submission.added])
         submission.notes.append(

@@ -156,8 +156,6 @@ def run(
         }
         if any(given.values()):
             raise InputError(_not_on_cluster([name for name, value in given.items() if value]))
-        if speaks_json():
-            raise InputError("--log-format json: for this machine alone; with --on cluster, runs are lines")
         with cluster_client():
             from slamhive.cli import cluster_run, cluster_work
         place = cluster_work.Place(context, namespace)
