@@ -44,7 +44,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def bench() -> Any:
-    return SimpleNamespace(making={}, archive=SimpleNamespace(wall_seconds=lambda *_: {}))
+    return SimpleNamespace(making={}, archive=SimpleNamespace(costs=lambda *_: []))
 
 
 @pytest.fixture

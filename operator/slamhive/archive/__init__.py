@@ -7,6 +7,6 @@ evaluation, so writing the same thing twice is harmless.
 """
 
 from slamhive.archive.archive import Archive
-from slamhive.archive.records import CatalogEntry, EarlierRun, FinishedPoint, SweepRecord, Totals
+from slamhive.archive.records import CatalogEntry, Cost, EarlierRun, FinishedPoint, SweepRecord, Totals
 
-__all__ = ["Archive", "CatalogEntry", "EarlierRun", "FinishedPoint", "SweepRecord", "Totals"]
+__all__ = ["Archive", "CatalogEntry", "Cost", "EarlierRun", "FinishedPoint", "SweepRecord", "Totals"]

@@ -6,13 +6,14 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Self
 
-from sqlalchemy import Table, case, delete, exists, func, select, update
+from sqlalchemy import Table, case, delete, exists, func, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from slamhive.archive import schema
 from slamhive.archive.connection import connect, reading, shown, writing
 from slamhive.archive.records import (
     CatalogEntry,
+    Cost,
     EarlierRun,
     FinishedPoint,
     SweepRecord,
@@ -357,33 +358,53 @@ class Archive:
         with reading(self._engine) as connection:
             return set(connection.execute(query).scalars())
 
-    def wall_seconds(
-        self, algorithms: Iterable[str], datasets: Iterable[str], limit: int = 2000
-    ) -> dict[tuple[str, str], list[float]]:
-        """Return how long programs ran by algorithm and dataset, the latest runs first.
+    def costs(
+        self, algorithms: Iterable[str], datasets: Iterable[str], each: int = 200, most: int = 20_000
+    ) -> list[Cost]:
+        """Return what runs of some algorithms, or on some datasets, did cost, the latest first.
+
+        Those that took over a result are left out.
 
         Args:
             algorithms: names of algorithms.
             datasets: names of datasets.
-            limit: at most so many runs are asked for.
+            each: at most so many of an algorithm on a dataset.
+            most: at most so many in all.
         """
         runs = schema.runs.c
-        query = (
-            select(runs.algorithm, runs.dataset, runs.wall_seconds)
+        place = func.row_number().over(partition_by=(runs.algorithm, runs.dataset), order_by=runs.id.desc())
+        numbered = (
+            select(runs.id, place.label("place"))
             .where(
-                runs.algorithm.in_(list(algorithms)),
-                runs.dataset.in_(list(datasets)),
-                runs.wall_seconds.is_not(None),
+                or_(runs.algorithm.in_(list(algorithms)), runs.dataset.in_(list(datasets))),
+                runs.phase.in_((Phase.SUCCEEDED.value, Phase.FAILED.value)),
+                runs.algorithm.is_not(None) & runs.dataset.is_not(None),
+                or_(
+                    *(
+                        one.is_not(None)
+                        for one in (runs.cpu_seconds, runs.wall_seconds, runs.memory_peak_bytes)
+                    )
+                ),
                 runs.reused_from.is_(None),
             )
-            .order_by(runs.id.desc())
-            .limit(limit)
+            .subquery()
         )
-        found: dict[tuple[str, str], list[float]] = {}
+        query = (
+            select(
+                *(runs.uid, runs.algorithm, runs.dataset, runs.spec, runs.reason, runs.cpu_seconds),
+                *(runs.wall_seconds, runs.memory_peak_bytes.label("memory_bytes"), runs.cpu_model),
+                *(runs.content_hash, runs.folder, runs.provenance["prepared"].label("prepared")),
+                runs.provenance["algorithmHash"].as_string().label("algorithm_hash"),
+                runs.provenance["datasetSha256"].as_string().label("dataset_sha256"),
+                case((runs.namespace.is_(None), runs.created)).label("created"),
+                runs.started,
+            )
+            .where(runs.id.in_(select(numbered.c.id).where(numbered.c.place <= each)))
+            .order_by(runs.id.desc())
+            .limit(most)
+        )
         with reading(self._engine) as connection:
-            for algorithm, dataset, wall in connection.execute(query):
-                found.setdefault((algorithm, dataset), []).append(float(wall))
-        return found
+            return [Cost(**row) for row in connection.execute(query).mappings()]
 
     def cpu_seconds(self, sweep_uid: str) -> float:
         """Return the CPU time of a sweep's finished runs in s, those left out that took over a result."""

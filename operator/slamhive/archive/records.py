@@ -102,6 +102,38 @@ class EarlierRun:
     origin: dict[str, str | None]
 
 
+class Cost(NamedTuple):
+    """What a finished run did cost, and what that depends on.
+
+    Attributes:
+        uid, algorithm, dataset, spec: which run.
+        reason: why it failed; None: it didn't.
+        cpu_seconds, wall_seconds, memory_bytes: what its program took.
+        cpu_model: where.
+        content_hash, algorithm_hash, dataset_sha256: what it was made from.
+        folder: where its files were.
+        prepared: what it was given of its recording, as its provenance has it.
+        created, started: when it was begun, and its program; on a cluster only the latter.
+    """
+
+    uid: str
+    algorithm: str
+    dataset: str
+    spec: dict[str, Any]
+    reason: str | None
+    cpu_seconds: float | None
+    wall_seconds: float | None
+    memory_bytes: int | None
+    cpu_model: str | None
+    content_hash: str | None
+    folder: str | None
+    prepared: dict[str, Any] | None
+    algorithm_hash: str | None
+    dataset_sha256: str | None
+    created: datetime | None
+    started: datetime | None
+
+
 class Totals(NamedTuple):
     """Sums over finished runs.
 

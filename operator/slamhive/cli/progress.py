@@ -158,7 +158,7 @@ class Display:
         if outlook is None:
             return
         self._jobs[job.uid] = job
-        estimate = Estimate.of(job.points, outlook, self._bench.archive)
+        estimate = Estimate.of(job.points, self._bench.archive)
         self._followed[job.uid] = _Followed(Naming(job.points), estimate, before=self._before(job))
         self._tasks[job.uid] = self._bars.add_task(escape(job.sweep.name), total=self._total(job), notes="")
         self._left = None

@@ -20,6 +20,7 @@ from slamhive.archive import Archive
 from slamhive.archive.connection import file_of
 from slamhive.cli import tables
 from slamhive.cli.checked import check_files
+from slamhive.cli.choosing import Also
 from slamhive.cli.cluster import Context, Namespace, cluster_client
 from slamhive.cli.console import (
     command_name,
@@ -228,14 +229,32 @@ def plan(
     *,
     count: Annotated[bool, typer.Option("--count", help="Print the number of runs alone.")] = False,
     head: Annotated[int | None, typer.Option("--head", min=1, help="Print the first N runs.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print every run as a line of JSON.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print every run as a line of JSON, or the estimate as JSON.")
+    ] = False,
+    estimate: Annotated[
+        bool,
+        typer.Option("--estimate", help="Print what they will cost: CPU and wall time, memory, disk."),
+    ] = False,
+    parallelism: Annotated[
+        int | None,
+        typer.Option(
+            "-j", "--parallelism", min=1, help="With --estimate: runs at the same time, here or elsewhere."
+        ),
+    ] = None,
+    also: Also = None,
 ) -> None:
-    """Show the runs that sweeps expand to, without running them.
+    """Show the runs that sweeps expand to, without running them, or what they will cost.
 
-    Names that are not in the catalog are allowed here; validate tells of them.
+    Names that are not in the catalog are allowed here; validate tells of them. An estimate comes from
+    finished runs of the same algorithms, of this home and of those that --also names.
 
-    Example: slamhive plan sweep.yaml --head 10
+    Example: slamhive plan sweep.yaml --estimate
     """
+    if estimate and (count or head is not None):
+        raise InputError("--estimate: without --count and --head, which say something else")
+    if not estimate and (parallelism is not None or also is not None):
+        raise InputError("--parallelism and --also: of a plan they say something with --estimate alone")
     workshop = load_workshop(Home.from_environment())
     checked = check_files(files, workshop, strict=False)
     checked.refuse()
@@ -244,6 +263,12 @@ def plan(
         raise InputError(f"{files[0]}: no Sweep or MappingRun in it")
     if count:
         out.print(sum(len(points) for _, points in plans))
+        return
+    if estimate:
+        from slamhive.cli import forecasting  # numbers, which nothing else of a plan needs
+
+        home = Home.from_environment()
+        forecasting.estimate(plans, workshop, home, parallelism=parallelism, also=also, as_json=as_json)
         return
     for sweep, points in plans:
         shown = len(points) if as_json else min(len(points), head or 10)

@@ -50,6 +50,11 @@ def within(cores: list[tuple[int, ...]], limit: float | None) -> list[tuple[int,
     return chosen
 
 
+def cores_here() -> int:
+    """Return how many cores runs of this process may have: as many as a quota allows."""
+    return len(within(whole_cores(), cpu_quota()))
+
+
 class CorePool:
     """Lends whole cores to runs, each to one at a time, those of other runners in the home included.
 

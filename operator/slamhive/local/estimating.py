@@ -1,34 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimate of how long a sweep still takes: from what the archive knows, then from the sweep itself.
 
-A run is expected to take as long as its setting did, in this sweep or before the edit; else as the algorithm
-took on that dataset; else as the runs of this sweep do.
+A run is expected to take as long as its setting did in this sweep; else what is predicted from the runs of
+the archive and of this sweep (`slamhive.analysis.predicting`), as in `slamhive plan --estimate`.
 """
 
 from __future__ import annotations
 
-from functools import cached_property
 from statistics import fmean, median
 from typing import TYPE_CHECKING, Protocol
 
+from slamhive.analysis.predicting import Known, Nearness, Quantity, design, predict
+from slamhive.local.costs import Knowledge, planned_settings
+from slamhive.monitor.machine import cpu_model
+
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from slamhive.local.outlook import Outlook, Points
-
-    Kind = tuple[str, str]
+    from slamhive.analysis.predicting import Setting
+    from slamhive.archive import Cost
+    from slamhive.local.costs import Combinations
 
 MOST_TOLD_APART = 5_000
-"""Settings whose algorithm and dataset are looked at one by one; beyond, all count alike."""
+"""Settings that are looked at one by one; of more, as many stand for those beside them."""
+
+_AGAIN = 1.25
+"""Growth in the number of measured runs after which all is predicted again."""
 
 
-class Walls(Protocol):
-    """What knows how long programs ran: the archive."""
+class Costs(Protocol):
+    """What knows the costs of runs: the archive."""
 
-    def wall_seconds(
-        self, algorithms: Iterable[str], datasets: Iterable[str], limit: int = ...
-    ) -> dict[Kind, list[float]]:
-        """Return how long programs ran by algorithm and dataset, the latest runs first."""
+    def costs(
+        self, algorithms: Iterable[str], datasets: Iterable[str], each: int = ..., most: int = ...
+    ) -> Sequence[Cost]:
+        """Return what runs did cost, the latest first."""
 
 
 class Estimate:
@@ -36,30 +42,27 @@ class Estimate:
 
     Args:
         points: the runs.
-        outlook: what was there of them before.
-        walls: how long programs ran before, s, by algorithm and dataset.
+        knowledge: of finished runs.
     """
 
-    def __init__(
-        self, points: Points, outlook: Outlook | None, walls: Mapping[Kind, Collection[float]]
-    ) -> None:
-        self._points = points
+    def __init__(self, points: Combinations, knowledge: Knowledge) -> None:
         self._repetitions = points.repetitions
-        self._kinds: dict[int, Kind | None] = {}
-        self._known = {kind: median(found) for kind, found in walls.items() if found}
-        self._of_row: dict[int, list[float]] = {}
-        self._of_kind: dict[Kind | None, list[float]] = {}
+        rows = -(-len(points) // self._repetitions)
+        self._step = max(1, -(-rows // MOST_TOLD_APART))
+        wanted = range(0, rows, self._step)
+        planned = planned_settings(points, wanted, knowledge, cpu_model())
+        self._settings: list[Setting] = [one.setting for one in planned]
+        self._known = knowledge.known()
+        self._fresh: dict[int, list[float]] = {}
+        self._noted: list[Known] = []
         self._beside: list[float] = []
-        before = (*outlook.finished.items(), *outlook.replaced.items()) if outlook is not None else ()
-        for index, run in before:
-            if run.wall_seconds is not None:
-                self._of_row.setdefault(self._row(index), []).append(run.wall_seconds)
-        self._fresh: set[int] = set()
+        self._predicted: list[float | None] = []
+        self._due = 0.0
 
     @classmethod
-    def of(cls, points: Points, outlook: Outlook | None, archive: Walls) -> Estimate:
+    def of(cls, points: Combinations, archive: Costs) -> Estimate:
         """Return the estimate for a sweep by an archive."""
-        return cls(points, outlook, archive.wall_seconds(points.algorithm_names(), points.dataset_names()))
+        return cls(points, Knowledge.of(archive.costs(points.algorithm_names(), points.dataset_names())))
 
     def note(self, index: int, wall: float, took: float) -> None:
         """Note how long a run took.
@@ -70,11 +73,8 @@ class Estimate:
             took: all of it, with what was prepared and measured, s.
         """
         row = self._row(index)
-        if row not in self._fresh:  # what this sweep measures counts more than what was before
-            self._fresh.add(row)
-            self._of_row[row] = []
-        self._of_row[row].append(wall)
-        self._of_kind.setdefault(self._kind(row), []).append(wall)
+        self._fresh.setdefault(row, []).append(wall)
+        self._noted.append(Known(self._settings[row], {Quantity.WALL: wall}))
         self._beside.append(max(0.0, took - wall))
 
     def seconds(self, index: int) -> float | None:
@@ -109,33 +109,29 @@ class Estimate:
         return max([total / max(at_a_time, 1), *still])
 
     def _wall(self, row: int) -> float | None:
-        if found := self._of_row.get(row):
+        if found := self._fresh.get(row):
             return median(found)
-        kind = self._kind(row)
-        if found := self._of_kind.get(kind):
-            return median(found)
-        return self._known.get(kind) if kind is not None else None
+        if not self._predicted or len(self._noted) >= self._due:
+            self._due = max(len(self._noted) + 1, len(self._noted) * _AGAIN)
+            self._predicted = self._predictions()
+        return self._predicted[row]
+
+    def _predictions(self) -> list[float | None]:
+        # What this sweep measures counts alone where it has measured: the machine may do other things now.
+        measured = {(one.setting.unit, one.setting.dataset) for one in self._noted}
+        before = [one for one in self._known if (one.setting.unit, one.setting.dataset) not in measured]
+        known = [*self._noted, *before]
+        rows = design(known, self._settings)
+        found = predict(Quantity.WALL, known, self._settings, rows)
+        if found is None:
+            return [None] * len(self._settings)
+        return [
+            None if near is Nearness.NOTHING else wall
+            for near, wall in zip(rows.nearness, found.middles().tolist(), strict=True)
+        ]
 
     def _overhead(self) -> float:
         return median(self._beside) if self._beside else 0.0
 
     def _row(self, index: int) -> int:
-        return index // self._repetitions
-
-    def _kind(self, row: int) -> Kind | None:
-        """Return algorithm and dataset of a setting."""
-        if row not in self._kinds:
-            algorithms, datasets = self._names
-            alone = len(algorithms) == len(datasets) == 1
-            if alone:
-                self._kinds[row] = (algorithms[0], datasets[0])
-            elif len(self._points) > MOST_TOLD_APART * self._repetitions:
-                self._kinds[row] = None
-            else:
-                spec = self._points.point(row * self._repetitions).spec
-                self._kinds[row] = (spec["algorithmRef"]["name"], spec["datasetRef"]["name"])
-        return self._kinds[row]
-
-    @cached_property
-    def _names(self) -> tuple[list[str], list[str]]:
-        return list(self._points.algorithm_names()), list(self._points.dataset_names())
+        return index // self._repetitions // self._step

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from slamhive.engine import SweepDecision
-    from slamhive.local.outlook import Points
+    from slamhive.local.costs import Combinations
     from slamhive.local.run import Point
     from slamhive.local.workbench import Workbench
     from slamhive.model.sweep import Sweep
@@ -69,7 +69,7 @@ class Job:
 
     sweep: Sweep
     uid: str
-    points: Points
+    points: Combinations
     states: bytearray = field(default_factory=bytearray)
     order: Sequence[int] = ()
     reused: int = 0

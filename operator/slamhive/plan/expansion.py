@@ -287,6 +287,19 @@ class Plan:
         }
         return result | self.grid.addition(row).coordinates
 
+    def short_spec(self, settings: Settings) -> dict[str, str | None]:
+        """Return what a combination's spec names: algorithm, dataset and sensor mode."""
+        assembler = self.assembler
+        return {
+            "algorithm": assembler.value(settings, ALGORITHM),
+            "dataset": assembler.value(settings, DATASET),
+            "sensors": assembler.mode(settings),
+        }
+
+    def basis(self, algorithm: str) -> dict[str, Any]:
+        """Return the spec of the runs of an algorithm as it is before axes and include set anything."""
+        return self.assembler.spec({ALGORITHM: algorithm}, 0)
+
     def algorithm_names(self) -> list[str]:
         """Return the names of all algorithms that the plan runs, in the order in which they come."""
         return self._names(ALGORITHM)

@@ -29,6 +29,8 @@ from slamhive.tables.reading import archive_url, read_archive
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
+    from slamhive.archive import Cost
+
 OWN = "here"
 """The label of one's own home."""
 
@@ -142,6 +144,33 @@ def together(frames: Sequence[tuple[str, Frame]]) -> Frame:
     bound(parts, parts[0][0] if parts else (), MAX_COLUMNS)
     columns, length = stack(parts) if parts else ({}, 0)
     return Frame(columns, length)
+
+
+def costs_together(homes: Sequence[tuple[str, Sequence[Cost]]]) -> list[Cost]:
+    """Return what the runs of several homes did cost, each run once, names told apart as in tables.
+
+    Args:
+        homes: each with its label, one's own first.
+    """
+    met: set[tuple[str, str | None]] = set()
+    known: dict[tuple[str, str], set[str]] = {}
+    found: list[Cost] = []
+    for label, costs in homes:
+        fresh = [cost for cost in costs if (cost.uid, cost.content_hash) not in met]
+        met.update((cost.uid, cost.content_hash) for cost in fresh)
+        here: dict[tuple[str, str], set[str]] = {}
+        for cost in fresh:
+            for part, hashed in (("algorithm", cost.algorithm_hash), ("dataset", cost.dataset_sha256)):
+                if hashed is not None:
+                    here.setdefault((part, getattr(cost, part)), set()).add(hashed)
+        strange = {key for key, hashes in here.items() if key in known and not hashes & known[key]}
+        for cost in fresh:
+            names = {part: getattr(cost, part) for part in ("algorithm", "dataset")}
+            told = {part: told_name(name, label) for part, name in names.items() if (part, name) in strange}
+            found.append(cost._replace(**told))
+        for key, hashes in here.items():
+            known.setdefault(key, hashes)
+    return found
 
 
 def uid_in(uid: str, labels: Collection[str]) -> tuple[str, str | None]:

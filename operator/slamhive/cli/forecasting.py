@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive plan --estimate``: what sweeps will cost, from what was measured of such runs."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from slamhive.analysis.predicting import COVERED, Quantity
+from slamhive.archive import Archive
+from slamhive.archive.connection import file_of
+from slamhive.cli import tables
+from slamhive.cli.console import bytes_text, command_name, listing, out, plural
+from slamhive.cli.waiting import time_text
+from slamhive.local.cores import cores_here
+from slamhive.local.costs import Knowledge
+from slamhive.local.forecast import Wanted, forecast
+from slamhive.local.outlook import Looking, Outlook, Standing
+from slamhive.local.runner import Job
+from slamhive.local.workbench import Workbench
+from slamhive.model.errors import InputError, SlamHiveError, sentence
+from slamhive.monitor.machine import cpu_model
+from slamhive.plan import local_uid
+from slamhive.tables.homes import OWN, costs_together, homes_beside
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from slamhive.archive import Cost
+    from slamhive.local.catalog import Workshop
+    from slamhive.local.forecast import Forecast, Told
+    from slamhive.local.home import Home
+    from slamhive.model.sweep import Sweep
+    from slamhive.plan import Plan
+
+_SHARE = f"{COVERED:.0%}".replace("%", " %")
+
+
+@dataclass
+class _Found:
+    """What a forecast is made from.
+
+    Attributes:
+        wanted: the runs that are to be done.
+        done: runs that are finished already.
+        equal: runs that take over an equal result, or that of a run of the same plan.
+        notes: what could not be found out.
+    """
+
+    wanted: list[Wanted] = field(default_factory=list)
+    done: int = 0
+    equal: int = 0
+    notes: list[str] = field(default_factory=list)
+
+
+def estimate(
+    plans: Sequence[tuple[Sweep, Plan]],
+    workshop: Workshop,
+    home: Home,
+    *,
+    parallelism: int | None,
+    also: Sequence[str] | None,
+    as_json: bool,
+) -> None:
+    """Print what sweeps will cost.
+
+    Args:
+        plans: the sweeps.
+        workshop: the catalog.
+        home: whose archive tells of earlier runs.
+        parallelism: runs at the same time, wherever that is; None: as `slamhive run` does here.
+        also: other homes and archives that tell of runs.
+        as_json: print JSON.
+
+    Raises:
+        InputError: there is no archive, or none of its runs has figures of these algorithms.
+    """
+    names = sorted({name for _, points in plans for name in points.algorithm_names()})
+    datasets = sorted({name for _, points in plans for name in points.dataset_names()})
+    knowledge = Knowledge.of(_costs(home, also, names, datasets))
+    here = cores_here()
+    found = _found(plans, workshop, home, parallelism)
+    beyond = parallelism is not None and parallelism > here
+    told = forecast(found.wanted, knowledge, cpu_model(), None if beyond else here)
+    if as_json:
+        tables.write_json(sys.stdout, [_document(told, found, knowledge)])
+        return
+    total = sum(len(points) for _, points in plans)
+    out.print(f"{', '.join(sweep.name for sweep, _ in plans)}: {plural(total, 'run')}", markup=False)
+    if told.told:
+        headings = ["what", "estimate", f"in {_SHARE} of cases", "from"]
+        tables.show(out, headings, [_line(one, told) for one in told.told.values()])
+    for line in _sentences(told, found, knowledge, here if not beyond else None):
+        out.print(line, markup=False, soft_wrap=True)
+
+
+def _costs(home: Home, also: Sequence[str] | None, names: list[str], datasets: list[str]) -> list[Cost]:
+    """Return what runs did cost, of one's own home and of others.
+
+    Raises:
+        InputError: an archive is not there, or is of another version.
+    """
+    others = homes_beside(home, also)
+    places = [(OWN, home.archive_url), *((one.label, one.url) for one in others)]
+    file = file_of(home.archive_url)
+    if file is not None and not file.exists():
+        if not others:
+            raise InputError(f"--estimate: nothing has run here yet: there is no {file}; --also names homes")
+        del places[0]
+    found = []
+    for label, url in places:
+        try:
+            with Archive.open(url, read_only=True) as archive:
+                found.append((label, archive.costs(names, datasets)))
+        except SlamHiveError as error:
+            raise type(error)(str(error) if label == OWN else f"home {label}: {error}") from None
+    return costs_together(found)
+
+
+def _found(
+    plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop, home: Home, parallelism: int | None
+) -> _Found:
+    """Return which runs are to be done: those that `slamhive run` would begin."""
+    found = _Found()
+    outlooks = _outlooks(plans, workshop, home, found)
+    for (sweep, points), outlook in zip(plans, outlooks, strict=True):
+        standing = outlook.standing if outlook is not None else bytearray(len(points))
+        twins = points.twins
+        indices = []
+        for index in points.start_order(look_first=True):
+            if standing[index] in {Standing.DONE, Standing.FAILED}:
+                found.done += 1
+            elif standing[index] == Standing.EQUAL or index in twins:
+                found.equal += 1
+            else:
+                indices.append(index)
+        found.wanted.append(Wanted(points, indices, parallelism or sweep.spec.parallelism))
+    return found
+
+
+def _outlooks(
+    plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop, home: Home, found: _Found
+) -> list[Outlook | None]:
+    file = file_of(home.archive_url)
+    if file is not None and not file.exists():
+        return [None] * len(plans)
+    try:
+        with Archive.open(home.archive_url, read_only=True) as archive:
+            looking = Looking(Workbench(home, workshop, archive), making=False)
+            outlooks: list[Outlook | None] = []
+            for sweep, points in plans:
+                job = Job(sweep, local_uid(sweep), points)
+                outlooks.append(looking.look(sweep.name, job.uid, points, job.run_uid))
+            return outlooks
+    except SlamHiveError as error:
+        found.notes.append(f"what is done already can't be told: {sentence(error)}")
+        return [None] * len(plans)
+
+
+def _line(one: Told, told: Forecast) -> list[str]:
+    words, text = {
+        Quantity.CPU: ("CPU time", _hours),
+        Quantity.WALL: (f"wall time, {told.at_a_time:,} at a time", time_text),
+        Quantity.MEMORY: ("memory of the largest run", bytes_text),
+        Quantity.DISK: ("results on disk", bytes_text),
+    }[one.quantity]
+    span = one.interval
+    names = listing([str(name) for name, _ in told.algorithms.most_common()], 3)
+    return [
+        words,
+        text(span.middle),
+        f"{text(span.low)} to {text(span.high)}",
+        f"{plural(one.runs, 'run')} of {names}",
+    ]
+
+
+def _hours(seconds: float) -> str:
+    """Return CPU time as people say it: budgets are in CPU hours.
+
+    >>> _hours(42), _hours(5400)
+    ('42 CPU s', '1.5 CPU h')
+    """
+    return f"{seconds:.0f} CPU s" if seconds < 600 else f"{seconds / 3600:,.3g} CPU h"
+
+
+def _sentences(told: Forecast, found: _Found, knowledge: Knowledge, cores: int | None) -> Iterator[str]:
+    if told.runs:
+        near = "; ".join(f"{count:,} by {name}" for name, count in sorted(told.nearness.items()))
+        yield f"{plural(told.runs, 'run')} to be done, known from the nearest finished ones: {near}"
+    else:
+        yield "no run to be done is counted"
+    if found.done:
+        yield f"{plural(found.done, 'run')} finished already: not counted"
+    if found.equal:
+        yield f"{plural(found.equal, 'run')} with an equal result to take over: not counted"
+    for name, count in sorted(told.unknown.items()):
+        yield (
+            f"{plural(count, 'run')} of {name} not counted: no run of it is known; "
+            f"{command_name()} run FILE --first 3 does some"
+        )
+    if told.unmeasured:
+        yield (
+            f"the length of the recording isn't known of {listing(told.unmeasured)}: taken for that of the "
+            "others, within wide limits"
+        )
+    yield from _processors(told)
+    if knowledge.failed or knowledge.limited:
+        limited = (
+            f"; {knowledge.limited:,} that hit the time limit count as that" if knowledge.limited else ""
+        )
+        yield f"{plural(knowledge.failed, 'failed run')} of the archive left out{limited}"
+    if Quantity.DISK not in told.told and told.told:
+        yield "results on disk: not known, as no files of such runs are here"
+    if Quantity.WALL in told.told:
+        room = "as if there were room for them" if cores is None else f"on {plural(cores, 'core')}"
+        yield (
+            f"wall time {room}: programs, and {time_text(told.idle)} a run until they begin; without making "
+            "prepared recordings and environments, and without measuring trajectories"
+        )
+    yield from found.notes
+
+
+def _processors(told: Forecast) -> Iterator[str]:
+    here = cpu_model()
+    others = {name: count for name, count in told.processors.items() if name != here}
+    if not others:
+        return
+    same = told.processors.get(here, 0)
+    places = listing([f"{count:,} on {name or 'an unknown one'}" for name, count in others.items()], 3)
+    if same:
+        yield f"measured on this processor: {same:,} runs; on others: {places}"
+    else:
+        yield f"measured on another processor than this one ({here}), so within wider limits: {places}"
+
+
+def _document(told: Forecast, found: _Found, knowledge: Knowledge) -> dict[str, Any]:
+    """Return a forecast as JSON."""
+    return {
+        "runs": told.runs,
+        "finished": found.done,
+        "reused": found.equal,
+        "unknown": dict(sorted(told.unknown.items())),
+        "interval": COVERED,
+        **{
+            str(quantity): {
+                "estimate": one.interval.middle,
+                "low": one.interval.low,
+                "high": one.interval.high,
+                "fromRuns": one.runs,
+            }
+            for quantity, one in told.told.items()
+        },
+        "atATime": told.at_a_time,
+        "startingSeconds": told.idle,
+        "nearest": {str(name): count for name, count in sorted(told.nearness.items())},
+        "processors": {name or "": count for name, count in told.processors.items()},
+        "unmeasuredDatasets": told.unmeasured,
+        "failedLeftOut": knowledge.failed,
+        "atTimeLimit": knowledge.limited,
+        "notes": found.notes,
+    }
