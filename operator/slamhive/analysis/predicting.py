@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ import numpy as np
 from slamhive.model.base import Choice
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     import numpy.typing as npt
 
@@ -34,11 +35,12 @@ COVERED = 0.8
 MOST_BINS = 8
 """Values of an option that are told apart; more numbers than that are put into so many groups."""
 
-MOST_OPTIONS = 12
-"""Options of an algorithm that are looked at, those that vary most often first."""
+MOST_OPTIONS = 6
+"""Options of an algorithm that are looked at, those with most values among what is asked for first."""
 
 DRAWS = 200
 _ROUNDS = 6
+_SETTLED = 0.02
 _CHUNK = 2_000
 _WEIGHT = 4.0
 """For how many effects of a kind it counts what is usual of that kind."""
@@ -187,11 +189,10 @@ def design(known: Sequence[Known], asked: Sequence[Setting]) -> Design:
     effects: list[list[tuple[int, float]]] = []
     row_of = np.zeros(len(known), dtype=np.intp)
     for place, one in enumerate(known):
-        options = codes.options(one.setting)
         key = _key(one.setting, codes.exact(one.setting))
         if key not in rows:
             rows[key] = len(effects)
-            effects.append(codes.effects(one.setting, options))
+            effects.append(codes.effects(one.setting))
         row_of[place] = rows[key]
     count = len(effects)
     units = {(*one.setting.unit, one.setting.dataset) for one in known}
@@ -199,7 +200,7 @@ def design(known: Sequence[Known], asked: Sequence[Setting]) -> Design:
     twin = np.full(len(asked), -1, dtype=np.intp)
     nearness = []
     for place, setting in enumerate(asked):
-        effects.append(codes.effects(setting, codes.options(setting)))
+        effects.append(codes.effects(setting))
         twin[place] = rows.get(_key(setting, codes.exact(setting)), -1)
         if twin[place] >= 0:
             near = Nearness.SETTING
@@ -233,6 +234,9 @@ class _Codes:
         self._varied: dict[str, list[str]] = {}
         self._bins: dict[tuple[str, str], list[float]] = {}
         self._middles: dict[tuple[str, str], float] = {}
+        self._looked_at: dict[str, list[str]] = {}
+        self._places: dict[Key, list[tuple[int, float]]] = {}
+        self._values: dict[Key, list[tuple[int, float]]] = {}
         self._unmeasured = {setting.dataset for setting in (*known, *asked) if not setting.frames}
         self._look(known, asked)
 
@@ -240,7 +244,13 @@ class _Codes:
         """Find out which options vary, and which have too many values to be told apart."""
         values: dict[str, dict[str, dict[Any, None]]] = {name: {} for name in self._wanted}
         shared: dict[tuple[str, int], Mapping[str, Any]] = {}
-        for setting in (*known, *asked):
+        for setting in asked:
+            shared[setting.algorithm, id(setting.options)] = setting.options
+            _gather(values[setting.algorithm], setting.changed)
+        counts = {
+            (name, option): len(kept) for name, found in values.items() for option, kept in found.items()
+        }
+        for setting in known:
             if setting.algorithm in values:
                 shared[setting.algorithm, id(setting.options)] = setting.options
                 _gather(values[setting.algorithm], setting.changed)
@@ -249,11 +259,10 @@ class _Codes:
         for algorithm, found in values.items():
             varied = sorted(name for name, kept in found.items() if len(kept) > 1)
             self._varied[algorithm] = varied
-            for place, name in enumerate(sorted(varied, key=lambda name: -len(found[name]))):
-                if place >= MOST_OPTIONS:
-                    self._bins[algorithm, name] = []
-                else:
-                    self._tell_apart(algorithm, name, list(found[name]))
+            order = sorted((-counts.get((algorithm, name), 0), -len(found[name]), name) for name in varied)
+            self._looked_at[algorithm] = [name for _, _, name in order[:MOST_OPTIONS]]
+            for name in self._looked_at[algorithm]:
+                self._tell_apart(algorithm, name, list(found[name]))
 
     def _tell_apart(self, algorithm: str, name: str, values: Sequence[Any]) -> None:
         numbers = sorted(value for value in values if _is_number(value))
@@ -269,24 +278,24 @@ class _Codes:
             return tuple(setting.changed.values())
         return tuple(setting.option(name) for name in self._varied[setting.algorithm])
 
-    def options(self, setting: Setting) -> list[tuple[str, Any]]:
-        """Return the options that vary with their values, numbers of many values by their group."""
-        found = []
-        for name in self._varied.get(setting.algorithm, ()):
-            value = setting.option(name)
-            edges = self._bins.get((setting.algorithm, name))
-            if edges is not None:
-                if not edges:
-                    continue
-                value = float(np.searchsorted(edges, value)) if _is_number(value) else value
-            found.append((name, value))
-        return found
-
-    def effects(self, setting: Setting, options: Iterable[tuple[str, Any]]) -> list[tuple[int, float]]:
+    def effects(self, setting: Setting) -> list[tuple[int, float]]:
         """Return the numbers of a setting's effects, and how much each counts."""
-        name, data = setting.algorithm, setting.dataset
+        place = (*setting.unit, setting.dataset, setting.processor)
+        if place not in self._places:
+            self._places[place] = self._of_place(setting)
+        counting = list(self._places[place])
+        for option in self._looked_at.get(setting.algorithm, ()):
+            value = setting.option(option)
+            key = (setting.algorithm, option, value)
+            if key not in self._values:
+                self._values[key] = self._of_value(*key)
+            counting += self._values[key]
+        return counting
+
+    def _of_place(self, setting: Setting) -> list[tuple[int, float]]:
+        data = setting.dataset
         found = [
-            self._number(0, (name,)),
+            self._number(0, (setting.algorithm,)),
             self._number(1, setting.unit),
             self._number(2, (data,)),
             self._number(4, (*setting.unit, data)),
@@ -294,13 +303,16 @@ class _Codes:
         ]
         if data in self._unmeasured:
             found.append(self._number(3, (data,)))
-        found += [self._number(5, (name, option, value)) for option, value in options]
-        counting = [(number, 1.0) for number in found]
-        for option, _ in options:
-            middle, value = self._middles.get((name, option)), setting.option(option)
-            if middle is not None and _is_number(value):
-                counting.append((self._number(7, (name, option)), math.log2(value / middle)))
-        return counting
+        return [(number, 1.0) for number in found]
+
+    def _of_value(self, algorithm: str, option: str, value: Any) -> list[tuple[int, float]]:
+        edges = self._bins.get((algorithm, option))
+        told = float(np.searchsorted(edges, value)) if edges and _is_number(value) else value
+        found = [(self._number(5, (algorithm, option, told)), 1.0)]
+        middle = self._middles.get((algorithm, option))
+        if middle is not None and _is_number(value):
+            found.append((self._number(7, (algorithm, option)), math.log2(value / middle)))
+        return found
 
     def _number(self, kind: int, key: Key) -> int:
         whole = (kind, *key)
@@ -414,6 +426,11 @@ class Prediction:
             found = np.maximum(found, np.exp(expected + noise).max(axis=1))
         return found
 
+    @cached_property
+    def _root(self) -> Floats:
+        size = len(self.effects) - 1
+        return np.linalg.cholesky(self.covariance[:size, :size] + 1e-12 * np.eye(size))
+
     def _parts(self) -> list[slice]:
         count = len(self.design.twin)
         return [slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]
@@ -446,12 +463,11 @@ class Prediction:
     def _drawn(self, chance: np.random.Generator) -> tuple[Floats, Floats]:
         """Return draws of the effects, (DRAWS, p + 1), and by how much scatter is under- or overrated."""
         size = len(self.effects) - 1
-        root = np.linalg.cholesky(self.covariance[:size, :size] + 1e-12 * np.eye(size))
         freedom = _WEIGHT + self.pairs
         shared = np.sqrt(freedom / chance.chisquare(freedom, DRAWS))
         noise = chance.standard_normal((DRAWS, size)) * shared[:, None]
         effects = np.zeros((DRAWS, size + 1))
-        effects[:, :size] = self.effects[None, :size] + noise @ root.T
+        effects[:, :size] = self.effects[None, :size] + noise @ self._root.T
         freedom = _WEIGHT + self.rows
         return effects, freedom / chance.chisquare(freedom, DRAWS)
 
@@ -556,8 +572,9 @@ def _solve(
         effects[:size] = inverse @ np.bincount(columns.ravel(), heavy, minlength=size + 1)[:size]
         covariance[:size, :size] = inverse
         sums = np.bincount(rows.kinds, effects[:size] ** 2 + np.diag(inverse), minlength=len(_KINDS))
-        learned = (_WEIGHT * kinds + sums) / (_WEIGHT + numbers)
-        variances = np.where(flexible, learned, kinds)
+        learned = np.where(flexible, (_WEIGHT * kinds + sums) / (_WEIGHT + numbers), kinds)
+        settled = bool((np.abs(np.log(learned / variances)) < _SETTLED).all())
+        variances = learned
         share = between / (between + within / groups)
         beyond = share[group] * (values - (effects[columns] * factors).sum(axis=1))
         spread = sum(
@@ -568,6 +585,8 @@ def _solve(
             start=float((between * (1 - share))[group].sum()),
         )
         between = (_WEIGHT * begin[1] + float((beyond**2).sum()) + spread) / (_WEIGHT + len(values))
+        if settled:
+            break
     return effects, covariance, between
 
 

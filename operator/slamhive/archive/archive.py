@@ -359,7 +359,7 @@ class Archive:
             return set(connection.execute(query).scalars())
 
     def costs(
-        self, algorithms: Iterable[str], datasets: Iterable[str], each: int = 200, most: int = 20_000
+        self, algorithms: Iterable[str], datasets: Iterable[str], each: int = 60, most: int = 6_000
     ) -> list[Cost]:
         """Return what runs of some algorithms, or on some datasets, did cost, the latest first.
 

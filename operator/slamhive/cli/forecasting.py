@@ -16,7 +16,7 @@ from slamhive.cli.waiting import time_text
 from slamhive.local.cores import cores_here
 from slamhive.local.costs import Knowledge
 from slamhive.local.forecast import Wanted, forecast
-from slamhive.local.outlook import Looking, Outlook, Standing
+from slamhive.local.outlook import MOST_LOOKED_UP, Looking, Outlook, Standing
 from slamhive.local.runner import Job
 from slamhive.local.workbench import Workbench
 from slamhive.model.errors import InputError, SlamHiveError, sentence
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from slamhive.model.sweep import Sweep
     from slamhive.plan import Plan
 
+_DAY = 86_400
 _SHARE = f"{COVERED:.0%}".replace("%", " %")
 
 
@@ -83,6 +84,8 @@ def estimate(
     found = _found(plans, workshop, home, parallelism)
     beyond = parallelism is not None and parallelism > here
     told = forecast(found.wanted, knowledge, cpu_model(), None if beyond else here)
+    if sum(len(one.indices) for one in found.wanted) and not told.told:
+        raise InputError(_nothing_known(names, knowledge))
     if as_json:
         tables.write_json(sys.stdout, [_document(told, found, knowledge)])
         return
@@ -93,6 +96,14 @@ def estimate(
         tables.show(out, headings, [_line(one, told) for one in told.told.values()])
     for line in _sentences(told, found, knowledge, here if not beyond else None):
         out.print(line, markup=False, soft_wrap=True)
+
+
+def _nothing_known(names: Sequence[str], knowledge: Knowledge) -> str:
+    some = f"{plural(knowledge.failed, 'failed run')} tell nothing" if knowledge.failed else "none is known"
+    return (
+        f"--estimate: no finished run of {listing(names)} has figures of CPU, wall time or memory ({some}); "
+        f"{command_name()} run FILE --first 3 makes some, --also names homes that have them"
+    )
 
 
 def _costs(home: Home, also: Sequence[str] | None, names: list[str], datasets: list[str]) -> list[Cost]:
@@ -128,7 +139,9 @@ def _found(
         standing = outlook.standing if outlook is not None else bytearray(len(points))
         twins = points.twins
         indices = []
-        for index in points.start_order(look_first=True):
+        # Of very many runs it hardly matters which begins when, and to order them takes seconds.
+        many = len(points) > MOST_LOOKED_UP
+        for index in range(len(points)) if many else points.start_order(look_first=True):
             if standing[index] in {Standing.DONE, Standing.FAILED}:
                 found.done += 1
             elif standing[index] == Standing.EQUAL or index in twins:
@@ -151,7 +164,13 @@ def _outlooks(
             outlooks: list[Outlook | None] = []
             for sweep, points in plans:
                 job = Job(sweep, local_uid(sweep), points)
-                outlooks.append(looking.look(sweep.name, job.uid, points, job.run_uid))
+                outlook = looking.look(sweep.name, job.uid, points, job.run_uid)
+                if len(points) > MOST_LOOKED_UP and not outlook.seen:
+                    found.notes.append(
+                        f"{sweep.name}: equal results were not looked for, as it has more than "
+                        f"{MOST_LOOKED_UP:,} runs: those that it takes over cost nothing"
+                    )
+                outlooks.append(outlook)
             return outlooks
     except SlamHiveError as error:
         found.notes.append(f"what is done already can't be told: {sentence(error)}")
@@ -161,7 +180,7 @@ def _outlooks(
 def _line(one: Told, told: Forecast) -> list[str]:
     words, text = {
         Quantity.CPU: ("CPU time", _hours),
-        Quantity.WALL: (f"wall time, {told.at_a_time:,} at a time", time_text),
+        Quantity.WALL: (f"wall time, {told.at_a_time:,} at a time", _days),
         Quantity.MEMORY: ("memory of the largest run", bytes_text),
         Quantity.DISK: ("results on disk", bytes_text),
     }[one.quantity]
@@ -181,7 +200,19 @@ def _hours(seconds: float) -> str:
     >>> _hours(42), _hours(5400)
     ('42 CPU s', '1.5 CPU h')
     """
-    return f"{seconds:.0f} CPU s" if seconds < 600 else f"{seconds / 3600:,.3g} CPU h"
+    hours = seconds / 3600
+    if seconds < 600:
+        return f"{seconds:.0f} CPU s"
+    return f"{hours:,.0f} CPU h" if hours >= 100 else f"{hours:.3g} CPU h"
+
+
+def _days(seconds: float) -> str:
+    """Return a wall time as people say it.
+
+    >>> _days(90), _days(200_000)
+    ('1 min 30 s', '2.3 days')
+    """
+    return f"{seconds / _DAY:,.1f} days" if seconds >= 2 * _DAY else time_text(seconds)
 
 
 def _sentences(told: Forecast, found: _Found, knowledge: Knowledge, cores: int | None) -> Iterator[str]:

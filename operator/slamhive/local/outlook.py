@@ -213,9 +213,9 @@ class Looking:
 
     def _now(self, point: Point) -> Now | None:
         """Return what a run would be made from; None where that can't be known."""
-        spec = point.spec
-        program = self._program(spec["algorithmRef"]["name"])
-        checksum = self._checksum(spec["datasetRef"]["name"])
+        names = point.short_spec
+        program = self._program(names["algorithm"] or "")
+        checksum = self._checksum(names["dataset"] or "")
         if program is None or checksum is None:
             return None
         parts = (program.algorithm_hash, checksum, str(VERSION), program.environment)

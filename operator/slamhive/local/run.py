@@ -99,6 +99,10 @@ class Point(Protocol):
         """Return the resolved spec, all defaults filled in."""
 
     @property
+    def short_spec(self) -> dict[str, str | None]:
+        """Return what the spec names: algorithm, dataset and sensors."""
+
+    @property
     def spec_hash(self) -> str:
         """Return the hash of the spec."""
 
