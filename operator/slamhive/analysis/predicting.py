@@ -39,6 +39,9 @@ MOST_OPTIONS = 6
 """Options of an algorithm that are looked at, those with most values among what is asked for first."""
 
 DRAWS = 200
+"""Draws from which an interval is read; of very many settings, whose sums take long, fewer."""
+_FEWER_DRAWS = 100
+_MANY = 4_000
 _ROUNDS = 6
 _SETTLED = 0.02
 _CHUNK = 2_000
@@ -386,7 +389,7 @@ class Prediction:
         return middle / width, middle * width
 
     def total(self, counts: Floats, most: Floats | None = None) -> Floats:
-        """Return draws of the sum over runs, (DRAWS,).
+        """Return draws of the sum over runs, (d,).
 
         Args:
             counts: runs of each asked setting, (a,).
@@ -394,7 +397,7 @@ class Prediction:
         """
         chance = np.random.default_rng(0)
         effects, particular = self._drawn(chance)
-        mean, variance = np.zeros(DRAWS), np.zeros(DRAWS)
+        mean, variance = np.zeros(self._draws), np.zeros(self._draws)
         for part in self._parts():
             number = counts[part][None]
             expected = self._expected(part, effects)
@@ -409,14 +412,14 @@ class Prediction:
             ).sum(axis=1)
         # A sum of log-normal numbers is taken for one of the same mean and variance (Fenton, 1960).
         width = np.log1p(variance / np.maximum(mean, 1e-300) ** 2)
-        draws: Floats = mean * np.exp(np.sqrt(width) * chance.standard_normal(DRAWS) - width / 2)
+        draws: Floats = mean * np.exp(np.sqrt(width) * chance.standard_normal(self._draws) - width / 2)
         return draws
 
     def largest(self) -> Floats:
-        """Return draws of the largest of one run of each asked setting, (DRAWS,)."""
+        """Return draws of the largest of one run of each asked setting, (d,)."""
         chance = np.random.default_rng(0)
         effects, particular = self._drawn(chance)
-        found = np.zeros(DRAWS)
+        found = np.zeros(self._draws)
         for part in self._parts():
             expected = self._expected(part, effects)
             spread = np.sqrt(
@@ -425,6 +428,10 @@ class Prediction:
             noise = chance.standard_normal(expected.shape) * spread
             found = np.maximum(found, np.exp(expected + noise).max(axis=1))
         return found
+
+    @property
+    def _draws(self) -> int:
+        return DRAWS if len(self.design.twin) <= _MANY else _FEWER_DRAWS
 
     @cached_property
     def _root(self) -> Floats:
@@ -461,15 +468,15 @@ class Prediction:
         return _NORMAL + (_NORMAL**3 + _NORMAL) / (4 * freedom)
 
     def _drawn(self, chance: np.random.Generator) -> tuple[Floats, Floats]:
-        """Return draws of the effects, (DRAWS, p + 1), and by how much scatter is under- or overrated."""
+        """Return draws of the effects, (d, p + 1), and by how much scatter is under- or overrated."""
         size = len(self.effects) - 1
         freedom = _WEIGHT + self.pairs
-        shared = np.sqrt(freedom / chance.chisquare(freedom, DRAWS))
-        noise = chance.standard_normal((DRAWS, size)) * shared[:, None]
-        effects = np.zeros((DRAWS, size + 1))
+        shared = np.sqrt(freedom / chance.chisquare(freedom, self._draws))
+        noise = chance.standard_normal((self._draws, size)) * shared[:, None]
+        effects = np.zeros((self._draws, size + 1))
         effects[:, :size] = self.effects[None, :size] + noise @ self._root.T
         freedom = _WEIGHT + self.rows
-        return effects, freedom / chance.chisquare(freedom, DRAWS)
+        return effects, freedom / chance.chisquare(freedom, self._draws)
 
 
 def predict(

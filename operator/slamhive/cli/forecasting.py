@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.predicting import COVERED, Quantity
@@ -17,7 +18,7 @@ from slamhive.local.cores import cores_here
 from slamhive.local.costs import Knowledge
 from slamhive.local.forecast import Wanted, forecast
 from slamhive.local.outlook import MOST_LOOKED_UP, Looking, Outlook, Standing
-from slamhive.local.runner import Job
+from slamhive.local.runner import run_uid
 from slamhive.local.workbench import Workbench
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.monitor.machine import cpu_model
@@ -163,8 +164,8 @@ def _outlooks(
             looking = Looking(Workbench(home, workshop, archive), making=False)
             outlooks: list[Outlook | None] = []
             for sweep, points in plans:
-                job = Job(sweep, local_uid(sweep), points)
-                outlook = looking.look(sweep.name, job.uid, points, job.run_uid)
+                uid = local_uid(sweep)
+                outlook = looking.look(sweep.name, uid, points, partial(run_uid, uid))
                 if len(points) > MOST_LOOKED_UP and not outlook.seen:
                     found.notes.append(
                         f"{sweep.name}: equal results were not looked for, as it has more than "

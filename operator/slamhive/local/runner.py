@@ -42,6 +42,11 @@ _LOOK_SECONDS = 0.25
 _EVERYTHING = Wish()
 
 
+def run_uid(sweep_uid: str, index: int) -> str:
+    """Return the identity of a run of a sweep on a workstation."""
+    return f"{sweep_uid[:16]}-{index}"
+
+
 @dataclass
 class Job:
     """A sweep on its way.
@@ -97,7 +102,7 @@ class Job:
 
     def run_uid(self, index: int) -> str:
         """Return the identity of a point's run."""
-        return f"{self.uid[:16]}-{index}"
+        return run_uid(self.uid, index)
 
     def twin(self, index: int) -> str | None:
         """Return the identity of the run whose result a point's run takes, as it asks for the same."""
