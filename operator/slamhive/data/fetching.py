@@ -43,8 +43,10 @@ BLOCK = 1 << 20
 """Bytes that are written at a time: what an end by kill -9 loses."""
 _READ = 1 << 14
 """Bytes of a record of TLS: no read gives more."""
-_WAITING = 2
-"""Blocks that wait for the disk."""
+_BLOCKS = 4
+"""Blocks that are filled, written and summed up, or wait for that."""
+_Blocks = queue.SimpleQueue[tuple[int, bytearray, int] | None]
+"""Where in the file, the bytes, how many of them count; None at the end."""
 
 
 @dataclass(frozen=True)
@@ -253,7 +255,7 @@ class _Running:
         self._sum = hashlib.sha256()
         self._at = 0
 
-    def update(self, at: int, block: bytes) -> None:
+    def update(self, at: int, block: bytes | memoryview) -> None:
         """Take in what is written at a place."""
         if at == 0:
             self._sum, self._at = hashlib.sha256(), 0
@@ -351,13 +353,14 @@ def _copy(order: _Order, answer: Answer, until: int | None) -> None:
             block = answer.read(_READ)
             if not block:
                 break
+            data = memoryview(block)
             if expected is not None:
-                block = block[: expected - at]
-            at += len(block)
-            counted += len(block)
+                data = data[: expected - at]
+            at += len(data)
+            counted += len(data)
             if answer.total is None:
                 _require_room(at - answer.start, room, order.where)
-            writer.put(block)
+            writer.put(data)
             if counted >= STALL_BYTES:
                 counted, since = 0, time.monotonic()
                 order.progress.count(partial.held, answer.total)
@@ -371,58 +374,80 @@ def _copy(order: _Order, answer: Answer, until: int | None) -> None:
 
 
 class _Writer:
-    """Writes what comes on a thread of its own, so that network and disk don't wait for each other."""
+    """Writes what comes and computes its checksum, each on a thread of its own: neither waits for the other.
+
+    A few blocks go round from the network to the disk, to the checksum and back, so that none is made anew.
+    """
 
     def __init__(self, order: _Order, at: int) -> None:
         self._order, self._at = order, at
-        self._gathered: list[bytes] = []
-        self._size = 0
-        self._queue: queue.Queue[bytes | None] = queue.Queue(_WAITING)
+        self._free: queue.SimpleQueue[bytearray] = queue.SimpleQueue()
+        for _ in range(_BLOCKS):
+            self._free.put(bytearray(BLOCK))
+        self._written: _Blocks = queue.SimpleQueue()
+        self._hashed: _Blocks = queue.SimpleQueue()
+        self._block, self._size = self._free.get(), 0
         self._error: SlamHiveError | None = None
-        self._thread = threading.Thread(target=self._write, name="fetched bytes", daemon=True)
+        self._threads = [
+            threading.Thread(target=work, name=f"fetched bytes: {work.__name__}", daemon=True)
+            for work in (self._write, self._hash)
+        ]
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        for thread in self._threads:
+            thread.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._send()
-        self._queue.put(None)
-        self._thread.join()
+        self._written.put(None)
+        for thread in self._threads:
+            thread.join()
         if self._error is not None and kind is None:
             raise self._error
 
-    def put(self, block: bytes) -> None:
+    def put(self, data: memoryview) -> None:
         """Have bytes written behind the last ones.
 
         Raises:
             SystemFault: The disk refused earlier ones.
         """
-        self._gathered.append(block)
-        self._size += len(block)
-        if self._size >= BLOCK:
-            self._send()
+        while data:
+            part = data[: BLOCK - self._size]
+            self._block[self._size : self._size + len(part)] = part
+            self._size += len(part)
+            data = data[len(part) :]
+            if self._size == BLOCK:
+                self._send()
+                self._block, self._size = self._free.get(), 0
         if self._error is not None:
             raise self._error
 
     def _send(self) -> None:
-        if self._gathered:
-            self._queue.put(b"".join(self._gathered))
-            self._gathered, self._size = [], 0
+        if self._size:
+            self._written.put((self._at, self._block, self._size))
+            self._at += self._size
 
     def _write(self) -> None:
-        while (block := self._queue.get()) is not None:
-            if self._error is not None:
-                continue
-            partial, running = self._order.partial, self._order.running
-            try:
-                with disk_words(self._order.wanted.what, partial.path):
-                    partial.write(self._at, block)
-            except SlamHiveError as error:
-                self._error = error
-            if running is not None:
-                running.update(self._at, block)
-            self._at += len(block)
+        partial = self._order.partial
+        while (item := self._written.get()) is not None:
+            at, block, size = item
+            if self._error is None:
+                try:
+                    with disk_words(self._order.wanted.what, partial.path):
+                        partial.write(at, memoryview(block)[:size])
+                except SlamHiveError as error:
+                    self._error = error
+            self._hashed.put(item)
+        self._hashed.put(None)
+
+    def _hash(self) -> None:
+        running = self._order.running
+        while (item := self._hashed.get()) is not None:
+            at, block, size = item
+            if running is not None and self._error is None:
+                running.update(at, memoryview(block)[:size])
+            self._free.put(block)
 
 
 def _require_room(size: int, room: int, what: str) -> None:

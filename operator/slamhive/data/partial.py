@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 FLUSH_BYTES = 64 << 20
 """Bytes after which what was written is brought to disk."""
 
+_SLICE = 1 << 17
+"""Bytes that the kernel is given at a time: of 1 MiB at once it makes large folios, which on Linux 6.18 takes
+five times the CPU seconds (ext4, 0.55 s instead of 0.10 s for 384 MiB)."""
 _AT_BYTES = 48
 Span = tuple[int, int]
 """First byte, byte after the last."""
@@ -96,7 +99,7 @@ class Partial:
             self._descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         view, place = memoryview(data), at
         while view:
-            written = os.pwrite(self._descriptor, view, place)
+            written = os.pwrite(self._descriptor, view[:_SLICE], place)
             view, place = view[written:], place + written
         self._note(at, place)
         self._since += place - at
