@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.data import fetching
+from slamhive.data import fetching, https
 from slamhive.data.store import materialise
 from slamhive.model.dataset import Dataset
-from slamhive.model.errors import DataError, SystemFault
+from slamhive.model.errors import DataError, InputError, SystemFault
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -238,6 +238,30 @@ def test_an_empty_file_is_a_file(large: Any, tmp_path: Path) -> None:
     (large.folder / "large.bag").write_bytes(b"")
     fetching.fetch_file(wanted(large, sha256=hashlib.sha256(b"").hexdigest()), tmp_path / "empty")
     assert (tmp_path / "empty").read_bytes() == b""
+
+
+def test_a_labs_own_authority_is_trusted_beside_the_systems(
+    server: str, tmp_path: Path, certificate: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SSL_CERT_FILE")
+    trusted = len(https.trusted().get_ca_certs())
+    with pytest.raises(SystemFault, match="certificate verify failed"):
+        fetching.fetch(f"{server}/hall.bag", tmp_path / "hall.bag", SHA256, "hall")
+    monkeypatch.setenv("SLAMHIVE_CERTIFICATES", str(certificate[0]))
+    assert len(https.trusted().get_ca_certs()) == trusted + 1
+    fetching.fetch(f"{server}/hall.bag", tmp_path / "hall.bag", SHA256, "hall")
+    assert (tmp_path / "hall.bag").read_bytes() == CONTENT
+
+
+@pytest.mark.parametrize(("content", "words"), [(None, "No such file"), ("no PEM", "no certificate or crl")])
+def test_certificates_that_cannot_be_read(
+    server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str | None, words: str
+) -> None:
+    if content is not None:
+        (tmp_path / "ca.crt").write_text(content)
+    monkeypatch.setenv("SLAMHIVE_CERTIFICATES", str(tmp_path / "ca.crt"))
+    with pytest.raises(InputError, match=rf"SLAMHIVE_CERTIFICATES: .*ca.crt: expected a file .*{words}"):
+        fetching.fetch(f"{server}/hall.bag", tmp_path / "hall.bag", SHA256, "hall")
 
 
 def test_the_next_mirror_is_asked(large: Any, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ from slamhive.kube.builders import (
 )
 from slamhive.kube.builders.common import passed_on
 from slamhive.kube.builders.variant import variant_request
-from slamhive.kube.settings import Settings
+from slamhive.kube.settings import PreparationJobs, Settings
 from slamhive.model.algorithm import TEXT_LIMIT, Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
@@ -161,7 +161,7 @@ def evaluating(request: dict[str, Any], evaluator: Evaluator | None = None) -> d
     )
 
 
-def preparing(**spec: Any) -> dict[str, Any]:
+def preparing(preparation: dict[str, Any] | None = None, **spec: Any) -> dict[str, Any]:
     declared, data = algorithm(), dataset(**spec)
     return variant_job(
         namespace="lab",
@@ -169,7 +169,7 @@ def preparing(**spec: Any) -> dict[str, Any]:
         dataset=data,
         algorithm=declared,
         spec=spec_of(declared, data),
-        settings=settings(),
+        settings=settings().replace(preparation=PreparationJobs.model_validate(preparation or {})),
         owners=[owner_reference(run())],
     )
 
@@ -177,6 +177,12 @@ def preparing(**spec: Any) -> dict[str, Any]:
 TEMPLATE = "voxel: {{ parameters['voxel.size'] }}\ntopic: {{ sensors.lidar.topic|quoted }} # $(HOME)\n"
 FILES = [{"path": "config/lio.yaml", "template": TEMPLATE}]
 
+
+MIRROR = {
+    "catalogue": "sequences",
+    "certificates": "mirror",
+    "environment": {"https_proxy": "http://proxy:3128", "NOTE": "$(HOME)"},
+}
 
 JOBS = {
     "run": lambda: built(
@@ -186,6 +192,7 @@ JOBS = {
     ),
     "settings-files": lambda: built(declared=algorithm(files=FILES), resources={"cpu": 2, "memory": "2Gi"}),
     "prepare": preparing,
+    "prepare-by-mirror": lambda: preparing(MIRROR),
     "evaluate": lambda: evaluating(batch()),
     "custom-evaluator": lambda: evaluating(
         batch(), Evaluator(image="example.org/eval:1", command=["measure", "$(HOME)"])
@@ -216,7 +223,8 @@ def test_every_pod_keeps_to_restricted_pod_security(name: str) -> None:
     assert pod["securityContext"]["seccompProfile"] == {"type": "RuntimeDefault"}
     assert pod["automountServiceAccountToken"] is False
     volumes = {kind for volume in pod["volumes"] for kind in volume if kind != "name"}
-    assert volumes <= {"downwardAPI", "emptyDir", "persistentVolumeClaim"}
+    own = {"configMap"} if name == "prepare-by-mirror" else set()
+    assert volumes <= {"downwardAPI", "emptyDir", "persistentVolumeClaim"} | own
     for container in containers(job):
         context = container["securityContext"]
         assert context["capabilities"] == {"drop": ["ALL"]}

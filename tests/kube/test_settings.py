@@ -44,6 +44,10 @@ def test_the_least_settings_have_defaults(file: Path) -> None:
         (LEAST + "workers: 0", "workers: Input should be greater than or equal to 1"),
         (LEAST + "metrics: {port: 99999}", "metrics.port: Input should be less than or equal to 65535"),
         (LEAST + "preparation: {timeout: soon}", "preparation.timeout: expected a duration such as"),
+        (
+            LEAST + "preparation: {environment: {https proxy: x}}",
+            "preparation.environment.https proxy.[key]: String should match pattern",
+        ),
         (LEAST + "variantsLimit: much", "variantsLimit: expected a quantity such as"),
         (
             LEAST + "imagePullPolicy: Sometimes",

@@ -2,12 +2,15 @@
 """Answers of https servers: a file from a byte on, pages in between followed, anything else refused.
 
 Used by `fetching`, which writes what comes, and by `remotezip`, which looks into an archive elsewhere.
-Proxies are those of the environment (`https_proxy`, `no_proxy`), as urllib reads them.
+Proxies are those of the environment (`https_proxy`, `no_proxy`), as urllib reads them. Trusted are the
+system's authorities, or those of ``$SSL_CERT_FILE``, and those of `CERTIFICATES` beside them.
 """
 
 from __future__ import annotations
 
+import os
 import re
+import ssl
 import urllib.error
 import urllib.request
 from dataclasses import dataclass
@@ -16,13 +19,15 @@ from http.client import HTTPException
 from typing import IO, TYPE_CHECKING, Any, Self
 from urllib.parse import urlencode, urljoin, urlsplit
 
-from slamhive.model.errors import DataError, SystemFault
+from slamhive.model.errors import DataError, InputError, SystemFault
 
 if TYPE_CHECKING:
     from types import TracebackType
 
 TIMEOUT_SECONDS = 60
 """Seconds without a byte after which a connection is given up."""
+CERTIFICATES = "SLAMHIVE_CERTIFICATES"
+"""Variable with a file of further authorities' certificates, such as that of a lab's own mirror."""
 _PAGE_BYTES = 1 << 20
 _RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+|\*)")
 _AGAIN = {408, 425, 429, 500, 502, 503, 504}
@@ -84,6 +89,7 @@ def open_url(url: str, start: int = 0, end: int | None = None, validator: str | 
 
     Raises:
         DataError: The address leads away from https, or to a page instead of a file.
+        InputError: The file of `CERTIFICATES` can't be read.
         Interrupted: Another try may succeed.
         SystemFault: The server has no such file, or refuses it.
     """
@@ -120,6 +126,24 @@ def _require_https(target: str, source: str) -> None:
         raise DataError(f"{source} leads to {target[:200]}, expected an https:// address")
 
 
+def trusted() -> ssl.SSLContext:
+    """Return whom to trust.
+
+    Raises:
+        InputError: The file of `CERTIFICATES` can't be read.
+    """
+    context = ssl.create_default_context()
+    path = os.environ.get(CERTIFICATES)
+    if path:
+        try:
+            context.load_verify_locations(cafile=path)
+        except OSError as error:
+            raise InputError(
+                f"{CERTIFICATES}: {path}: expected a file of certificates (PEM): {error.strerror or error}"
+            ) from None
+    return context
+
+
 def _open(url: str, start: int, end: int | None, validator: str | None) -> Answer:
     _require_https(url, "the address")
     # A compressed answer would have other bytes than the file.
@@ -129,8 +153,9 @@ def _open(url: str, start: int, end: int | None, validator: str | None) -> Answe
         # Weak tags say nothing of bytes.
         if validator is not None and not validator.startswith("W/"):
             request.add_header("If-Range", validator)
+    opener = urllib.request.build_opener(_HttpsAlone, urllib.request.HTTPSHandler(context=trusted()))
     try:
-        response = urllib.request.build_opener(_HttpsAlone).open(request, timeout=TIMEOUT_SECONDS)
+        response = opener.open(request, timeout=TIMEOUT_SECONDS)
     except urllib.error.HTTPError as error:
         error.close()
         if error.code == 416 and start:

@@ -23,6 +23,8 @@ PassedLabel = Annotated[
 ]
 """Name of a label, or with a slash at its end a prefix of names."""
 
+VariableName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=253)]
+
 NamespaceName = Annotated[
     str, StringConstraints(pattern=r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$", min_length=1, max_length=63)
 ]
@@ -86,6 +88,11 @@ class PreparationJobs(Model):
     cpu: Quantity = "1"
     memory: Quantity = "2Gi"
     timeout: Duration = "6h"
+    catalogue: str = Field(default="", max_length=253)
+    """ConfigMap, in each namespace, with further families of sequences."""
+    certificates: str = Field(default="", max_length=253)
+    """ConfigMap, in each namespace, with certificates of further authorities."""
+    environment: dict[VariableName, str] = Field(default_factory=dict)
 
 
 class MetricsSettings(Model):

@@ -156,6 +156,11 @@ def claim(name: str, claim_name: str, *, read_only: bool = False) -> Manifest:
     return {"name": name, "persistentVolumeClaim": source}
 
 
+def config_map(name: str, source: str) -> Manifest:
+    """Return a volume of what is in a ConfigMap."""
+    return {"name": name, "configMap": {"name": source, "defaultMode": 0o444}}
+
+
 def scratch(name: str, size: str, *, memory: bool = False) -> Manifest:
     """Return an empty folder that goes with the pod."""
     return {"name": name, "emptyDir": {"sizeLimit": size} | ({"medium": "Memory"} if memory else {})}

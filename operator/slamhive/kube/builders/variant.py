@@ -6,11 +6,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from slamhive.data.https import CERTIFICATES
 from slamhive.data.version import VERSION
 from slamhive.jobs.requests import FetchedAsset, PrepareRequest
 from slamhive.kube.builders.common import (
     Manifest,
     claim,
+    config_map,
     container,
     downward,
     equal_resources,
@@ -24,13 +26,14 @@ from slamhive.kube.builders.common import (
 )
 from slamhive.model.base import ObjectMeta, seconds
 from slamhive.model.canonical import digest, normalize
+from slamhive.model.catalogue import FOLDERS
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import SensorMode
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from slamhive.kube.settings import Settings
+    from slamhive.kube.settings import PreparationJobs, Settings
     from slamhive.model.algorithm import Algorithm, Asset
     from slamhive.model.dataset import Dataset
     from slamhive.model.formats import DataFormat
@@ -42,6 +45,7 @@ _MATTERS = ("frameRate", "resolution", "start", "duration", "lidar", "remap")
 _HASH_LENGTH = 20
 _SCRATCH = "2Gi"
 _KEPT_SECONDS = 3600
+_CATALOGUE, _CERTIFICATES = "/slamhive/catalogue", "/slamhive/certificates"
 
 
 def variant_name(  # noqa: PLR0917 - all that makes a variant another
@@ -113,6 +117,24 @@ def variant_job_name(variant: str) -> str:
     return f"{PREPARE}-{variant}"
 
 
+def _sources(wanted: PreparationJobs) -> list[tuple[str, str, str]]:
+    """Return what says where to fetch from and whom to trust: volume, folder, ConfigMap."""
+    found = [
+        ("catalogue", _CATALOGUE, wanted.catalogue),
+        ("certificates", _CERTIFICATES, wanted.certificates),
+    ]
+    return [one for one in found if one[2]]
+
+
+def _environment(wanted: PreparationJobs) -> dict[str, str]:
+    found = {"HOME": "/tmp", "TMPDIR": "/tmp", "LANG": "C.UTF-8"}  # noqa: S108
+    if wanted.catalogue:
+        found[FOLDERS] = _CATALOGUE
+    if wanted.certificates:
+        found[CERTIFICATES] = f"{_CERTIFICATES}/ca.crt"
+    return found | wanted.environment
+
+
 def variant_job(
     *,
     namespace: str,
@@ -144,11 +166,12 @@ def variant_job(
         settings.image,
         settings,
         command=["python3", "-P", "-m", "slamhive.jobs.prepare"],
-        env=variables({"HOME": "/tmp", "TMPDIR": "/tmp", "LANG": "C.UTF-8"}),  # noqa: S108
+        env=variables(_environment(wanted)),
         mounts=[
             mount("data", "/slamhive/data"),
             mount("request", "/slamhive/request", read_only=True),
             mount("tmp", "/tmp"),  # noqa: S108
+            *(mount(name, path, read_only=True) for name, path, _ in _sources(wanted)),
         ],
         resources=equal_resources(wanted.cpu, wanted.memory, logs="4Gi"),
     )
@@ -160,6 +183,7 @@ def variant_job(
             downward("request", label("request"), "request.json"),
             claim("data", settings.volumes.data.claim),
             scratch("tmp", _SCRATCH),
+            *(config_map(name, source) for name, _, source in _sources(wanted)),
         ],
     }
     return job(
