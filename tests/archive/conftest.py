@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from sqlalchemy import JSON, create_engine, make_url, text
+from sqlalchemy import create_engine, make_url, text
 
 from slamhive.archive import Archive, schema
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
@@ -165,9 +165,9 @@ def _put_version(url: str, version: int) -> None:
                     else value
                     for name, value in zip(names, values, strict=True)
                 }
+                documents = {name for name in names if isinstance(table.columns[name].type, schema.Document)}
                 marks = ", ".join(
-                    f"CAST(:{name} AS JSONB)" if isinstance(table.columns[name].type, JSON) else f":{name}"
-                    for name in names
+                    f"CAST(:{name} AS JSONB)" if name in documents else f":{name}" for name in names
                 )
                 columns = ", ".join(f'"{name}"' for name in names)
                 connection.execute(text(f"INSERT INTO {table.name} ({columns}) VALUES ({marks})"), row)

@@ -471,3 +471,12 @@ def test_kill_9_loses_no_committed_run(url: str) -> None:
         assert set(committed) <= set(found)
         assert all(len(record.results) == 1 for record in found.values())
         archive.put_run(next(iter(found.values())))
+
+
+def test_sqlite_does_without_what_postgresql_needs(sqlite_url: str) -> None:
+    code = (
+        f"import sys\nfrom slamhive.archive import Archive\nwith Archive.open({sqlite_url!r}) as one: "
+        "one.count()\nprint([name for name in sys.modules if 'postgresql' in name or 'psycopg' in name])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

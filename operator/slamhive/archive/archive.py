@@ -7,7 +7,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, Self
 
 from sqlalchemy import Table, case, delete, exists, func, or_, select, update
-from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.dialects import sqlite
 
 from slamhive.archive import schema
 from slamhive.archive.connection import connect, reading, shown, writing
@@ -539,8 +539,11 @@ class Archive:
 
     def _insert(self, table: Table) -> Any:
         """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""
-        dialect = postgresql if self._engine.dialect.name == "postgresql" else sqlite
-        return dialect.insert(table)
+        if self._engine.dialect.name == "postgresql":
+            from sqlalchemy.dialects import postgresql  # takes 0.1 s, which SQLite need not
+
+            return postgresql.insert(table)
+        return sqlite.insert(table)
 
 
 def _may_be_taken_over() -> tuple[ColumnElement[bool], ...]:

@@ -18,7 +18,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
-from sqlalchemy import JSON, Text, cast, delete, func, insert, select, text, update
+from sqlalchemy import Text, cast, delete, func, insert, select, text, update
 
 from slamhive.archive import schema
 from slamhive.archive.archive import BATCH
@@ -304,7 +304,7 @@ def _check_references(connection: Connection, found: Findings) -> None:
 
 def _rows(connection: Connection, table: Table, found: Findings) -> Iterator[tuple[str, dict[str, Any]]]:
     """Go through a table's rows by their names; a document that is no JSON is noted and left out."""
-    documents = [column.name for column in table.columns if isinstance(column.type, JSON)]
+    documents = [column.name for column in table.columns if isinstance(column.type, schema.Document)]
     # As texts, so that one that can't be read doesn't end the reading of all others.
     columns = [
         cast(column, Text).label(column.name) if column.name in documents else column

@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from slamhive import __version__
 from slamhive.cli.exits import FAILED, INTERRUPTED, WRONG_INPUT
 from slamhive.model.errors import InputError, SlamHiveError, sentence
+from slamhive.model.uncollected import uncollected
 
 
 class _Command(NamedTuple):
@@ -160,7 +161,8 @@ def _summary_alone() -> None:
 def load(name: str) -> Any:
     """Return a command ready to be called; its module is imported."""
     command = COMMANDS[name]
-    made = getattr(import_module(f"slamhive.cli.{command.module}"), command.attribute)
+    with uncollected():
+        made = getattr(import_module(f"slamhive.cli.{command.module}"), command.attribute)
     alone = _group(TyperGroup)
     if isinstance(made, typer.Typer):
         alone.add_typer(made, name=name)

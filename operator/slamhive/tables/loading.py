@@ -8,8 +8,6 @@ says that anything at all was written.
 
 from __future__ import annotations
 
-import gc
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
@@ -23,6 +21,7 @@ from slamhive.analysis.flattening import MAX_COLUMNS, OF_RUN, TIMES, Results, bo
 from slamhive.analysis.frame import Frame
 from slamhive.archive import schema
 from slamhive.archive.connection import reading
+from slamhive.model.uncollected import uncollected
 
 try:
     from orjson import loads as loads  # noqa: PLC0414 - others take it from here
@@ -104,7 +103,7 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
         SystemFault: the database doesn't answer.
     """
     before = before or Loaded()
-    with reading(engine) as connection, _no_collections():
+    with reading(engine) as connection, uncollected():
         known = before.marks
         same = stamp is not None and stamp == before.stamp
         marks = known if same else _marks(connection) if known else None
@@ -269,15 +268,3 @@ def _parsed(texts: Sequence[str | None]) -> list[Any]:
     """Return JSON documents; parsed in one go, as calls cost more than characters."""
     found: list[Any] = loads("[" + ",".join([item or "null" for item in texts]) + "]")
     return found
-
-
-@contextmanager
-def _no_collections() -> Iterator[None]:
-    """Keep the garbage collector from going through millions of short-lived values."""
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.enable()
