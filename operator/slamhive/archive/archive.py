@@ -540,7 +540,7 @@ class Archive:
     def _insert(self, table: Table) -> Any:
         """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""
         if self._engine.dialect.name == "postgresql":
-            from sqlalchemy.dialects import postgresql  # takes 0.1 s, which SQLite need not
+            from sqlalchemy.dialects import postgresql  # noqa: PLC0415 - takes 0.1 s, SQLite needs it not
 
             return postgresql.insert(table)
         return sqlite.insert(table)

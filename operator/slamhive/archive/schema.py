@@ -52,12 +52,12 @@ class Document(TypeDecorator[Any]):
         """Return the database's own type; PostgreSQL's is imported where it is used, as that takes 0.1 s."""
         if dialect.name != "postgresql":
             return dialect.type_descriptor(JSON(none_as_null=True))
-        from sqlalchemy.dialects.postgresql import JSONB
+        from sqlalchemy.dialects.postgresql import JSONB  # noqa: PLC0415
 
         return dialect.type_descriptor(JSONB(none_as_null=True))
 
     def coerce_compared_value(self, op: OperatorType | None, value: Any) -> TypeEngine[Any]:
-        """Return the type of what a document is compared with, or asked for: a field's name is no document."""
+        """Return the type of what a document is compared with: a field's name is no document."""
         return self.impl_instance.coerce_compared_value(op, value)
 
 
