@@ -34,8 +34,8 @@ def workstation(
 
 @pytest.fixture(scope="module")
 def behaved(workstation: InContainers) -> dict[str, Row]:
-    """What came of all behaviours."""
-    return table.carry_out(workstation)
+    """What came of the behaviours."""
+    return table.carry_out(workstation, table.SAMPLE)
 
 
 def test_nothing_is_left_where_the_command_was_called(behaved: dict[str, Row]) -> None:
@@ -43,7 +43,7 @@ def test_nothing_is_left_where_the_command_was_called(behaved: dict[str, Row]) -
     assert not Path("oom").exists()
 
 
-@pytest.mark.parametrize("name", table.expected(InContainers.name))
+@pytest.mark.parametrize("name", table.expected(InContainers.name, table.SAMPLE))
 def test_a_container_makes_of_it_what_the_table_says(name: str, behaved: dict[str, Row]) -> None:
     assert differences(behaved[name], table.expected(InContainers.name)[name]) == []
 

@@ -57,6 +57,12 @@ def test_the_table_has_all_behaviours() -> None:
     assert table.BEHAVIOURS.keys() == algorithm.ACTS.keys()
 
 
+@pytest.mark.parametrize("name", table.STANDING_FOR)
+def test_a_behaviour_stands_for_others_that_are_read_as_it_is(name: str) -> None:
+    read = table.LEAVING | table.WRITING
+    assert {name, *table.STANDING_FOR[name]} <= read.keys()
+
+
 @pytest.mark.parametrize("name", table.expected("process"))
 def test_a_workstation_makes_of_it_what_the_table_says(name: str, behaved: dict[str, Row]) -> None:
     if name == "forks" and not has_cgroups():

@@ -45,7 +45,7 @@ def test_an_algorithm_in_shell_alone_gets_a_result(lab: Lab) -> None:
 
 @pytest.fixture(scope="module")
 def behaved(lab: Lab, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Row]]:
-    """What came of all behaviours, with runs of a well-behaved algorithm beside them."""
+    """What came of the behaviours, with runs of a well-behaved algorithm beside them."""
     beside = manifest(
         "Sweep",
         "beside",
@@ -56,7 +56,7 @@ def behaved(lab: Lab, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict
     operator = restarts(lab)
     lab.apply_algorithm(IMAGES / "shell-algorithm")
     lab.apply(beside)
-    found = table.carry_out(OnCluster(lab, tmp_path_factory.mktemp("fetched")))
+    found = table.carry_out(OnCluster(lab, tmp_path_factory.mktemp("fetched")), table.SAMPLE)
     assert lab.completed("beside")["succeeded"] == 3
     assert restarts(lab) == operator
     yield found
@@ -73,7 +73,7 @@ def restarts(lab: Lab) -> list[tuple[str, int]]:
     ]
 
 
-@pytest.mark.parametrize("name", table.expected(OnCluster.name))
+@pytest.mark.parametrize("name", table.expected(OnCluster.name, table.SAMPLE))
 def test_a_cluster_makes_of_it_what_the_table_says(name: str, behaved: dict[str, Row]) -> None:
     """As tests/contract/test_process.py says of a workstation."""
     assert differences(behaved[name], table.expected(OnCluster.name)[name]) == []
