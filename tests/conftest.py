@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
+from contextlib import ExitStack
 from pathlib import Path
 from random import Random, SystemRandom
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from aiohttp.client_proto import ResponseHandler
 from hypothesis import settings as hypothesis_settings
 from xdist.scheduler import LoadScopeScheduling
 
+from slamhive.data.once import evict, in_use
 from slamhive.data.store import materialise
 from slamhive.local.engines import ContainerChoice, Engine, find_engine
 from slamhive.local.home import Home
@@ -29,7 +31,7 @@ from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 TESTS = Path(__file__).parent
 ACTOR = TESTS / "actor"
@@ -43,6 +45,8 @@ CLUSTERS = frozenset({"control_plane", "node_cluster"})
 """Fixtures of real clusters: what uses one may take as long."""
 INSTALLING = frozenset({"environments", "evo"})
 """Fixtures that install packages where no session before has: what uses one may wait for that."""
+RECORDINGS_BYTES = 4 * 2**30
+"""Of generated recordings that outlive sessions; those that were used least recently go."""
 SINGLE = ("tests/shows/",)
 """Long tests that have nothing in common."""
 
@@ -184,16 +188,41 @@ def _connections_end_at_once() -> None:
     ResponseHandler.close = ResponseHandler.abort  # type: ignore[method-assign]
 
 
+def kept(name: str) -> Path:
+    """Return a folder of what outlives sessions."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    folder = cache / "slamhive-tests" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 @pytest.fixture(scope="session")
 def environments() -> Path:
     """A folder of environments that all homes share and that outlives the session: making one takes seconds.
 
     An environment is named by its content and made under a lock, by whoever needs it first.
     """
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    folder = cache / "slamhive-tests" / "environments"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    return kept("environments")
+
+
+@pytest.fixture(scope="session")
+def lend_recording() -> Iterator[Callable[[Dataset, Path], None]]:
+    """A function that links a generated dataset into a home; it outlives sessions: making one takes minutes.
+
+    Its folder is named by the generator's code and what it is asked for, and is made under a lock.
+    """
+    folder = kept("recordings")
+    with ExitStack() as stack:
+
+        def lend(dataset: Dataset, home: Path) -> None:
+            made = materialise(dataset, folder, folder).root
+            stack.enter_context(in_use(made))
+            datasets = home / "datasets"
+            datasets.mkdir(parents=True, exist_ok=True)
+            (datasets / made.name).symlink_to(made)
+
+        yield lend
+    evict(folder, RECORDINGS_BYTES)
 
 
 @pytest.fixture(scope="session")

@@ -11,8 +11,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from slamhive.local.catalog import load_workshop
+
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from slamhive.model.dataset import Dataset
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -24,6 +28,12 @@ def home(tmp_path: Path, environments: Path) -> Path:
     folder.mkdir()
     (folder / "environments").symlink_to(environments)
     return folder
+
+
+@pytest.fixture
+def lend(home: Path, lend_recording: Callable[[Dataset, Path], None]) -> Callable[[str], None]:
+    """Links a generated dataset of the catalog into the home."""
+    return lambda name: lend_recording(load_workshop().dataset(name).dataset, home)
 
 
 @pytest.fixture
