@@ -18,6 +18,7 @@ from random import Random, SystemRandom
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from _pytest.mark.expression import Expression
 from aiohttp.client_proto import ResponseHandler
 from hypothesis import settings as hypothesis_settings
 from xdist.scheduler import LoadScopeScheduling
@@ -56,6 +57,8 @@ SLOWEST = (
     "kube/faults/",
     "playback/test_real.py",
     "kube/reconciling/",
+    "algorithms/test_started.py",
+    "playback/test_systems.py",
     "helm/test_cluster.py",
     "cluster/test_local.py",
     "system/test_killing.py",
@@ -64,6 +67,13 @@ SLOWEST = (
     "system/test_running.py",
     "contract/test_container.py",
     "contract/test_process.py",
+    "system/test_killing_containers.py",
+    "upgrade/test_objects.py",
+    "system/test_wheel.py",
+    "conformance/test_containers.py",
+    "local/test_containers.py",
+    "images/test_built_images.py",
+    "cli_cluster/",
     "honest/test_honest.py",
     "monitor/test_ending.py",
     "monitor/test_sidecar.py",
@@ -96,6 +106,17 @@ SLOWEST = (
 """Folders and files that take longest, the longest first."""
 STORY = "e2e/"
 """A folder whose tests follow one installation from its first sweep to its end, in the order of the files."""
+ON_CLUSTERS = (
+    STORY,
+    "kube/",
+    "cluster/",
+    "cli_cluster/",
+    "helm/test_cluster.py",
+    "dashboard/test_cluster.py",
+)
+"""Folders and files with tests that share a worker's cluster."""
+CLUSTER_WORKERS = 2
+"""Workers that begin with those tests: one has the story, the other one all else."""
 PROFILE = os.environ.get("SLAMHIVE_EXAMPLES", "quick")
 
 hypothesis_settings.register_profile("quick", max_examples=40, deadline=None, derandomize=True, database=None)
@@ -104,13 +125,39 @@ hypothesis_settings.load_profile(PROFILE)
 
 
 class Sharing(LoadScopeScheduling):
-    """What workers side by side share out: files, tests that share nothing, and one installation's tests."""
+    """What workers side by side share out: files, tests that share nothing, and one installation's tests.
+
+    A worker that has begun with clusters goes on with them, and the others come to them last: each starts
+    one, which takes processor time until the session ends, and what waits goes best beside what computes.
+    """
+
+    def __init__(self, config: pytest.Config, log: Any) -> None:
+        super().__init__(config, log)
+        self._with_cluster: set[Any] = set()
+        chosen = config.option.markexpr
+        # make test has tests of the same files that need none.
+        self._has_clusters = not chosen or Expression.compile(chosen).evaluate(lambda name: name == "cluster")
 
     def _split_scope(self, nodeid: str) -> str:
         path = nodeid.partition("::")[0]
         if path.startswith(SINGLE):
             return nodeid
         return STORY if path.startswith(f"tests/{STORY}") else path
+
+    def _assign_work_unit(self, node: Any) -> None:
+        if self._has_clusters:
+            most = max(1, min(CLUSTER_WORKERS, self.numnodes - 1))
+            wanted = node in self._with_cluster or len(self._with_cluster) < most
+            fitting = (scope for scope in self.workqueue if _needs_cluster(scope) == wanted)
+            chosen = next(fitting, next(iter(self.workqueue)))
+            self.workqueue.move_to_end(chosen, last=False)
+            if _needs_cluster(chosen):
+                self._with_cluster.add(node)
+        super()._assign_work_unit(node)
+
+
+def _needs_cluster(scope: str) -> bool:
+    return scope.removeprefix("tests/").startswith(ON_CLUSTERS)
 
 
 @pytest.hookimpl(optionalhook=True)

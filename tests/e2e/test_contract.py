@@ -245,36 +245,6 @@ def enforces_policies(lab: Lab) -> bool:
     return not reached["wall"]
 
 
-CAN = [
-    *((verb, kind) for verb in ("get", "list", "watch") for kind in ("algorithms", "datasets", "pods")),
-    *((verb, "jobs") for verb in ("create", "patch", "delete", "watch")),
-    *((verb, "mappingruns") for verb in ("create", "patch", "delete", "watch")),
-    ("patch", "sweeps/status"),
-    ("get", "pods/log"),
-    ("list", "pods.metrics.k8s.io"),
-    ("create", "events"),
-]
-CANNOT = [
-    *((verb, "secrets") for verb in ("get", "list", "watch", "create")),
-    *((verb, "pods") for verb in ("create", "delete", "patch")),
-    *(("create", kind) for kind in ("pods/exec", "serviceaccounts/token", "rolebindings", "namespaces")),
-    ("get", "nodes"),
-]
-
-
-@pytest.mark.parametrize(
-    ("verb", "resource", "answer"), [*((*one, "yes") for one in CAN), *((*one, "no") for one in CANNOT)]
-)
-def test_rights_of_the_operator(lab: Lab, verb: str, resource: str, answer: str) -> None:
-    account = f"--as=system:serviceaccount:{lab.namespace}:slamhive-operator"
-    found, _, sub = resource.partition("/")
-    more = [f"--subresource={sub}"] if sub else []
-    told = lab.cluster.run("auth", "can-i", verb, found, *more, account, "-n", lab.namespace)
-    assert told.stdout.split()[0] == answer
-    elsewhere = lab.cluster.run("auth", "can-i", verb, found, *more, account, "-n", "default")
-    assert elsewhere.stdout.split()[0] == "no"
-
-
 def test_usage_is_the_kernels_own_account(lab: Lab) -> None:
     """Beside what the node reads of the container's control group every few milliseconds.
 
