@@ -111,12 +111,15 @@ class Cluster:
 def until(condition: Callable[[], Any], what: str, seconds: float = 60, pause: float = 0.2) -> Any:
     """Return the condition's first true value.
 
+    The longer it takes, the longer are the pauses: a kubectl needs a seventh of a second of processor time.
+
     Raises:
         ClusterError: it had none by the deadline; the message says what was waited for.
     """
-    deadline = time.monotonic() + seconds
+    begin = time.monotonic()
     while not (value := condition()):
-        if time.monotonic() > deadline:
+        waited = time.monotonic() - begin
+        if waited > seconds:
             raise ClusterError(f"gave up after {seconds:g} s waiting for {what}")
-        time.sleep(pause)
+        time.sleep(max(pause, min(waited / 20, 1)))
     return value

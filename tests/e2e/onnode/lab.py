@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 from onnode.documents import ROOT, Desk
-from testcluster.access import until
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -132,16 +131,13 @@ class Lab:
         return self.wait("mappingrun", name, "Evaluated", seconds)
 
     def wait(self, kind: str, name: str, condition: str, seconds: float = SECONDS) -> dict[str, Any]:
-        """Wait for a condition of an object and return the status."""
+        """Wait for a condition of an object, as the documents do, and return the status."""
         kind = f"{kind}s.slamhive.io"
-
-        def wanted() -> Any:
-            status = self.get(kind, name).get("status") or {}
-            held = {item["type"]: item["status"] for item in status.get("conditions") or ()}
-            return status if held.get(condition) == "True" else None
-
+        limit = ("--for", f"condition={condition}", "--timeout", f"{seconds:g}s")
         try:
-            return until(wanted, f"{kind} {name}: {condition}", seconds, 0.5)
+            self.kubectl("wait", f"{kind}/{name}", *limit, timeout=seconds + 60)
         except Exception:
             print(json.dumps(self.get(kind, name).get("status"), indent=1))  # noqa: T201 - what failed
             raise
+        status: dict[str, Any] = self.get(kind, name)["status"]
+        return status
