@@ -322,7 +322,8 @@ def published() -> list[Any]:
     if not PUBLISHED.is_dir():
         reason = f"the published configurations are not in {PUBLISHED}"
         return [pytest.param({}, marks=pytest.mark.skip(reason=reason))]
-    found = [(path, yaml.safe_load(path.read_text())) for path in sorted(PUBLISHED.glob("*/config.yaml"))]
+    paths = sorted(PUBLISHED.glob("*/config.yaml"))
+    found = [(path, yaml.load(path.read_text(), yaml.CSafeLoader)) for path in paths]
     return [
         pytest.param(config, id=path.parent.name)
         for path, config in found
@@ -412,6 +413,6 @@ def test_settings_of_the_original_are_reproduced_key_by_key(config: dict[str, An
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason=f"the published configurations are not in {PUBLISHED}")
 def test_all_that_was_published_of_both_orb_slams_is_reproduced() -> None:
     names = [parameter.values[0]["slam-hive-algorithm"] for parameter in published()]
-    everything = [yaml.safe_load(path.read_text()) for path in PUBLISHED.glob("*/config.yaml")]
+    everything = [yaml.load(path.read_text(), yaml.CSafeLoader) for path in PUBLISHED.glob("*/config.yaml")]
     assert len(names) == sum("orb-slam" in config["slam-hive-algorithm"] for config in everything)
     assert set(names) == set(WHERE)

@@ -46,7 +46,7 @@ def published() -> list[Any]:
         return [pytest.param("", {}, marks=pytest.mark.skip(reason=reason))]
     found = []
     for path in sorted(PUBLISHED.glob("*/config.yaml")):
-        config = yaml.safe_load(path.read_text())
+        config = yaml.load(path.read_text(), yaml.CSafeLoader)
         if config["slam-hive-algorithm"] in MODES:
             found.append(pytest.param(path.parent.name, config, id=path.parent.name))
     return found

@@ -23,11 +23,15 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[np.float64]
 
-Rotation = pytest.importorskip("scipy.spatial.transform", reason="scipy is an extra").Rotation
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 SAME_NAMES = {name: name for name in COLUMNS}
 LINE = "{} 1 2 3 0 0 0 1\n"
 IDENTITY = "1 0 0 4 0 1 0 5 0 0 1 6\n"
+
+
+def rotations() -> Any:
+    """Return SciPy's rotations; importing them takes a second, which all workers would spend to collect."""
+    return pytest.importorskip("scipy.spatial.transform", reason="scipy is an extra").Rotation
 
 
 def real(part: str) -> Path:
@@ -61,7 +65,7 @@ def converted(output: Path, source: PoseFile, frames: str | None = None) -> Arra
 def matrices(poses: Array) -> Array:
     """Return poses as matrices, shape (n, 4, 4)."""
     found = np.tile(np.eye(4), (len(poses), 1, 1))
-    found[:, :3, :3] = Rotation.from_quat(poses[:, 4:]).as_matrix()
+    found[:, :3, :3] = rotations().from_quat(poses[:, 4:]).as_matrix()
     found[:, :3, 3] = poses[:, 1:4]
     return found
 
@@ -120,7 +124,7 @@ def test_euroc_ground_truth_of_a_real_flight(output: Path) -> None:
 def test_inverted_poses_of_a_real_run(output: Path) -> None:
     reference = np.loadtxt(real("icra2023/runs/050/traj.txt"))
     inverse = np.linalg.inv(matrices(reference))
-    turns = Rotation.from_matrix(inverse[:, :3, :3]).as_quat()
+    turns = rotations().from_matrix(inverse[:, :3, :3]).as_quat()
     turns *= 1.03  # as some programs leave them
     np.savetxt(output / "Tcw.txt", np.column_stack([reference[:, 0], inverse[:, :3, 3], turns]), fmt="%.9f")
     found = converted(output, PoseFile("Tcw.txt", "Tum", "s", inverted=True))
@@ -133,7 +137,7 @@ def test_matrices_of_all_turns(output: Path, tmp_path: Path, seed: int) -> None:
     draw = np.random.default_rng(seed)
     axes = np.concatenate([np.eye(3), -np.eye(3), draw.normal(size=(40, 3))])
     angles = np.concatenate([np.full(26, np.pi), draw.uniform(-np.pi, np.pi, 20)])
-    turns = Rotation.from_rotvec(axes / np.linalg.norm(axes, axis=1, keepdims=True) * angles[:, None])
+    turns = rotations().from_rotvec(axes / np.linalg.norm(axes, axis=1, keepdims=True) * angles[:, None])
     wanted = np.concatenate([turns.as_matrix(), draw.normal(size=(len(axes), 3, 1))], axis=2)
     np.savetxt(output / "poses.txt", wanted.reshape(-1, 12), fmt="%.17g")
     source = PoseFile("poses.txt", "Kitti", "frame-index")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,20 +14,24 @@ from starlette.testclient import TestClient
 from slamhive.dashboard.app import create_app
 from slamhive.dashboard.sources import Workstation
 
-pytest.importorskip("schemathesis", reason="the package schemathesis is not installed")
 sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
 
-from api import UNENDING, Fuzzer, verdict
+
+@pytest.fixture(scope="module")
+def asking() -> Any:
+    """The module that asks; it takes a second to import, which all workers would spend to collect tests."""
+    pytest.importorskip("schemathesis", reason="the package schemathesis is not installed")
+    return importlib.import_module("api")
 
 
-def test_no_question_is_a_fault(assorted_file: Path) -> None:
+def test_no_question_is_a_fault(assorted_file: Path, asking: Any) -> None:
     app = create_app(Workstation(f"sqlite:///{assorted_file}"))
     with TestClient(app, base_url="http://127.0.0.1", raise_server_exceptions=False) as client:
         client.get("/api/v1")
-        tally = Fuzzer(app, client).run(0)
+        tally = asking.Fuzzer(app, client).run(0)
     assert tally.faults == []
     assert {200, 400, 404, 405} <= tally.statuses.keys()
-    assert {*app.openapi()["paths"]} - {UNENDING} <= tally.asked.keys()
+    assert {*app.openapi()["paths"]} - {asking.UNENDING} <= tally.asked.keys()
 
 
 class Answer:
@@ -49,6 +54,6 @@ class Answer:
         ("POST", 405, '{"error": "only GET and HEAD are answered"}', ""),
     ],
 )
-def test_faults_are_noticed(method: str, status: int, text: str, told: str) -> None:
+def test_faults_are_noticed(method: str, status: int, text: str, told: str, asking: Any) -> None:
     found: Any = Answer(status, text)
-    assert verdict(method, found) == told
+    assert asking.verdict(method, found) == told

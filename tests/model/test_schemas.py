@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
-from jsonschema import Draft7Validator
 from pydantic import StringConstraints, TypeAdapter, ValidationError
 
 from slamhive.model.base import explain
@@ -30,14 +30,22 @@ spec:
 """
 
 
+@cache
+def validator(name: str) -> Any:
+    """Return what checks values by a schema; importing it takes seconds, which every worker would spend."""
+    from jsonschema import Draft7Validator
+
+    return Draft7Validator(schema(name))
+
+
 def mistakes(name: str, manifest: str) -> list[str]:
     value: Any = parse(manifest, "f.yaml")[0].value
-    return [error.message for error in Draft7Validator(schema(name)).iter_errors(value)]
+    return [error.message for error in validator(name).iter_errors(value)]
 
 
 @pytest.mark.parametrize("name", schema_names())
 def test_committed_schemas_are_those_of_the_models(name: str) -> None:
-    Draft7Validator.check_schema(schema(name))
+    validator(name).check_schema(schema(name))
     found = (ROOT / "schemas" / file_name(name)).read_text(encoding="utf-8")
     assert found == text(name), "schemas/ is out of date; if meant: make crds"
 
@@ -67,7 +75,7 @@ def test_mistakes_are_told_without_regular_expressions(pattern: str) -> None:
 def test_what_slamhive_takes_is_right_by_its_schema(path: Path) -> None:
     for document in parse(path.read_text(encoding="utf-8"), path.name):
         for name in (document.value["kind"], "slamhive"):
-            assert not [*Draft7Validator(schema(name)).iter_errors(document.value)]
+            assert not [*validator(name).iter_errors(document.value)]
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: f"{path.parent.name}/{path.name}")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 sys.path.append(str(Path(__file__).parents[1] / "faults"))
 
-from forking import Forks
+from forking import Fork, Forks
 
 IMPORTED = (
     "slamhive.cli.main",
@@ -48,7 +48,7 @@ def wait_until(condition: Callable[[], Any], what: str, seconds: float = DEADLIN
     while not (found := condition()):
         if time.monotonic() > deadline:
             pytest.fail(f"{what}: not within {seconds:g} s")
-        time.sleep(0.01)
+        time.sleep(0.03)
     return found
 
 
@@ -64,7 +64,7 @@ class System:
         self.home = home
         self.folder = folder
         self._forks = forks
-        self._started: list[subprocess.Popen[str]] = []
+        self._started: list[subprocess.Popen[str] | Fork] = []
 
     def start(self, *arguments: str | Path) -> subprocess.Popen[str]:
         """Start the command; its output goes to files, so that it never waits for a reader."""
@@ -85,25 +85,35 @@ class System:
         self._started.append(process)
         return process
 
+    def fork(self, *arguments: str | Path) -> Fork:
+        """Start the command in a fork: it does the same, and has imported what it needs."""
+        number = len(self._started)
+        process = self._forks.start(**self._order(f"{number}.out", f"{number}.err", *arguments))
+        self._started.append(process)
+        return process
+
     def __call__(self, *arguments: str | Path) -> tuple[int, str, str]:
         """Run the command to its end, in a fork; return exit code, standard output and standard error."""
-        out, err = self.folder / "out", self.folder / "err"
-        code = self._forks.call(
-            module="slamhive.cli.main",
-            function="main",
-            arguments=(),
-            words=[str(one) for one in arguments],
-            env=self._environment(),
-            cwd=str(self.folder),
-            out=str(out),
-            err=str(err),
-        )
-        return code, out.read_text(), err.read_text()
+        code = self._forks.call(**self._order("out", "err", *arguments))
+        return code, (self.folder / "out").read_text(), (self.folder / "err").read_text()
+
+    def _order(self, out: str, err: str, *arguments: str | Path) -> dict[str, Any]:
+        """Return what a fork is told."""
+        return {
+            "module": "slamhive.cli.main",
+            "function": "main",
+            "arguments": (),
+            "words": [str(one) for one in arguments],
+            "env": self._environment(),
+            "cwd": str(self.folder),
+            "out": str(self.folder / out),
+            "err": str(self.folder / err),
+        }
 
     def _environment(self) -> dict[str, str]:
         return environment() | {"SLAMHIVE_HOME": str(self.home.path), "COLUMNS": "200"}
 
-    def printed(self, process: subprocess.Popen[str]) -> tuple[str, str]:
+    def printed(self, process: subprocess.Popen[str] | Fork) -> tuple[str, str]:
         """Return what a command has printed so far to standard output and standard error."""
         number = self._started.index(process)
         return (self.folder / f"{number}.out").read_text(), (self.folder / f"{number}.err").read_text()
@@ -136,7 +146,7 @@ class System:
             return list(archive.runs({"sweep_uid": found.uid})) if found else []
 
     def alive(self) -> list[int]:
-        """Return all living processes of this home: their environment names it."""
+        """Return all living processes of this home whose environment names it: all but forks."""
         found = []
         for entry in Path("/proc").iterdir():
             if entry.name.isdigit() and int(entry.name) != os.getpid():
@@ -166,7 +176,7 @@ class System:
             for pid in left:
                 with suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
-            time.sleep(0.01)
+            time.sleep(0.03)
 
 
 @pytest.fixture(scope="session")

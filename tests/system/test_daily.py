@@ -108,7 +108,7 @@ def test_lines_of_json_say_all_and_nothing_else_is_printed(system: Any, home: Ho
 
 
 def test_watch_waits_for_the_next_save_of_what_is_half_saved(system: Any, home: Home, until: Any) -> None:
-    process = system.start("run", "--watch", system.sweep())
+    process = system.fork("run", "--watch", system.sweep())
 
     def printed(words: str, times: int = 1) -> bool:
         assert process.poll() is None, system.printed(process)[1]
@@ -131,7 +131,7 @@ def test_watch_waits_for_the_next_save_of_what_is_half_saved(system: Any, home: 
 
 def test_a_save_while_runs_are_at_work_begins_anew(system: Any, home: Home, until: Any) -> None:
     sweep = system.sweep(template={"parameters": {"act": "hang"}, "timeout": "10m"})
-    process = system.start("run", "--watch", sweep)
+    process = system.fork("run", "--watch", sweep)
     until(lambda: list((home.path / "runs").glob("*/*/process.json")), "a run at work")
     system.sweep(template={"parameters": {"act": "good"}})
     until(lambda: "watching" in system.printed(process)[1], "the round after the save")

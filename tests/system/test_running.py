@@ -74,7 +74,7 @@ def test_a_run_that_asks_for_more_cores_than_there_are_gets_all(system: Any) -> 
 
 
 def test_what_has_to_be_alone_is_refused_beside_a_runner(system: Any, until: Any) -> None:
-    first = system.start("run", system.sweep(matrix=axis(60_000)))
+    first = system.fork("run", system.sweep(matrix=axis(60_000)))
     until(lambda: system.journal("start"), "the first run's start")
     code, out, err = system("sweep", "rename", "s", "other")
     assert (code, out) == (2, "")
@@ -119,7 +119,7 @@ def test_failed_runs_are_done_again_only_when_asked(system: Any) -> None:
 
 
 def test_watch_runs_what_a_changed_file_adds(system: Any, until: Any) -> None:
-    process = system.start("run", "--watch", system.sweep(matrix=axis(1, 2)))
+    process = system.fork("run", "--watch", system.sweep(matrix=axis(1, 2)))
 
     def printed(words: str, times: int) -> bool:
         assert process.poll() is None, system.printed(process)[1]

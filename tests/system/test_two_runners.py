@@ -43,7 +43,7 @@ def test_of_overlapping_sweeps_no_run_is_computed_twice(system: Any, runs: int) 
         sweep_of(system, "one", range(100, 100 + 2 * third)),
         sweep_of(system, "two", range(100 + third, 100 + runs)),
     ]
-    working = [system.start("run", file) for file in files]
+    working = [system.fork("run", file) for file in files]
     for process in working:
         assert process.wait(500) == 0, system.printed(process)[1]
     contents = Counter(
@@ -60,7 +60,7 @@ def test_of_overlapping_sweeps_no_run_is_computed_twice(system: Any, runs: int) 
 @pytest.mark.parametrize("runs", [8, pytest.param(40, marks=pytest.mark.slow)])
 def test_what_a_killed_runner_leaves_the_other_finishes(system: Any, until: Any, runs: int) -> None:
     file = sweep_of(system, "s", range(300, 300 + runs))
-    killed, stays = [system.start("run", file) for _ in range(2)]
+    killed, stays = [system.fork("run", file) for _ in range(2)]
     until(lambda: len(system.journal("start")) >= 3 or killed.poll() is not None, "three runs begin")
     killed.kill()
     killed.wait()
