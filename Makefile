@@ -18,7 +18,7 @@ pytest = $(BIN)/python -m pytest -n $(WORKERS) $(1) $(TESTS)
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-cluster test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench fuzz fuzz-api fuzz-cluster coverage honest audit install crds clean help
+.PHONY: demo test test-cluster test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest audit install crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -37,6 +37,7 @@ help:
 	@echo 'make coverage   which modules make test covers by less than 80 %, lines and branches'
 	@echo 'make honest  every view of results beside their definition, over 5,000 made-up archives'
 	@echo 'make bench   speed and memory, beside the limits'
+	@echo 'make bench-scale   one Sweep of 80,000 played runs (hours); ARGS=2000 for fewer'
 
 $(STAMP): pyproject.toml evaluator/pyproject.toml hatch_build.py constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -102,6 +103,9 @@ lint: $(STAMP) $(JAVASCRIPT_STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python tests/bench/run.py
+
+bench-scale: $(STAMP)
+	$(BIN)/python tests/bench/scale.py $(ARGS)
 
 fuzz: $(STAMP)
 	$(BIN)/python tests/fuzz/readers.py --seconds 600

@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sqlite3
-import subprocess
-import tempfile
+import sys
 import uuid
 from contextlib import closing
 from datetime import UTC, datetime
@@ -16,6 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from sqlalchemy import create_engine, make_url, text
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from servers import postgresql
 
 from slamhive.archive import Archive, schema
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
@@ -31,11 +33,6 @@ def sqlite_url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path / 'sub' / 'archive.sqlite'}"
 
 
-def _programs() -> Path | None:
-    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb")) or [Path(shutil.which("initdb") or "/")]
-    return found[-1].parent if found[-1].name == "initdb" else None
-
-
 @pytest.fixture(scope="session")
 def server() -> Iterator[str]:
     """A PostgreSQL server: the one that the variable names, or one of our own in a temporary folder."""
@@ -43,34 +40,10 @@ def server() -> Iterator[str]:
     if given:
         yield given
         return
-    programs = _programs()
-    if programs is None:
-        pytest.skip(f"no PostgreSQL here: apt-get install postgresql, or let {SERVER} name a server")
-    # PostgreSQL refuses to run as root.
-    user = "nobody" if os.getuid() == 0 else None
-    folder = Path(tempfile.mkdtemp(prefix="slamhive-postgresql-"))
-    if user is not None:
-        shutil.chown(folder, user)
-    data = str(folder / "data")
-
-    def call(program: str, *arguments: str) -> None:
-        subprocess.run(
-            [str(programs / program), *arguments],
-            user=user,
-            cwd=folder,
-            check=True,
-            stdout=subprocess.DEVNULL,
-            timeout=120,
-        )
-
-    call("initdb", "--pgdata", data, "--username", "slamhive", "--auth", "trust", "--no-sync")
-    options = f"-c listen_addresses= -c unix_socket_directories={folder} -c fsync=off"
-    call("pg_ctl", "start", "--wait", "--silent", "-D", data, "-o", options, "-l", str(folder / "log"))
-    try:
-        yield f"postgresql://slamhive@/postgres?host={folder}"
-    finally:
-        call("pg_ctl", "stop", "-D", data, "--mode", "immediate", "--silent")
-        shutil.rmtree(folder)
+    with postgresql() as own:
+        if own is None:
+            pytest.skip(f"no PostgreSQL here: apt-get install postgresql, or let {SERVER} name a server")
+        yield own.url
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ import gzip
 import json
 import os
 import random
-import shutil
 import signal
 import statistics
 import subprocess
@@ -23,16 +22,16 @@ import threading
 import time
 import urllib.request
 import uuid
-from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "archive"))
+
+from servers import postgresql
 
 from slamhive.archive import Archive, CatalogEntry, SweepRecord
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 RUNS = 80_000
 START = datetime(2026, 1, 1, tzinfo=UTC)
@@ -177,33 +176,6 @@ def fill(url: str, count: int) -> None:
         archive.put_sweep(SweepRecord(uid="study", name="study", spec={}))
         archive.put_catalog(*(CatalogEntry(kind="Algorithm", name=name, spec={}) for name in ALGORITHMS))
         archive.put_runs(make_record(number) for number in range(count))
-
-
-@contextmanager
-def postgresql() -> Iterator[str | None]:
-    """Run a PostgreSQL server in a temporary folder; None where it is not installed."""
-    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
-    if not programs:
-        yield None
-        return
-    user = "nobody" if os.getuid() == 0 else None
-    folder = Path(tempfile.mkdtemp(prefix="slamhive-bench-"))
-    if user is not None:
-        shutil.chown(folder, user)
-
-    def call(program: str, *words: str) -> None:
-        command = [str(programs[-1] / program), *words]
-        subprocess.run(command, user=user, cwd=folder, check=True, stdout=subprocess.DEVNULL)
-
-    data = str(folder / "data")
-    call("initdb", "-D", data, "-U", "slamhive", "-A", "trust", "--no-sync")
-    options = f"-c listen_addresses= -c unix_socket_directories={folder} -c fsync=off"
-    call("pg_ctl", "start", "-w", "-s", "-D", data, "-o", options, "-l", str(folder / "log"))
-    try:
-        yield f"postgresql://slamhive@/postgres?host={folder}"
-    finally:
-        call("pg_ctl", "stop", "-D", data, "-m", "immediate", "-s")
-        shutil.rmtree(folder)
 
 
 class Server:
@@ -351,12 +323,12 @@ def main() -> int:
                 fill(f"sqlite:///{file}", options.runs)
             measure("SQLite", f"sqlite:///{file}", Path(folder) / "sqlite")
         if options.only != "sqlite":
-            with postgresql() as url:
-                if url is None:
+            with postgresql() as server:
+                if server is None:
                     print("PostgreSQL · not installed · apt-get install postgresql", flush=True)
                 else:
-                    fill(url, options.runs)
-                    measure("PostgreSQL", url, Path(folder) / "postgresql")
+                    fill(server.url, options.runs)
+                    measure("PostgreSQL", server.url, Path(folder) / "postgresql")
     return 0
 
 

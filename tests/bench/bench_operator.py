@@ -9,25 +9,22 @@ on what else the machine does than rates do.
 from __future__ import annotations
 
 import asyncio
-import json
 import statistics
 import sys
 import time
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import operating
+from job_loops import LONGEST_SECONDS, Cost, JobLoops, measured
 from testcluster.kwok import Kwok, Play
 from testcluster.lab import sweep
 
 from slamhive.kube.client import Api
 from slamhive.kube.kinds import Key, Kind
-from slamhive.kube.transport import Request
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Callable
 
     from testcluster.access import Cluster
     from testcluster.kwok import Pool
@@ -38,30 +35,9 @@ WINDOWS = (32, 64)
 LIVE = 1000
 IDLE_SECONDS = 60.0
 MEMORY_LIMIT_MIB = 200
-LONGEST_SECONDS = 900.0
 SECOND_LIST_SECONDS = 15.0
 NEW_KINDS_SECONDS = 35.0
 """After that the cluster's garbage collector has noticed our kinds; until then it tries again and again."""
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What bringing a number of runs or Jobs to their end took, each of them."""
-
-    rate: float
-    server: float
-    cluster: float
-    client: float
-
-
-def measured(access: Cluster, client: Callable[[], float], work: Callable[[], None]) -> Cost:
-    """Return what bringing all runs or Jobs to their end costs."""
-    before, own, started = operating.cpu_by_program(access), client(), time.perf_counter()
-    work()
-    elapsed, own = time.perf_counter() - started, client() - own
-    used = operating.cpu_by_program(access) - before
-    server = used["kube-apiserver"] + used["etcd"]
-    return Cost(RUNS / elapsed, server / RUNS, used.total() / RUNS, own / RUNS)
 
 
 class Bench:
@@ -74,11 +50,9 @@ class Bench:
 
     def __init__(self, access: Cluster, pool: Pool) -> None:
         self.access = access
-        self._pool = pool
-        self._pods = operating.played_pods(pool.name)
         self._number = 0
         self.where = operating.namespace(access, "bench-runs")
-        self.jobs = operating.namespace(access, "bench-jobs")
+        self.loops = JobLoops(access, pool.name, "bench-jobs", self.where)
 
     def run_sweep(self, count: int, window: int) -> None:
         """Bring a Sweep to its end."""
@@ -102,78 +76,6 @@ class Bench:
         finally:
             await api.close()
 
-    def run_jobs(self, count: int, window: int) -> None:
-        """Bring plain Jobs to their end."""
-        self._number += 1
-        asyncio.run(self._loop(f"plain-{self._number}", count, window, self._job()))
-
-    def run_copies(self, count: int, window: int) -> None:
-        """Bring Jobs to their end that are like those of runs."""
-        self._number += 1
-        asyncio.run(self._loop(f"copy-{self._number}", count, window, self._copy()))
-
-    async def _loop(self, stem: str, count: int, window: int, body: dict[str, Any]) -> None:
-        api = await Api.connect(self.access.kubeconfig)
-        ends = {f"{stem}-{number}": asyncio.Event() for number in range(count)}
-        room = asyncio.Semaphore(window)
-        watching = asyncio.create_task(self._watch(api, ends))
-
-        async def one(name: str) -> None:
-            async with room:
-                await api.create(Kind.JOB, body | {"metadata": {"name": name}}, self.jobs)
-                await ends[name].wait()
-
-        try:
-            async with asyncio.timeout(LONGEST_SECONDS):
-                await asyncio.gather(*map(one, ends))
-        finally:
-            watching.cancel()
-            await api.close()
-
-    async def _watch(self, api: Api, ends: dict[str, asyncio.Event]) -> None:
-        path = Kind.JOB.path(self.jobs)
-        listed = await api.json(Request("list", "jobs", self.jobs, "GET", path, query={"limit": 1}))
-        version = listed["metadata"]["resourceVersion"]
-        address = f"{api._client.configuration.host}{path}?watch=true&resourceVersion={version}"
-        async with api._client.rest_client.pool_manager.get(address, timeout=None) as answer:
-            async for line in answer.content:
-                job = json.loads(line)["object"]
-                told = job["status"].get("conditions") or ()
-                name = job["metadata"]["name"]
-                if name in ends and any(item["type"] == "Complete" for item in told):
-                    ends[name].set()
-
-    def _copy(self) -> dict[str, Any]:
-        labels = "slamhive.io/role=run"
-        spec = self.access.get("jobs", "-n", self.where, "-l", labels)["items"][0]["spec"]
-        del spec["selector"]
-        template = spec["template"]["metadata"]
-        generated = ("batch.kubernetes.io/", "controller-uid", "job-name")
-        template["labels"] = {
-            name: value for name, value in template["labels"].items() if not name.startswith(generated)
-        }
-        return {"spec": spec}
-
-    def _job(self) -> dict[str, Any]:
-        safe = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
-        container = {
-            "name": "main",
-            "image": "example.test/icp:1",
-            "command": ["true"],
-            "securityContext": safe,
-            "resources": {"requests": {"cpu": "1", "memory": "1Gi"}},
-        }
-        pod = self._pods | {
-            "restartPolicy": "Never",
-            "securityContext": {
-                "runAsNonRoot": True,
-                "runAsUser": 65532,
-                "seccompProfile": {"type": "RuntimeDefault"},
-            },
-            "containers": [container],
-        }
-        return {"spec": {"backoffLimit": 0, "template": {"spec": pod}}}
-
 
 def bench_rates(access: Cluster, pool: Pool) -> None:
     """Report runs and Jobs per second."""
@@ -181,14 +83,18 @@ def bench_rates(access: Cluster, pool: Pool) -> None:
     with operating.operator(access, bench.where, operating.played_pods(pool.name)) as process:
         time.sleep(NEW_KINDS_SECONDS)
         bench.run_sweep(8, 8)
-        bench.run_jobs(8, 8)
+        loops = bench.loops
+        loops.run_plain(8, 8)
         for window in WINDOWS:
             runs, jobs, copies = [], [], []
             calls, looks = process.calls(), process.reconciled()
             for _ in range(ROUNDS):
-                runs.append(measured(access, lambda: process.cpu, partial(bench.run_sweep, RUNS, window)))
-                jobs.append(measured(access, time.process_time, partial(bench.run_jobs, RUNS, window)))
-                copies.append(measured(access, time.process_time, partial(bench.run_copies, RUNS, window)))
+                for costs, client, work in (
+                    (runs, lambda: process.cpu, bench.run_sweep),
+                    (jobs, time.process_time, loops.run_plain),
+                    (copies, time.process_time, loops.run_copies),
+                ):
+                    costs.append(measured(access, RUNS, client, partial(work, RUNS, window)))
             _tell_rates(window, runs, jobs, copies)
             _tell_counts(process.calls() - calls, process.reconciled() - looks, RUNS * ROUNDS)
 

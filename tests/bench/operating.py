@@ -81,17 +81,25 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / TICKS
 
 
-def cpu_by_program(access: Cluster) -> Counter[str]:
-    """Return the CPU seconds of the programs of a cluster so far."""
-    used: Counter[str] = Counter()
-    mark = str(access.kubeconfig.parent)
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        with suppress(OSError):
-            words = path.read_bytes().decode(errors="replace").split("\0")
-            name = Path(words[0]).name
-            if name in PROGRAMS and any(mark in word for word in words):
-                used[name] += cpu_seconds(int(path.parent.name))  # type: ignore[assignment]
-    return used
+class ProgramTimes:
+    """CPU time of the programs of a cluster, those that were killed included as far as they were seen."""
+
+    def __init__(self, access: Cluster) -> None:
+        self._mark = str(access.kubeconfig.parent)
+        self._seen: dict[tuple[str, str], float] = {}
+
+    def read(self) -> Counter[str]:
+        """Return the CPU seconds of each program so far."""
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            with suppress(OSError):
+                words = path.read_bytes().decode(errors="replace").split("\0")
+                name = Path(words[0]).name
+                if name in PROGRAMS and any(self._mark in word for word in words):
+                    self._seen[name, path.parent.name] = cpu_seconds(int(path.parent.name))
+        used: Counter[str] = Counter()
+        for (name, _), seconds in self._seen.items():
+            used[name] += seconds  # type: ignore[assignment]
+        return used
 
 
 def memory_mib(pid: int, field: str) -> float:
@@ -106,16 +114,57 @@ def _free_port() -> int:
 
 
 class OperatorProcess:
-    """An operator's process."""
+    """An operator's process, which can be killed and started again.
 
-    def __init__(self, process: subprocess.Popen[bytes], metrics_port: int) -> None:
-        self.pid = process.pid
+    Args:
+        command: what is started.
+        log: file for what it says.
+        metrics_port: where it shows its figures.
+        health_port: where it says whether it is ready.
+    """
+
+    def __init__(self, command: list[str], log: Path, metrics_port: int, health_port: int) -> None:
+        self._command = command
+        self._log = log
         self._address = f"http://127.0.0.1:{metrics_port}/metrics"
+        self._health_port = health_port
+        self._process: subprocess.Popen[bytes] | None = None
+        self._former_cpu = 0.0
+
+    @property
+    def pid(self) -> int:
+        """Its process id.
+
+        Raises:
+            ProcessLookupError: it does not run now.
+        """
+        if self._process is None:
+            raise ProcessLookupError("the operator is not running")
+        return self._process.pid
 
     @property
     def cpu(self) -> float:
-        """CPU seconds so far."""
-        return cpu_seconds(self.pid)
+        """CPU seconds so far, those of killed processes included."""
+        return self._former_cpu + (cpu_seconds(self._process.pid) if self._process else 0.0)
+
+    def start(self, seconds: float = 60) -> None:
+        """Start it and wait until it is ready."""
+        with self._log.open("ab") as log:
+            process = subprocess.Popen(self._command, stdout=log, stderr=log)
+        self._process = process
+        until(lambda: _ready(process, self._health_port), "the operator to be ready", seconds, 0.1)
+
+    def end(self, number: int = signal.SIGTERM) -> None:
+        """Send it a signal and wait for its end."""
+        process = self._process
+        if process is not None:
+            self._former_cpu, self._process = self.cpu, None
+            process.send_signal(number)
+            process.wait(30)
+
+    def said(self) -> str:
+        """Return the last of what it said."""
+        return self._log.read_text(errors="replace")[-4000:]
 
     def calls(self) -> Counter[str]:
         """Return how often it has called the API so far, by verb and resource."""
@@ -124,6 +173,10 @@ class OperatorProcess:
     def reconciled(self) -> Counter[str]:
         """Return how often it has looked at an object so far, by kind."""
         return self._series("slamhive_reconcile_seconds_count", "kind")
+
+    def queued(self) -> Counter[str]:
+        """Return how many objects wait for a look or get one now, by state."""
+        return self._series("slamhive_queue_depth", "state")
 
     def _series(self, name: str, *labels: str) -> Counter[str]:
         with urllib.request.urlopen(self._address, timeout=10) as answer:  # noqa: S310 - of this machine
@@ -139,8 +192,25 @@ class OperatorProcess:
 
 
 @contextmanager
-def operator(access: Cluster, where: str, pods: dict[str, Any], **changes: Any) -> Iterator[OperatorProcess]:
-    """Run an operator for a namespace as a process of its own."""
+def operator(
+    access: Cluster,
+    where: str,
+    pods: dict[str, Any],
+    *,
+    program: str = "slamhive.kube",
+    kubeconfig: Path | None = None,
+    **changes: Any,
+) -> Iterator[OperatorProcess]:
+    """Run an operator for a namespace as a process of its own.
+
+    Args:
+        access: the cluster.
+        where: the namespace.
+        pods: settings of all pods.
+        program: module that is run.
+        kubeconfig: how it reaches the cluster; default: as its administrator does.
+        changes: further settings.
+    """
     metrics, health = _free_port(), _free_port()
     settings = {
         "namespaces": [where],
@@ -153,20 +223,18 @@ def operator(access: Cluster, where: str, pods: dict[str, Any], **changes: Any) 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "operator.yaml"
         file.write_text(json.dumps(settings))
-        command = [sys.executable, "-P", "-m", "slamhive.kube", "--settings", str(file)]
-        with (Path(folder) / "log").open("wb") as log:
-            process = subprocess.Popen(
-                [*command, "--kubeconfig", str(access.kubeconfig)], stdout=log, stderr=log
-            )
+        # Without -P the folder that it is started in would be a place of modules too.
+        command = [sys.executable, "-P", "-m", program, "--settings", str(file)]
+        command += ["--kubeconfig", str(kubeconfig or access.kubeconfig)]
+        process = OperatorProcess(command, Path(folder) / "log", metrics, health)
         try:
-            until(lambda: _ready(process, health), "the operator to be ready", 60, 0.1)
-            yield OperatorProcess(process, metrics)
+            process.start()
+            yield process
         except BaseException:
-            sys.stderr.write((Path(folder) / "log").read_text()[-4000:])
+            sys.stderr.write(process.said())
             raise
         finally:
-            process.send_signal(signal.SIGTERM)
-            process.wait(30)
+            process.end()
 
 
 def _ready(process: subprocess.Popen[bytes], port: int) -> bool:

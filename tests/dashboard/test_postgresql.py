@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-import subprocess
-import tempfile
+import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import anyio
 import pytest
 from sqlalchemy import create_engine, exc, text
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "archive"))
+
+from servers import PostgreSQL, postgresql
 
 from slamhive.archive import Archive
 from slamhive.dashboard.sources import Workstation
@@ -26,48 +26,12 @@ if TYPE_CHECKING:
 pytest.importorskip("psycopg")
 
 
-@dataclass
-class Server:
-    """A PostgreSQL server in a folder, listening on a socket alone."""
-
-    programs: Path
-    folder: Path
-    user: str | None
-
-    @property
-    def url(self) -> str:
-        return f"postgresql://slamhive@/postgres?host={self.folder}"
-
-    def call(self, program: str, *words: str) -> None:
-        command = [str(self.programs / program), *words]
-        subprocess.run(command, user=self.user, cwd=self.folder, check=True, capture_output=True)
-
-    def start(self) -> None:
-        options = f"-c listen_addresses= -c unix_socket_directories={self.folder} -c fsync=off"
-        self.call("pg_ctl", "start", "-w", "-s", "-D", "data", "-o", options, "-l", "log")
-
-    def kill(self) -> None:
-        """End it as a power cut would."""
-        self.call("pg_ctl", "stop", "-s", "-D", "data", "-m", "immediate")
-
-
 @pytest.fixture
-def server() -> Iterator[Server]:
-    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
-    if not programs:
-        pytest.skip("no PostgreSQL here: apt-get install postgresql")
-    # Paths of sockets are short, those of pytest's folders are not; and PostgreSQL refuses to run as root.
-    folder = Path(tempfile.mkdtemp(prefix="slamhive-dashboard-"))
-    user = "nobody" if os.getuid() == 0 else None
-    if user is not None:
-        shutil.chown(folder, user)
-    made = Server(programs[-1], folder, user)
-    made.call("initdb", "-D", "data", "-U", "slamhive", "-A", "trust", "--no-sync")
-    made.start()
-    yield made
-    if (folder / "data" / "postmaster.pid").exists():
-        made.kill()
-    shutil.rmtree(folder)
+def server() -> Iterator[PostgreSQL]:
+    with postgresql() as made:
+        if made is None:
+            pytest.skip("no PostgreSQL here: apt-get install postgresql")
+        yield made
 
 
 async def until(found: Callable[[], Awaitable[bool]], seconds: float = 120) -> None:
@@ -79,7 +43,7 @@ async def until(found: Callable[[], Awaitable[bool]], seconds: float = 120) -> N
 
 
 async def test_a_killed_archive_stays_on_view_and_is_followed_again(
-    server: Server, open_app: Callable[..., Any], make_run: Callable[..., Any]
+    server: PostgreSQL, open_app: Callable[..., Any], make_run: Callable[..., Any]
 ) -> None:
     with Archive.open(server.url) as archive:
         archive.put_runs(make_run(number) for number in range(3))
@@ -112,7 +76,7 @@ ROOT = Path(__file__).parents[2]
 
 
 async def test_an_account_that_only_reads_sees_all_pages_and_changes_nothing(
-    server: Server, open_app: Callable[..., Any], make_run: Callable[..., Any]
+    server: PostgreSQL, open_app: Callable[..., Any], make_run: Callable[..., Any]
 ) -> None:
     """The account is made by what the documentation says, word for word."""
     with Archive.open(server.url) as archive:

@@ -61,9 +61,19 @@ async def played_logs(api: Api, namespace: str, pod: str, container: str, **_: A
 
     Everything else of an evaluation is real. The figures follow from the runs' uids.
     """
+    request = await evaluation_of(api, namespace, pod, container)
+    return evaluator_log(request, lambda run: error_of(run["uid"]))
+
+
+async def evaluation_of(api: Api, namespace: str, pod: str, container: str) -> EvaluateRequest:
+    """Return what an evaluator's pod is asked to measure."""
     path = f"/api/v1/namespaces/{namespace}/pods/{pod}"
     body = await api.json(Request("get", "pods/log", f"{namespace}/{pod}/{container}", "GET", path))
-    request = EvaluateRequest.model_validate_json(body["metadata"]["annotations"]["slamhive.io/request"])
+    return EvaluateRequest.model_validate_json(body["metadata"]["annotations"]["slamhive.io/request"])
+
+
+def evaluator_log(request: EvaluateRequest, error: Callable[[Object], float]) -> str:
+    """Return what an evaluator would have written that found an ATE for each run, m."""
     hashed = settings_hash(request.settings)
     records = [
         {
@@ -73,7 +83,7 @@ async def played_logs(api: Api, namespace: str, pod: str, container: str, **_: A
                 "evaluation": request.evaluation or "SE3",
                 "outcome": "Tracked",
                 "coverage": 1.0,
-                "values": {"ate": {"rmse": error_of(run["uid"])}, SETTINGS_KEY: hashed},
+                "values": {"ate": {"rmse": error(run)}, SETTINGS_KEY: hashed},
             },
         }
         for run in request.runs

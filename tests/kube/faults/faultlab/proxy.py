@@ -79,11 +79,23 @@ class Proxy:
     trouble: Trouble
     hits: Counter[str] = field(default_factory=Counter)
     _calls: Counter[tuple[str, str]] = field(default_factory=Counter)
+    _watches: set[web.Request] = field(default_factory=set)
+
+    def cut(self) -> int:
+        """Break all watches there are now; returns their number."""
+        watches = [*self._watches]
+        for request in watches:
+            _abort(request)
+        return len(watches)
 
     async def handle(self, request: web.Request) -> web.StreamResponse:
         """Answer a request."""
         if request.query.get("watch") == "true":
-            return await self._watch(request)
+            self._watches.add(request)
+            try:
+                return await self._watch(request)
+            finally:
+                self._watches.discard(request)
         is_list = request.method == "GET" and request.query.keys() & {"limit", "labelSelector"}
         discovery = request.path.count("/") < 5
         ours = request.headers.get("User-Agent") == "slamhive"  # kopf ends when a page is gone
