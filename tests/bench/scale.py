@@ -30,7 +30,7 @@ sys.path.extend(
 
 import operating
 from job_loops import JobLoops, measured
-from scaling import checking, killing, sampling, storing
+from scaling import beside, checking, killing, sampling, storing
 from scaling.points import large_sweep
 from servers import postgresql
 from testcluster.access import until
@@ -88,6 +88,7 @@ class Course:
         self._clock = sampling.Clock()
         self.peers: dict[str, dict[str, Cost]] = {}
         self.parts: dict[str, dict[str, float]] = {}
+        self.steps: dict[str, float] = {}
         self.problems: list[str] = []
 
     def run(self, where: str) -> dict[str, Any]:
@@ -99,6 +100,8 @@ class Course:
         self._clock = sampling.Clock()
         thirds = [count // 3, 2 * count // 3, count]
         for number, stage in enumerate(STAGES):
+            if stage == "middle" and self._options.beside:
+                self._have_another(where)
             self._advance(stage, thirds[number])
             if stage == "middle":
                 self._pause(where)
@@ -106,6 +109,12 @@ class Course:
         self._until(self._is_tidy, "what is archived to be deleted")
         self._beside("end")
         return sweep
+
+    def _have_another(self, where: str) -> None:
+        """Have another Sweep edited, suspended, resumed, cancelled and deleted beside the large one."""
+        other = beside.Beside(self._access, where, self._options.beside, self._options.runs + 1)
+        self.problems += other.run()
+        self.steps = other.seconds
 
     def _is_tidy(self, body: dict[str, Any]) -> bool:
         sample = self._sampler.take(body, self._clock.seconds)
@@ -117,7 +126,8 @@ class Course:
         began, cpu, own = self._clock.seconds, times.read(), self._process.cpu
         first = self._ended()
         last = self._until(lambda body: _ended(body) >= ended, f"{ended} runs")
-        done, used = _ended(last) - first, times.read() - cpu
+        used = times.read() - cpu
+        done = max(_ended(last) - first, 1)
         self.parts[stage] = {
             "runs": done,
             "rate": done / (self._clock.seconds - began),
@@ -244,6 +254,7 @@ def run(options: argparse.Namespace, access: Cluster, url: str, database: Postgr
             "cores": len(os.sched_getaffinity(0)),
             "load": os.getloadavg(),
             "parts": course.parts,
+            "beside": course.steps,
             "peers": {
                 stage: {name: vars(cost) for name, cost in told.items()}
                 for stage, told in course.peers.items()
@@ -273,14 +284,14 @@ def tell(
     what = f"{options.runs} runs, {options.window} in flight, archive in {options.archive}"
     for stage in STAGES:
         ours = parts[stage]
-        beside = "no loop of Jobs beside it"
+        loops = "no loop of Jobs beside it"
         if stage in peers:
             plain, copies = peers[stage]["plain"], peers[stage]["copies"]
-            beside = (
+            loops = (
                 f"{plain.rate:.1f} plain Jobs/s: {ours['rate'] / plain.rate:.2f}, goal 0.6; "
                 f"{copies.rate:.1f}/s with a run's own pod: {ours['rate'] / copies.rate:.2f}, goal 1.0"
             )
-        operating.report(f"{what}, {stage}", f"{ours['rate']:.1f} runs/s", f"{beside}; {operating.load()}")
+        operating.report(f"{what}, {stage}", f"{ours['rate']:.1f} runs/s", f"{loops}; {operating.load()}")
     first, last = parts[STAGES[0]], parts[STAGES[-1]]
     operating.report("rate at the end", f"{last['rate'] / first['rate']:.2f} of the beginning's", "goal 0.9")
     for stage in STAGES:
@@ -312,6 +323,8 @@ def tell(
         f"{store['copied']:.0f}/s by the database's own copy; goal 500; "
         f"{store['bytesARun']:.0f} bytes a run, goal 2000",
     )
+    for step, seconds in course.steps.items():
+        operating.report(f"a Sweep of {options.beside} beside, {step}", f"{seconds:g} s", "limit 60 s")
     for problem in figures["problems"] or ["none"]:
         operating.report("problems", problem, f"{len(figures['kills'])} kills")
 
@@ -325,6 +338,9 @@ def main() -> int:
     parser.add_argument(
         "--peers", type=int, help="Jobs of each loop; default: 2000, less beside few runs; 0: none"
     )
+    parser.add_argument(
+        "--beside", type=int, help="points of another Sweep that is edited; default: as --peers"
+    )
     parser.add_argument("--kills", type=int, default=0, help="how often a part is killed")
     parser.add_argument("--seed", type=int, default=0, help="of the kills")
     parser.add_argument(
@@ -334,6 +350,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("bench-scale"), help="folder for the curve")
     options = parser.parse_args()
     options.peers = min(PEERS, max(options.runs // 5, 1)) if options.peers is None else options.peers
+    options.beside = options.peers if options.beside is None else options.beside
     options.warm = 8
     if why := operating.lacking():
         print(why)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""kopf itself, watching a server that lists and streams what it is told to."""
+"""kopf itself, and what follows Jobs and pods, on a server that lists and streams what it is told to."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kubernetes.aio.client import ApiClient, Configuration
 
 from slamhive.kube import handlers
 from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.kinds import OUR_KINDS, Key, Kind
 from slamhive.kube.operator import Operator
 from slamhive.kube.settings import Settings
 
@@ -49,11 +49,12 @@ def thing(name: str, version: int) -> dict[str, Any]:
 
 
 class Server:
-    """Discovery, lists and watches; each watch of the runs streams the next of ``streams``, then ends."""
+    """Discovery, lists and watches; each watch of runs or pods streams the next of its own, then ends."""
 
     def __init__(self) -> None:
         self.listed: dict[str, list[dict[str, Any]]] = {}
         self.streams: list[list[dict[str, Any]]] = []
+        self.pods: list[list[dict[str, Any]]] = []
         self.asked: list[tuple[str, str, dict[str, str]]] = []
 
     async def handle(self, request: web.Request) -> web.StreamResponse:
@@ -65,8 +66,9 @@ class Server:
             return web.json_response({"metadata": {"resourceVersion": "10"}, "items": items})
         response = web.StreamResponse()
         await response.prepare(request)
-        if request.path == RUNS and self.streams:
-            for event in self.streams.pop(0):
+        streams = {RUNS: self.streams, PODS: self.pods}.get(request.path)
+        if streams:
+            for event in streams.pop(0):
                 await response.write(json.dumps(event).encode() + b"\n")
             return response
         await asyncio.Event().wait()
@@ -140,6 +142,23 @@ async def test_what_is_listed_and_watched_enters_the_store_even_when_watches_are
         await until(op, "added", "after")
 
 
+async def test_pods_are_followed_through_cuts_and_lists_that_are_too_old(server: Server) -> None:
+    server.listed[PODS] = [thing("listed", 5)]
+    server.pods = [
+        [{"type": "ADDED", "object": thing("added", 11)}],
+        [{"type": "DELETED", "object": thing("listed", 12)}],
+        [{"type": "ERROR", "object": {"kind": "Status", "code": 410}}],
+    ]
+    async with watching(server) as op:
+        await eventually(lambda: names_of(op) == {"added"})
+        server.listed[PODS] = [thing("added", 11), thing("after", 20)]
+        await eventually(lambda: names_of(op) == {"added", "after"})
+
+
+def names_of(op: Operator) -> set[str]:
+    return {pod["metadata"]["name"] for pod in op.store.of(Kind.POD, "lab")}
+
+
 async def test_only_our_pods_are_watched_and_nothing_is_written(server: Server) -> None:
     async with watching(server):
         await eventually(lambda: any(path == PODS and "watch" in query for _, path, query in server.asked))
@@ -186,7 +205,7 @@ async def unconnected() -> AsyncIterator[Operator]:
 
 async def test_no_handler_asks_for_a_finalizer(unconnected: Operator) -> None:
     registry = handlers.registry_for(unconnected)
-    assert len([*registry._watching.get_all_handlers()]) == len(Kind)
+    assert len([*registry._watching.get_all_handlers()]) == len(OUR_KINDS)
     for unwanted in (registry._changing, registry._spawning, registry._indexing):
         assert not [*unwanted.get_all_handlers()]
 
@@ -194,5 +213,5 @@ async def test_no_handler_asks_for_a_finalizer(unconnected: Operator) -> None:
 async def test_each_kind_is_handed_over_as_itself(unconnected: Operator) -> None:
     for handler in handlers.registry_for(unconnected)._watching.get_all_handlers():
         await handler.fn(event={"type": None, "object": thing(f"of-{handler.id}", 3)})  # type: ignore[call-arg, misc]
-    for kind in Kind:
+    for kind in OUR_KINDS:
         assert unconnected.store.get(Key(kind, "lab", f"of-{kind.plural}")) is not None

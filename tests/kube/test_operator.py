@@ -179,9 +179,26 @@ async def test_only_our_jobs_and_pods_are_listed(op: Operator, api: FakeApi) -> 
     assert set(api.listed) == {(kind, None if kind.is_ours else managed) for kind in Kind}
 
 
+def ended_job(version: int) -> dict[str, Any]:
+    job = thing("job", version, role="run", run="demo")
+    return job | {"status": {"conditions": [{"type": "Complete", "status": "True"}]}}
+
+
 async def test_a_job_brings_its_run(op: Operator, toy: Toy) -> None:
+    op.observe(RUN, "ADDED", thing("demo", 99999))
     await op.start()
-    op.observe(Kind.JOB, "MODIFIED", thing("job", 5, role="run", run="demo"))
+    await settle(op)
+    op.observe(Kind.JOB, "MODIFIED", ended_job(5))
+    await settle(op)
+    assert toy.seen == ["MappingRun lab/demo", "MappingRun lab/demo"]
+
+
+async def test_a_job_that_only_begins_brings_nothing(op: Operator, toy: Toy) -> None:
+    op.observe(RUN, "ADDED", thing("demo", 99999))
+    await op.start()
+    await settle(op)
+    op.observe(Kind.JOB, "ADDED", thing("job", 5, role="run", run="demo"))
+    op.observe(Kind.JOB, "MODIFIED", thing("job", 6, role="run", run="demo"))
     await settle(op)
     assert toy.seen == ["MappingRun lab/demo"]
 

@@ -155,3 +155,20 @@ async def test_runs_that_ended_before_the_start_are_known_before_any_is_looked_a
     assert found is not None
     assert found.name == "equal"
     assert known.processors == {"here", "there"}
+
+
+def test_what_is_known_of_finished_runs_goes_with_them() -> None:
+    """A Sweep of any size leaves behind no more than its live runs."""
+    twins = Twins(Catalogue())
+    keys = []
+    for number in range(5):
+        run = a_run(f"run-{number}")
+        run["status"] = {"phase": "Succeeded", "provenance": {"contentHash": f"hash-{number % 2}"}}
+        twins.learn(run)
+        keys.append(Key(Kind.MAPPING_RUN, NAMESPACE, f"run-{number}"))
+    twins.forget(keys[1])
+    assert twins._known == {(NAMESPACE, "hash-0"): "run-4", (NAMESPACE, "hash-1"): "run-3"}
+    for key in keys:
+        twins.forget(key)
+    assert not twins._known
+    assert not twins._learned

@@ -120,13 +120,27 @@ class Archive:
             algorithm: the Algorithm as the run used it.
             dataset: the Dataset as the run used it.
         """
-        row = run_row(record)
-        with writing(self._engine) as connection:
+        self.put_used([(record, algorithm, dataset)])
+
+    def put_used(self, items: Iterable[tuple[RunRecord, CatalogEntry | None, CatalogEntry | None]]) -> None:
+        """Write runs with the Algorithms and Datasets as they used them, all or none; else as ``put_run``.
+
+        Args:
+            items: at most some hundreds.
+        """
+        known, rows, records = {}, [], []
+        for record, algorithm, dataset in items:
+            row = run_row(record)
             for column, entry in (("algorithm_hash", algorithm), ("dataset_hash", dataset)):
                 if entry is not None:
-                    self._put_entry(connection, entry)
                     row[column] = entry.content_hash
-            self._put(connection, [record], [row])
+                    known[entry.kind, entry.name, entry.content_hash] = entry
+            rows.append(row)
+            records.append(record)
+        with writing(self._engine) as connection:
+            for entry in known.values():
+                self._put_entry(connection, entry)
+            self._put(connection, records, rows)
 
     def put_runs(self, records: Iterable[RunRecord]) -> int:
         """Write many runs, in transactions of 500, and return their number."""
@@ -510,7 +524,12 @@ class Archive:
             left = None if left is None else left - len(rows)
 
     def _put(self, connection: Connection, records: list[RunRecord], rows: list[dict[str, Any]]) -> None:
-        self._upsert(connection, schema.runs, rows, ("uid",))
+        # What a row doesn't name stays as it is: rows that name the same are written together.
+        by_names: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+        for row in rows:
+            by_names.setdefault(tuple(row), []).append(row)
+        for alike in by_names.values():
+            self._upsert(connection, schema.runs, alike, ("uid",))
         columns = schema.runs.c
         query = select(columns.uid, columns.id).where(columns.uid.in_([row["uid"] for row in rows]))
         ids = {row.uid: row.id for row in connection.execute(query)}

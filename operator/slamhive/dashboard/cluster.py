@@ -26,11 +26,11 @@ from slamhive.dashboard.live import (
     sweep_in_short,
 )
 from slamhive.dashboard.sources import ArchiveData, Snapshot
-from slamhive.dashboard.watching import Follower, open_session
 from slamhive.kube.client import Api
 from slamhive.kube.errors import ApiError, NotFound
 from slamhive.kube.kinds import Key, Kind
 from slamhive.kube.records import record_of
+from slamhive.kube.watching import Follower, open_session
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -290,7 +290,7 @@ class ClusterSource:
                 watches,
                 kind,
                 namespace,
-                reset=partial(cluster.reset_runs, namespace),
+                reset=lambda items, _: cluster.reset_runs(namespace, items),
                 change=partial(cluster.change_run, namespace),
                 trouble=trouble,
                 narrow=narrow_run,
@@ -300,7 +300,7 @@ class ClusterSource:
             watches,
             kind,
             namespace,
-            reset=partial(cluster.reset_others, kind, namespace),
+            reset=lambda items, _: cluster.reset_others(kind, namespace, items),
             change=partial(cluster.change_other, kind, namespace),
             trouble=trouble,
             narrow=narrow_other,

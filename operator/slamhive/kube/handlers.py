@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Handlers for kopf: forward every watch event to the operator's store.
+"""Handlers for kopf: forward every event of a watch of our own kinds to the operator's store.
 
 Only the entry point imports this module.
 
@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Any
 import kopf
 
 from slamhive.kube.client import PAGE
-from slamhive.kube.kinds import Kind
-from slamhive.kube.operator import MANAGED
+from slamhive.kube.following import following
+from slamhive.kube.kinds import OUR_KINDS
 
 if TYPE_CHECKING:
     import asyncio
 
     from slamhive.kube.client import Api
+    from slamhive.kube.kinds import Kind
     from slamhive.kube.operator import Operator
 
 WATCH_SECONDS = 600
@@ -51,9 +52,9 @@ class NoDiffs(kopf.DiffBaseStorage):
 
 
 def registry_for(op: Operator) -> kopf.OperatorRegistry:
-    """Return the handlers: one a kind, which hands over what the watch reports."""
+    """Return the handlers: one a kind of ours, which hands over what the watch reports."""
     registry = kopf.OperatorRegistry()
-    for kind in Kind:
+    for kind in OUR_KINDS:
 
         async def hand_over(event: Any, watched: Kind, **_: Any) -> None:
             op.observe(watched, event["type"], event["object"])
@@ -70,10 +71,6 @@ def settings_for_kopf() -> kopf.OperatorSettings:
     settings.watching.server_timeout = WATCH_SECONDS
     settings.watching.inactivity_timeout = INACTIVE_SECONDS
     settings.watching.chunk_size = PAGE
-    for kind in Kind:
-        if not kind.is_ours:
-            # On the server's side: other people's Jobs and pods never reach this process.
-            settings.watching.label_selectors[kind.group, kind.version, kind.plural] = MANAGED
     # kopf would otherwise look through the cluster, attach its own Events and annotate what it sees.
     settings.scanning.disabled = True
     settings.posting.enabled = False
@@ -95,13 +92,14 @@ async def watch(op: Operator, ready_flag: asyncio.Event | None = None) -> None:
         op: gets what is seen.
         ready_flag: set when the watching has begun and kopf's own signal handlers are in place.
     """
-    await kopf.operator(
-        registry=registry_for(op),
-        settings=settings_for_kopf(),
-        namespaces=op.settings.namespaces,
-        standalone=True,
-        ready_flag=ready_flag,
-    )
+    async with following(op):
+        await kopf.operator(
+            registry=registry_for(op),
+            settings=settings_for_kopf(),
+            namespaces=op.settings.namespaces,
+            standalone=True,
+            ready_flag=ready_flag,
+        )
 
 
 async def _log_in(api: Api, **_: Any) -> kopf.ConnectionInfo:

@@ -23,7 +23,7 @@ from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
 from slamhive.kube.pods import has_completed, has_failed
 from slamhive.kube.queue import Queue
-from slamhive.kube.routing import routes
+from slamhive.kube.routing import is_news, routes
 from slamhive.kube.status import status_patch
 from slamhive.kube.store import Store
 from slamhive.model.base import GROUP, VERSION
@@ -138,12 +138,14 @@ class Operator:
         self._gone(kind, obj)
 
     def _take(self, kind: Kind, obj: Object, *, current_too: bool = False) -> None:
-        new = self.store.get(key_of(kind, obj)) is None
+        before = self.store.get(key_of(kind, obj))
         if self.store.put(kind, obj):
             if kind is Kind.POD and (obj.get("status") or {}).get("phase") in ENDED:
                 self.usage.ended(obj["metadata"]["uid"])
             self._note_podless(kind, obj)
-            self._enqueue(routes(kind, obj, self.store, new=new), current_too=current_too)
+            if is_news(kind, before, obj):
+                keys = routes(kind, obj, self.store, new=before is None)
+                self._enqueue(keys, current_too=current_too)
 
     def _gone(self, kind: Kind, obj: Object) -> None:
         key = key_of(kind, obj)
@@ -347,9 +349,10 @@ class Operator:
         parts |= {"relist": self._relist_forever(), "metrics-api": self._read_metrics_forever()}
         self._tasks = [asyncio.create_task(part, name=name) for name, part in parts.items()]
         for task in self._tasks:
-            task.add_done_callback(self._ended)
+            task.add_done_callback(self.note_end)
 
-    def _ended(self, task: asyncio.Task[None]) -> None:
+    def note_end(self, task: asyncio.Task[None]) -> None:
+        """Note the end of a part that never should end: the process begins anew."""
         if not task.cancelled():
             _log.critical("%s ended, which it never should", task.get_name(), exc_info=task.exception())
             self.broken.set()
@@ -398,6 +401,10 @@ class Operator:
         items, version = await self.api.list(
             kind, namespace, labels=labels, narrow=partial(self.store.narrowed, kind)
         )
+        self.take_list(kind, namespace, items, version)
+
+    def take_list(self, kind: Kind, namespace: str, items: Iterable[Object], version: str) -> None:
+        """Take in a full list, narrowed as it came, and queue what it shows to have changed."""
         for key, obj, there in self.store.sync(kind, namespace, items, version):
             if kind is Kind.POD and not there:
                 self.usage.forget(obj["metadata"]["uid"])

@@ -38,6 +38,8 @@ def routes(kind: Kind, obj: Object, store: Store | None = None, *, new: bool = F
     namespace = obj["metadata"].get("namespace", "")
     if kind in {Kind.JOB, Kind.POD}:
         keys = [*_of_job(obj, namespace)]
+        if store is not None and _role(obj) == Role.RUN:
+            keys = [key for key in keys if _goes_on(store.get(key))]
     elif kind is Kind.MAPPING_RUN:
         keys = [*_of_run(obj, namespace, store)]
     else:
@@ -45,6 +47,79 @@ def routes(kind: Kind, obj: Object, store: Store | None = None, *, new: bool = F
         if kind in {Kind.ALGORITHM, Kind.DATASET} and store is not None:
             keys += _waiting(kind, obj, namespace, store, new=new)
     return [*dict.fromkeys(keys)]
+
+
+def is_news(kind: Kind, before: Object | None, after: Object) -> bool:
+    """Tell whether a change can be of consequence.
+
+    Jobs and pods change more often than anything follows from it: their controllers count, take finalizers
+    away, and begin what is still to be waited for. Each look at a run costs more than all of these. A run
+    without a pod is looked at after some time by itself.
+
+    Args:
+        kind: the object's kind.
+        before: the object as it was; None where it was not known.
+        after: the object as it is.
+    """
+    if kind.is_ours or _role(after) != Role.RUN:
+        return True
+    told = _told_by_job if kind is Kind.JOB else _told_by_pod
+    return told(after) != (_QUIET if before is None else told(before))
+
+
+_QUIET: Object = {}
+_STARTING = frozenset({"ContainerCreating", "PodInitializing"})
+
+
+def _told_by_job(job: Object) -> Object:
+    """Return what a look at a run takes from its Job; nothing where it has only been made."""
+    metadata, status = job["metadata"], job.get("status") or {}
+    found = {
+        "deleted": bool(metadata.get("deletionTimestamp")),
+        "suspended": bool((job.get("spec") or {}).get("suspend")),
+        "conditions": [(item["type"], item["status"]) for item in status.get("conditions") or ()],
+    }
+    return {name: value for name, value in found.items() if value}
+
+
+def _told_by_pod(pod: Object) -> Object:
+    """Return what a look at a run takes from its pod; nothing where that begins as pods do."""
+    metadata, status = pod["metadata"], pod.get("status") or {}
+    # What holds of a healthy pod says nothing; a disruption is told by a condition that holds.
+    conditions = [
+        (item["type"], item["status"], item.get("reason"), item.get("message"))
+        for item in status.get("conditions") or ()
+        if item["type"] == "DisruptionTarget" or (item["type"] == "PodScheduled" and item["status"] != "True")
+    ]
+    containers = [
+        (item["name"], item.get("state"), item.get("lastState"), item.get("restartCount"))
+        for field in ("initContainerStatuses", "containerStatuses")
+        for item in status.get(field) or ()
+        if not _is_starting(item)
+    ]
+    phase = status.get("phase")
+    found = {
+        "deleted": bool(metadata.get("deletionTimestamp")),
+        "phase": None if phase == "Pending" else phase,
+        "reason": (status.get("reason"), status.get("message")) if status.get("reason") else None,
+        "conditions": conditions,
+        "containers": containers,
+    }
+    return {name: value for name, value in found.items() if value}
+
+
+def _is_starting(container: Object) -> bool:
+    waiting = (container.get("state") or {}).get("waiting")
+    return waiting is not None and waiting.get("reason") in _STARTING and not container.get("lastState")
+
+
+def _role(obj: Object) -> str | None:
+    return labels_of(obj).get(Label.ROLE)
+
+
+def _goes_on(run: Object | None) -> bool:
+    """Tell whether a run is there whose Jobs and pods still bear on anything."""
+    return run is not None and not is_finished(run)
 
 
 def is_finished(run: Object) -> bool:

@@ -76,7 +76,7 @@ def figures(url: str, sweep_uid: str, live: Iterable[Object]) -> dict[str, Any]:
     rows = _rows(url, sweep_uid)
     archived = {str(row["uid"]) for row in rows}
     others = [run for run in live if run["metadata"]["uid"] not in archived]
-    errors = [float(row["ate.rmse"]) for row in rows if row["status"] == "tracked"]
+    errors = [float(row["ate.rmse"]) for row in rows if row["status"] == "Tracked"]
     errors += [
         float(result["ate"]["rmse"]) for run in others for result in run["status"].get("results") or ()
     ]

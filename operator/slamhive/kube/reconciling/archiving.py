@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from slamhive.model.sweep import Sweep
 
 _AT_ONCE = 50
+_DELETED_AT_ONCE = 16
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -95,19 +96,18 @@ class Retirement:
         written = decode_points(body["status"].get("points"), points)
         # Only what the status says to be done may go: the bit is what remains of a run here.
         going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
-        for run in going:
-            await asked(op.archive.put_run, *self._records(op, sweep, run))
+        if going:
+            await asked(op.archive.put_used, [self._records(op, sweep, run) for run in going])
         # All are in the archive before the first is deleted: a crash in between leaves them in both, and the
         # next look deletes.
-        left = surplus - len(going)
-        for run in going:
-            meta = run["metadata"]
-            run_key = key_of(Kind.MAPPING_RUN, run)
-            try:
-                await op.delete(run_key, uid=meta["uid"], resource_version=meta["resourceVersion"])
-            except Conflict:  # someone wrote to it: the archive gets the newer state next time
-                await op.refresh(run_key)
-                left += 1
+        limit = asyncio.Semaphore(_DELETED_AT_ONCE)
+
+        async def delete(run: Object) -> bool:
+            async with limit:
+                return await _is_deleted(op, run)
+
+        told = await asyncio.gather(*(delete(run) for run in going))
+        left = surplus - sum(told)
         return [op.settings.sweep_write_seconds] if left else []
 
     def _records(
@@ -133,3 +133,14 @@ class Retirement:
         if (run["metadata"].get("annotations") or {}).get(FILES):
             record = record.replace(folder=None)  # the collector removes it
         return record, algorithm, dataset
+
+
+async def _is_deleted(op: Operator, run: Object) -> bool:
+    """Delete an archived run; False where someone wrote to it: the archive gets the newer state next time."""
+    meta, key = run["metadata"], key_of(Kind.MAPPING_RUN, run)
+    try:
+        await op.delete(key, uid=meta["uid"], resource_version=meta["resourceVersion"])
+    except Conflict:
+        await op.refresh(key)
+        return False
+    return True

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 RUNS_ANNOTATION = "slamhive.io/runs"
 _MOST_FAILURES = 3
 _AT_ONCE = 8
+_LOOK_SECONDS = 0.25
 _WRITE_SECONDS = 2.0
 _REFUSED_SECONDS = 15.0
 
@@ -65,7 +66,8 @@ class Evaluations:
         """Have a finished run measured, if that is asked for and was not done."""
         key = key_for(run)
         if key is not None and run["status"].get("trajectory"):
-            op.queue.add(key)
+            # One look answers for all runs that end within a moment: it goes through all of their group.
+            op.queue.add(key, min(_LOOK_SECONDS, op.settings.evaluation.delay_seconds))
 
     async def __call__(self, op: Operator, key: Key) -> float | None:
         """Look at a group: take results in, start what is missing, write the Evaluation's status."""

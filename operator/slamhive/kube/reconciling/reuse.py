@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.kinds import Key, Kind, Label
+from slamhive.kube.kinds import Key, Kind, Label, key_of
 from slamhive.kube.reconciling.sweep_runs import SAME_AS
 from slamhive.kube.records import record_of
 from slamhive.model.results import Phase
@@ -35,12 +35,19 @@ class Twins:
     def __init__(self, catalogue: Catalogue) -> None:
         self._catalogue = catalogue
         self._known: dict[tuple[str, str], str] = {}
+        self._learned: dict[Key, tuple[str, str | None]] = {}
         self._has_looked_around = False
         self.processors: set[str] = set()
         """Models of the cluster's processors, as far as its runs told of them."""
 
     def learn(self, run: dict[str, Any]) -> None:
         """Take note of a finished run."""
+        # It is looked at again after each write to it; what is needed here doesn't change any more.
+        key, uid = key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"]
+        if self._learned.get(key, ("", None))[0] == uid:
+            return
+        self.forget(key)
+        self._learned[key] = uid, None
         # Only what is needed: it is done for all finished runs of a cluster at once.
         told = {name: run["status"][name] for name in ("phase", "provenance") if name in run["status"]}
         status = MappingRunStatus.of({"status": told})
@@ -48,9 +55,16 @@ class Twins:
         hashed = provenance.content_hash
         # Only runs that computed: who took over another's result would lead there anyway.
         if status.phase is Phase.SUCCEEDED and hashed and not provenance.reused_from:
-            self._known[run["metadata"]["namespace"], hashed] = run["metadata"]["name"]
+            self._learned[key] = uid, hashed
+            self._known[key.namespace, hashed] = key.name
             if provenance.cpu_model:
                 self.processors.add(provenance.cpu_model)
+
+    def forget(self, key: Key) -> None:
+        """Forget a run that is gone: what is archived is found there, and a large Sweep's are many."""
+        _, hashed = self._learned.pop(key, (None, None))
+        if hashed is not None and self._known.get((key.namespace, hashed)) == key.name:
+            del self._known[key.namespace, hashed]
 
     def _look_around(self, op: Operator) -> None:
         """Learn all finished runs, once.

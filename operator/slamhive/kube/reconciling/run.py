@@ -25,7 +25,7 @@ from slamhive.kube.builders.player import player
 from slamhive.kube.builders.run import job_name
 from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, Forbidden
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of, reference
-from slamhive.kube.observing import Attempted, observe_attempt, observe_read
+from slamhive.kube.observing import POD_SECONDS, Attempted, observe_attempt, observe_read
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.refusals import why_no_pod
 from slamhive.kube.reconciling.run_status import (
@@ -103,6 +103,8 @@ class RunReconciler:
         run = op.store.get(key)
         if run is None or run["metadata"].get("deletionTimestamp"):
             self._resolved.pop(key, None)
+            if run is None:
+                self._twins.forget(key)
             return None
         if phase_of(run["status"]).is_finished:
             self._resolved.pop(key, None)
@@ -300,7 +302,8 @@ class RunReconciler:
         await variants.touch(
             op, Key(Kind.DATASET, facts.key.namespace, facts.dataset.name), facts.wanted.name
         )
-        return None
+        # A pod that begins as pods do leads to no look; where none comes, one has to ask why.
+        return POD_SECONDS
 
     async def _try(
         self, op: Operator, facts: RunFacts, state: RunState, decision: Decision

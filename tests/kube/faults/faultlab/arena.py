@@ -80,7 +80,7 @@ def evaluator_log(request: EvaluateRequest, error: Callable[[Object], float]) ->
             "uid": run["uid"],
             "name": run["name"],
             "result": {
-                "evaluation": request.evaluation or "SE3",
+                "evaluation": request.evaluation or "se3",
                 "outcome": "Tracked",
                 "coverage": 1.0,
                 "values": {"ate": {"rmse": error(run)}, SETTINGS_KEY: hashed},

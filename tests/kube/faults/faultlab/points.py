@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 WRITES = frozenset({"create", "patch", "delete"})
 ARCHIVE = "archive"
-_ARCHIVE_WRITES = frozenset({"put_run", "put_runs", "put_result", "put_sweep", "put_catalog"})
+_ARCHIVE_WRITES = frozenset({"put_run", "put_used", "put_runs", "put_result", "put_sweep", "put_catalog"})
 
 
 class Point(NamedTuple):

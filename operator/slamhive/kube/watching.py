@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Following objects of the Kubernetes API: list, then watch, and again from the list after any break."""
+"""Following objects of the Kubernetes API: list, then watch, and again from the list after any break.
+
+The dashboard follows all that it shows by this, the operator the Jobs and pods of its runs: following.py.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ if TYPE_CHECKING:
 WATCH_SECONDS = 240
 """How long one watch lasts; the server would end it after 30 to 60 min."""
 
-_SILENCE_SECONDS = WATCH_SECONDS + 30
+_SILENCE_SECONDS = 90.0  # longer than the minute between the server's bookmarks: such a watch is dead
 _FIRST_PAUSE = 0.5
 _LONGEST_PAUSE = 20.0
 _MAX_LINE = 8 * 2**20
@@ -51,10 +54,12 @@ class Follower:
         session: by which it watches; following ends when this is closed.
         kind: the kind.
         namespace: where.
-        reset: called with all objects after each list.
+        reset: called with all objects after each list, and the version of that.
         change: called with (ADDED, MODIFIED or DELETED, the object).
         trouble: called with a sentence when the API does not answer, with None when it does again.
-        narrow: applied to each object as it comes.
+        narrow: applied to each object of a list as it comes, so that it is never held whole.
+        narrow_change: applied to each object that has changed; default: the same.
+        labels: label selector, applied by the server: what it leaves out never comes here.
     """
 
     def __init__(
@@ -64,10 +69,12 @@ class Follower:
         kind: Kind,
         namespace: str,
         *,
-        reset: Callable[[list[Any]], None],
+        reset: Callable[[list[Any], str], None],
         change: Callable[[str, Any], None],
         trouble: Callable[[str | None], None],
         narrow: Callable[[Object], Any],
+        narrow_change: Callable[[Object], Any] | None = None,
+        labels: str | None = None,
     ) -> None:
         self._api = api
         self._session = session
@@ -77,6 +84,8 @@ class Follower:
         self._change = change
         self._trouble = trouble
         self._narrow = narrow
+        self._narrow_change = narrow_change or narrow
+        self._labels = labels
 
     async def run(self) -> None:
         """Follow until the session is closed."""
@@ -94,8 +103,10 @@ class Follower:
             pause = min(2 * pause, _LONGEST_PAUSE)
 
     async def _list(self) -> str:
-        items, version = await self._api.list(self._kind, self._namespace, narrow=self._narrow)
-        self._reset(items)
+        items, version = await self._api.list(
+            self._kind, self._namespace, labels=self._labels, narrow=self._narrow
+        )
+        self._reset(items, version)
         return version
 
     async def _watch(self, version: str) -> None:
@@ -109,19 +120,19 @@ class Follower:
                     raise ValueError(str(obj.get("message") or "the watch broke off"))
                 newest = str(obj.get("metadata", {}).get("resourceVersion") or newest)
                 if event.get("type") in {"ADDED", "MODIFIED", "DELETED"}:
-                    self._change(str(event["type"]), self._narrow(obj))
+                    self._change(str(event["type"]), self._narrow_change(obj))
             version = newest or version
 
     async def _events(self, version: str) -> AsyncIterator[Object]:
         access = await self._api.access()
         query = {
-            "watch": "1",
+            "watch": "true",
             "resourceVersion": version,
             "allowWatchBookmarks": "true",
             "timeoutSeconds": str(WATCH_SECONDS),
-        }
+        } | ({"labelSelector": self._labels} if self._labels else {})
         address = f"{access.server}{self._kind.path(self._namespace)}?{urlencode(query)}"
-        headers = {"Accept": "application/json", "User-Agent": "slamhive-dashboard"}
+        headers = {"Accept": "application/json", "User-Agent": "slamhive"}
         if access.token:
             headers["Authorization"] = f"Bearer {access.token}"
         context = ssl.create_default_context(cafile=access.ca_path)

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Following of the Jobs and pods that belong to our objects, beside kopf's watches of those themselves.
+
+Nine of ten events are theirs. kopf, made to handle each event of each object by itself, spends ten times on
+one what it takes to read it and to note it in the store.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import TYPE_CHECKING
+
+from slamhive.kube.ending import end_tasks
+from slamhive.kube.kinds import Kind
+from slamhive.kube.operator import MANAGED
+from slamhive.kube.watching import Follower, open_session
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from aiohttp import ClientSession
+
+    from slamhive.kube.operator import Operator
+
+FOLLOWED = tuple(kind for kind in Kind if not kind.is_ours)
+"""Kinds that are followed here and not by kopf."""
+
+_log = logging.getLogger("slamhive.operator")
+
+
+@asynccontextmanager
+async def following(op: Operator) -> AsyncIterator[None]:
+    """Follow the Jobs and pods of all namespaces as long as the context lasts."""
+    session = open_session()
+    tasks = [
+        asyncio.create_task(
+            _follower(op, session, kind, namespace).run(), name=f"{kind.plural} of {namespace}"
+        )
+        for kind in FOLLOWED
+        for namespace in op.settings.namespaces
+    ]
+    for task in tasks:
+        task.add_done_callback(op.note_end)
+    try:
+        yield
+    finally:
+        for task in tasks:
+            task.remove_done_callback(op.note_end)
+        await session.close()  # before the tasks: open_session says why
+        await end_tasks(tasks)
+
+
+def _follower(op: Operator, session: ClientSession, kind: Kind, namespace: str) -> Follower:
+    told: list[str | None] = [None]
+
+    def trouble(sentence: str | None) -> None:
+        if sentence is not None and sentence != told[0]:
+            _log.warning("%s", sentence)
+        told[0] = sentence
+
+    return Follower(
+        op.api,
+        session,
+        kind,
+        namespace,
+        reset=partial(op.take_list, kind, namespace),
+        change=partial(op.observe, kind),
+        trouble=trouble,
+        narrow=partial(op.store.narrowed, kind),
+        narrow_change=lambda obj: obj,  # the store does it, if the object is news at all
+        labels=MANAGED,
+    )
