@@ -117,10 +117,7 @@ def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool
         work.mkdir(exist_ok=True)
         if part.members is None:
             with disk_words(shop.sequence.title, path):
-                place = work / part.name
-                place.parent.mkdir(parents=True, exist_ok=True)
-                place.unlink(missing_ok=True)
-                place.hardlink_to(path)
+                _link(path, work / part.name)
             break
         shop.listener.step(f"unpacking {part.name}")
         held = max(path.stat().st_blocks * 512, 1)
@@ -146,6 +143,16 @@ def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool
     return None if part.manual is not None else path
 
 
+def _link(source: Path, target: Path) -> None:
+    """Put a file, or a folder with all in it, to another place without copying what it holds."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if source.is_dir():
+        shutil.copytree(source, target, copy_function=os.link, dirs_exist_ok=True)
+    else:
+        target.unlink(missing_ok=True)
+        target.hardlink_to(source)
+
+
 class _Shop:
     """Brings the parts of a sequence here."""
 
@@ -160,13 +167,20 @@ class _Shop:
             InputError: It isn't; the sentence says where to get it and where to put it.
         """
         folder = self._downloads / self.sequence.family.name
-        for part in self.sequence.parts.values():
-            if part.manual is not None and not (folder / part.name).is_file():
-                folder.mkdir(exist_ok=True)
-                raise InputError(
-                    f"{self.sequence.title}: {part.name} is to be fetched by hand: log in or accept the "
-                    f"licence at {part.manual}, put the file into {folder}, then give the same command again"
-                )
+        by_hand = [part for part in self.sequence.parts.values() if part.manual is not None]
+        missing = [part for part in by_hand if not (folder / part.name).exists()]
+        if not missing:
+            return
+        for part in missing:
+            (folder / part.name).parent.mkdir(parents=True, exist_ok=True)
+        first, names = missing[0], ", ".join(part.name for part in missing)
+        are = "are" if len(missing) > 1 else "is"
+        them = "them" if len(missing) > 1 else "it" if first.how else "the file"
+        how = first.how or f"log in or accept the licence at {first.manual}"
+        raise InputError(
+            f"{self.sequence.title}: {names} {are} to be fetched by hand: {how}, put {them} into {folder}, "
+            "then give the same command again"
+        )
 
     def bring(self, title: str, part: Part) -> Path:
         """Return a part's file, fetched if it isn't here.
@@ -179,7 +193,7 @@ class _Shop:
             return self._by_hand(part)
         what = f"{self.sequence.title}: {part.name}"
         urls = [str(part.url), *part.mirrors]
-        place = self._downloads / f"{digest(urls[0])[:16]}-{part.name}"
+        place = self._downloads / f"{digest(urls[0])[:16]}-{part.name.rpartition('/')[2]}"
         if place.is_file():
             return place
         sums = _KnownSums(self._downloads / SUMS)
@@ -218,6 +232,8 @@ class _Shop:
 
     def _by_hand(self, part: Part) -> Path:
         path = self._downloads / self.sequence.family.name / part.name
+        if path.is_dir():
+            return path
         size = path.stat().st_size
         if part.size is not None and size != part.size:
             raise DataError(

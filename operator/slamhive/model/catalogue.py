@@ -43,7 +43,14 @@ class Part(Model):
     manual: str | None = optional(
         "The page from which it is to be fetched by hand, after a login or a click.", pattern=HTTPS
     )
-    file: RelativePath | None = optional("Its name, where it isn't the last part of the url.")
+    how: str | None = optional("What is to be done there, where it isn't a login or a click.")
+    file: RelativePath | None = optional(
+        "Its name, or its place among what is unpacked, where it isn't the last part of the url. What is "
+        "fetched by hand may be a folder."
+    )
+    shared: bool = Field(
+        default=False, description="Whether it holds other sequences, too, also such as aren't listed."
+    )
     size: int | None = optional("Bytes.", gt=0)
     sha256: Sha256 | None = optional("Checksum.")
     piece_bytes: int = Field(default=0, ge=0, description="Size of the pieces whose checksums are known.")
@@ -59,6 +66,8 @@ class Part(Model):
             raise ValueError("give either url or manual")
         if bool(self.pieces) != bool(self.piece_bytes):
             raise ValueError("pieces and pieceBytes belong together")
+        if self.how is not None and self.manual is None:
+            raise ValueError("how: only of what is fetched by hand, which has manual")
         if self.manual is not None and self.file is None:
             raise ValueError("file: what is fetched by hand needs its name")
         return self
@@ -189,8 +198,7 @@ class CatalogueSequence:
                 if title in value
             }
             parts[title] = Part.model_validate(filled)
-            source = plain.get("url") or plain["file"]
-            if source == (filled.get("url") or filled["file"]) and len(family.rows) > 1:
+            if head.parts[title].shared or _has_others(family, name, title, words):
                 shared.add(title)
         return cls(
             family=head,
@@ -207,6 +215,17 @@ class CatalogueSequence:
     def title(self) -> str:
         """Return family and sequence as users write them."""
         return f"{self.family.name}/{self.name}"
+
+
+def _has_others(family: Family, name: str, title: str, words: Mapping[str, str]) -> bool:
+    """Tell whether other sequences of a family come from the same file as one of them."""
+    part = family.head.parts[title]
+    used = set(_FIELD.findall(part.url or str(part.file)))
+    rows = [row for other, row in family.rows.items() if other != name]
+    chosen = [row for row in rows if title in (row.get("parts") or family.head.parts)]
+    return "sequence" not in used and any(
+        all((row.get("words") or {}).get(word) == words.get(word) for word in used) for row in chosen
+    )
 
 
 def dataset_name(family: str, sequence: str) -> str:
