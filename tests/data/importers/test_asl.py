@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 import pytest
+from layouts.asl import CAMCHAIN, MOCAP, START, lamaria_calibration, lamaria_truth, monado, tum_vi
 
 from slamhive.data.exporting import export_dataset
 from slamhive.data.groundtruth import ground_truth
@@ -23,53 +23,7 @@ from slamhive.model.sensors import Role
 if TYPE_CHECKING:
     from pathlib import Path
 
-START = 1_520_530_308_199_447_626
 STEREO = (Role.LEFT, Role.RIGHT)
-CAMCHAIN = """cam0:
-  T_cam_imu:
-  - [0.0, 1.0, 0.0, 0.1]
-  - [-1.0, 0.0, 0.0, 0.2]
-  - [0.0, 0.0, 1.0, 0.3]
-  - [0.0, 0.0, 0.0, 1.0]
-  camera_model: pinhole
-  distortion_coeffs: [0.003, 0.0007, -0.002, 0.0002]
-  distortion_model: equidistant
-  intrinsics: [5.1, 5.2, 3.3, 2.4]
-  resolution: [8, 6]
-  timeshift_cam_imu: 0.004
-cam1:
-  T_cam_imu:
-  - [0.0, 1.0, 0.0, 0.0]
-  - [-1.0, 0.0, 0.0, 0.2]
-  - [0.0, 0.0, 1.0, 0.3]
-  - [0.0, 0.0, 0.0, 1.0]
-  camera_model: pinhole
-  distortion_coeffs: [0.003, 0.0007, -0.002, 0.0002]
-  distortion_model: equidistant
-  intrinsics: [5.1, 5.2, 3.3, 2.4]
-  resolution: [8, 6]
-"""
-IMU_CONFIG = """accelerometer_noise_density: 0.0028
-accelerometer_random_walk: 0.00086
-gyroscope_noise_density: 0.00016
-gyroscope_random_walk: 2.2e-05
-update_rate: 200.0
-"""
-MOCAP = (
-    "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []\n"
-)
-
-
-def tum_vi(asl: Any, folder: Path) -> Path:
-    asl(folder, dtype=np.uint16)
-    (folder / "dso").mkdir()
-    (folder / "dso" / "camchain.yaml").write_text(CAMCHAIN)
-    (folder / "dso" / "imu_config.yaml").write_text(IMU_CONFIG)
-    (folder / "mav0" / "mocap0").mkdir()
-    # 120 Hz: poses a few ms apart.
-    rows = [f"{START + 8_333_333 * k},{0.01 * k},0,0,1,0,0,0" for k in range(48)]
-    (folder / "mav0" / "mocap0" / "data.csv").write_text(MOCAP + "\n".join(rows) + "\n")
-    return folder
 
 
 def test_tum_vi(asl: Any, imported: Any, tmp_path: Path) -> None:
@@ -96,30 +50,6 @@ def test_images_of_16_bits_become_8(asl: Any, imported: Any, tmp_path: Path) -> 
         assert variant.sensors[Role.LEFT].camera.encoding == "mono8"
 
 
-def basalt_camera(kind: str, **values: float) -> dict[str, Any]:
-    return {"camera_type": kind, "intrinsics": {"fx": 5.0, "fy": 5.1, "cx": 3.0, "cy": 2.0} | values}
-
-
-def monado(asl: Any, folder: Path) -> Path:
-    asl(folder)
-    fisheye = basalt_camera("kb4", k1=0.1, k2=0.2, k3=0.3, k4=0.4)
-    pose = {"px": 0.1, "py": 0.2, "pz": 0.3, "qx": 0.0, "qy": 0.0, "qz": 1.0, "qw": 0.0}
-    value = {
-        "T_imu_cam": [pose, pose | {"px": 0.2}],
-        "intrinsics": [fisheye, fisheye],
-        "resolution": [[8, 6], [8, 6]],
-        "imu_update_rate": 1000.0,
-        "accel_noise_std": [0.016, 0.016, 0.016],
-        "gyro_noise_std": [0.000282, 0.000282, 0.000282],
-        "cam_time_offset_ns": 2_000_000,
-    }
-    (folder / "calibration.json").write_text(json.dumps({"value0": value}))
-    (folder / "mav0" / "gt").mkdir()
-    rows = [f"{START + 10_000_000 * k},{k},0,0,0.5,0.5,0.5,0.5" for k in range(4)]
-    (folder / "mav0" / "gt" / "data.csv").write_text("#timestamp [ns],p,p,p,q\n" + "\n".join(rows) + "\n")
-    return folder
-
-
 def test_monado(asl: Any, imported: Any, tmp_path: Path) -> None:
     found = imported(monado(asl, tmp_path / "MIO01"), "Euroc")
     left = found.sensors["left"]
@@ -142,18 +72,10 @@ def test_a_camera_of_monado_that_is_not_known(asl: Any, imported: Any, tmp_path:
 
 def test_lamaria(asl: Any, imported: Any, tmp_path: Path) -> None:
     folder = asl(tmp_path / "R_01", base="aria")
-    camera = {
-        "model": "PINHOLE",
-        "params": [5.0, 5.0, 4.0, 3.0],
-        "resolution": {"width": 8, "height": 6},
-        "T_b_s": {"qvec": [0.0, 0.0, 1.0, 0.0], "tvec": [0.1, 0.0, 0.0]},
-    }
     (folder / "pinhole_calibrations").mkdir()
-    text = json.dumps({"cam0": camera, "cam1": camera, "imu0": {}})
-    (folder / "pinhole_calibrations" / "R_01.json").write_text(text)
+    (folder / "pinhole_calibrations" / "R_01.json").write_text(lamaria_calibration())
     (folder / "ground_truth" / "pGT").mkdir(parents=True)
-    rows = [f"{START + 50_000_000 * k} {k} 0 0 0 0 0 1" for k in range(4)]
-    (folder / "ground_truth" / "pGT" / "R_01.txt").write_text("\n".join(rows) + "\n")
+    (folder / "ground_truth" / "pGT" / "R_01.txt").write_text(lamaria_truth())
     (folder / "ground_truth" / "control_points").mkdir()
     found = imported(folder, "Euroc")
     assert "control points are left out: they are seen in images" in found.notes
