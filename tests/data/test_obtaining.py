@@ -326,7 +326,7 @@ def test_all_that_comes_with_slamhive_follows_the_model() -> None:
             names.add(dataset_name(family.name, name))
             spec = {"catalogue": sequence.title, "attributes": sequence.attributes, **sequence.dataset}
             Dataset.model_validate({"metadata": {"name": dataset_name(family.name, name)}, "spec": spec})
-    assert len(names) == sum(len(family.rows) for family in load_catalogue().values()) > 250
+    assert len(names) == sum(len(family.rows) for family in load_catalogue().values()) > 500
 
 
 @pytest.mark.parametrize(

@@ -66,10 +66,16 @@ class Handler(http.server.BaseHTTPRequestHandler):
             page = site.pages[self.path.split("?")[0]].encode()
             self._head(200, {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(page))})
             self.wfile.write(page)
-        elif (path := site.folder / self.path.split("?")[0].lstrip("/")).is_file():
+        elif (path := site.folder / self._name()).is_file():
             self._file(path, asked)
         else:
             self.send_error(404)
+
+    def _name(self) -> str:
+        """Return the path of the file that is asked for; Google Drive names files by ``id`` alone."""
+        path, _, query = self.path.partition("?")
+        number = re.search(r"(?:^|&)id=([\w-]+)", query)
+        return number[1] if number and path == "/download" else path.lstrip("/")
 
     def _head(self, status: int, headers: dict[str, str]) -> None:
         self.send_response(status)

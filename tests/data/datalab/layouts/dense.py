@@ -17,19 +17,19 @@ QUARTER = (0.0, 0.0, 0.5**0.5, 0.5**0.5)
 """Quaternion of a quarter turn to the right, about z down."""
 
 
-def write_images(folder: Path, names: str) -> None:
+def write_images(folder: Path, names: str, size: tuple[int, int] = (12, 16)) -> None:
     folder.mkdir(parents=True)
     for k in range(FRAMES):
-        cv2.imwrite(str(folder / names.format(k)), np.full((12, 16, 3), 50 * k + 3, dtype=np.uint8))
+        cv2.imwrite(str(folder / names.format(k)), np.full((*size, 3), 50 * k + 3, dtype=np.uint8))
 
 
-def write_trajectory(folder: Path) -> Path:
+def write_trajectory(folder: Path, size: tuple[int, int] = (12, 16)) -> Path:
     """Write one of version 1: it goes forward, then looks to the right."""
     for side in ("left", "right"):
-        write_images(folder / f"image_{side}", f"{{:06}}_{side}.png")
+        write_images(folder / f"image_{side}", f"{{:06}}_{side}.png", size)
     (folder / "depth_left").mkdir()
     for k in range(FRAMES):
-        depth = np.full((12, 16), 1.25 + k, dtype=np.float32)
+        depth = np.full(size, 1.25 + k, dtype=np.float32)
         np.save(folder / "depth_left" / f"{k:06}_left_depth.npy", depth)
     turned = ((0, 0, 0, 1), (0, 0, 0, 1), QUARTER)
     poses = [(10 + k, 20, -5, *q) for k, q in enumerate(turned)]
