@@ -190,6 +190,21 @@ def test_all_mistakes_of_an_object_are_told() -> None:
     ]
 
 
+def test_a_list_whose_only_item_is_wrong_is_told_of_once() -> None:
+    text = """
+apiVersion: slamhive.io/v1alpha1
+kind: Dataset
+metadata: {name: d}
+spec:
+  recording:
+    synthetic: {sensors: [Camera], durationSeconds: 8}
+"""
+    with pytest.raises(ManifestError) as error:
+        to_object(parse(text, "f.yaml")[0])
+    (line,) = str(error.value).splitlines()
+    assert line.startswith("f.yaml:7: spec.recording.synthetic.sensors.0: Input should be 'Lidar'")
+
+
 def test_a_whole_quantity_may_be_a_number() -> None:
     made = to_object(parse(RUN + "  resources: {cpu: 2}\n", "f.yaml")[0])
     assert made.spec.resources.cpu == "2"  # type: ignore[union-attr]

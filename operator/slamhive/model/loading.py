@@ -172,7 +172,11 @@ class _Judge:
         wrong: list[tuple[Path_, bool]] = []
         for error in errors:
             path = self._original(tuple(_real_path(plain, error["loc"])))
-            if not self._follows(path) and self._document.where(path) not in self._unread:
+            counts_good_items = error["type"] == "too_short" and any(
+                error["loc"] == other["loc"][: len(error["loc"])] for other in errors if other is not error
+            )
+            follows = counts_good_items or self._follows(path)
+            if not follows and self._document.where(path) not in self._unread:
                 told.append(_sentence(self._document, path, error, self._model))
             missing = error["type"] == "missing"
             wrong.append((path[:-1] if missing else path, error["type"] == "extra_forbidden"))
