@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
+import uuid
 from collections import defaultdict
 from contextlib import ExitStack
 from pathlib import Path
@@ -42,6 +43,8 @@ LONG = ("slow", "image", "ros", "container")
 """Markers of tests that may take longer than a minute."""
 CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm", "ros1-player", "kiss-icp-ros")
 """Images that tests run in containers of a workstation, as images/build calls them."""
+POSTGRESQL = "SLAMHIVE_TEST_POSTGRESQL"
+"""Variable that names a PostgreSQL server for tests."""
 CLUSTERS = frozenset({"control_plane", "node_cluster"})
 """Fixtures of real clusters: what uses one may take as long."""
 INSTALLING = frozenset({"environments", "evo"})
@@ -282,6 +285,39 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tiny").mkdir()
     shutil.copyfile(ACTOR / "tiny.yaml", folder / "tiny" / "dataset.yaml")
     return folder
+
+
+@pytest.fixture(scope="session")
+def postgresql_server() -> Iterator[str]:
+    """A PostgreSQL server: the one that the variable names, or one of our own in a temporary folder."""
+    given = os.environ.get(POSTGRESQL)
+    if given:
+        yield given
+        return
+    sys.path.append(str(TESTS / "archive"))
+    from servers import postgresql
+
+    with postgresql() as own:
+        if own is None:
+            pytest.skip(f"no PostgreSQL here: apt-get install postgresql, or let {POSTGRESQL} name a server")
+        yield own.url
+
+
+@pytest.fixture
+def postgresql_url(postgresql_server: str) -> Iterator[str]:
+    """The URL of an empty database in PostgreSQL."""
+    pytest.importorskip("psycopg")
+    from sqlalchemy import create_engine, make_url, text
+
+    base = make_url(postgresql_server).set(drivername="postgresql+psycopg")
+    name = f"slamhive_{uuid.uuid4().hex[:12]}"
+    admin = create_engine(base, isolation_level="AUTOCOMMIT")
+    with admin.connect() as connection:
+        connection.execute(text(f"CREATE DATABASE {name}"))
+    yield base.set(database=name).render_as_string(hide_password=False)
+    with admin.connect() as connection:
+        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
+    admin.dispose()
 
 
 @pytest.fixture(scope="session")

@@ -3,21 +3,14 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
-import sys
-import uuid
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from sqlalchemy import create_engine, make_url, text
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from servers import postgresql
+from sqlalchemy import create_engine, text
 
 from slamhive.archive import Archive, schema
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
@@ -25,39 +18,10 @@ from slamhive.model.results import Outcome, Phase, Result, RunRecord
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-SERVER = "SLAMHIVE_TEST_POSTGRESQL"
-
 
 @pytest.fixture
 def sqlite_url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path / 'sub' / 'archive.sqlite'}"
-
-
-@pytest.fixture(scope="session")
-def server() -> Iterator[str]:
-    """A PostgreSQL server: the one that the variable names, or one of our own in a temporary folder."""
-    given = os.environ.get(SERVER)
-    if given:
-        yield given
-        return
-    with postgresql() as own:
-        if own is None:
-            pytest.skip(f"no PostgreSQL here: apt-get install postgresql, or let {SERVER} name a server")
-        yield own.url
-
-
-@pytest.fixture
-def postgresql_url(server: str) -> Iterator[str]:
-    pytest.importorskip("psycopg")
-    base = make_url(server).set(drivername="postgresql+psycopg")
-    name = f"slamhive_{uuid.uuid4().hex[:12]}"
-    admin = create_engine(base, isolation_level="AUTOCOMMIT")
-    with admin.connect() as connection:
-        connection.execute(text(f"CREATE DATABASE {name}"))
-    yield base.set(database=name).render_as_string(hide_password=False)
-    with admin.connect() as connection:
-        connection.execute(text(f"DROP DATABASE {name} WITH (FORCE)"))
-    admin.dispose()
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

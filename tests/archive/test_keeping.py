@@ -108,7 +108,7 @@ def other_url(request: pytest.FixtureRequest, url: str, tmp_path: Path) -> Itera
     if request.param == "sqlite":
         yield f"sqlite:///{tmp_path / 'other.sqlite'}"
         return
-    own = request.getfixturevalue("server")
+    own = request.getfixturevalue("postgresql_server")
     name = f"other_{os.urandom(6).hex()}"
     admin = create_engine(own.replace("postgresql://", "postgresql+psycopg://"), isolation_level="AUTOCOMMIT")
     with admin.connect() as connection:

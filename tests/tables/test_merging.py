@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,11 @@ def result(evaluation: str, error: float) -> Result:
 def homes(keep: Callable[[str], Any]) -> tuple[Any, Any]:
     """Two homes: a run in both, one with another result there, two of one UID, one of its own in each."""
     mine, anna = keep("mine"), keep("anna")
+    fill(mine, anna)
+    return mine, anna
+
+
+def fill(mine: Any, anna: Any) -> None:
     for one in (mine, anna):
         one.run("both")
     mine.run("measured", content="c2", results=[result("se3", 0.1)])
@@ -41,7 +47,6 @@ def homes(keep: Callable[[str], Any]) -> tuple[Any, Any]:
     mine.run("only-mine", content="c5")
     first = anna.run("only-theirs", content="c6", sweep="t")
     anna.run("reused", content="c6", sweep="t", folder=first.folder, files=False)
-    return mine, anna
 
 
 def files(home: Any) -> dict[str, str]:
@@ -73,6 +78,40 @@ def test_runs_of_both_are_there_once(homes: tuple[Any, Any], run_command: Callab
     ]
     assert "evaluation se3 says something else there: it is kept as se3@anna" in " ".join(err.split())
     assert state(anna) == theirs
+
+
+@pytest.mark.parametrize("side", ["mine", "theirs"])
+def test_either_archive_may_be_in_postgresql(
+    keep: Callable[[str], Any],
+    run_command: Callable[..., Any],
+    postgresql_url: str,
+    monkeypatch: pytest.MonkeyPatch,
+    side: str,
+) -> None:
+    mine, anna = keep("mine"), keep("anna")
+    served = mine if side == "mine" else anna
+    served.home = replace(served.home, archive_url=postgresql_url)
+    fill(mine, anna)
+    if side == "mine":
+        monkeypatch.setenv("SLAMHIVE_ARCHIVE", postgresql_url)
+    before, theirs = set(mine.records()), anna.records()
+    other = anna.path if side == "mine" else f"anna={postgresql_url}"
+    code, out, err = run_command("archive", "merge", other)
+    assert code == 0, err
+    assert "merged: 3 runs, 2 results" in out
+    now = mine.records()
+    assert set(now) == {*before, "other@c4c4c4c4", "only-theirs", "reused"}
+    assert {one.evaluation: one.values["ate"]["rmse"] for one in now["measured"].results} == {
+        "se3": 0.1,
+        "se3@anna": 0.2,
+        "sim3": 0.3,
+    }
+    # A database alone has no files to bring.
+    assert ("t/s-only-theirs/run/output/trajectory.txt" in files(mine)) == (side == "mine")
+    assert anna.records() == theirs
+    code, _, err = run_command("archive", "merge", other)
+    assert code == 0, err
+    assert mine.records() == now
 
 
 def test_files_come_along_under_names_that_are_free(
