@@ -189,6 +189,28 @@ def test_an_interrupted_sweep_ends_cleanly_and_goes_on(system: Any, number: int)
     assert as_kept(system) == before
 
 
+LARGE = """
+apiVersion: slamhive.io/v1alpha1
+kind: Dataset
+metadata: {name: large}
+spec:
+  recording:
+    synthetic: {sensors: [Lidar], durationSeconds: 900, loops: 12, lidar: {rings: 64, columns: 1024}}
+"""
+
+
+def test_ctrl_c_does_not_wait_for_a_dataset_that_is_generated(system: Any, until: Any) -> None:
+    manifest = system.home.path / "large.yaml"
+    manifest.write_text(LARGE)
+    process = system.start("run", manifest, system.sweep(template={"datasetRef": {"name": "large"}}))
+    until(lambda: "generating the dataset large" in system.printed(process)[1], "the dataset to be begun")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(120) == 130
+    assert "Traceback" not in system.printed(process)[1]
+    assert system.records() == []
+    assert [path.name for path in system.home.path.glob("datasets/*large*") if path.is_dir()] == []
+
+
 def test_a_second_ctrl_c_does_not_wait_for_a_program_that_ignores_the_first(system: Any) -> None:
     process = system.start("run", system.sweep(template={"parameters": {"act": "hang"}}))
     deadline = time.monotonic() + 120

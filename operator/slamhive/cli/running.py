@@ -456,7 +456,7 @@ def _drive(jobs: Sequence[Job], bench: Workbench, how: _How) -> int:
         nonlocal saved
         if how.watched is not None and not saved and how.watched.changed():
             saved = True
-            runner.interrupt()
+            runner.interrupt(making=False)  # the next round wants the same recordings
 
     with Display(bench, lambda job: errors_before(job, bench.home), look) as display:
         runner = Runner(bench, display, parallelism=how.parallelism, wish=how.wish, begun=display.begun)

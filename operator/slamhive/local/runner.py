@@ -24,6 +24,7 @@ from slamhive.local.cores import CorePool
 from slamhive.local.leases import LeaseKind
 from slamhive.local.outlook import Looking, Outlook, Standing
 from slamhive.local.run import AtWorkElsewhere, RunDriver, RunOrder, Step
+from slamhive.local.workbench import GivenUp, Workbench
 from slamhive.model.results import Phase, RunRecord
 from slamhive.model.sweep import CachePolicy
 from slamhive.monitor import sweep_stale_cgroups
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from slamhive.engine import SweepDecision
     from slamhive.local.costs import Combinations
     from slamhive.local.run import Point
-    from slamhive.local.workbench import Workbench
     from slamhive.model.sweep import Sweep
 
 _LOOK_SECONDS = 0.25
@@ -193,13 +193,20 @@ class Runner:
             for job in jobs:
                 if not self._interrupted:
                     self._run(job, jobs)
+        except GivenUp:
+            pass  # a dataset that was made to know what is stale
         finally:
             claims.give_back_all()
         return self._interrupted
 
-    def interrupt(self) -> None:
-        """Start nothing more and end what runs; safe to call from a signal handler."""
+    def interrupt(self, *, making: bool = True) -> None:
+        """Start nothing more and end what runs; safe to call from a signal handler.
+
+        Args:
+            making: whether datasets and recordings that are being made are given up too.
+        """
         self._interrupted = True
+        self._bench.gives_up = making
 
     def _resume(self, job: Job, looking: Looking) -> None:
         """Mark the points that are done; from now on this is the current version of the sweep."""
@@ -367,6 +374,8 @@ class Runner:
             self._events.put(_Ended(job, index, record))
         except AtWorkElsewhere as found:
             self._events.put(_Ended(job, index, None, elsewhere=found.content))
+        except GivenUp:
+            self._events.put(_Ended(job, index, None))
         except BaseException as error:  # noqa: BLE001 - a thread's error is raised again by the runner
             self._events.put(_Ended(job, index, None, error))
 

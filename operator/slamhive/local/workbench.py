@@ -53,6 +53,10 @@ class Program(NamedTuple):
     image_id: str | None = None
 
 
+class GivenUp(BaseException):
+    """End of the making of a dataset or a recording that nobody waits for any more; no run has failed."""
+
+
 class Workbench:
     """The tools that all runs use.
 
@@ -77,6 +81,8 @@ class Workbench:
         self.archive = archive
         self.making: dict[str, float] = {}
         """What is being made that runs wait for, in words, and the share of it that is done."""
+        self.gives_up = False
+        """Whether datasets and recordings that are being made are wanted no more."""
         self.programs = Programs(home, container, notify, self.making)
         self.versions = Versions(home.path / "versions")
         self._notify = notify
@@ -201,9 +207,15 @@ class Workbench:
 
     @contextmanager
     def _making(self, what: str, notify: Callable[[str], None]) -> Iterator[Callable[[float], None]]:
-        """Note in `making` how far something is while it is made; what is there already is not told of."""
+        """Note in `making` how far something is while it is made; what is there already is not told of.
+
+        Raises:
+            GivenUp: nobody waits for it any more.
+        """
 
         def progress(share: float) -> None:
+            if self.gives_up:
+                raise GivenUp(what)
             if what not in self.making:
                 notify(what)
             self.making[what] = share

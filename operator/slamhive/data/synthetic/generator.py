@@ -268,7 +268,7 @@ def _write_bag(
             data = store.serialize_ros1(event.make(), event.message_type)
             writer.write(connections[event.topic], event.stamp + offset, data)
             counts[event.topic] = counts.get(event.topic, 0) + 1
-            if progress and number % 100 == 0:
+            if progress and number % 10 == 0:
                 progress(number / len(events))
     if progress:
         progress(1.0)
