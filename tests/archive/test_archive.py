@@ -19,6 +19,7 @@ import pytest
 from sqlalchemy import create_engine, event, text
 
 from slamhive.archive import Archive, CatalogEntry, SweepRecord, Totals, schema
+from slamhive.archive.connection import failures, open_engine, parse
 from slamhive.archive.upgrading import upgrade
 from slamhive.model.errors import InputError, SystemFault, UnknownNameError
 from slamhive.model.results import (
@@ -429,6 +430,19 @@ def test_a_file_that_is_no_database(tmp_path: Path) -> None:
     file.write_text("not a database, but long enough to be looked at as one" * 20)
     with pytest.raises(InputError, match=r"notes\.txt: the file is not an SQLite database"):
         Archive.open(f"sqlite:///{file}")
+
+
+def test_a_full_disk_is_said_with_what_helps(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'archive.sqlite'}"
+    Archive.open(url).close()
+    engine = open_engine(parse(url))
+    large = text("CREATE TABLE maps AS SELECT zeroblob(10000000)")
+    helps = "its disk is full; what it holds stays: make room, and the same command goes on"
+    with engine.begin() as connection:
+        connection.execute(text("PRAGMA max_page_count = 1"))  # of those that are there already
+        with pytest.raises(SystemFault, match=rf"archive\.sqlite: {helps}"), failures(engine.url):
+            connection.execute(large)
+    engine.dispose()
 
 
 def test_a_server_that_does_not_answer() -> None:

@@ -44,6 +44,7 @@ _SECRET_OPTIONS = ("password", "sslpassword")
 _SCHEME = re.compile(r"\s*([A-Za-z][A-Za-z0-9+:]{0,40})://")
 _DRIVERS = {"sqlite": "sqlite+pysqlite", "postgresql": "postgresql+psycopg", "postgres": "postgresql+psycopg"}
 _DAMAGED = ("malformed", "Could not decode to UTF-8")
+_FULL = ("database or disk is full", "No space left on device")
 
 
 def connect(url: str, *, read_only: bool = False) -> Engine:
@@ -149,6 +150,9 @@ def failures(url: URL) -> Iterator[None]:
             raise InputError(f"archive {shown(url)}: the file is not an SQLite database") from None
         if any(words in cause for words in _DAMAGED):
             raise _damaged(url, cause) from error
+        if any(words in cause for words in _FULL):
+            advice = "its disk is full; what it holds stays: make room, and the same command goes on"
+            raise SystemFault(f"archive {shown(url)}: {advice}") from error
         raise SystemFault(f"archive {shown(url)}: {cause}") from error
     except exc.SQLAlchemyError as error:
         raise SystemFault(f"archive {shown(url)}: {error}") from error
