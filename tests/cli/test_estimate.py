@@ -193,6 +193,22 @@ def test_runs_that_take_over_an_equal_result_cost_nothing(desk: Desk) -> None:
     assert "3 runs with an equal result to take over: not counted" in desk.text()
 
 
+def test_prepared_recordings_that_are_missing_are_counted(desk: Desk) -> None:
+    desk.keep(*range(12))
+    desk.file.write_text(MANIFEST.replace("matrix: [", "matrix: [{path: input.frameRate, values: [5, 2]}, "))
+    needed = desk.estimate()["recordings"]
+    assert (needed["made"], needed["toMake"], needed["unknown"]) == (0, 2, [])
+    assert needed["bytes"] > 10_000
+    assert "2 prepared recordings to be made first, up to about" in desk.text()
+    plan, workshop = desk.plan, load_workshop(desk.home)
+    workshop.add(load_file(desk.home.path / "tiny.yaml"), desk.home.path)
+    with Archive.open(desk.home.archive_url) as archive:
+        bench = Workbench(desk.home, workshop, archive)
+        bench.prepare(plan.point(0).spec, workshop.algorithm("actor").algorithm)
+    needed = desk.estimate()["recordings"]
+    assert (needed["made"], needed["toMake"]) == (1, 1)
+
+
 def test_nothing_is_changed_by_looking(desk: Desk) -> None:
     desk.keep(*range(12))
     file = desk.home.path / "archive.sqlite"

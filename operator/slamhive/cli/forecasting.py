@@ -16,7 +16,7 @@ from slamhive.cli.console import bytes_text, command_name, listing, out, plural
 from slamhive.cli.waiting import time_text
 from slamhive.local.cores import cores_here
 from slamhive.local.costs import Knowledge
-from slamhive.local.forecast import Wanted, forecast
+from slamhive.local.forecast import Recordings, Wanted, forecast, recordings_needed
 from slamhive.local.outlook import MOST_LOOKED_UP, Looking, Outlook, Standing
 from slamhive.local.runner import run_uid
 from slamhive.local.workbench import Workbench
@@ -46,6 +46,7 @@ class _Found:
     Attributes:
         wanted: the runs that are to be done.
         done: runs that are finished already.
+        recordings: prepared recordings that those need; None where they weren't looked for.
         equal: runs that take over an equal result, or that of a run of the same plan.
         notes: what could not be found out.
     """
@@ -53,6 +54,7 @@ class _Found:
     wanted: list[Wanted] = field(default_factory=list)
     done: int = 0
     equal: int = 0
+    recordings: Recordings | None = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -150,7 +152,16 @@ def _found(
             else:
                 indices.append(index)
         found.wanted.append(Wanted(points, indices, parallelism or sweep.spec.parallelism))
+    found.recordings = _recordings(found.wanted, workshop, home)
     return found
+
+
+def _recordings(wanted: Sequence[Wanted], workshop: Workshop, home: Home) -> Recordings | None:
+    file = file_of(home.archive_url)
+    if file is not None and not file.exists():
+        return None
+    with Archive.open(home.archive_url, read_only=True) as archive:
+        return recordings_needed(Workbench(home, workshop, archive), wanted)
 
 
 def _outlooks(
@@ -231,6 +242,7 @@ def _sentences(told: Forecast, found: _Found, knowledge: Knowledge, cores: int |
             f"{plural(count, 'run')} of {name} not counted: no run of it is known; "
             f"{command_name()} run FILE --first 3 does some"
         )
+    yield from _prepared(found.recordings)
     if told.unmeasured:
         yield (
             f"the length of the recording isn't known of {listing(told.unmeasured)}: taken for that of the "
@@ -251,6 +263,18 @@ def _sentences(told: Forecast, found: _Found, knowledge: Knowledge, cores: int |
             "prepared recordings and environments, and without measuring trajectories"
         )
     yield from found.notes
+
+
+def _prepared(needed: Recordings | None) -> Iterator[str]:
+    if needed is None:
+        return
+    if needed.there or needed.missing:
+        size = f", up to about {bytes_text(needed.size)}" if needed.missing else ""
+        what = plural(needed.missing, "prepared recording")
+        yield f"{what} to be made first{size}; {needed.there:,} there already"
+    if needed.unknown:
+        names = listing(sorted(needed.unknown))
+        yield f"prepared recordings of {names} aren't counted: the dataset is not here yet"
 
 
 def _processors(told: Forecast) -> Iterator[str]:
@@ -290,5 +314,13 @@ def _document(told: Forecast, found: _Found, knowledge: Knowledge) -> dict[str, 
         "unmeasuredDatasets": told.unmeasured,
         "failedLeftOut": knowledge.failed,
         "atTimeLimit": knowledge.limited,
+        "recordings": None
+        if found.recordings is None
+        else {
+            "made": found.recordings.there,
+            "toMake": found.recordings.missing,
+            "bytes": found.recordings.size,
+            "unknown": sorted(found.recordings.unknown),
+        },
         "notes": found.notes,
     }

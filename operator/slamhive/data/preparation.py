@@ -130,6 +130,46 @@ def prepare(  # noqa: PLR0917 - progress comes last everywhere
         DataError: The recording can't be used.
         SystemFault: The disk refuses.
     """
+    order, source, key = _identified(entry, roles, options, formats, cache, topics=topics)
+    folder = cache / key[:32]
+
+    def make(aside: Path) -> None:
+        path = aside / FILE_NAMES[order.target]
+        _describe(order, path, aside, make_recording(order, aside, progress))
+
+    make_once(folder, make, _is_sound)
+    _add_frames(folder)
+    return _load(folder, key, source)
+
+
+def variant_folder(
+    entry: DatasetEntry,
+    roles: Sequence[Role],
+    options: InputOptions,
+    formats: Sequence[DataFormat],
+    cache: Path,
+    *,
+    topics: Sequence[str] = (),
+) -> Path:
+    """Return the folder of the variant that a run needs, made or not; arguments as for ``prepare``.
+
+    Raises:
+        InputError: The options don't fit the dataset.
+        DataError: The recording can't be read.
+    """
+    return cache / _identified(entry, roles, options, formats, cache, topics=topics)[-1][:32]
+
+
+def _identified(
+    entry: DatasetEntry,
+    roles: Sequence[Role],
+    options: InputOptions,
+    formats: Sequence[DataFormat],
+    cache: Path,
+    *,
+    topics: Sequence[str],
+) -> tuple[Order, str, str]:
+    """Return what a variant is made from, the hash of its recording, and its key."""
     spec = entry.dataset.spec
     recorded = DataFormat(spec.recording.format)
     target = DataFormat(recorded if recorded in formats else formats[0])
@@ -151,14 +191,7 @@ def prepare(  # noqa: PLR0917 - progress comes last everywhere
         }
         | ({"topics": sorted(order.topics)} if order.topics else {})
     )
-    folder = cache / key[:32]
-
-    def make(aside: Path) -> None:
-        _describe(order, aside / FILE_NAMES[target], aside, make_recording(order, aside, progress))
-
-    make_once(folder, make, _is_sound)
-    _add_frames(folder)
-    return _load(folder, key, source)
+    return order, source, key
 
 
 def evict_variants(cache: Path, limit_bytes: int) -> list[str]:

@@ -14,7 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamhive.analysis.predicting import Interval, Nearness, Prediction, Quantity, design, predict
+from slamhive.data.store import is_made
 from slamhive.local.costs import planned_settings
+from slamhive.local.extent import Tally
+from slamhive.model.errors import SlamHiveError
 from slamhive.plan import whole_cores
 
 if TYPE_CHECKING:
@@ -22,6 +25,11 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.predicting import Floats, Integers
     from slamhive.local.costs import Combinations, Knowledge, Planned
+    from slamhive.local.workbench import Workbench
+
+
+MOST_RECORDINGS = 1_000
+"""Ways to read a dataset whose prepared recordings are looked for."""
 
 
 @dataclass
@@ -209,3 +217,56 @@ def _planned(
         rows.append(places.reshape(-1) + len(planned))
         planned += planned_settings(sweep.points, used.tolist(), knowledge, processor)
     return planned, rows
+
+
+@dataclass
+class Recordings:
+    """Prepared recordings that runs need.
+
+    Attributes:
+        there: number of those that are there.
+        missing: number of those that are to be made first.
+        size: bytes of the recordings that these are made of, counted for each: about what they take at most.
+        unknown: datasets that are not here, so that nothing can be said of theirs.
+    """
+
+    there: int = 0
+    missing: int = 0
+    size: int = 0
+    unknown: set[str] = field(default_factory=set)
+
+
+def recordings_needed(bench: Workbench, wanted: Sequence[Wanted]) -> Recordings:
+    """Return which prepared recordings runs need, of the datasets that are here."""
+    found, met, folders = Recordings(), set(), set()
+    for sweep in wanted:
+        points = sweep.points
+        for row in dict.fromkeys(index // points.repetitions for index in sweep.indices):
+            settings = points.settings(row)
+            read = tuple((path, value) for path, value in settings.items() if path[0] == "input")
+            key = (*points.short_spec(settings).values(), read)
+            if key in met or len(met) >= MOST_RECORDINGS:
+                continue
+            met.add(key)
+            spec = points.point(row * points.repetitions).spec
+            name = spec["datasetRef"]["name"]
+            try:
+                place = bench.workshop.dataset(name)
+                algorithm = bench.workshop.algorithm(spec["algorithmRef"]["name"]).algorithm
+                if not is_made(place.dataset, place.folder, bench.home.path / "datasets"):
+                    found.unknown.add(name)
+                    continue
+                folder = bench.variant(spec, algorithm)
+            except (SlamHiveError, OSError, KeyError):
+                continue  # what run would say of it is not ours to say
+            if folder in folders:
+                continue
+            folders.add(folder)
+            if folder.is_dir():
+                found.there += 1
+                continue
+            found.missing += 1
+            entry = bench.dataset(name)
+            files = (entry.root / file.path for file in entry.dataset.spec.recording.files)
+            found.size += Tally().of(*files).size
+    return found

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive import __version__
 from slamhive.data.groundtruth import ground_truth
-from slamhive.data.preparation import evict_variants, prepare
+from slamhive.data.preparation import evict_variants, prepare, variant_folder
 from slamhive.data.store import DatasetEntry, dataset_sha256, materialise
 from slamhive.data.version import VERSION
 from slamhive.local.environments import digest_of
@@ -27,6 +27,7 @@ from slamhive.plan import algorithm_hash, content_hash
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from slamhive.archive import Archive
     from slamhive.data.groundtruth import GroundTruthPoses
@@ -244,3 +245,19 @@ class Workbench:
                 progress,
                 topics=mode.topics or (),
             )
+
+    def variant(self, spec: dict[str, Any], algorithm: Algorithm) -> Path:
+        """Return the folder of the variant that a run's spec asks for, made or not; its dataset is there.
+
+        Raises:
+            InputError: the dataset can't be prepared like this.
+        """
+        mode = algorithm.spec.mode(SensorMode(spec["sensors"]))
+        return variant_folder(
+            self.dataset(spec["datasetRef"]["name"]),
+            mode.needs,
+            InputOptions.model_validate(spec["input"]),
+            algorithm.spec.formats(mode),
+            self.home.path / "variants",
+            topics=mode.topics or (),
+        )
