@@ -13,7 +13,7 @@ import uuid
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from datetime import UTC, datetime, timedelta, timezone
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from sqlalchemy import create_engine, event, text
@@ -28,6 +28,7 @@ from slamhive.model.results import (
     MemoryUsage,
     Outcome,
     Phase,
+    Prepared,
     Provenance,
     Reason,
     TrajectoryInfo,
@@ -246,6 +247,36 @@ def test_computed_runs_are_reused_before_copies(
     found = archive.find_reusable("a" * 64)
     assert found is not None
     assert found.uid == "new"
+
+
+def test_costs_are_the_latest_computed_ones_of_each_algorithm_and_dataset(
+    archive: Archive, make_run: MakeRun
+) -> None:
+    def put(uid: str, algorithm: str = "icp", dataset: str = "hall", **changes: Any) -> None:
+        usage = changes.pop("usage", Usage(cpu=CpuUsage(seconds=2.0), wall_seconds=1.0))
+        spec = {"algorithmRef": {"name": algorithm}, "datasetRef": {"name": dataset}, "sensors": "lidar"}
+        archive.put_run(make_run(uid, spec=spec, usage=usage, **changes))
+
+    begun = datetime(2026, 1, 1, tzinfo=UTC)
+    prepared = Provenance(
+        algorithm_hash="a", dataset_sha256="d", prepared=Prepared(frames=100, duration_seconds=9.9)
+    )
+    put("1")
+    put("2", created=begun, started=begun + timedelta(seconds=3), provenance=prepared)
+    put("3", phase=Phase.FAILED, reason=Reason.DEADLINE_EXCEEDED, namespace="team", created=begun)
+    put("4", algorithm="other")
+    put("5", algorithm="other", dataset="yard")
+    put("copy", provenance=Provenance(reused_from="1"))
+    put("unmeasured", usage=Usage())
+    put("running", phase=Phase.RUNNING)
+    found = {cost.uid: cost for cost in archive.costs(["icp"], ["hall"], each=2)}
+    assert list(found) == ["4", "3", "2"]
+    assert (found["2"].cpu_seconds, found["2"].wall_seconds) == (2.0, 1.0)
+    assert found["2"].prepared == {"frames": 100, "durationSeconds": 9.9}
+    assert (found["2"].algorithm_hash, found["2"].dataset_sha256) == ("a", "d")
+    assert (found["2"].created, found["3"].created) == (begun, None)
+    assert found["3"].reason == Reason.DEADLINE_EXCEEDED
+    assert [cost.uid for cost in archive.costs(["icp"], [], most=1)] == ["3"]
 
 
 def test_sweeps_and_catalog(archive: Archive, make_run: MakeRun) -> None:
