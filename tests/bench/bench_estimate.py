@@ -2,8 +2,8 @@
 """Hit rate of estimates on recorded runs, and what an estimate of 80,000 runs costs.
 
 Recorded runs are put back into the state before they ran: what is asked is left out of what is known, and
-everything that is as near. So the distance is the one that is told of: one run of several is left out ("same
-settings"), all runs of a setting ("other settings on the dataset"), of an algorithm on a dataset ("other
+everything that is as near. So the distance is the one that is told of: one run of several is left out ("the
+same settings"), all runs of a setting ("other settings on the dataset"), of an algorithm on a dataset ("other
 datasets"), of an algorithm in a sensor mode. Sums are those of what was left out together, and of all runs
 of a sweep at once, from the sweeps before it.
 

@@ -140,7 +140,7 @@ def test_a_sweep_whose_runs_are_known_costs_their_sum(desk: Desk) -> None:
     cpu = desk.keep(*range(12))
     found = desk.estimate("-j", "1")
     assert found["runs"] == 12
-    assert found["nearest"] == {"same settings": 12}
+    assert found["nearest"] == {"the same settings": 12}
     assert found["cpuSeconds"]["estimate"] == pytest.approx(cpu, rel=0.03)
     assert found["cpuSeconds"]["low"] < cpu < found["cpuSeconds"]["high"]
     assert found["wallSeconds"]["estimate"] == pytest.approx(cpu / 2 + 12 * 2, rel=0.03)

@@ -64,7 +64,7 @@ class Quantity(Choice):
 class Nearness(Choice):
     """How near the nearest known runs are to a run that is predicted."""
 
-    SETTING = "same settings"
+    SETTING = "the same settings"
     PAIR = "other settings on the dataset"
     ALGORITHM = "other datasets"
     MODE = "another sensor mode or pace"

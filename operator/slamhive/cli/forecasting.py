@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.predicting import COVERED, Quantity
+from slamhive.analysis.predicting import COVERED, Nearness, Quantity
 from slamhive.archive import Archive
 from slamhive.archive.connection import file_of
 from slamhive.cli import tables
@@ -229,8 +229,8 @@ def _days(seconds: float) -> str:
 
 def _sentences(told: Forecast, found: _Found, knowledge: Knowledge, cores: int | None) -> Iterator[str]:
     if told.runs:
-        near = "; ".join(f"{count:,} by {name}" for name, count in sorted(told.nearness.items()))
-        yield f"{plural(told.runs, 'run')} to be done, known from the nearest finished ones: {near}"
+        near = ", ".join(f"{told.nearness[one]:,} from {one}" for one in Nearness if told.nearness[one])
+        yield f"{plural(told.runs, 'run')} to be done, predicted by the nearest finished ones: {near}"
     else:
         yield "no run to be done is counted"
     if found.done:
@@ -309,7 +309,7 @@ def _document(told: Forecast, found: _Found, knowledge: Knowledge) -> dict[str, 
         },
         "atATime": told.at_a_time,
         "startingSeconds": told.idle,
-        "nearest": {str(name): count for name, count in sorted(told.nearness.items())},
+        "nearest": {str(one): told.nearness[one] for one in Nearness if told.nearness[one]},
         "processors": {name or "": count for name, count in told.processors.items()},
         "unmeasuredDatasets": told.unmeasured,
         "failedLeftOut": knowledge.failed,

@@ -185,7 +185,7 @@ def planned_settings(
             bases[name] = (whole, _flat(whole))
         whole, options = bases[name]
         changed = {
-            ".".join(path): value
+            ".".join(path): _plain(value)
             for path, value in settings.items()
             if path[0] in {"parameters", "input", "resources"} and ".".join(path) not in _SPARE
         }
