@@ -77,7 +77,7 @@ _USUAL = {
     Quantity.CPU: (1.0, 0.5, 0.3, _LENGTH_UNKNOWN, 0.2, 0.15, 0.35, 0.2, 0.15, 0.1),
     Quantity.WALL: (1.0, 0.5, 0.3, _LENGTH_UNKNOWN, 0.2, 0.15, 0.35, 0.2, 0.15, 0.15),
     Quantity.MEMORY: (0.7, 0.4, 0.3, 0.1, 0.2, 0.15, 0.05, 0.15, 0.1, 0.05),
-    Quantity.DISK: (0.7, 0.4, 0.2, _LENGTH_UNKNOWN, 0.2, 0.15, 0.05, 0.15, 0.1, 0.1),
+    Quantity.DISK: (0.7, 0.9, 0.2, _LENGTH_UNKNOWN, 0.2, 0.15, 0.05, 0.15, 0.1, 0.1),
 }
 
 
