@@ -270,6 +270,13 @@ def test_what_is_finished_costs_nothing(desk: Desk) -> None:
     found = desk.estimate()
     assert (found["runs"], found["finished"], found["reused"]) == (9, 3, 0)
     assert "3 runs finished already: not counted" in desk.text()
+    for index, content in enumerate(desk.contents(*range(12))):
+        uid = f"{local_uid(desk.plan.sweep)[:16]}-{index}"
+        desk.keep(index, uid=uid, sweep="study", content=content)
+    assert "no run to be done is counted" in desk.text()
+    found = desk.estimate()
+    assert (found["runs"], found["finished"]) == (0, 12)
+    assert "cpuSeconds" not in found
 
 
 def test_where_nothing_ran_it_is_refused(desk: Desk) -> None:

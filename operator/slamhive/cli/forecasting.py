@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from slamhive.plan import Plan
 
 _DAY = 86_400
+_MIB = 1 << 20
 _SHARE = f"{COVERED:.0%}".replace("%", " %")
 
 
@@ -193,8 +194,8 @@ def _line(one: Told, told: Forecast) -> list[str]:
     words, text = {
         Quantity.CPU: ("CPU time", _hours),
         Quantity.WALL: (f"wall time, {told.at_a_time:,} at a time", _days),
-        Quantity.MEMORY: ("memory of the largest run", bytes_text),
-        Quantity.DISK: ("results on disk", bytes_text),
+        Quantity.MEMORY: ("memory of the largest run", _size),
+        Quantity.DISK: ("results on disk", _size),
     }[one.quantity]
     span = one.interval
     names = listing([str(name) for name, _ in told.algorithms.most_common()], 3)
@@ -210,12 +211,21 @@ def _hours(seconds: float) -> str:
     """Return CPU time as people say it: budgets are in CPU hours.
 
     >>> _hours(42), _hours(5400)
-    ('42 CPU s', '1.5 CPU h')
+    ('42 s', '1.5 h')
     """
     hours = seconds / 3600
     if seconds < 600:
-        return f"{seconds:.0f} CPU s"
-    return f"{hours:,.0f} CPU h" if hours >= 100 else f"{hours:.3g} CPU h"
+        return f"{seconds:.0f} s"
+    return f"{hours:,.0f} h" if hours >= 100 else f"{hours:.3g} h"
+
+
+def _size(count: float) -> str:
+    """Return a size as people read it, small ones with a digit more than elsewhere.
+
+    >>> _size(1_500_000), _size(82_000_000)
+    ('1.4 MiB', '78 MiB')
+    """
+    return f"{count / _MIB:.1f} MiB" if _MIB <= count < 10 * _MIB else bytes_text(count)
 
 
 def _days(seconds: float) -> str:
@@ -268,10 +278,9 @@ def _sentences(told: Forecast, found: _Found, knowledge: Knowledge, cores: int |
 def _prepared(needed: Recordings | None) -> Iterator[str]:
     if needed is None:
         return
-    if needed.there or needed.missing:
-        size = f", up to about {bytes_text(needed.size)}" if needed.missing else ""
+    if needed.missing:
         what = plural(needed.missing, "prepared recording")
-        yield f"{what} to be made first{size}; {needed.there:,} there already"
+        yield f"{what} to be made first, up to about {_size(needed.size)}; {needed.there:,} there already"
     if needed.unknown:
         names = listing(sorted(needed.unknown))
         yield f"prepared recordings of {names} aren't counted: the dataset is not here yet"
