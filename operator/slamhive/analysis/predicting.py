@@ -42,7 +42,7 @@ DRAWS = 200
 """Draws from which an interval is read; of very many settings, whose sums take long, fewer."""
 _FEWER_DRAWS = 100
 _MANY = 4_000
-_ROUNDS = 6
+_ROUNDS = 4
 _SETTLED = 0.02
 _CHUNK = 2_000
 _WEIGHT = 4.0
