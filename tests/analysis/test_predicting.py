@@ -119,8 +119,8 @@ def test_another_processor_and_an_unknown_length_make_it_wider() -> None:
         setting(dataset="street"),
         setting(dataset="park", frames=None),
     ]
-    scatter = predicted(KNOWN, *asked).scatter()
-    assert scatter[1] > 2 * scatter[0]
+    scatter = predicted(KNOWN, *asked, setting(size=1001)).scatter()
+    assert scatter[1] > 1.5 * scatter[4] > 1.5 * scatter[0]
     assert scatter[3] > 2 * scatter[2]
 
 

@@ -35,7 +35,11 @@ COMMANDS = {
     "run": _Command(
         "running", "run", "Run sweeps on this machine, or on a cluster as if it were this machine."
     ),
-    "plan": _Command("running", "plan", "Show the runs that sweeps expand to, without running them."),
+    "plan": _Command(
+        "running",
+        "plan",
+        "Show the runs that sweeps expand to, without running them, or what they will cost.",
+    ),
     "validate": _Command(
         "running",
         "validate",
