@@ -47,25 +47,33 @@ finally:
 
 
 def rate_beside_curl(site: Site, folder: Path, sha256: str) -> None:
-    """Print the rates of both, in turn, by a server in a process of its own."""
+    """Print rates and CPU seconds of all, in turn, by a server in a process of its own."""
     url, place = f"{site.url}/large.bin", folder / "fetched"
     # Brought to disk, as what slamhive has fetched is.
-    curl = ["sh", "-c", f"curl -sS -o {place} {url} && sync {place}"]
-    ours = [sys.executable, "-c", FETCH, url, str(place), sha256]
-    empty = f"{site.url}/empty.bin"
-    times: dict[str, list[float]] = {"curl": [], "slamhive": []}
-    start: list[float] = []
+    summed = f"curl -sS {url} | tee {place} | openssl dgst -sha256 > {os.devnull} && sync {place}"
+    commands = {
+        "curl, sync": ["sh", "-c", f"curl -sS -o {place} {url} && sync {place}"],
+        "curl | openssl dgst -sha256, sync": ["sh", "-c", summed],
+        "slamhive": [sys.executable, "-c", FETCH, url, str(place), sha256],
+        # What an interpreter takes to start is no rate.
+        "start": [sys.executable, "-c", FETCH, f"{site.url}/empty.bin", str(place), ""],
+    }
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
     for _ in range(ROUNDS):
-        for name, command in (("curl", curl), ("slamhive", ours)):
+        for name, command in commands.items():
             times[name].append(_timed(command))
             place.unlink()
-        # What an interpreter takes to start is no rate.
-        start.append(_timed([sys.executable, "-c", FETCH, empty, str(place), ""]))
-        place.unlink()
-    peer = SIZE / min(times["curl"]) / 1e6
-    own = SIZE / (min(times["slamhive"]) - min(start)) / 1e6
-    rates = f"{own:.0f} MB/s, {own / peer:.2f} of curl's"
-    print(f"fetch with checksum · {rates} · curl, sync: {peer:.0f} MB/s, limit 0.9")
+    least = {name: tuple(map(min, zip(*found, strict=True))) for name, found in times.items()}
+    wall, cpu = (least["slamhive"][k] - least["start"][k] for k in (0, 1))
+    peers = [
+        f"{SIZE / wall / 1e6:.0f} MB/s, {cpu:.2f} CPU s",
+        *(
+            f"{name}: {SIZE / found[0] / 1e6:.0f} MB/s, {found[1]:.2f} CPU s, ratio {found[0] / wall:.2f}"
+            for name, found in least.items()
+            if name.startswith("curl")
+        ),
+    ]
+    print(f"fetch with checksum · {' · '.join(peers)} · limit 0.9 of the first")
 
 
 def killed(site: Site, folder: Path, content: Path, sha256: str) -> None:
@@ -132,10 +140,13 @@ def listed(folder: Path) -> None:
     print(f"list {20 * 37 + 260:,} sequences, CPU · {own} · limits 0.6 s, 0.3 s")
 
 
-def _timed(command: list[str]) -> float:
-    begin = time.perf_counter()
+def _timed(command: list[str]) -> tuple[float, float]:
+    """Run a command; return its wall seconds and its CPU seconds."""
+    begin, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, check=True)
-    return time.perf_counter() - begin
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
+    return time.perf_counter() - begin, cpu
 
 
 def main() -> None:

@@ -35,6 +35,8 @@ class Site:
         pages: Pages sent in the place of files: path to HTML.
         asked: Path and Range of each request.
         sent: Bytes of content that left.
+    held: Bytes after which an answer waits until it is let go.
+    go: Lets it go.
     """
 
     folder: Path
@@ -46,6 +48,8 @@ class Site:
     pages: dict[str, str] = field(default_factory=dict)
     asked: list[tuple[str, str | None]] = field(default_factory=list)
     sent: int = 0
+    held: int | None = None
+    go: threading.Event = field(default_factory=threading.Event)
 
 
 class Handler(http.server.BaseHTTPRequestHandler):
@@ -117,6 +121,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
                 self.wfile.write(self._spoiled(block, start))
                 start += len(block)
                 site.sent += len(block)
+                if site.held is not None and start >= site.held:
+                    site.go.wait()
 
     def _spoiled(self, block: bytes, start: int) -> bytes:
         at = self.site.wrong.get(self.path)
@@ -129,10 +135,10 @@ class Handler(http.server.BaseHTTPRequestHandler):
         pass
 
 
-def make_certificate(folder: Path) -> tuple[Path, Path]:
-    """Make a certificate for localhost, and return it and its key."""
+def make_certificate(folder: Path, name: str = "DNS:localhost") -> tuple[Path, Path]:
+    """Make a certificate for this machine by a name, or ``IP:`` and an address, and return it and its key."""
     key, certificate = folder / "key.pem", folder / "certificate.pem"
-    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-days", "1"]
+    names = ["-subj", "/CN=localhost", "-addext", f"subjectAltName={name}", "-days", "1"]
     kind = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
     files = ["-keyout", str(key), "-out", str(certificate)]
     subprocess.run(["openssl", "req", "-x509", *kind, *names, *files], check=True, capture_output=True)
@@ -140,10 +146,10 @@ def make_certificate(folder: Path) -> tuple[Path, Path]:
 
 
 @contextlib.contextmanager
-def serving(site: Site, certificate: Path, key: Path) -> Iterator[Site]:
-    """Serve a site until the end of the block."""
+def serving(site: Site, certificate: Path, key: Path, address: str | None = None) -> Iterator[Site]:
+    """Serve a site until the end of the block, on this machine alone or at one of its addresses."""
     handler = type("SiteHandler", (Handler,), {"site": site})
-    httpd = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    httpd = http.server.ThreadingHTTPServer((address or "127.0.0.1", 0), handler)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key)
     # What waits in the kernel counts as sent: little of it.
@@ -151,10 +157,11 @@ def serving(site: Site, certificate: Path, key: Path) -> Iterator[Site]:
     httpd.socket = context.wrap_socket(httpd.socket, server_side=True, do_handshake_on_connect=False)
     thread = threading.Thread(target=httpd.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
-    site.url = f"https://localhost:{httpd.server_port}"
+    site.url = f"https://{address or 'localhost'}:{httpd.server_port}"
     try:
         yield site
     finally:
+        site.go.set()
         httpd.shutdown()
         thread.join()
         httpd.server_close()
