@@ -93,6 +93,7 @@ _KEPT = frozenset({"id", "uid", "name", "evaluation", "outcome", "coverage"})
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _EMPTY: dict[str, Any] = {}
+_DOCUMENT = {dict, type(None)}
 _MAX_ITEMS = 16
 
 
@@ -194,7 +195,8 @@ def _joined(columns: dict[str, Column], places: Indices, results: Results, left_
     padding = [None] * (len(places) - len(results.evaluations))
     found: dict[str, Sequence[Any]] = {}
     spread(found, "", results.values, left_out)
-    joined = {name: column.take(places) for name, column in columns.items()}
+    each_once = np.array_equal(places, np.arange(len(places)))  # nearly always: nothing is to be moved
+    joined = columns if each_once else {name: column.take(places) for name, column in columns.items()}
     messages = [item or None for item in found.pop("message", ())]
     for name, items in found.items():
         if name in _KEPT:
@@ -206,6 +208,8 @@ def _joined(columns: dict[str, Column], places: Indices, results: Results, left_
     joined["evaluation"] = Column.of([*results.evaluations, *padding])
     joined["outcome"] = Column.of([*results.outcomes, *padding])
     joined["coverage"] = Column.of([*results.coverages, *padding])
+    if each_once:
+        return joined, len(places)
     order = np.argsort(places, kind="stable")
     return {name: column.take(order) for name, column in joined.items()}, len(places)
 
@@ -246,13 +250,15 @@ def spread(
         documents: JSON objects; None where a row has none.
         left_out: names that are passed over where there is no prefix.
     """
-    shapes = {tuple(document) for document in documents if document}
+    shapes = set(map(tuple, filter(None, documents)))
+    if not shapes:
+        return
     if len(shapes) == 1:
         # Nearly always: the documents are turned round without a look-up for each value.
         (names,) = shapes
-        nothing = (None,) * len(names)
+        nothing = dict.fromkeys(names)
         turned: Iterable[Sequence[Any]] = zip(
-            *[document.values() if document else nothing for document in documents], strict=True
+            *[(document or nothing).values() for document in documents], strict=True
         )
     else:
         filled = [document or _EMPTY for document in documents]
@@ -303,10 +309,11 @@ def bound(parts: Sequence[Part], known: Iterable[str], most: int) -> list[str]:
 
 def _spread_values(found: dict[str, Sequence[Any]], name: str, values: Sequence[Any]) -> None:
     types = set(map(type, values))
+    if types <= _DOCUMENT:
+        spread(found, name, values)
+        return
     if dict in types:
         spread(found, name, [value if type(value) is dict else None for value in values])
-        if types <= {dict, type(None)}:
-            return
         values = [None if type(value) is dict else value for value in values]
     if list in types:
         values = _spread_lists(found, name, values)

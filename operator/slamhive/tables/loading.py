@@ -9,7 +9,6 @@ says that anything at all was written.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from typing import TYPE_CHECKING, Any
 from zlib import adler32, crc32
 
@@ -114,10 +113,11 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
         changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
         fresh, found = [], {} if marks is None else marks
         for rows in _batches(connection, changed):
-            results = _results(connection, [row.id for row in rows])
-            _add_marks(found, [(*row[: len(_CHANGES)], row[-1]) for row in rows], runs=True)
-            _add_marks(found, results, runs=False)
-            fresh.append(_read(rows, results))
+            columns = list(zip(*rows, strict=True))
+            measured = list(zip(*_results(connection, columns[0]), strict=True))
+            _add_marks(found, [*columns[: len(_CHANGES)], columns[-1]], runs=True)
+            _add_marks(found, measured[: len(_RESULT_CHANGES)], runs=False)
+            fresh.append(_read(columns, measured))
     return Loaded(_merge(before.frame, set(changed or ()), found, fresh, sweeps), found, sweeps, stamp)
 
 
@@ -146,31 +146,34 @@ def _marks(connection: Connection) -> dict[int, int]:
     marks: dict[int, int] = {}
     for asked in (query, measured):
         for rows in connection.execute(asked.execution_options(yield_per=_STREAMED)).partitions():
-            _add_marks(marks, rows, runs=asked is query)
+            _add_marks(marks, list(zip(*rows, strict=True)), runs=asked is query)
     return marks
 
 
-def _add_marks(marks: dict[int, int], rows: Sequence[Sequence[Any]], *, runs: bool) -> None:
-    """Add the marks of runs, or those of results to their runs'; rows may hold more behind what counts.
+def _add_marks(marks: dict[int, int], columns: Sequence[Sequence[Any]], *, runs: bool) -> None:
+    """Add the marks of runs, or those of results to their runs', by the values that count, ids first.
 
     They are the same in every process and whatever other rows there are.
     """
-    width = len(_CHANGES) + 1 if runs else len(_RESULT_CHANGES)
-    for row, mark in zip(rows, _row_marks(rows, width), strict=True):
-        if runs:
-            marks[row[0]] = mark
-        elif row[0] in marks:
+    if not columns:
+        return
+    found = _row_marks(columns)
+    if runs:
+        marks.update(zip(columns[0], found, strict=True))
+        return
+    for run, mark in zip(columns[0], found, strict=True):
+        if run in marks:
             # A sum, as results come in no order.
-            marks[row[0]] = (marks[row[0]] + mark) % _MARKS
+            marks[run] = (marks[run] + mark) % _MARKS
 
 
-def _row_marks(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
-    """Return a number for each row that differs when one of its first values does.
+def _row_marks(columns: Sequence[Sequence[Any]]) -> list[int]:
+    """Return a number for each row that differs when one of its values does.
 
     Column by column: each value's number is turned by an odd factor of the column's own and added.
     """
-    total = np.zeros(len(rows), dtype=np.uint64)
-    for place, values in enumerate(islice(zip(*rows, strict=True), width)):
+    total = np.zeros(len(columns[0]), dtype=np.uint64)
+    for place, values in enumerate(columns):
         numbers = _numbers_of(values)
         total += (numbers ^ (numbers >> np.uint64(29))) * np.uint64(_FACTOR ** (2 * place + 1) % _MARKS)
     marks: list[int] = (total ^ (total >> np.uint64(32))).tolist()
@@ -229,16 +232,17 @@ def _raw(connection: Connection, column: ColumnElement[Any]) -> ColumnElement[st
     return cast(column, Text) if connection.dialect.name == "postgresql" else type_coerce(column, Text)
 
 
-def _read(rows: Sequence[Row[Any]], results: Sequence[Row[Any]]) -> Part:
+def _read(columns: Sequence[Sequence[Any]], measured: Sequence[Sequence[Any]]) -> Part:
     """Return the rows of some runs, with those of their results."""
-    whole: dict[str, Sequence[Any]] = dict(zip((*_RUN, *_DOCUMENTS), zip(*rows, strict=True), strict=True))
+    whole: dict[str, Sequence[Any]] = dict(zip((*_RUN, *_DOCUMENTS), columns, strict=True))
     for name in _DOCUMENTS:
         whole[name] = _parsed(whole[name])
+    found = [list(column) for column in measured] or [[] for _ in range(5)]
     known = set(whole["id"])
-    kept = [row for row in results if row[0] in known]
-    turned = [list(column) for column in zip(*kept, strict=True)] or [[] for _ in range(5)]
-    found = Results(turned[0], turned[1], turned[2], turned[3], _parsed(turned[-1]))
-    return columns_of_runs(whole, found)
+    if not known.issuperset(found[0]):
+        kept = [place for place, run in enumerate(found[0]) if run in known]
+        found = [[column[place] for place in kept] for column in found]
+    return columns_of_runs(whole, Results(found[0], found[1], found[2], found[3], _parsed(found[-1])))
 
 
 def _merge(
@@ -265,6 +269,10 @@ def _merge(
 
 
 def _parsed(texts: Sequence[str | None]) -> list[Any]:
-    """Return JSON documents; parsed in one go, as calls cost more than characters."""
-    found: list[Any] = loads("[" + ",".join([item or "null" for item in texts]) + "]")
-    return found
+    """Return JSON documents, equal ones as one; parsed in one go, as calls cost more than characters."""
+    different = dict.fromkeys(texts)
+    asked: Sequence[str | None] = list(different) if 2 * len(different) < len(texts) else texts
+    found: list[Any] = loads("[" + ",".join([item or "null" for item in asked]) + "]")
+    if asked is texts:
+        return found
+    return list(map(dict(zip(asked, found, strict=True)).__getitem__, texts))
