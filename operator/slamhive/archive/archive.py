@@ -70,6 +70,7 @@ class Archive:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
+        self._statements: dict[tuple[str, tuple[str, ...]], Any] = {}
 
     @classmethod
     def open(cls, url: str, *, read_only: bool = False) -> Self:
@@ -549,12 +550,21 @@ class Archive:
     def _upsert(
         self, connection: Connection, table: Table, rows: list[dict[str, Any]], key: tuple[str, ...]
     ) -> None:
+        connection.execute(self._upserting(table, tuple(rows[0]), key), rows)
+
+    def _upserting(self, table: Table, names: tuple[str, ...], key: tuple[str, ...]) -> Any:
+        """Return the statement that writes rows of some columns; made once, as that takes most of a write."""
+        known = self._statements.get((table.name, names))
+        if known is not None:
+            return known
         statement = self._insert(table)
-        changes = {name: statement.excluded[name] for name in rows[0] if name not in key}
+        changes = {name: statement.excluded[name] for name in names if name not in key}
         if "cluster" in changes:
             # Not all who write know it: `slamhive fetch` may not see what the operator sees.
             changes["cluster"] = func.coalesce(changes["cluster"], table.c.cluster)
-        connection.execute(statement.on_conflict_do_update(index_elements=list(key), set_=changes), rows)
+        made = statement.on_conflict_do_update(index_elements=list(key), set_=changes)
+        self._statements[table.name, names] = made
+        return made
 
     def _insert(self, table: Table) -> Any:
         """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""
