@@ -28,7 +28,12 @@ BUSY_SECONDS = 30
 """How long a writer waits for another one's transaction."""
 
 _BUSY = f"busy_timeout = {BUSY_SECONDS * 1000}"
-_SQLITE_SETTINGS = (_BUSY, "foreign_keys = ON", "journal_mode = WAL", "synchronous = FULL")
+_PAGE_BYTES = 16384
+"""Of a new file: rows of some 2 kB leave less of a large page empty, a tenth of the file."""
+_SQLITE_SETTINGS = (
+    *(_BUSY, f"page_size = {_PAGE_BYTES}"),  # before the log: its first page has the size for good
+    *("foreign_keys = ON", "journal_mode = WAL", "synchronous = FULL"),
+)
 _SQLITE_READING = (_BUSY, "query_only = ON")
 _POSTGRESQL_READING = "SET SESSION CHARACTERISTICS AS TRANSACTION READ ONLY"
 _GIVING_UP = {
@@ -43,8 +48,18 @@ _LOCK_KEY = 0x51A_711E
 _SECRET_OPTIONS = ("password", "sslpassword")
 _SCHEME = re.compile(r"\s*([A-Za-z][A-Za-z0-9+:]{0,40})://")
 _DRIVERS = {"sqlite": "sqlite+pysqlite", "postgresql": "postgresql+psycopg", "postgres": "postgresql+psycopg"}
+_READ_ONLY = (
+    "; it takes no writes: a replica, a server with default_transaction_read_only, a file or folder that "
+    "this user can't write, or a file system mounted read-only"
+)
+_FULL = "; its disk is full; what it holds stays: make room, and the same command goes on"
+_ADVICE: dict[str | int, str] = {
+    "25006": _READ_ONLY,  # PostgreSQL's SQLSTATE, the same in every language of a server
+    "53100": _FULL,
+    sqlite3.SQLITE_READONLY: _READ_ONLY,
+    sqlite3.SQLITE_FULL: _FULL,
+}
 _DAMAGED = ("malformed", "Could not decode to UTF-8")
-_FULL = ("database or disk is full", "No space left on device")
 
 
 def connect(url: str, *, read_only: bool = False) -> Engine:
@@ -150,10 +165,7 @@ def failures(url: URL) -> Iterator[None]:
             raise InputError(f"archive {shown(url)}: the file is not an SQLite database") from None
         if any(words in cause for words in _DAMAGED):
             raise _damaged(url, cause) from error
-        if any(words in cause for words in _FULL):
-            advice = "its disk is full; what it holds stays: make room, and the same command goes on"
-            raise SystemFault(f"archive {shown(url)}: {advice}") from error
-        raise SystemFault(f"archive {shown(url)}: {cause}") from error
+        raise SystemFault(f"archive {shown(url)}: {cause}{_advice(error.orig)}") from error
     except exc.SQLAlchemyError as error:
         raise SystemFault(f"archive {shown(url)}: {error}") from error
     except json.JSONDecodeError as error:
@@ -282,6 +294,15 @@ def require_content(file: Path) -> None:
             f"archive {file}: the file is empty, so what it held is lost: `slamhive archive restore` puts a "
             "backup in its place; to begin anew, remove it"
         )
+
+
+def _advice(error: BaseException | None) -> str:
+    """Return what is to be said beside a database's own words, as the end of a sentence."""
+    state = getattr(error, "sqlstate", None)
+    if state is not None:
+        return _ADVICE.get(state, "")
+    code = getattr(error, "sqlite_errorcode", None)
+    return "" if code is None else _ADVICE.get(code & 0xFF, "")  # above it is the kind of the kind
 
 
 def _damaged(url: URL, cause: str) -> InputError:
