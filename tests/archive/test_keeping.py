@@ -137,6 +137,38 @@ def test_a_backup_is_an_archive_and_goes_back_into_any_database(
         assert archive.count() == 6
 
 
+def test_a_backup_is_of_one_moment_while_others_write(
+    filled: str, tmp_path: Path, make_run: MakeRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamhive.archive.upgrading._PAGES", 1)
+    told: list[tuple[str, float]] = []
+    with Archive.open(filled) as archive:
+
+        def write(what: str, share: float) -> None:
+            told.append((what, share))
+            archive.put_run(make_run(f"later-{len(told)}"))
+
+        counts = backup(filled, tmp_path / "copy.sqlite", write)
+        assert archive.count() == 5 + len(told)
+    assert counts["runs"] == counts["results"] == 5
+    shares = [share for what, share in told if what == "copying the archive"]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1
+    assert len(shares) > 3
+    with Archive.open(f"sqlite:///{tmp_path / 'copy.sqlite'}", read_only=True) as copy:
+        assert {one.uid for one in copy.runs()} == {f"u{k}" for k in range(5)}
+
+
+def test_a_backup_of_a_damaged_archive_is_kept_and_told(filled: str, tmp_path: Path) -> None:
+    change(filled, "UPDATE runs SET phase = 'Dancing' WHERE uid = 'u3'")
+    with pytest.raises(
+        InputError, match=r"copy\.sqlite: is a copy of what there is, but damaged .*u3: phase"
+    ):
+        backup(filled, tmp_path / "copy.sqlite")
+    with pytest.raises(InputError, match="is damaged, so nothing was restored"):
+        restore(filled, tmp_path / "copy.sqlite", force=True)
+
+
 def test_a_restored_archive_is_another_one(filled: str, tmp_path: Path) -> None:
     """Whoever removes what an archive doesn't know must not take it for the one that knew more."""
     with Archive.open(filled) as archive:

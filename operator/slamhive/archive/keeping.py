@@ -11,6 +11,7 @@ import json
 import os
 import sqlite3
 import uuid
+from collections.abc import Callable
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -40,12 +41,15 @@ from slamhive.model.base import explain
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from sqlalchemy import Connection, Engine, Table
 
 _TABLES = (schema.algorithms, schema.datasets, schema.sweeps, schema.runs, schema.results)
+Tell = Callable[[str, float], None]
+"""Is told what is being done, and how much of it is, 0 to 1."""
+
 _COMPARED = ("algorithm", "dataset", "sensors", "pace", "repetition", "seed", "content_hash", "reused_from")
 
 
@@ -64,7 +68,11 @@ class Findings:
     notes: list[str] = field(default_factory=list)
 
 
-def check(url: str) -> Findings:
+def _quiet(what: str, share: float) -> None:
+    """Tell nobody."""
+
+
+def check(url: str, tell: Tell = _quiet) -> Findings:
     """Look an archive through: its file, then whether each row says what it should.
 
     Runs have records that can be read and agree with their columns, none is there twice, results belong to
@@ -72,6 +80,7 @@ def check(url: str) -> Findings:
 
     Args:
         url: the database's URL.
+        tell: told how far it is.
 
     Raises:
         InputError: there is no archive, it can't be opened at all, or it is of another version.
@@ -86,21 +95,28 @@ def check(url: str) -> Findings:
                 findings.faults += [f"file: {row}" for row in rows if row != "ok"]
             # What stands on damaged pages would be reported over and over.
             if not findings.faults:
-                _check_rows(connection, findings)
+                _check_rows(connection, findings, tell)
     finally:
         engine.dispose()
     return findings
 
 
-def backup(url: str, target: Path) -> None:
-    """Copy an archive to a file, as it is at one moment; programs that work with it go on.
+def backup(url: str, target: Path, tell: Tell = _quiet) -> dict[str, int]:
+    """Copy an archive to a file, as it is at one moment, and look the copy through.
+
+    Programs that work with the archive go on.
 
     Args:
         url: the database's URL.
         target: the copy; whole when it is there.
+        tell: told how far it is.
+
+    Returns:
+        Rows of the copy by table.
 
     Raises:
-        InputError: there is no archive, it is of another version, or the file is there already.
+        InputError: there is no archive, it is of another version, the file is there already, or what was
+            copied is damaged: the copy stays, as nothing better may be left.
         SystemFault: the database doesn't answer, or the disk refuses.
     """
     if target.exists():
@@ -109,14 +125,21 @@ def backup(url: str, target: Path) -> None:
         raise InputError(f"{target.parent}: no such folder")
     engine = connect(url, read_only=True)
     try:
-        made = _copied(engine, target)
+        made = _copied(engine, target, tell)
     finally:
         engine.dispose()
     if not made:
         raise InputError(f"{target}: exists already; a backup never replaces a file")
+    found = check(f"sqlite:///{target.absolute()}", lambda _, share: tell("looking the copy through", share))
+    if found.faults:
+        raise InputError(
+            f"{target}: is a copy of what there is, but damaged ({found.faults[0]}); "
+            "`slamhive archive check` says whether the archive is"
+        )
+    return found.counts
 
 
-def restore(url: str, source: Path, *, force: bool = False) -> dict[str, int]:
+def restore(url: str, source: Path, *, force: bool = False, tell: Tell = _quiet) -> dict[str, int]:
     """Put what a backup holds in the place of what an archive holds, all of it or nothing.
 
     The archive gets a new identity: it may know less than it did, and whoever removes what it doesn't know
@@ -126,6 +149,7 @@ def restore(url: str, source: Path, *, force: bool = False) -> dict[str, int]:
         url: the database's URL; made where there is none.
         source: a backup, of this version or an earlier one; it stays as it is.
         force: whether what is there may be replaced.
+        tell: told how far it is.
 
     Returns:
         Rows by table.
@@ -135,7 +159,7 @@ def restore(url: str, source: Path, *, force: bool = False) -> dict[str, int]:
         SystemFault: the database doesn't answer, or the disk refuses.
     """
     with _as_archive(source) as copy:
-        faults = check(copy).faults
+        faults = check(copy, lambda _, share: tell("looking the backup through", share)).faults
         if faults:
             raise InputError(f"{source}: is damaged, so nothing was restored: {faults[0]}")
         _set_aside_what_is_lost(url, force=force)
@@ -149,7 +173,7 @@ def restore(url: str, source: Path, *, force: bool = False) -> dict[str, int]:
                     )
                 for table in reversed(_TABLES):
                     connection.execute(delete(table))
-                counts = _copy_rows(held, connection)
+                counts = _copy_rows(held, connection, lambda share: tell("restoring the archive", share))
                 connection.execute(update(schema.schema_version).values(identity=str(uuid.uuid4())))
         finally:
             origin.dispose()
@@ -212,18 +236,22 @@ def _as_archive(source: Path) -> Iterator[str]:
         remove_database(aside)
 
 
-def _copied(engine: Engine, target: Path) -> bool:
+def _copied(engine: Engine, target: Path, tell: Tell) -> bool:
     """Copy an archive to a file; tells whether the name was free."""
+
+    def share(done: float) -> None:
+        tell("copying the archive", done)
+
     if engine.dialect.name == "sqlite":
         with reading(engine) as held:
             origin: Any = held.connection.driver_connection
-            return copy_database(origin, target)
+            return copy_database(origin, target, share)
     aside = target.with_name(f".{target.name}.{os.urandom(6).hex()}.making")
     copy = connect(f"sqlite:///{aside}")
     try:
         with reading(engine) as held, exclusively(copy) as connection:
             held.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ")
-            _copy_rows(held, connection)
+            _copy_rows(held, connection, share)
             identity = held.execute(select(schema.schema_version.c.identity)).scalar()
             connection.execute(update(schema.schema_version).values(identity=identity))
         copy.dispose()
@@ -234,7 +262,8 @@ def _copied(engine: Engine, target: Path) -> bool:
         remove_database(aside)
 
 
-def _copy_rows(held: Connection, target: Connection) -> dict[str, int]:
+def _copy_rows(held: Connection, target: Connection, share: Callable[[float], None]) -> dict[str, int]:
+    total, done = sum(_counts(held).values()), 0
     counts = {}
     for table in _TABLES:
         rows = held.execution_options(yield_per=BATCH).execute(select(table)).mappings()
@@ -242,6 +271,8 @@ def _copy_rows(held: Connection, target: Connection) -> dict[str, int]:
         while batch := [dict(row) for row in islice(rows, BATCH)]:
             target.execute(insert(table), batch)
             counts[table.name] += len(batch)
+            done += len(batch)
+            share(done / total)
     if target.dialect.name == "postgresql":
         target.execute(
             text(
@@ -252,6 +283,13 @@ def _copy_rows(held: Connection, target: Connection) -> dict[str, int]:
     return counts
 
 
+def _counts(connection: Connection) -> dict[str, int]:
+    return {
+        table.name: connection.execute(select(func.count()).select_from(table)).scalar_one()
+        for table in _TABLES
+    }
+
+
 def _is_empty(connection: Connection) -> bool:
     return not any(
         connection.execute(select(func.count()).select_from(table)).scalar()
@@ -259,10 +297,9 @@ def _is_empty(connection: Connection) -> bool:
     )
 
 
-def _check_rows(connection: Connection, found: Findings) -> None:
-    for table in _TABLES:
-        counted = connection.execute(select(func.count()).select_from(table)).scalar_one()
-        found.counts[table.name] = counted
+def _check_rows(connection: Connection, found: Findings, tell: Tell) -> None:
+    found.counts |= _counts(connection)
+    total, done = sum(found.counts.values()), 0
     looks: tuple[tuple[Table, Callable[[dict[str, Any]], object]], ...] = (
         (schema.runs, _check_run),
         (schema.results, to_result),
@@ -272,6 +309,9 @@ def _check_rows(connection: Connection, found: Findings) -> None:
     )
     for table, look in looks:
         for name, row in _rows(connection, table, found):
+            done += 1
+            if not done % BATCH:
+                tell("checking the archive", done / total)
             try:
                 look(row)
             except ValidationError as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from contextlib import closing
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 from sqlalchemy import select, update
@@ -31,10 +31,13 @@ from slamhive.archive.connection import (
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from sqlalchemy import Connection, Engine
+
+_PAGES = 250
+"""Pages copied before it is said how far a copy is."""
 
 
 class Upgrade(NamedTuple):
@@ -79,12 +82,15 @@ def upgrade(url: str, tell: Callable[[str], None] = lambda _: None) -> Upgrade |
         engine.dispose()
 
 
-def copy_database(origin: sqlite3.Connection, target: Path) -> bool:
+def copy_database(
+    origin: sqlite3.Connection, target: Path, share: Callable[[float], None] = lambda _: None
+) -> bool:
     """Copy an SQLite database as of its last commit, also while others write to it.
 
     Args:
         origin: the database.
         target: the copy, one file that is whole when it is there. One that is there already stays as it is.
+        share: told how much is copied, 0 to 1.
 
     Returns:
         Whether the copy was made.
@@ -94,8 +100,12 @@ def copy_database(origin: sqlite3.Connection, target: Path) -> bool:
     """
     aside = target.with_name(f".{target.name}.{os.urandom(6).hex()}.making")
     try:
-        with closing(sqlite3.connect(aside)) as copy:
-            origin.backup(copy)
+        with closing(sqlite3.connect(aside)) as copy, _one_moment(origin):
+            origin.backup(
+                copy,
+                pages=_PAGES,
+                progress=lambda _, left, total: share(1 - left / total if total else 1.0),
+            )
             # Its log comes into the file, which so is all of it wherever it is carried.
             copy.execute("PRAGMA journal_mode = DELETE").close()
         return publish(aside, target)
@@ -103,6 +113,20 @@ def copy_database(origin: sqlite3.Connection, target: Path) -> bool:
         raise SystemFault(f"{target}: a copy of the archive can't be made: {error}") from None
     finally:
         remove_database(aside)
+
+
+@contextmanager
+def _one_moment(connection: sqlite3.Connection) -> Iterator[None]:
+    """Let a connection see one state of its database: a copy in steps begins anew where others write."""
+    begun = not connection.in_transaction
+    if begun:
+        connection.execute("BEGIN").close()
+    try:
+        connection.execute("SELECT count(*) FROM sqlite_master").fetchone()  # it is seen from here on
+        yield
+    finally:
+        if begun:
+            connection.rollback()
 
 
 def _upgrade(engine: Engine, file: Path | None, tell: Callable[[str], None]) -> Upgrade | None:

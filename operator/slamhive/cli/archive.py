@@ -34,8 +34,8 @@ def check() -> None:
     Example: slamhive archive check
     """
     url = Home.from_environment().archive_url
-    with Work("checking the archive"):
-        found = keeping.check(url)
+    with Work("checking the archive") as work:
+        found = keeping.check(url, _telling(work))
     for note in found.notes:
         remark(note)
     for fault in found.faults[:_SHOWN]:
@@ -52,14 +52,14 @@ def check() -> None:
 def backup(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write; must not exist.")],
 ) -> None:
-    """Copy the archive to an SQLite file, as it is at one moment; runs may go on meanwhile.
+    """Copy the archive to an SQLite file, as it is at one moment, and check the copy; runs may go on.
 
     Example: slamhive archive backup archive-monday.sqlite
     """
     url = Home.from_environment().archive_url
-    with Work("copying the archive"):
-        keeping.backup(url, file)
-    out.print(f"{shown(url)} copied to {file}", markup=False)
+    with Work("copying the archive") as work:
+        counts = keeping.backup(url, file, _telling(work))
+    out.print(f"{shown(url)} copied to {file}: {_counted(counts)}: sound", markup=False)
 
 
 @app.command()
@@ -74,8 +74,8 @@ def restore(
     """
     home = Home.from_environment()
     url = home.archive_url
-    with home.exclusive("slamhive archive restore"), Work("restoring the archive"):
-        counts = keeping.restore(url, file, force=force)
+    with home.exclusive("slamhive archive restore"), Work("restoring the archive") as work:
+        counts = keeping.restore(url, file, force=force, tell=_telling(work))
     out.print(f"{shown(url)}: {_counted(counts)} restored from {file}", markup=False)
 
 
@@ -162,6 +162,20 @@ def _tell_of_merge(plan: Merge) -> None:
         remark(f"and {len(plan.aside) - _SHOWN:,} more are kept beside")
     if plan.without:
         remark(f"{plural(plan.without, 'run')} without files there: only the records come")
+
+
+def _telling(work: Work) -> keeping.Tell:
+    """Return what shows each step of some work as one of its own."""
+    last = ""
+
+    def tell(what: str, share: float) -> None:
+        nonlocal last
+        if what != last:
+            work.at(what)
+            last = what
+        work.share(share)
+
+    return tell
 
 
 def _counted(counts: dict[str, int]) -> str:
