@@ -33,7 +33,7 @@ help:
 	@echo 'make cluster-up, cluster-down   a real Kubernetes for tests, on this machine'
 	@echo 'make fuzz    ten minutes of broken files for all readers, then many made-up inputs for all else'
 	@echo 'make fuzz-api   five minutes of made-up questions for the API, over 80,000 runs'
-	@echo 'make fuzz-cluster   the operator killed, and sweeps deleted, at each single side effect on a real control plane'
+	@echo 'make fuzz-cluster   the operator killed, and sweeps deleted, at each single side effect; all behaviours in containers'
 	@echo 'make coverage   which modules make test covers by less than 80 %, lines and branches'
 	@echo 'make honest  every view of results beside their definition, over 5,000 made-up archives'
 	@echo 'make bench   speed and memory, beside the limits'
@@ -114,9 +114,10 @@ fuzz: $(STAMP)
 fuzz-api: $(STAMP)
 	$(BIN)/python tests/fuzz/api.py --seconds 300
 
-# make test-cluster takes one side effect of each kind.
+# make test-cluster takes one side effect, and one behaviour, of each kind.
 fuzz-cluster: $(STAMP) test-packages cluster-build
-	SLAMHIVE_EXAMPLES=thorough $(BIN)/python -m pytest -s tests/kube/faults/test_kills.py tests/kube/faults/test_deletion.py
+	SLAMHIVE_EXAMPLES=thorough $(BIN)/python -m pytest -s tests/kube/faults/test_kills.py \
+	  tests/kube/faults/test_deletion.py tests/contract/test_container.py tests/e2e/test_contract.py
 
 # Slower than make test; what fails under it is no fault of the code.
 coverage: $(STAMP)
