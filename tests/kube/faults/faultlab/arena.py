@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-SECONDS = 90.0
+SECONDS = 240.0
+"""Against hanging: eight are played at once, and all else may go on beside them."""
 AT_ONCE = 8
 QUICK: Object = {
     "evaluation": {"delaySeconds": 0.1},
