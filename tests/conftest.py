@@ -7,6 +7,7 @@ longest come first, so that no worker is left with one of them at the end.
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import subprocess
@@ -14,6 +15,7 @@ import sys
 import uuid
 from collections import defaultdict
 from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 from random import Random, SystemRandom
 from typing import TYPE_CHECKING, Any
@@ -33,7 +35,7 @@ from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Generator, Iterator
 
 TESTS = Path(__file__).parent
 ACTOR = TESTS / "actor"
@@ -197,19 +199,32 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     terminalreporter.write_line(pytest_report_header(config))
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
+    """Look for no garbage while all modules are imported: they leave little, and it takes a tenth of that."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()  # what has been imported stays
+
+
 @pytest.hookimpl(tryfirst=True)  # before pytest brings together the tests that share a fixture
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what tests need, and put them in the order of the seed, the files that take longest first."""
     files = defaultdict(list)
+    name_of = cache(lambda path: path.relative_to(TESTS).as_posix())
+    rank_of = cache(rank)
     for item in items:
-        for fixture in NEEDS.keys() & set(getattr(item, "fixturenames", ())):
+        fixtures = set(getattr(item, "fixturenames", ()))
+        for fixture in NEEDS.keys() & fixtures:
             item.add_marker(NEEDS[fixture])
-        name = item.path.relative_to(TESTS).as_posix()
+        name = name_of(item.path)
         if item.get_closest_marker("timeout") is None:
             # Both cores may be taken by others: programs that need seconds may then need a minute.
-            waits = rank(name) < len(SLOWEST) or "browser" in getattr(item, "fixturenames", ())
-            is_long = any(map(item.get_closest_marker, LONG))
-            is_long = is_long or bool((CLUSTERS | INSTALLING) & set(getattr(item, "fixturenames", ())))
+            waits = rank_of(name) < len(SLOWEST) or "browser" in fixtures
+            is_long = bool((CLUSTERS | INSTALLING) & fixtures) or any(map(item.get_closest_marker, LONG))
             longest = 900 if is_long else 300 if waits else 60
             item.add_marker(pytest.mark.timeout(longest))
         files[name].append(item)

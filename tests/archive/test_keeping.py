@@ -363,20 +363,31 @@ def test_who_only_reads_makes_no_archive(url: str) -> None:
         Archive.open(url, read_only=True)
 
 
+def files_in(folder: Path) -> frozenset[tuple[str, bytes]]:
+    """Return what the files of a folder hold: most statements change none of them."""
+    return frozenset((path.name, path.read_bytes()) for path in folder.iterdir())
+
+
+def lay_out(files: frozenset[tuple[str, bytes]], folder: Path) -> Path:
+    """Write files into a new folder and return that."""
+    folder.mkdir()
+    for name, content in files:
+        (folder / name).write_bytes(content)
+    return folder
+
+
 def test_power_loss_at_any_write_keeps_each_committed_run_once(
     sqlite_url: str, tmp_path: Path, make_run: MakeRun, make_result: MakeResult
 ) -> None:
     """The files as they are after each statement, opened again as after a power cut."""
-    file, copies = file_of(sqlite_url), tmp_path / "copies"
+    file = file_of(sqlite_url)
     committed: set[str] = set()
-    moments: list[frozenset[str]] = []
+    moments: list[frozenset[tuple[str, bytes]]] = []
+    known_at: dict[frozenset[tuple[str, bytes]], set[str]] = {}
 
     def cut(*_: Any) -> None:
-        place = copies / str(len(moments))
-        place.mkdir(parents=True)
-        for path in file.parent.iterdir():
-            shutil.copyfile(path, place / path.name)
-        moments.append(frozenset(committed))
+        moments.append(files_in(file.parent))
+        known_at[moments[-1]] = {*committed}
 
     with Archive.open(sqlite_url) as archive:
         for name in ("before_cursor_execute", "after_cursor_execute", "commit"):
@@ -390,8 +401,9 @@ def test_power_loss_at_any_write_keeps_each_committed_run_once(
         committed.discard("c")
         cut()
     assert len(moments) > 40
-    for number, known in enumerate(moments):
-        url = f"sqlite:///{copies / str(number) / file.name}"
+    assert len(known_at) > 8
+    for number, (files, known) in enumerate(known_at.items()):
+        url = f"sqlite:///{lay_out(files, tmp_path / str(number)) / file.name}"
         assert check(url).faults == []
         with Archive.open(url) as archive:
             found = [one.uid for one in archive.runs()]
@@ -409,11 +421,10 @@ def test_power_loss_during_an_upgrade_leaves_one_version_or_the_other(
     place = tmp_path / "home"
     url = f"sqlite:///{place / 'archive.sqlite'}"
     put_version(url, 1)
-    taken: list[Path] = []
+    taken: list[frozenset[tuple[str, bytes]]] = []
 
     def cut(*_: Any) -> None:
-        taken.append(tmp_path / f"cut-{len(taken)}")
-        shutil.copytree(place, taken[-1])
+        taken.append(files_in(place))
 
     opened = open_engine
 
@@ -427,8 +438,8 @@ def test_power_loss_during_an_upgrade_leaves_one_version_or_the_other(
     upgrading.upgrade(url)
     monkeypatch.undo()
     assert len(taken) > 10
-    for folder in taken:
-        again = f"sqlite:///{folder / 'archive.sqlite'}"
+    for number, files in enumerate(dict.fromkeys(taken)):
+        again = f"sqlite:///{lay_out(files, tmp_path / str(number)) / 'archive.sqlite'}"
         upgrading.upgrade(again)
         assert check(again).faults == []
         with Archive.open(again) as archive:

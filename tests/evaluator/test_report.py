@@ -228,8 +228,9 @@ def test_figures(
     assert main(["report", *files, "--figure", str(figure)]) == 0
     assert capsys.readouterr().out == f"{figure}\n"
     assert figure.read_bytes().startswith(begins)
-    assert main(["report", *files, "--figure", str(tmp_path / "none" / f"figure.{suffix}")]) == 2
-    assert "can't be written" in capsys.readouterr().err
+    if suffix == "png":  # drawing takes seconds, and no kind is written in a way of its own
+        assert main(["report", *files, "--figure", str(tmp_path / "none" / "figure.png")]) == 2
+        assert "can't be written" in capsys.readouterr().err
 
 
 def test_figures_without_matplotlib_say_what_they_need(

@@ -168,6 +168,7 @@ def test_terminated_while_another_one_makes_it(pod: Any, filed: Any) -> None:
         deadline = time.monotonic() + 60
         while not waiting.search(Path("/proc/locks").read_text()) and time.monotonic() < deadline:
             assert process.poll() is None
+            time.sleep(0.02)
         process.send_signal(signal.SIGTERM)
         assert pod.end(process).error[0] == "SystemFault"
 

@@ -55,6 +55,7 @@ def test_orphans_of_any_run_are_ended(folder: Path, supervisor_too: bool) -> Non
             deadline = time.monotonic() + 50
             while not (folder / "ready").exists():
                 assert time.monotonic() < deadline
+                time.sleep(0.02)
             if supervisor_too:
                 process.send_signal(signal.SIGKILL)
                 process.wait()

@@ -32,8 +32,7 @@ def test_files_are_rendered_together(told: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("template", "line", "words"),
     [
-        ("\n{% for i in range(10**12) %}{% endfor %}", 2, TIME),
-        ("{% for i in range(99999) %}\n{% for j in range(99999) %}{% endfor %}{% endfor %}", 2, TIME),
+        ("{% for i in range(10**12) %}\n{% for j in range(99999) %}{% endfor %}{% endfor %}", 2, TIME),
         # Each doubling costs nothing; printing it would take longer than the sun lasts.
         (f"{DOUBLED}\n{{{{ n.x }}}}", 2, TIME),
         ("\n{{ 'a' * 10**10 }}", 2, MEMORY),

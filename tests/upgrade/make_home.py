@@ -42,12 +42,24 @@ spec:
     - {{path: parameters.number, values: [0, 1, {HELD}, 2]}}
     - {{path: parameters.act, values: [noted, crash]}}
 """
+
+
 # What tells apart environments names Python's version and the machine: they differ where tests are run.
 # The tests are about all else that tells experiments apart.
+def make_environments_equal() -> None:
+    """Have all environments called the same; before anything else of slamhive is imported."""
+    from slamhive.local import environments, workbench
+
+    def digest(*_: object) -> str:
+        return "the environment"
+
+    environments.Environments.digest = digest  # type: ignore[method-assign]
+    environments.digest_of = workbench.digest_of = digest
+
+
 PROGRAM = """\
-from slamhive.local import environments, workbench
-environments.Environments.digest = lambda self, entry: "the environment"
-environments.digest_of = workbench.digest_of = lambda parts: "the environment"
+from make_home import make_environments_equal
+make_environments_equal()
 from slamhive.cli.main import main
 main()
 """
@@ -61,7 +73,7 @@ def slamhive(home: Path, *arguments: str) -> subprocess.Popen[bytes]:
 def surroundings(home: Path) -> dict[str, str]:
     """Return the environment of a slamhive of this checkout on a home."""
     kept = {name: value for name, value in os.environ.items() if name != "SLAMHIVE_ARCHIVE"}
-    code = f"{ROOT / 'operator'}{os.pathsep}{ROOT / 'evaluator'}"
+    code = os.pathsep.join(map(str, (ROOT / "operator", ROOT / "evaluator", Path(__file__).parent)))
     return kept | {"SLAMHIVE_HOME": str(home), "PYTHONPATH": code}
 
 

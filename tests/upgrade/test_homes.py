@@ -5,35 +5,66 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 import sys
 from collections import Counter
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from make_home import HELD, HOMES, PROGRAM, journal, surroundings, unpack
+from make_home import HELD, HOMES, journal, surroundings, unpack
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable, Iterator
+
+sys.path.append(str(Path(__file__).parents[1] / "faults"))
+
+from forking import Forks
 
 NUMBERS = (0, 1, HELD, 2)
+IMPORTED = (
+    "make_home:make_environments_equal",
+    "slamhive.cli.main",
+    "slamhive.cli.running",
+    "slamhive.cli.results",
+    "slamhive.archive.upgrading",
+)
 
 
-def call(home: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", PROGRAM, *arguments]
-    result = subprocess.run(
-        command, env=surroundings(home), cwd=home, capture_output=True, text=True, check=False
-    )
-    assert "Traceback" not in result.stderr
-    return result
+@pytest.fixture
+def call(tmp_path: Path) -> Iterator[Callable[..., tuple[int, str, str]]]:
+    """Runs a command in a home; returns exit code, standard output and standard error."""
+    forks = Forks(IMPORTED, surroundings(tmp_path))
+
+    def called(home: Path, *arguments: str) -> tuple[int, str, str]:
+        out, err = tmp_path / "out", tmp_path / "err"
+        code = forks.call(
+            module="slamhive.cli.main",
+            function="main",
+            arguments=(),
+            words=arguments,
+            env=surroundings(home),
+            cwd=str(home),
+            out=str(out),
+            err=str(err),
+        )
+        assert "Traceback" not in err.read_text()
+        return code, out.read_text(), err.read_text()
+
+    yield called
+    forks.close()
 
 
-def rows(home: Path) -> dict[str, dict[str, Any]]:
-    """Return what is known of the runs, by name."""
-    columns = "run,phase,reason,outcome,ate.rmse,started,parameters.number,parameters.act,sweep"
-    result = call(home, "results", "list", "--format", "json", "--columns", columns)
-    assert result.returncode == 0, result.stderr
-    return {row["run"]: row for row in json.loads(result.stdout)}
+@pytest.fixture
+def rows(call: Callable[..., tuple[int, str, str]]) -> Callable[[Path], dict[str, dict[str, Any]]]:
+    """Returns what is known of a home's runs, by name."""
+
+    def known(home: Path) -> dict[str, dict[str, Any]]:
+        columns = "run,phase,reason,outcome,ate.rmse,started,parameters.number,parameters.act,sweep"
+        code, out, err = call(home, "results", "list", "--format", "json", "--columns", columns)
+        assert code == 0, err
+        return {row["run"]: row for row in json.loads(out)}
+
+    return known
 
 
 @pytest.fixture(params=sorted(HOMES.glob("*.tar.xz")), ids=lambda path: path.name.removesuffix(".tar.xz"))
@@ -46,17 +77,21 @@ def old(request: pytest.FixtureRequest, tmp_path: Path, environments: Path, tiny
     return home
 
 
-def test_a_sweep_that_was_cut_off_goes_on(old: Path) -> None:
+def test_a_sweep_that_was_cut_off_goes_on(
+    old: Path,
+    call: Callable[..., tuple[int, str, str]],
+    rows: Callable[[Path], dict[str, dict[str, Any]]],
+) -> None:
     begun = journal(old)
     copy = old.with_name("copy")
     shutil.copytree(old, copy, symlinks=True)
-    refused = call(copy, "results", "list")
-    assert (refused.returncode, "slamhive archive upgrade" in refused.stderr) == (2, True)
-    assert call(copy, "archive", "upgrade").returncode == 0
+    code, _, err = call(copy, "results", "list")
+    assert (code, "slamhive archive upgrade" in err) == (2, True)
+    assert call(copy, "archive", "upgrade")[0] == 0
     before = rows(copy)
     assert len(before) == 4
-    result = call(old, "run", "sweep.yaml", "--parallelism", "1")
-    assert result.returncode == 1, result.stderr  # for the crashes
+    code, _, err = call(old, "run", "sweep.yaml", "--parallelism", "1")
+    assert code == 1, err  # for the crashes
     after = rows(old)
     assert {name: after[name] for name in before} == before
     expected = {
