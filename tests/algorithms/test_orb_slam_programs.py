@@ -68,12 +68,14 @@ class Recorded:
     Attributes:
         sensors: calibration as the generator says it, by role.
         truth: pose of the body by stamp in ns, (4, 4).
+        variants: folder in which it is prepared, once in each way.
     """
 
     dataset: Dataset
     entry: Any
     sensors: dict[str, Any]
     truth: dict[int, np.ndarray]
+    variants: Path
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +90,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     for line in (entry.root / "groundtruth.txt").read_text().splitlines()[1:]:
         stamp, *numbers = line.split()
         truth[int(stamp.replace(".", ""))] = matrix(np.array(numbers, float))
-    return Recorded(dataset, entry, sensors, truth)
+    return Recorded(dataset, entry, sensors, truth, folder / "variants")
 
 
 def nanoseconds(seconds: str) -> int:
@@ -130,7 +132,7 @@ def run(recorded: Recorded, folder: Path, name: str, mode: str, *, late: int = 0
     spec = algorithm(name).spec
     declared = spec.mode(SensorMode(mode))
     options = InputOptions.model_validate({})
-    variant = prepare(recorded.entry, declared.needs, options, spec.formats(declared), folder / "variants")
+    variant = prepare(recorded.entry, declared.needs, options, spec.formats(declared), recorded.variants)
     run_folder = folder / "run"
     (run_folder / "output").mkdir(parents=True)
     (run_folder / "dataset").symlink_to(variant.folder)

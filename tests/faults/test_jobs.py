@@ -77,7 +77,7 @@ def prepare_request(target: str) -> Any:
     return {
         "dataset": dataset,
         "roles": ["lidar"],
-        "input": {"frameRate": 5},
+        "input": {"frameRate": 5, "duration": "2s"},
         "formats": [target],
         "assets": [],
     }
