@@ -179,16 +179,15 @@ async def test_only_our_jobs_and_pods_are_listed(op: Operator, api: FakeApi) -> 
     assert set(api.listed) == {(kind, None if kind.is_ours else managed) for kind in Kind}
 
 
-def ended_job(version: int) -> dict[str, Any]:
-    job = thing("job", version, role="run", run="demo")
-    return job | {"status": {"conditions": [{"type": "Complete", "status": "True"}]}}
+def held_job(version: int) -> dict[str, Any]:
+    return thing("job", version, role="run", run="demo") | {"spec": {"suspend": True}}
 
 
 async def test_a_job_brings_its_run(op: Operator, toy: Toy) -> None:
     op.observe(RUN, "ADDED", thing("demo", 99999))
     await op.start()
     await settle(op)
-    op.observe(Kind.JOB, "MODIFIED", ended_job(5))
+    op.observe(Kind.JOB, "MODIFIED", held_job(5))
     await settle(op)
     assert toy.seen == ["MappingRun lab/demo", "MappingRun lab/demo"]
 

@@ -129,7 +129,9 @@ def test_a_finished_runs_processor_is_the_clusters_own_unless_its_result_is_anot
     twins = Twins(Catalogue())
     twins.learn(equal("elsewhere", contentHash="c" * 64, reusedFrom="x"))
     assert twins.processors == set()
-    twins.learn(equal("here", contentHash="c" * 64))
+    here = equal("here", contentHash="c" * 64)
+    here["metadata"] |= {"name": "other", "uid": "uid-other"}
+    twins.learn(here)
     assert twins.processors == {"here"}
 
 

@@ -79,11 +79,11 @@ class Proxy:
     trouble: Trouble
     hits: Counter[str] = field(default_factory=Counter)
     _calls: Counter[tuple[str, str]] = field(default_factory=Counter)
-    _watches: set[web.Request] = field(default_factory=set)
+    _watches: dict[int, web.Request] = field(default_factory=dict)
 
     def cut(self) -> int:
         """Break all watches there are now; returns their number."""
-        watches = [*self._watches]
+        watches = [*self._watches.values()]
         for request in watches:
             _abort(request)
         return len(watches)
@@ -91,11 +91,11 @@ class Proxy:
     async def handle(self, request: web.Request) -> web.StreamResponse:
         """Answer a request."""
         if request.query.get("watch") == "true":
-            self._watches.add(request)
+            self._watches[id(request)] = request
             try:
                 return await self._watch(request)
             finally:
-                self._watches.discard(request)
+                del self._watches[id(request)]
         is_list = request.method == "GET" and request.query.keys() & {"limit", "labelSelector"}
         discovery = request.path.count("/") < 5
         ours = request.headers.get("User-Agent") == "slamhive"  # kopf ends when a page is gone
