@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""kopf itself, and what follows Jobs and pods, on a server that lists and streams what it is told to."""
+"""kopf, and what follows runs, Jobs and pods, on a server that lists and streams what it is told to."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kubernetes.aio.client import ApiClient, Configuration
 
 from slamhive.kube import handlers
 from slamhive.kube.client import Api
-from slamhive.kube.kinds import OUR_KINDS, Key, Kind
+from slamhive.kube.kinds import Key, Kind
 from slamhive.kube.operator import Operator
 from slamhive.kube.settings import Settings
 
@@ -30,8 +30,7 @@ SETTINGS = Settings.model_validate(
         "volumes": {"results": {"claim": "r"}, "data": {"claim": "d"}},
     }
 )
-RUN = Kind.MAPPING_RUN
-RUNS = RUN.path("lab")
+RUNS = Kind.MAPPING_RUN.path("lab")
 GROUPS = [
     {
         "name": kind.group,
@@ -49,12 +48,11 @@ def thing(name: str, version: int) -> dict[str, Any]:
 
 
 class Server:
-    """Discovery, lists and watches; each watch of runs or pods streams the next of its own, then ends."""
+    """Discovery, lists and watches; each watch streams the next of its kind's ``streams``, then ends."""
 
     def __init__(self) -> None:
         self.listed: dict[str, list[dict[str, Any]]] = {}
-        self.streams: list[list[dict[str, Any]]] = []
-        self.pods: list[list[dict[str, Any]]] = []
+        self.streams: dict[str, list[list[dict[str, Any]]]] = {}
         self.asked: list[tuple[str, str, dict[str, str]]] = []
 
     async def handle(self, request: web.Request) -> web.StreamResponse:
@@ -66,7 +64,7 @@ class Server:
             return web.json_response({"metadata": {"resourceVersion": "10"}, "items": items})
         response = web.StreamResponse()
         await response.prepare(request)
-        streams = {RUNS: self.streams, PODS: self.pods}.get(request.path)
+        streams = self.streams.get(request.path)
         if streams:
             for event in streams.pop(0):
                 await response.write(json.dumps(event).encode() + b"\n")
@@ -117,46 +115,31 @@ async def watching(server: Server) -> AsyncIterator[Operator]:
             await api.close()
 
 
-async def until(op: Operator, *names: str) -> None:
-    await eventually(lambda: {obj["metadata"]["name"] for obj in op.store.of(RUN, "lab")} == set(names))
-
-
 async def eventually(condition: Callable[[], bool]) -> None:
     async with asyncio.timeout(30):
         while not condition():  # noqa: ASYNC110 - what happens is behind a connection
             await asyncio.sleep(0.01)
 
 
+@pytest.mark.parametrize("kind", [Kind.SWEEP, Kind.MAPPING_RUN, Kind.JOB, Kind.POD])
 async def test_what_is_listed_and_watched_enters_the_store_even_when_watches_are_cut(
-    server: Server,
+    server: Server, kind: Kind
 ) -> None:
-    server.listed[RUNS] = [thing("listed", 5)]
-    server.streams = [
+    path = kind.path("lab")
+    server.listed[path] = [thing("listed", 5)]
+    server.streams[path] = [
         [{"type": "ADDED", "object": thing("added", 11)}],
         [{"type": "DELETED", "object": thing("listed", 12)}],
         [{"type": "ERROR", "object": {"kind": "Status", "code": 410}}],
     ]
     async with watching(server) as op:
-        await until(op, "added")
-        server.listed[RUNS] = [thing("added", 11), thing("after", 20)]
-        await until(op, "added", "after")
+        await eventually(lambda: names_of(op, kind) == {"added"})
+        server.listed[path] = [thing("added", 11), thing("after", 20)]
+        await eventually(lambda: names_of(op, kind) == {"added", "after"})
 
 
-async def test_pods_are_followed_through_cuts_and_lists_that_are_too_old(server: Server) -> None:
-    server.listed[PODS] = [thing("listed", 5)]
-    server.pods = [
-        [{"type": "ADDED", "object": thing("added", 11)}],
-        [{"type": "DELETED", "object": thing("listed", 12)}],
-        [{"type": "ERROR", "object": {"kind": "Status", "code": 410}}],
-    ]
-    async with watching(server) as op:
-        await eventually(lambda: names_of(op) == {"added"})
-        server.listed[PODS] = [thing("added", 11), thing("after", 20)]
-        await eventually(lambda: names_of(op) == {"added", "after"})
-
-
-def names_of(op: Operator) -> set[str]:
-    return {pod["metadata"]["name"] for pod in op.store.of(Kind.POD, "lab")}
+def names_of(op: Operator, kind: Kind) -> set[str]:
+    return {obj["metadata"]["name"] for obj in op.store.of(kind, "lab")}
 
 
 async def test_only_our_pods_are_watched_and_nothing_is_written(server: Server) -> None:
@@ -205,7 +188,7 @@ async def unconnected() -> AsyncIterator[Operator]:
 
 async def test_no_handler_asks_for_a_finalizer(unconnected: Operator) -> None:
     registry = handlers.registry_for(unconnected)
-    assert len([*registry._watching.get_all_handlers()]) == len(OUR_KINDS)
+    assert len([*registry._watching.get_all_handlers()]) == len(handlers.WATCHED)
     for unwanted in (registry._changing, registry._spawning, registry._indexing):
         assert not [*unwanted.get_all_handlers()]
 
@@ -213,5 +196,5 @@ async def test_no_handler_asks_for_a_finalizer(unconnected: Operator) -> None:
 async def test_each_kind_is_handed_over_as_itself(unconnected: Operator) -> None:
     for handler in handlers.registry_for(unconnected)._watching.get_all_handlers():
         await handler.fn(event={"type": None, "object": thing(f"of-{handler.id}", 3)})  # type: ignore[call-arg, misc]
-    for kind in OUR_KINDS:
+    for kind in handlers.WATCHED:
         assert unconnected.store.get(Key(kind, "lab", f"of-{kind.plural}")) is not None

@@ -165,6 +165,7 @@ def test_what_is_known_of_finished_runs_goes_with_them() -> None:
     keys = []
     for number in range(5):
         run = a_run(f"run-{number}")
+        twins.learn(run)  # as at a start, where all runs are gone through
         run["status"] = {"phase": "Succeeded", "provenance": {"contentHash": f"hash-{number % 2}"}}
         twins.learn(run)
         keys.append(Key(Kind.MAPPING_RUN, NAMESPACE, f"run-{number}"))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Following of the Jobs and pods that belong to our objects, beside kopf's watches of those themselves.
+"""Following of what comes in great numbers: runs, and the Jobs and pods that belong to our objects.
 
-Nine of ten events are theirs. kopf, made to handle each event of each object by itself, spends ten times on
-one what it takes to read it and to note it in the store.
+kopf watches the rest, what people write. Made to handle each event of each object by itself, it spends ten
+times on an event what it takes to read it and to note it in the store.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from slamhive.kube.operator import Operator
 
-FOLLOWED = tuple(kind for kind in Kind if not kind.is_ours)
+FOLLOWED = (Kind.MAPPING_RUN, Kind.JOB, Kind.POD)
 """Kinds that are followed here and not by kopf."""
 
 _log = logging.getLogger("slamhive.operator")
@@ -33,7 +33,7 @@ _log = logging.getLogger("slamhive.operator")
 
 @asynccontextmanager
 async def following(op: Operator) -> AsyncIterator[None]:
-    """Follow the Jobs and pods of all namespaces as long as the context lasts."""
+    """Follow these kinds in all namespaces as long as the context lasts."""
     session = open_session()
     tasks = [
         asyncio.create_task(
@@ -71,5 +71,6 @@ def _follower(op: Operator, session: ClientSession, kind: Kind, namespace: str) 
         trouble=trouble,
         narrow=partial(op.store.narrowed, kind),
         narrow_change=lambda obj: obj,  # the store does it, if the object is news at all
-        labels=MANAGED,
+        # On the server's side: other people's Jobs and pods never reach this process.
+        labels=None if kind.is_ours else MANAGED,
     )

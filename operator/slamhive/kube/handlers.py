@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Handlers for kopf: forward every event of a watch of our own kinds to the operator's store.
+"""Handlers for kopf: forward every event of what people write to the operator's store.
 
 Only the entry point imports this module.
 
@@ -17,15 +17,17 @@ from typing import TYPE_CHECKING, Any
 import kopf
 
 from slamhive.kube.client import PAGE
-from slamhive.kube.following import following
-from slamhive.kube.kinds import OUR_KINDS
+from slamhive.kube.following import FOLLOWED, following
+from slamhive.kube.kinds import Kind
 
 if TYPE_CHECKING:
     import asyncio
 
     from slamhive.kube.client import Api
-    from slamhive.kube.kinds import Kind
     from slamhive.kube.operator import Operator
+
+WATCHED = tuple(kind for kind in Kind if kind not in FOLLOWED)
+"""Kinds that kopf watches."""
 
 WATCH_SECONDS = 600
 INACTIVE_SECONDS = 90.0
@@ -52,9 +54,9 @@ class NoDiffs(kopf.DiffBaseStorage):
 
 
 def registry_for(op: Operator) -> kopf.OperatorRegistry:
-    """Return the handlers: one a kind of ours, which hands over what the watch reports."""
+    """Return the handlers: one a kind that kopf watches, which hands over what the watch reports."""
     registry = kopf.OperatorRegistry()
-    for kind in OUR_KINDS:
+    for kind in WATCHED:
 
         async def hand_over(event: Any, watched: Kind, **_: Any) -> None:
             op.observe(watched, event["type"], event["object"])

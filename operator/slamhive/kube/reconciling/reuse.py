@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.kube.kinds import Key, Kind, Label, key_of
 from slamhive.kube.reconciling.sweep_runs import SAME_AS
 from slamhive.kube.records import record_of
+from slamhive.kube.status import phase_of
 from slamhive.model.results import Phase
 from slamhive.model.status import AlgorithmStatus, MappingRunStatus
 from slamhive.model.sweep import CachePolicy
@@ -41,7 +42,9 @@ class Twins:
         """Models of the cluster's processors, as far as its runs told of them."""
 
     def learn(self, run: dict[str, Any]) -> None:
-        """Take note of a finished run."""
+        """Take note of a run, if it has finished."""
+        if not phase_of(run["status"]).is_finished:
+            return
         # It is looked at again after each write to it; what is needed here doesn't change any more.
         key, uid = key_of(Kind.MAPPING_RUN, run), run["metadata"]["uid"]
         if self._learned.get(key, ("", None))[0] == uid:
