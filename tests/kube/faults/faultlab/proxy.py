@@ -89,7 +89,14 @@ class Proxy:
         return len(watches)
 
     async def handle(self, request: web.Request) -> web.StreamResponse:
-        """Answer a request."""
+        """Answer a request; where the server is away, by a broken connection."""
+        try:
+            return await self._answer(request)
+        except aiohttp.ClientConnectionError:
+            _abort(request)
+            return _status(500)
+
+    async def _answer(self, request: web.Request) -> web.StreamResponse:
         if request.query.get("watch") == "true":
             self._watches[id(request)] = request
             try:
