@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import yaml
@@ -93,6 +94,12 @@ class Companion:
 NO_COMPANION = Companion()
 
 
+@lru_cache(maxsize=512)
+def _as_yaml(text: str) -> str:
+    """Return JSON as YAML that people like to read."""
+    return str(yaml.dump(json.loads(text), Dumper=_Dumper, sort_keys=False, allow_unicode=True))
+
+
 def job_name(run: str, attempt: int) -> str:
     """Return the name of an attempt's Job."""
     return joined_name(run, str(attempt))
@@ -172,7 +179,9 @@ def run_job(
         "containers": [_algorithm(plan, settings), *companion.containers],
         "volumes": [*_volumes(spec, settings), *_render_volumes(plan), *companion.volumes],
     }
-    text = yaml.dump(configuration.as_json(), Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+    # Part by part: those that the runs of a Sweep have in common are written once.
+    parts = ({name: value} for name, value in configuration.as_json().items())
+    text = "".join(_as_yaml(json.dumps(part)) for part in parts)
     return job(
         metadata["namespace"],
         job_name(metadata["name"], attempt),
