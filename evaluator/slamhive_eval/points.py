@@ -37,11 +37,16 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive_eval.alignment import Alignment, Method
-    from slamhive_eval.preparing import Prepared
+    from slamhive_eval.preparing import Preparation, Prepared
     from slamhive_eval.rotation import FloatArray
 
 MOST_ERRORS = 100
 """Errors of single points that a result holds: the largest of them, where there are more."""
+_MOST_GROUPS = 50
+"""Groups of points that are left out in turn for the standard error; with fewer points each is one."""
+_FITTED = {"se3": 6, "sim3": 7, "yaw": 4}
+"""Numbers that an alignment fits."""
+_SLIGHT = 0.05
 NO_RELATIVE = (
     "the ground truth is control points: relative errors and errors of rotation were left out, as there is "
     "no motion and no orientation between and at the points; drift and jumps between them are not seen"
@@ -101,6 +106,9 @@ class PointErrors:
         scale: Of the Sim(3) alignment whatever the method, None where it isn't determined.
         errors: Distance at each point that is met, in m, shape (met,).
         ate: Statistics of them, or None.
+        standard_error: Of the RMSE, in m, by the chance of which instants were surveyed, by leaving points
+            out in turn. None where fewer than four points are met, or without one of them an alignment isn't
+            determined.
         laid: The points that are met and the estimate there, aligned; None where it couldn't be.
         notes: Sentences on what was done and left out.
     """
@@ -115,6 +123,7 @@ class PointErrors:
     scale: float | None = None
     errors: FloatArray | None = None
     ate: Statistics | None = None
+    standard_error: float | None = None
     laid: Prepared | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
 
@@ -148,6 +157,7 @@ class PointErrors:
                 "share": self.share,
                 "medianSpacingSeconds": float(np.median(steps)) if len(steps) else None,
                 "longestSpacingSeconds": float(steps.max()) if len(steps) else None,
+                "rmseStandardError": self.standard_error,
             },
             "pointErrors": self._listed(),
             "notes": list(self.notes),
@@ -210,7 +220,50 @@ def evaluate_points(
         laid = lay(truth, at_points, options.preparation)
     except TrajectoryError as error:
         return replace(result, message=f"{error}; {len(truth)} control points were met")
-    return _judged(result, laid, options)
+    error = _standard_error(truth, at_points, options.preparation)
+    return _judged(replace(result, standard_error=error), laid, options)
+
+
+def _standard_error(truth: Trajectory, at_points: Trajectory, how: Preparation) -> float | None:
+    """Standard error of the RMSE in m: the delete-a-group jackknife (Shao, Wu 1989), aligned anew each time.
+
+    Points in a row are left out together where there are many, as their errors resemble one another.
+    """
+    count = len(truth)
+    groups = np.array_split(np.arange(count), min(count, _MOST_GROUPS))
+    found = []
+    for group in groups:
+        kept = np.delete(np.arange(count), group)
+        if len(kept) < MIN_POSES:
+            return None
+        try:
+            laid = lay(truth.select(kept), at_points.select(kept), how)
+        except TrajectoryError:
+            return None
+        errors = rotation.vector_norm(laid.estimate.positions - laid.reference.positions)
+        found.append(float(np.sqrt(np.mean(errors**2))))
+    return float(np.sqrt((len(groups) - 1) * np.var(found)))
+
+
+def _chance(result: PointErrors, rmse: float) -> list[str]:
+    """Sentences on how far the RMSE at the points can be from that of the whole drive."""
+    notes, count = [], int(result.met.sum())
+    if result.standard_error is not None and rmse > 0:
+        notes.append(
+            f"the RMSE of {rmse:.4g} m at {count} control points has a standard error of "
+            f"{result.standard_error:.2g} m ({result.standard_error / rmse:.0%}), by the chance of which "
+            "instants were surveyed"
+        )
+    fitted = _FITTED.get(result.method, 0)
+    # Of 3n squares the least-squares fit of m numbers leaves (3n - m) / 3n, if they are independent.
+    looks = 1 - np.sqrt(max(1 - fitted / (3 * count), 0))
+    if looks > _SLIGHT:
+        notes.append(
+            f"the alignment fits {fitted} numbers to {count} points, by which the RMSE looks smaller than it "
+            f"is: by {looks:.0%} where errors are independent of one another, by less where they change "
+            "slowly"
+        )
+    return notes
 
 
 def _in_window(points: ControlPoints, options: Options) -> ControlPoints:
@@ -297,5 +350,5 @@ def _judged(result: PointErrors, laid: Prepared, options: Options) -> PointError
         errors=errors,
         ate=ate,
         laid=laid,
-        notes=result.notes + alignment.notes,
+        notes=(*result.notes, *_chance(result, ate.rmse), *alignment.notes),
     )

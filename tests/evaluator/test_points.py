@@ -184,23 +184,66 @@ def test_points_must_be_sound() -> None:
         ControlPoints(np.array([2.0, 1.0]), np.zeros((2, 3)))
 
 
-@pytest.mark.parametrize(("seconds", "whole"), [(5, 0.02), (15, 0.02), (30, 0.04)])
+@pytest.fixture
+def drive(trajectories: Path) -> tuple[Trajectory, Trajectory]:
+    """KITTI 00, 471 s: ground truth, and ORB-SLAM's result."""
+    times = trajectories / "KITTI_00_gt_times.txt"
+    return tuple(read_kitti(trajectories / name, times) for name in ("KITTI_00_gt.txt", "KITTI_00_ORB.txt"))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("seconds", [5, 15, 30])
 def test_points_say_the_same_as_dense_ground_truth_of_the_same_drive(
-    trajectories: Path, seconds: float, whole: float
+    drive: tuple[Trajectory, Trajectory], seconds: float
 ) -> None:
-    """KITTI 00 with ORB-SLAM, 471 s: 94, 31 and 16 points instead of 4,541 poses.
+    """94, 31 and 16 points instead of 4,541 poses, surveyed at twelve different beginnings.
 
     At the same instants the RMSE differs only by the alignment, which fewer points determine. Against the
-    RMSE of the whole drive there is the chance of which instants were surveyed, too.
+    RMSE of the whole drive there is the chance of which instants were surveyed, which a mean doesn't have,
+    and which the standard error tells.
     """
-    times = trajectories / "KITTI_00_gt_times.txt"
-    truth = read_kitti(trajectories / "KITTI_00_gt.txt", times)
-    estimate = read_kitti(trajectories / "KITTI_00_ORB.txt", times)
+    truth, estimate = drive
     dense = evaluate(truth, estimate)
-    points = every(truth, seconds, first=seconds / 2)
-    sparse = evaluate_points(points, estimate)
-    assert (sparse.outcome, sparse.share) == ("Tracked", 1.0)
-    there = np.isin(dense.poses.reference.stamps, points.stamps)
-    same = float(np.sqrt(np.mean(dense.poses.errors[there] ** 2)))
-    assert sparse.ate.rmse == pytest.approx(same, rel=0.02)
-    assert sparse.ate.rmse == pytest.approx(dense.ate.rmse, rel=whole)
+    found = []
+    for first in np.linspace(0, seconds, 12, endpoint=False):
+        points = every(truth, seconds, first)
+        sparse = evaluate_points(points, estimate)
+        assert (sparse.outcome, sparse.share) == ("Tracked", 1.0)
+        there = np.isin(dense.poses.reference.stamps, points.stamps)
+        same = float(np.sqrt(np.mean(dense.poses.errors[there] ** 2)))
+        assert sparse.ate.rmse == pytest.approx(same, rel=0.02)
+        assert abs(sparse.ate.rmse - dense.ate.rmse) < 2 * sparse.standard_error
+        found.append(sparse.ate.rmse)
+    assert np.mean(found) == pytest.approx(dense.ate.rmse, rel=0.02)
+
+
+def test_what_few_points_cannot_say_is_said(drive: tuple[Trajectory, Trajectory]) -> None:
+    truth, estimate = drive
+    few = evaluate_points(every(truth, 30, first=15), estimate)
+    said = " | ".join(few.notes)
+    assert f"at 16 control points has a standard error of {few.standard_error:.2g} m" in said
+    assert "fits 6 numbers to 16 points, by which the RMSE looks smaller than it is: by 6%" in said
+    assert few.as_dict()["points"]["rmseStandardError"] == few.standard_error
+    many = evaluate_points(every(truth, 5), estimate)
+    assert "looks smaller" not in " | ".join(many.notes)
+    assert many.standard_error < 0.6 * few.standard_error
+    # Without one of three points no alignment is left.
+    three = ControlPoints(truth.stamps[:4000:1500], truth.positions[:4000:1500])
+    assert evaluate_points(three, estimate).standard_error is None
+
+
+def test_independent_errors_look_smaller_by_what_is_said(wander: Callable[..., Trajectory]) -> None:
+    """Of independent errors, six points show as much as the note says, and the standard error is right."""
+    truth, random = wander(n=1200), np.random.default_rng(5)
+    points = every(truth, 20)
+    found, told = [], []
+    for _ in range(300):
+        noise = random.normal(0, 0.1, truth.positions.shape)
+        moved = Trajectory(truth.stamps, truth.positions + noise, truth.quaternions)
+        one = evaluate_points(points, moved)
+        found.append(one.ate.rmse)
+        told.append(one.standard_error)
+    assert len(points) == 6
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(
+        0.1 * np.sqrt(3) * np.sqrt(1 - 6 / 18), rel=0.05
+    )
+    assert np.median(told) == pytest.approx(np.std(found), rel=0.5)

@@ -52,6 +52,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "points.missing": ("control points missed", ""),
     "points.share": ("share of control points met", ""),
     "points.medianSpacingSeconds": ("median time between control points", "s"),
+    "points.rmseStandardError": ("standard error of the RMSE at control points", "m"),
     "points.longestSpacingSeconds": ("longest time between control points", "s"),
     "ate.extended": ("extended ATE RMSE", "m", "extended ATE"),
     "settings": ("evaluation settings", "", "settings"),
