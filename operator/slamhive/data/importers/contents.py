@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from slamhive.data.thinning import rate_of
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import SensorType
 
@@ -140,6 +141,33 @@ def encoding_of(pixels: Pixels) -> str:
     return _ENCODINGS.get((pixels.dtype.name, pixels.ndim), "mono8")
 
 
+def camera_encoding(first: Path, what: str, notes: list[str]) -> str:
+    """Return the encoding that a camera's images have in the dataset, by the first of them.
+
+    Args:
+        first: The image.
+        what: Whose images they are, for the note that 16 bits become 8.
+        notes: To which that is added.
+
+    Raises:
+        DataError: It is missing, or no image.
+    """
+    if read_pixels(first).dtype == np.uint16:
+        notes.append(f"{what}: images of 16 bits become images of 8, by the upper 8 bits")
+    return encoding_of(camera_pixels(first))
+
+
+def measured_rate(stamps: Stamps) -> float | None:
+    """Return the rate of messages by their stamps, Hz; None of fewer than two."""
+    rate = rate_of(stamps)
+    return round(rate, 3) if rate else None
+
+
+def depth_encoding(pixels: Pixels) -> str:
+    """Return the encoding of a depth image: whole units of 16 bits, or float32."""
+    return {"uint16": "16UC1", "float32": "32FC1"}[pixels.dtype.name]
+
+
 def loaded_stream(
     name: str, sensor: Sensor, stamps: Stamps, load: Callable[[int], Callable[[BagWriter], None]]
 ) -> Stream:
@@ -154,7 +182,15 @@ def loaded_stream(
     return Stream(name, sensor, stamps, lambda bag, k: load(k)(bag), load)
 
 
-def camera_stream(name: str, sensor: Sensor, stamps: Stamps, files: list[Path], source: Path) -> Stream:
+def camera_stream(
+    name: str,
+    sensor: Sensor,
+    stamps: Stamps,
+    files: list[Path],
+    source: Path | str,
+    *,
+    read_depth: Callable[[Path], Pixels] | None = None,
+) -> Stream:
     """Return the stream of image files of a camera, in 8 bits, or of a depth camera.
 
     Args:
@@ -162,7 +198,8 @@ def camera_stream(name: str, sensor: Sensor, stamps: Stamps, files: list[Path], 
         sensor: With its `camera` block.
         stamps: ns, shape (n,).
         files: The image of each, n.
-        source: The file that states the calibration, for messages.
+        source: What states the calibration, for messages.
+        read_depth: Reads a depth image, uint16 or float32, (height, width); None: as `depth_pixels`.
     """
     known = sensor.camera
     if known is None:
@@ -171,8 +208,8 @@ def camera_stream(name: str, sensor: Sensor, stamps: Stamps, files: list[Path], 
     is_depth = sensor.type is SensorType.DEPTH_CAMERA
 
     def load(k: int) -> Callable[[BagWriter], None]:
-        pixels = depth_pixels(files[k]) if is_depth else camera_pixels(files[k])
-        encoding = known.encoding if is_depth else encoding_of(pixels)
+        pixels = (read_depth or depth_pixels)(files[k]) if is_depth else camera_pixels(files[k])
+        encoding = depth_encoding(pixels) if is_depth else encoding_of(pixels)
         _require_fit(pixels, encoding, known, files[k], source)
         stamp = int(stamps[k])
 
@@ -224,7 +261,7 @@ def cloud_stream(
     return loaded_stream(name, sensor, stamps, read)
 
 
-def _require_fit(pixels: Pixels, encoding: str, known: Camera, path: Path, source: Path) -> None:
+def _require_fit(pixels: Pixels, encoding: str, known: Camera, path: Path, source: Path | str) -> None:
     if pixels.shape[:2] != (known.height, known.width) or encoding != known.encoding:
         raise DataError(
             f"{path}: {pixels.shape[1]}×{pixels.shape[0]} {encoding}, but {source} and the first "

@@ -16,11 +16,10 @@ from slamhive.data.importers.contents import (
     Contents,
     Stream,
     Truth,
-    camera_pixels,
+    camera_encoding,
     camera_stream,
-    encoding_of,
     imu_stream,
-    read_pixels,
+    measured_rate,
 )
 from slamhive.data.importers.lists import read_images
 from slamhive.data.importers.sequences import sequence_folder
@@ -163,15 +162,13 @@ def _with_imu(
 def _camera(folder: Path, role: str, known: Calibration, notes: list[str]) -> Stream:
     images = read_images(folder / "data.csv", folder / "data", "ns")
     notes += images.notes
-    if read_pixels(images.files[0]).dtype == np.uint16:
-        notes.append(f"{folder}: images of 16 bits become images of 8, by the upper 8 bits")
-    camera = known.camera | {"encoding": encoding_of(camera_pixels(images.files[0]))}
+    camera = known.camera | {"encoding": camera_encoding(images.files[0], str(folder), notes)}
     sensor = Sensor.model_validate(
         {
             "type": "Camera",
             "topic": f"/{folder.name}/image_raw",
             "frameId": folder.name,
-            "rate": known.rate or _measured(images.stamps),
+            "rate": known.rate or measured_rate(images.stamps),
             "timeOffset": known.time_offset,
             "T_body_sensor": known.pose.tolist(),
             "camera": Camera.model_validate(camera),
@@ -188,17 +185,12 @@ def _imu(folder: Path, known: Calibration, notes: list[str]) -> Stream:
             "type": "Imu",
             "topic": f"/{folder.name}",
             "frameId": folder.name,
-            "rate": known.rate or _measured(samples.stamps),
+            "rate": known.rate or measured_rate(samples.stamps),
             "T_body_sensor": known.pose.tolist(),
             "imu": known.imu,
         }
     )
     return imu_stream("imu", sensor, samples.stamps, samples.values[:, :3], samples.values[:, 3:])
-
-
-def _measured(stamps: np.ndarray[tuple[int], np.dtype[np.int64]]) -> float | None:
-    rate = rate_of(stamps)
-    return None if rate is None else round(rate, 3)
 
 
 def _note_pairs(streams: list[Stream], notes: list[str]) -> None:

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.data.importers.contents import Stream, camera_pixels, camera_stream, encoding_of, read_pixels
+from slamhive.data.importers.contents import (
+    Stream,
+    camera_pixels,
+    camera_stream,
+    depth_encoding,
+    encoding_of,
+)
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import Camera, Sensor
 
@@ -16,8 +22,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import numpy.typing as npt
-
-    from slamhive.data.rosmessages import BagWriter
 
     Stamps = npt.NDArray[np.int64]
     Pixels = npt.NDArray[Any]
@@ -82,7 +86,7 @@ def view_stream(
             f"{files[0]}: {pixels.shape[1]}×{pixels.shape[0]} pixels, but {source} is for "
             f"{lens['width']}×{lens['height']}"
         )
-    encoding = encoding_of(pixels) if depth is None else _DEPTH[pixels.dtype.name]
+    encoding = encoding_of(pixels) if depth is None else depth_encoding(pixels)
     camera = Camera.model_validate(
         {**lens, "encoding": encoding, "distortion": "None", "depthScale": depth[0] if depth else None}
     )
@@ -96,46 +100,5 @@ def view_stream(
             "camera": camera,
         }
     )
-    if depth is None:
-        return camera_stream(name, sensor, stamps, [*files], files[0].parent)
-    return _depth_stream(name, sensor, stamps, files, depth[1])
-
-
-_DEPTH = {"uint16": "16UC1", "float32": "32FC1"}
-
-
-def _depth_stream(
-    name: str,
-    sensor: Sensor,
-    stamps: Stamps,
-    files: Sequence[Path],
-    load: Callable[[Path], Pixels],
-) -> Stream:
-    frame, camera = sensor.frame_id or name, sensor.camera
-    if camera is None:
-        raise ValueError(f"{name}: a depth camera without intrinsics")
-
-    def write(bag: BagWriter, k: int) -> None:
-        pixels = load(files[k])
-        if pixels.shape != (camera.height, camera.width) or _DEPTH.get(pixels.dtype.name) != camera.encoding:
-            raise DataError(
-                f"{files[k]}: {pixels.dtype.name} of shape {pixels.shape}, the first depth image has "
-                f"{camera.encoding} of {(camera.height, camera.width)}"
-            )
-        stamp = int(stamps[k])
-        bag.camera_info(f"/{frame}/camera_info", stamp, frame, camera)
-        bag.image(sensor.topic, stamp, frame, camera.encoding, pixels)
-
-    return Stream(name, sensor, stamps, write)
-
-
-def read_depth(path: Path) -> Pixels:
-    """Return a depth image of 16 bits, shape (height, width).
-
-    Raises:
-        DataError: It is missing, no image, or has other pixels.
-    """
-    pixels = read_pixels(path)
-    if pixels.dtype != np.uint16 or pixels.ndim != 2:
-        raise DataError(f"{path}: depth images must have one channel of 16 bits, not {encoding_of(pixels)}")
-    return pixels
+    read = None if depth is None else depth[1]
+    return camera_stream(name, sensor, stamps, [*files], source, read_depth=read)

@@ -6,8 +6,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from slamhive.data.importers.contents import Contents, Truth
-from slamhive.data.importers.frames import frame_stamps, read_depth, require_frames, view_stream
+from slamhive.data.importers.contents import Contents, Truth, depth_pixels
+from slamhive.data.importers.frames import frame_stamps, require_frames, view_stream
 from slamhive.data.importers.poses import from_rows
 from slamhive.data.importers.tables import read_table
 from slamhive.model.dataset import GroundTruth
@@ -55,7 +55,7 @@ def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
     name = "color" if depths else "camera"
     streams = [view_stream(name, stamps, colors, lens, frame="color", source=stated)]
     if depths:
-        depth = (scale, read_depth)
+        depth = (scale, depth_pixels)
         streams.append(view_stream("depth", stamps, depths, lens, frame="depth", source=stated, depth=depth))
     return Contents(
         description="Imported from a scene of Replica.",

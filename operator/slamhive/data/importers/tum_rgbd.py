@@ -18,16 +18,15 @@ from slamhive.data.importers.contents import (
     Contents,
     Stream,
     Truth,
-    camera_pixels,
+    camera_encoding,
     camera_stream,
-    encoding_of,
     imu_stream,
+    measured_rate,
     read_pixels,
 )
 from slamhive.data.importers.lists import Images, read_images
 from slamhive.data.importers.sequences import sequence_folder
 from slamhive.data.importers.tables import read_table
-from slamhive.data.thinning import rate_of
 from slamhive.model.dataset import GroundTruth
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import Sensor, SensorType
@@ -175,16 +174,13 @@ def _camera(role: str, key: str, images: Images, device: Device, notes: list[str
     if kind is SensorType.DEPTH_CAMERA:
         camera |= {"encoding": "16UC1", "depthScale": device.depth_scale}
     else:
-        camera |= {"encoding": encoding_of(camera_pixels(images.files[0]))}
-        if pixels.dtype == np.uint16:
-            notes.append(f"{role}: images of 16 bits become images of 8, by the upper 8 bits")
-    rate = rate_of(images.stamps)
+        camera |= {"encoding": camera_encoding(images.files[0], role, notes)}
     sensor = Sensor.model_validate(
         {
             "type": kind,
             "topic": f"/{role}/image_raw",
             "frameId": role if device.frame is None else device.frame,
-            "rate": round(rate, 3) if rate else None,
+            "rate": measured_rate(images.stamps),
             "T_body_sensor": device.pose.tolist(),
             "camera": camera,
         }
@@ -213,13 +209,12 @@ def _imu(source: Path, rig: Rig, notes: list[str]) -> list[Stream]:
     pose = np.eye(4) if device is None else device.pose
     if device is None:
         notes.append("imu: its pose and noise are not stated; it is taken to be in the colour camera")
-    rate = rate_of(rates.stamps)
     sensor = Sensor.model_validate(
         {
             "type": "Imu",
             "topic": "/imu",
             "frameId": "imu" if device is None or device.frame is None else device.frame,
-            "rate": round(rate, 3) if rate else None,
+            "rate": measured_rate(rates.stamps),
             "T_body_sensor": pose.tolist(),
             "imu": {} if device is None else device.imu,
         }

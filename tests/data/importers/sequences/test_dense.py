@@ -117,7 +117,7 @@ def test_what_is_wrong_of_replica_is_named(tmp_path: Path, take_in: Callable[...
     cv2.imwrite(str(folder / "results" / "depth000001.png"), np.zeros((12, 16), dtype=np.uint8))
     camera = {"w": 16, "h": 12, "fx": 8.0, "fy": 8.0, "cx": 7.5, "cy": 5.5, "scale": 6553.5}
     (folder / "cam_params.json").write_text(json.dumps({"camera": camera}))
-    with pytest.raises(DataError, match=r"depth000001\.png: depth images must have one channel of 16 bits"):
+    with pytest.raises(DataError, match=r"depth000001\.png: a depth image must have one channel of 16 bits"):
         take_in(folder, "Replica")
     (folder / "traj.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 2)
     with pytest.raises(DataError, match=r"3 images, but .*traj\.txt has 2 poses"):
