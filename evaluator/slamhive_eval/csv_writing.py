@@ -48,21 +48,32 @@ def _write_rows(stream: TextIO, rows: Iterable[Sequence[Any]]) -> None:
     csv.writer(_Lines(stream), lineterminator="\r\n").writerows(map(_cell, row) for row in rows)
 
 
-def csv_blocks(columns: Iterable[str], blocks: Iterable[Iterable[Sequence[Any]]]) -> Iterator[str]:
-    """Go through a table's text, the line of names first and then some rows at a time; see `write_csv`."""
+def csv_blocks(columns: Iterable[str], blocks: Iterable[Sequence[Sequence[Any]]]) -> Iterator[str]:
+    """Go through a table's text, the line of names first and then some rows at a time; see `write_csv`.
+
+    Args:
+        columns: names, in order.
+        blocks: the values of some rows, column by column: many times as fast as row by row.
+    """
     stream = io.StringIO()
     write_csv(stream, columns, ())
     yield stream.getvalue()
-    for rows in blocks:
+    for values in blocks:
         stream = io.StringIO()
-        _write_rows(stream, rows)
+        _write_columns(stream, values)
         yield stream.getvalue()
+
+
+def _write_columns(stream: TextIO, values: Iterable[Sequence[Any]]) -> None:
+    rows = zip(*map(_cells, values), strict=True)
+    csv.writer(_Lines(stream), lineterminator="\r\n").writerows(rows)
 
 
 def csv_text(columns: Mapping[str, Sequence[Any]]) -> str:
     """Return columns of equal length, by name, as a table's text; see `write_csv`."""
     stream = io.StringIO()
-    write_csv(stream, columns, zip(*columns.values(), strict=True))
+    write_csv(stream, columns, ())
+    _write_columns(stream, columns.values())
     return stream.getvalue()
 
 
@@ -73,6 +84,17 @@ def defused(text: str) -> str:
     one that begins so after such signs. Taking one ``'`` from those gives all texts back.
     """
     return f"'{text}" if _FORMULA.match(text) and not _NUMBER.fullmatch(text) else text
+
+
+def _cells(values: Sequence[Any]) -> Sequence[Any]:
+    """Return the cells of a column: of one type, as nearly all are, they need no look at each."""
+    types = set(map(type, values)) - {type(None)}
+    if types <= {int, float} and all(math.isfinite(value) for value in values if type(value) is float):
+        return values
+    if types == {str}:
+        known = {value: _cell(value) for value in dict.fromkeys(values)}
+        return list(map(known.__getitem__, values))
+    return list(map(_cell, values))
 
 
 def _cell(value: Any) -> Any:

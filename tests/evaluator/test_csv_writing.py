@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamhive_eval.csv_writing import csv_text
+from slamhive_eval.csv_writing import csv_blocks, csv_text, write_csv
 
 ROOT = Path(__file__).parents[2]
 SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")
@@ -58,6 +58,20 @@ def test_all_texts_are_had_back(texts: list[str]) -> None:
     found = [row[1] for row in read(columns)[1:]]
     assert [re.sub(r"^'(?='*[=+\-@\t\r\n])", "", text) for text in found] == texts
     assert not any(text.startswith(SIGNS) and not re.fullmatch(r"[+-][\d.]+", text) for text in found)
+
+
+_VALUES = (st.none(), st.booleans(), st.integers(), st.floats(), st.text(st.sampled_from("=-1a,")))
+_COLUMN = st.one_of(st.lists(kind, min_size=4, max_size=4) for kind in (*_VALUES, st.one_of(*_VALUES)))
+
+
+@given(st.lists(_COLUMN, min_size=1, max_size=4))
+def test_a_table_is_the_same_by_columns_by_rows_and_in_blocks(columns: list[list[object]]) -> None:
+    names = [f"c{number}" for number in range(len(columns))]
+    by_rows = io.StringIO()
+    write_csv(by_rows, names, zip(*columns, strict=True))
+    assert csv_text(dict(zip(names, columns, strict=True))) == by_rows.getvalue()
+    halves = [[column[:2] for column in columns], [column[2:] for column in columns]]
+    assert "".join(csv_blocks(names, halves)) == by_rows.getvalue()
 
 
 def test_no_other_code_writes_tables() -> None:

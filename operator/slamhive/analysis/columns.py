@@ -182,7 +182,16 @@ class Column:
         if not self.kind.is_numeric:
             lookup = [*self.values, None]
             return [lookup[code] for code in self.codes.tolist()]
-        return [None if value != value else self.plain(value) for value in self.numbers.tolist()]  # noqa: PLR0124
+        if self.kind is ColumnKind.TIME:
+            return [None if value != value else self.plain(value) for value in self.numbers.tolist()]  # noqa: PLR0124
+        found: list[Any]
+        if self.present.all():
+            found = self.numbers.astype(_PLAIN_TYPES[self.kind]).tolist()
+            return found
+        held = np.where(self.present, self.numbers, 0).astype(_PLAIN_TYPES[self.kind]).astype(object)
+        held[~self.present] = None
+        found = held.tolist()
+        return found
 
     def plain(self, number: float) -> Any:
         """Return a number of this column as the value that it stands for."""
@@ -229,6 +238,7 @@ class Column:
         return ranks[self.codes]
 
 
+_PLAIN_TYPES = {ColumnKind.NUMBER: np.float64, ColumnKind.INTEGER: np.int64, ColumnKind.BOOLEAN: np.bool_}
 _NO_NUMBERS = np.empty(0)
 _NO_CODES = np.empty(0, dtype=np.int32)
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from slamhive.analysis.flattening import Results, columns_of_runs
@@ -40,7 +41,7 @@ from slamhive.tables.text import (
     table_lines,
     value_text,
 )
-from slamhive_eval.csv_writing import write_csv
+from slamhive_eval.csv_writing import csv_blocks, write_csv
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -53,6 +54,9 @@ if TYPE_CHECKING:
     Row = dict[str, Any]
 
 app = typer.Typer(no_args_is_help=True, help="Finished runs: lists, tables, files.")
+
+_BLOCK = 2000
+"""Rows written at a time: what an export needs memory for."""
 
 LIST_COLUMNS = (
     *("run", "sweep", "algorithm", "sensors", "dataset", "repetition", "phase", "evaluation", "outcome"),
@@ -266,17 +270,25 @@ def export(
     frame = chosen.frame
     wanted = _names(columns) or frame.names
     frame.require(wanted)
-    rows = _sorted(frame, sort).records(wanted)
+    ordered = _sorted(frame, sort)
     with _stream(output) as stream:
         match form or Format.CSV:
             case Format.JSON:
-                write_json(stream, rows)
+                write_json(stream, ordered.records(wanted))
             case Format.CSV:
-                write_csv(stream, wanted, ([row[name] for name in wanted] for row in rows))
+                stream.writelines(csv_blocks(wanted, _blocks(ordered, wanted)))
             case _:
+                rows = ordered.records(wanted)
                 write_markdown(stream, wanted, ([key_text(row[name]) for name in wanted] for row in rows))
     for note in chosen.notes:
         remark(note)
+
+
+def _blocks(frame: Frame, names: Sequence[str]) -> Iterator[list[list[Any]]]:
+    """Go through a table some rows at a time, column by column."""
+    for start in range(0, len(frame), _BLOCK):
+        part = frame.select(np.arange(start, min(start + _BLOCK, len(frame))))
+        yield [part.column(name).tolist() for name in names]
 
 
 def _hand_over(to: Target, output: Path | None, selection: Selection, unused: dict[str, Any]) -> None:

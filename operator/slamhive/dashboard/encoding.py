@@ -133,7 +133,7 @@ def encode_csv(columns: Columns) -> bytes:
 
 def _csv_blocks(table: Table) -> Iterator[bytes]:
     columns = ([part.column(name).tolist() for name in table.names] for part in table.blocks())
-    for text in csv_blocks(table.names, (zip(*values, strict=True) for values in columns)):
+    for text in csv_blocks(table.names, columns):
         yield text.encode("utf-8", "replace")
 
 

@@ -166,9 +166,12 @@ def constants(found: Aggregate, asked: Sequence[str]) -> dict[str, Any]:
     """Return the keys that all groups share and nobody asked for: said once, not on each line."""
     shared = {}
     for name in found.keys:
-        values = {_identity([cell.keys[name]]) for cell in found.cells}
-        if name not in asked and len(values) == 1 and len(found.cells) > 1:
-            shared[name] = found.cells[0].keys[name]
+        if name in asked or len(found.cells) <= 1:
+            continue
+        first, *others = found.cells
+        value = _identity([first.keys[name]])
+        if all(_identity([cell.keys[name]]) == value for cell in others):
+            shared[name] = first.keys[name]
     return shared
 
 
