@@ -117,7 +117,8 @@ fuzz-api: $(STAMP)
 # make test-cluster takes one side effect, and one behaviour, of each kind.
 fuzz-cluster: $(STAMP) test-packages cluster-build
 	SLAMHIVE_EXAMPLES=thorough $(BIN)/python -m pytest -s tests/kube/faults/test_kills.py \
-	  tests/kube/faults/test_deletion.py tests/contract/test_container.py tests/e2e/test_contract.py
+	  tests/kube/faults/test_deletion.py tests/kube/faults/test_several_operators.py \
+	  tests/contract/test_container.py tests/e2e/test_contract.py
 
 # Slower than make test; what fails under it is no fault of the code.
 coverage: $(STAMP)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
-from faultlab.points import Faults
+from faultlab.points import THOROUGH, Faults
 from faultlab.proxy import Proxy, Trouble, proxied
 from faultlab.scenarios import SCENARIOS, Scenario
 from testcluster.kwok import Play
@@ -30,10 +30,12 @@ if TYPE_CHECKING:
     from slamhive.kube.kinds import Object
 
 HERE = Path(__file__).parent
+EACH = 1 if THOROUGH else 2
+"""Of the moments at which something happens, each second one is played; all by `make fuzz-cluster`."""
 PATHS = os.pathsep.join(map(str, (HERE, HERE.parents[1] / "cluster")))
 
 
-@pytest.mark.parametrize("after", [2, 7, 12, 17, 22, 27])
+@pytest.mark.parametrize("after", [2, 7, 12, 17, 22, 27][::EACH])
 async def test_one_begins_before_the_other_is_killed(arena: Arena, after: int) -> None:
     expected = await arena.undisturbed(SCENARIOS["study"])
 
@@ -74,7 +76,7 @@ def _names(created: Object) -> Object:
     return {kind: sorted(objects) for kind, objects in created.items()}
 
 
-@pytest.mark.parametrize("after", [None, 5, 15, 25])
+@pytest.mark.parametrize("after", [None, 5, 15, 25][::EACH])
 async def test_namespaces_share_an_archive(arena: Arena, tmp_path: Path, after: int | None) -> None:
     """Sweeps of the same name, points and settings; both operators die after some calls, or none does."""
     expected = await arena.undisturbed(SCENARIOS["study"])
@@ -149,7 +151,7 @@ def settings_file(instance: Instance, folder: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("calls", [3, 9, 16, 25])
+@pytest.mark.parametrize("calls", [3, 9, 16, 25][::EACH])
 async def test_a_process_killed_by_the_kernel(arena: Arena, tmp_path: Path, calls: int) -> None:
     expected = await arena.undisturbed(SCENARIOS["study"])
 

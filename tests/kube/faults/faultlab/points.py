@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 WRITES = frozenset({"create", "patch", "delete"})
 ARCHIVE = "archive"
+THOROUGH = os.environ.get("SLAMHIVE_EXAMPLES") == "thorough"
+"""Whether all moments are played; otherwise some of each kind."""
 _ARCHIVE_WRITES = frozenset({"put_run", "put_used", "put_runs", "put_result", "put_sweep", "put_catalog"})
 
 
@@ -31,8 +33,8 @@ class Point(NamedTuple):
 
 
 def chosen(points: Sequence[Point], seed: int) -> list[Point]:
-    """Return a point of each verb, resource and moment, drawn by a seed; all in the profile `thorough`."""
-    if os.environ.get("SLAMHIVE_EXAMPLES") == "thorough":
+    """Return a point of each verb, resource and moment, drawn by a seed, or all."""
+    if THOROUGH:
         return [*points]
     kinds: dict[tuple[str, str, str], list[Point]] = defaultdict(list)
     for point in points:
