@@ -111,6 +111,8 @@ SLOWEST = (
 """Folders and files that take longest, the longest first."""
 STORY = "e2e/"
 """A folder whose tests follow one installation from its first sweep to its end, in the order of the files."""
+TOGETHER = (STORY, "dashboard_pages/", "jobs/")
+"""Folders whose files share what takes seconds to start: one worker takes all of them."""
 ON_CLUSTERS = (
     STORY,
     "kube/",
@@ -130,7 +132,7 @@ hypothesis_settings.load_profile(PROFILE)
 
 
 class Sharing(LoadScopeScheduling):
-    """What workers side by side share out: files, tests that share nothing, and one installation's tests.
+    """Shares of workers side by side: files, tests that share nothing, and folders that share much.
 
     A worker that has begun with clusters goes on with them, and the others come to them last: each starts
     one, which takes processor time until the session ends, and what waits goes best beside what computes.
@@ -147,7 +149,7 @@ class Sharing(LoadScopeScheduling):
         path = nodeid.partition("::")[0]
         if path.startswith(SINGLE):
             return nodeid
-        return STORY if path.startswith(f"tests/{STORY}") else path
+        return next((folder for folder in TOGETHER if path.startswith(f"tests/{folder}")), path)
 
     def _assign_work_unit(self, node: Any) -> None:
         if self._has_clusters:
