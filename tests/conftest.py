@@ -111,7 +111,7 @@ SLOWEST = (
 """Folders and files that take longest, the longest first."""
 STORY = "e2e/"
 """A folder whose tests follow one installation from its first sweep to its end, in the order of the files."""
-TOGETHER = (STORY, "dashboard_pages/", "jobs/")
+TOGETHER = (STORY, "dashboard_pages/", "docs/", "jobs/")
 """Folders whose files share what takes seconds to start: one worker takes all of them."""
 ON_CLUSTERS = (
     STORY,
