@@ -70,6 +70,8 @@ SLOWEST = (
     "docs/test_documents.py",
     "dashboard_pages/test_pages.py",
     "system/test_running.py",
+    "system/test_two_runners.py",
+    "system/test_daily.py",
     "contract/test_container.py",
     "contract/test_process.py",
     "system/test_killing_containers.py",

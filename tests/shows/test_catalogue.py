@@ -35,7 +35,7 @@ metadata: {name: original}
 spec:
   recording:
     synthetic:
-      {seed: 11, sensors: [Lidar, Imu], durationSeconds: 6, loops: 0.1, lidar: {rings: 16, columns: 360}}
+      {seed: 11, sensors: [Lidar, Imu], durationSeconds: 9, loops: 0.15, lidar: {rings: 16, columns: 360}}
 """
 SWEEP = """
 apiVersion: slamhive.io/v1alpha1
