@@ -384,8 +384,8 @@ def test_what_lies_beside_a_trajectory_costs_no_result(pod: Any, walked: str, sp
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_greedy_run_is_refused_its_memory(pod: Any, walked: str, processes: str) -> None:
     pose = "1 0 0 0 0 0 0 1\n"
-    runs = [put_run(pod, 1, walked), put_run(pod, 2, pose * 8_000_000), put_run(pod, 3, walked)]
-    records = evaluate(pod, runs, "--memory", str(500 << 20), "--processes", processes)
+    runs = [put_run(pod, 1, walked), put_run(pod, 2, pose * 5_000_000), put_run(pod, 3, walked)]
+    records = evaluate(pod, runs, "--memory", str(300 << 20), "--processes", processes)
     assert "memory" in records[1]["error"]
     assert [record["result"]["outcome"] for record in records[::2]] == ["Tracked", "Tracked"]
 
