@@ -84,6 +84,29 @@ def test_writing_again_replaces_the_run_and_keeps_other_results(
     ]
 
 
+def test_runs_are_written_together_with_what_they_used(
+    archive: Archive, make_run: MakeRun, make_result: MakeResult
+) -> None:
+    """Some know their Algorithm and Dataset, some don't any more: what was known stays."""
+    old, new = (CatalogEntry(kind="Algorithm", name="kiss-icp", spec={"version": v}) for v in ("1", "2"))
+    hall = CatalogEntry(kind="Dataset", name="hall", spec={})
+    archive.put_run(make_run("a"), old, hall)
+    archive.put_used(
+        [
+            (make_run("a", results=[make_result()]), None, None),
+            (make_run("b", results=[make_result()]), new, hall),
+            (make_run("c"), None, hall),
+        ]
+    )
+    assert archive.used(["a", "b", "c"]) == {
+        "a": (old.content_hash, hall.content_hash),
+        "b": (new.content_hash, hall.content_hash),
+        "c": (None, hall.content_hash),
+    }
+    assert len(archive.catalog("Algorithm")) == 2
+    assert [(record.uid, len(record.results)) for record in archive.runs()] == [("a", 1), ("b", 1), ("c", 0)]
+
+
 def test_a_result_is_keyed_by_evaluation(
     archive: Archive, make_run: MakeRun, make_result: MakeResult
 ) -> None:

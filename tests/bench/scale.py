@@ -126,8 +126,10 @@ class Course:
         began, cpu, own = self._clock.seconds, times.read(), self._process.cpu
         first = self._ended()
         last = self._until(lambda body: _ended(body) >= ended, f"{ended} runs")
-        used = times.read() - cpu
-        done = max(_ended(last) - first, 1)
+        done, used = _ended(last) - first, times.read() - cpu
+        if 10 * done < self._options.runs // 3:
+            print(f"{stage}: {done} runs ended meanwhile, too few for figures", flush=True)
+            return
         self.parts[stage] = {
             "runs": done,
             "rate": done / (self._clock.seconds - began),
@@ -284,7 +286,7 @@ def tell(
     """Print the table of figures."""
     parts, peers, store = course.parts, course.peers, figures["archive"]
     what = f"{options.runs} runs, {options.window} in flight, archive in {options.archive}"
-    for stage in STAGES:
+    for stage in parts:
         ours = parts[stage]
         loops = "no loop of Jobs beside it"
         if stage in peers:
@@ -294,10 +296,10 @@ def tell(
                 f"{copies.rate:.1f}/s with a run's own pod: {ours['rate'] / copies.rate:.2f}, goal 1.0"
             )
         operating.report(f"{what}, {stage}", f"{ours['rate']:.1f} runs/s", f"{loops}; {operating.load()}")
-    first, last = parts[STAGES[0]], parts[STAGES[-1]]
-    operating.report("rate at the end", f"{last['rate'] / first['rate']:.2f} of the beginning's", "goal 0.9")
-    for stage in STAGES:
-        ours = parts[stage]
+    if {STAGES[0], STAGES[-1]} <= parts.keys():
+        share = parts[STAGES[-1]]["rate"] / parts[STAGES[0]]["rate"]
+        operating.report("rate at the end", f"{share:.2f} of the beginning's", "goal 0.9")
+    for stage, ours in parts.items():
         limit = "goal 1.2 times a Job with a run's own pod"
         if stage in peers:
             copied = peers[stage]["copies"].server

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people do to a Sweep while another, larger one runs: edit, suspend, resume, cancel and delete it."""
+"""A second Sweep beside a large one: edited, suspended, resumed, cancelled and deleted as people do it."""
 
 from __future__ import annotations
 
