@@ -41,9 +41,9 @@ def open_session() -> aiohttp.ClientSession:
     that is closed ends its connections at once.
     """
     timeout = aiohttp.ClientTimeout(total=None, connect=10, sock_read=_SILENCE_SECONDS)
-    return aiohttp.ClientSession(
-        timeout=timeout, read_bufsize=_MAX_LINE, connector=aiohttp.TCPConnector(limit=0)
-    )
+    connector = aiohttp.TCPConnector(limit=0)
+    # By proxies that the environment names, as all other calls go.
+    return aiohttp.ClientSession(timeout=timeout, read_bufsize=_MAX_LINE, connector=connector, trust_env=True)
 
 
 class Follower:

@@ -9,9 +9,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from testcluster.access import until
-
 from scaling.points import large_sweep
+from testcluster.access import until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
