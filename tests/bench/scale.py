@@ -167,9 +167,8 @@ class Course:
         if sample is None:
             return
         window, retained = self._options.window, self._options.retained
-        # Beside those that run: those that wait for a batch of their evaluation, or for the status to say
-        # that they are done.
-        most = retained + self._options.warm + 20 * window + 500
+        # Beside those that run: a window and two rounds of batches, which wait to be measured.
+        most = retained + self._options.warm + 3 * window + 2 * 2 * 200
         for what, found, limit in (
             ("runs in flight", sample.running, window),
             ("MappingRuns", sample.mappingruns, most),

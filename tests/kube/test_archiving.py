@@ -15,6 +15,7 @@ from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.reconciling.archiving import at_its_end
 from slamhive.kube.reconciling.sweep_runs import Tally
 from slamhive.kube.records import record_of
+from slamhive.kube.settings import EvaluationJobs
 from slamhive.kube.status import iso
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault
 from slamhive.model.results import Phase
@@ -106,18 +107,22 @@ def runs_of(cluster: Cluster) -> list[Any]:
     return [key for key in cluster.objects if key.kind is Kind.MAPPING_RUN]
 
 
-async def go_on(cluster: Cluster, key: Any, looks: int) -> Any:
-    """Let every run that was started end at once."""
+async def go_on(cluster: Cluster, key: Any, looks: int, **left: Any) -> Any:
+    """Let every run that was started end at once, and leave what is given."""
     status: Any = {}
     for _ in range(looks):
         status = await cluster.look(key, 11)
         for run in runs_of(cluster):
             body = cluster.objects[run]
             if not body["status"]:
-                done = {"phase": "Succeeded", "completionTime": iso(cluster.now)}
-                cluster.objects[run] = cluster._made(body | {"status": done})
-                cluster.op.observe(Kind.MAPPING_RUN, "MODIFIED", cluster.objects[run])
+                change(cluster, run, phase="Succeeded", completionTime=iso(cluster.now), **left)
     return status
+
+
+def change(cluster: Cluster, run: Any, **status: Any) -> None:
+    body = cluster.objects[run]
+    cluster.objects[run] = cluster._made(body | {"status": body["status"] | status})
+    cluster.op.observe(Kind.MAPPING_RUN, "MODIFIED", cluster.objects[run])
 
 
 @pytest.mark.parametrize(
@@ -147,6 +152,31 @@ async def test_an_archive_that_is_away_stops_new_runs_before_they_fill_the_clust
     assert switched.count() == POINTS - RETENTION
     assert {(one.cluster, one.namespace) for one in switched.runs()} == {("cluster-1", "lab")}
     assert [one.cluster for one in switched.sweeps()] == ["cluster-1"]
+
+
+async def test_runs_that_end_faster_than_they_are_measured_stop_new_ones(
+    cluster: Cluster, switched: Switched
+) -> None:
+    slow = EvaluationJobs(batch_size=1, parallel_jobs=1, delay_seconds=0)
+    cluster.op.settings = cluster.op.settings.replace(evaluation=slow)
+    template = {"spec": RUN | {"evaluate": True}}
+    spec = {"template": template, "repetitions": POINTS, "parallelism": WINDOW}
+    key = cluster.apply(Kind.SWEEP, "big", spec | {"retention": {"runs": RETENTION}})
+    status = await go_on(cluster, key, 30, trajectory=TRAJECTORY)
+    waiting = len(runs_of(cluster))
+    assert RETENTION + WINDOW + 2 <= waiting < RETENTION + 2 * WINDOW + 2
+    assert switched.count() == 0
+    word, reason, sentence = standing(status, "Blocked")
+    assert (word, reason) == ("True", "CannotCreate")
+    assert sentence == (
+        f"{waiting} runs that have ended, {RETENTION} of them to keep, wait to be measured and archived"
+    )
+    for run in runs_of(cluster):
+        change(cluster, run, results=[RESULT])
+    status = await go_on(cluster, key, 60)
+    assert standing(status, "Blocked")[0] == "False"
+    assert (status["phase"], status["progress"]) == ("Complete", f"{POINTS}/{POINTS}")
+    assert switched.count() == POINTS - RETENTION
 
 
 async def test_an_archive_that_is_away_at_the_start_is_told_and_waited_for(

@@ -54,6 +54,7 @@ _BLOCKED_SECONDS = 5.0
 _AWAY_SECONDS = 10.0
 _SHOWN_PROBLEMS = 20
 _AT_ONCE = 16
+_BATCHES_WAITING = 2
 
 
 @dataclass(frozen=True)
@@ -239,7 +240,8 @@ class SweepReconciler:
                 case StartPoints() if self._is_held_back(seen, observed.parallelism):
                     pass
                 case StartPoints(indices):
-                    blocked = await self._start(op, seen, indices, now)
+                    blocked = _backlog(op, seen, observed.parallelism)
+                    blocked = blocked or await self._start(op, seen, indices, now)
                 case StopPoints(indices):
                     await self._cancel(op, [seen.runs[index] for index in indices if index in seen.runs])
         delays = [_BLOCKED_SECONDS] if blocked else []
@@ -355,6 +357,21 @@ class SweepReconciler:
         told = condition("Accepted", False, "InvalidSpec", text)
         if await op.write_status(Kind.SWEEP, body, SweepStatus(phase="Pending"), [told]) is not None:
             await op.api.event(Kind.SWEEP, body, "Warning", "NotAccepted", lines[0])
+
+
+def _backlog(op: Operator, seen: _Picture, window: int) -> str | None:
+    """Return why nothing more may start now: runs end faster than they are measured and archived.
+
+    Without this their objects would fill the cluster, however small the window is.
+    """
+    if op.archive is None:
+        return None  # nothing is deleted then, and a Sweep has no more runs than the cluster may hold
+    measuring = op.settings.evaluation
+    ended, kept = len(seen.memory.finished), seen.sweep.spec.retention.runs
+    most = kept + window + _BATCHES_WAITING * measuring.batch_size * measuring.parallel_jobs
+    if ended < most:
+        return None
+    return f"{ended} runs that have ended, {kept} of them to keep, wait to be measured and archived"
 
 
 async def _tell_archive(op: Operator, key: Key, told: Object) -> None:
