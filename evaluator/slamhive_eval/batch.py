@@ -23,15 +23,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive_eval.column_tables import read_columns
 from slamhive_eval.errors import EvaluationError, FileError, OptionError, TrajectoryError
 from slamhive_eval.evaluation import Options, evaluate
 from slamhive_eval.files import Unsorted, read_estimate, read_text, read_trajectory
+from slamhive_eval.points import ControlPoints, evaluate_points, require_point_options
 from slamhive_eval.segments import NAME, beside, evaluate_pieces, read_segments
 from slamhive_eval.support import find_support
 from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from slamhive_eval.columns import TableFormat
 
 TRUTH_NAMES = ("groundtruth", "gt", "stamped_groundtruth")
 """Names, without their ending, of a folder's ground truth; the last is that of rpg_trajectory_evaluation."""
@@ -58,6 +62,27 @@ class Pair:
 
     reference: str
     estimate: str
+
+
+@dataclass(frozen=True)
+class Truths:
+    """What the files of ground truth are.
+
+    Attributes:
+        table: Their columns; None: they say it themselves.
+        are_points: Whether they hold control points.
+    """
+
+    table: TableFormat | None = None
+    are_points: bool = False
+
+    def read(self, path: str) -> Trajectory:
+        """Read one; of control points the positions.
+
+        Raises:
+            EvaluationError: It can't be read.
+        """
+        return read_trajectory(path) if self.table is None else read_columns(path, self.table)
 
 
 def read_pairs(path: str | Path) -> list[Pair]:
@@ -133,6 +158,7 @@ def evaluate_pairs(
     by_index: bool = False,
     processes: int | None = None,
     with_segments: bool = True,
+    truths: Truths | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Evaluate pairs, in any order.
 
@@ -143,18 +169,23 @@ def evaluate_pairs(
         by_index: Whether to pair KITTI files of unequal length as far as both go, with a note.
         processes: How many; None for as many as there are processors.
         with_segments: Whether to measure an estimate map by map where a ``segments.csv`` lies beside it.
+        truths: What the files of ground truth are, where they don't say it themselves. Against control
+            points all of an estimate is measured at once, and there is no support.
 
     Yields:
         For each pair and option, as they finish: ``reference``, ``estimate`` and `Evaluation.as_dict`, or
-        what `evaluate_pieces` returns, and `Support.as_dict` as ``support``; for a pair that can't be
-        evaluated ``reference``, ``estimate`` and ``error``, a sentence.
+        `PointErrors.as_dict`, or what `evaluate_pieces` returns, and `Support.as_dict` as ``support``; for
+        a pair that can't be evaluated ``reference``, ``estimate`` and ``error``, a sentence.
 
     Raises:
         OptionError: An option that isn't allowed, whatever the pairs, or fewer than one process.
     """
+    truths = truths or Truths()
     for one in options:
         with contextlib.suppress(TrajectoryError):  # three poses don't determine everything
             evaluate(_SOME, _SOME, one)
+        if truths.are_points:
+            require_point_options(one)
     if processes is not None and processes < 1:
         raise OptionError(f"there must be at least one process, not {processes}")
     processes = min(processes or len(os.sched_getaffinity(0)), len(pairs))
@@ -163,10 +194,11 @@ def evaluate_pairs(
         options=tuple(options),
         unsorted=unsorted,
         by_index=by_index,
-        with_segments=with_segments,
+        with_segments=with_segments and not truths.are_points,
+        truths=truths,
     )
     try:
-        _read_in_common(pairs)
+        _read_in_common(pairs, truths)
         if processes == 1 or len(pairs) < _FEWEST_FOR_PROCESSES:
             for pair in pairs:
                 yield from work([pair])
@@ -204,28 +236,28 @@ def _groups(pairs: Sequence[Pair], processes: int) -> list[list[Pair]]:
     return [some[k : k + size] for some in by_reference.values() for k in range(0, len(some), size)]
 
 
-def _read_in_common(pairs: Sequence[Pair]) -> None:
+def _read_in_common(pairs: Sequence[Pair], truths: Truths) -> None:
     poses = 0
     for path, count in Counter(pair.reference for pair in pairs).items():
         if count < 2 or poses > _POSES_IN_COMMON:
             continue
         try:
-            _shared[path] = found = read_trajectory(path)
+            _shared[path] = found = truths.read(path)
             poses += len(found)
         except EvaluationError as error:
             _shared[path] = str(error)
 
 
 @functools.lru_cache(maxsize=1)
-def _read_alone(path: str) -> Trajectory:
-    return read_trajectory(path)
+def _read_alone(path: str, truths: Truths) -> Trajectory:
+    return truths.read(path)
 
 
-def _reference(path: str) -> Trajectory:
+def _reference(path: str, truths: Truths) -> Trajectory:
     found = _shared.get(path)
     if isinstance(found, str):
         raise TrajectoryError(found)
-    return _read_alone(path) if found is None else found
+    return _read_alone(path, truths) if found is None else found
 
 
 def _evaluate_group(
@@ -235,12 +267,18 @@ def _evaluate_group(
     unsorted: Unsorted,
     by_index: bool,
     with_segments: bool,
+    truths: Truths,
 ) -> list[dict[str, Any]]:
     results = []
     for pair in group:
         names = {"reference": pair.reference, "estimate": pair.estimate}
         try:
-            reference = _reference(pair.reference)
+            reference = _reference(pair.reference, truths)
+            if truths.are_points:
+                points = ControlPoints.of(reference)
+                estimate = read_trajectory(pair.estimate, unsorted=unsorted)
+                results += [{**names, **evaluate_points(points, estimate, one).as_dict()} for one in options]
+                continue
             estimate = read_estimate(
                 pair.estimate, reference, pair.reference, unsorted=unsorted, by_index=by_index
             )

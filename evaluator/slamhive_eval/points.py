@@ -224,6 +224,16 @@ def evaluate_points(
     return _judged(replace(result, standard_error=error), laid, options)
 
 
+def require_point_options(options: Options | Preparation) -> None:
+    """Check that control points can serve what is asked.
+
+    Raises:
+        OptionError: They can't.
+    """
+    if options.hand_eye or options.clock != "given":
+        raise OptionError("--hand-eye and --offset auto or drift need more than control points")
+
+
 def _standard_error(truth: Trajectory, at_points: Trajectory, how: Preparation) -> float | None:
     """Standard error of the RMSE in m: the delete-a-group jackknife (Shao, Wu 1989), aligned anew each time.
 

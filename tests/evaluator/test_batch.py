@@ -207,9 +207,41 @@ def test_batch_measures_as_ape_does(runs: Path, capsys: pytest.CaptureFixture[st
     assert found.get("clock") == expected.get("clock")
 
 
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_control_points(runs: Path, capsys: pytest.CaptureFixture[str], jobs: str) -> None:
+    place = runs / "a"
+    truth = read_tum(place / "gt.tum")
+    rows = np.column_stack((truth.stamps * 1e3, truth.positions))[5::10]
+    (place / "gt.tum").unlink()
+    np.savetxt(place / "groundtruth.csv", rows, delimiter=",", header="ms,x,y,z")
+    for n in range(6, 10):  # enough for processes
+        write_tum(place / f"estimate{n}.txt", truth)
+    words = ["--reference-format", "control-points", "--columns", "t,x,y,z", "--time-unit", "ms"]
+    assert main(["batch", str(place), *words, "--align", "se3", "none", "--jobs", jobs]) == 0
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(found) == 20
+    same = [one["ate"]["rmse"] for one in found if one["estimate"].endswith("estimate7.txt")]
+    # Between poses a straight line is taken.
+    assert 0 < max(same) < 0.02
+    assert {one["points"]["met"] for one in found} == {10}
+    estimate = place / "estimate2.txt"
+    assert (
+        main(["ape", str(place / "groundtruth.csv"), str(estimate), *words, "--align", "se3", "--json"]) == 0
+    )
+    expected = json.loads(capsys.readouterr().out)
+    (one,) = (one for one in found if (one["estimate"], one["alignment"]) == (str(estimate), "se3"))
+    assert one["ate"]["rmse"] == expected["rmse"]
+    assert one["pointErrors"] == expected["pointErrors"]
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        (["{runs}", "--reference-format", "table"], "--reference-format table needs --columns"),
+        (
+            ["{runs}", "--reference-format", "control-points", "--hand-eye", "--align", "se3"],
+            "--hand-eye and --offset auto or drift need more than control points",
+        ),
         (["{runs}/nowhere"], "nowhere: can't be read"),
         (
             ["{runs}", "--pattern", "*.csv"],

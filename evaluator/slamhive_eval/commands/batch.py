@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamhive_eval import batch, pairs
-from slamhive_eval.commands import measuring
+from slamhive_eval.commands import measuring, tables
 from slamhive_eval.errors import OptionError
 from slamhive_eval.evaluation import Options, RpeOptions
 
@@ -40,6 +40,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pattern", default="*.txt", metavar="GLOB", help="names of the estimates in DIR (default: *.txt)"
     )
+    parser.add_argument(
+        "--reference-format",
+        choices=tables.FORMATS,
+        help="table: the ground truth has the columns that --columns names; control-points: it is positions "
+        "at instants, t x y z or as --columns says",
+    )
+    tables.add(parser)
     measuring.add_preparation(parser, several=True)
     parser.add_argument("--delta", type=float, default=1.0, metavar="D", help="distance of an RPE's pair")
     parser.add_argument(
@@ -78,6 +85,7 @@ def run(asked: argparse.Namespace) -> int:
         by_index=asked.by_index,
         processes=asked.jobs,
         with_segments=not asked.no_segments,
+        truths=batch.Truths(tables.form(asked), asked.reference_format == tables.CONTROL_POINTS),
     ):
         failed += "error" in result
         sys.stdout.write(json.dumps(result, allow_nan=False) + "\n")

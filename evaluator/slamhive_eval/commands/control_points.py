@@ -10,7 +10,7 @@ from slamhive_eval.commands import measuring, output, tables
 from slamhive_eval.commands.output import Measured
 from slamhive_eval.errors import EvaluationError, OptionError
 from slamhive_eval.evaluation import Options
-from slamhive_eval.points import ControlPoints, evaluate_points
+from slamhive_eval.points import ControlPoints, evaluate_points, require_point_options
 
 if TYPE_CHECKING:
     import argparse
@@ -31,8 +31,9 @@ def measure(asked: argparse.Namespace) -> int:
     how = measuring.preparation(asked)
     if asked.relation not in ("trans_part", "point_distance"):
         raise OptionError(f"control points have no orientations, which the relation {asked.relation} needs")
-    if how.hand_eye or how.clock != "given" or asked.support == "common":
-        raise OptionError("--hand-eye, --offset auto or drift and --support need more than control points")
+    require_point_options(how)
+    if asked.support == "common":
+        raise OptionError("--support common needs more than control points")
     form = tables.form(asked)
     assert form is not None  # noqa: S101 - control points always have one
     points = ControlPoints.of(read_columns(asked.reference, form, asked.times))
