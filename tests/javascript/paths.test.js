@@ -94,6 +94,24 @@ test('a metre of a plane is equally long on both axes', () => {
   }
 });
 
+test('control points lie over the path, coloured by their errors, and within the axes', () => {
+  const surveyed = { t: [0, 2, 9], x: [0, 4, 20], y: [0, 2, 2], z: [0, 0, 1], error: [0.5, 2, null] };
+  const range = errorRange([track, surveyed]);
+  assert.deepEqual(range, { low: 0.5, high: 2 });
+  const size = { width: 800, height: 400 };
+  const { series, visualMap, xAxis } = plane([path], null, 'x', 'z', range, surveyed)(size);
+  assert.deepEqual(series.at(-1).data, [
+    [0, 0, 0.5],
+    [4, 0, 2],
+    [20, 1, '-'],
+  ]);
+  assert.equal(series.at(-1).name, 'control points');
+  assert.ok(visualMap.seriesIndex.includes(series.length - 1));
+  assert.ok(xAxis.max >= 20);
+  const bare = plane([path], null, 'x', 'y', null)(size);
+  assert.ok(!bare.series.some((one) => one.name === 'control points'));
+});
+
 test('a plane without a pose has axes of its own, one of a single pose some extent', () => {
   const of = (t, x) =>
     plane([{ name: 'a', track: { t, x, y: x, z: x } }], null, 'x', 'y', null)({ width: 400, height: 400 });

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from slamhive.dashboard.ground_truth import Truths
+from slamhive.dashboard.trajectories import Path as Drawn
+from slamhive.dashboard.trajectories import drawn
 from slamhive.data.entries import DatasetEntry
 from slamhive.data.exporting import export_dataset
 from slamhive.data.groundtruth import ground_truth
@@ -58,6 +62,7 @@ def test_a_run_is_measured_at_the_points(  # noqa: PLR0917 - fixtures
     run_acts: Callable[..., Any],
     run_command: Any,
     monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     workshop.add([surveyed.dataset], surveyed.root)
     _, notes = run_acts(
@@ -79,6 +84,17 @@ def test_a_run_is_measured_at_the_points(  # noqa: PLR0917 - fixtures
     heads = out.split("\n", 1)[0].split(",")
     assert {"points.count", "points.met", "points.share", "ate.rmse", "ate.max"} <= set(heads)
     assert not [head for head in heads if head.startswith("pointErrors")]
+    # What the run's page draws: the points where they were surveyed, with the evaluation's errors.
+    known = tmp_path / "other" / "datasets" / "surveyed"
+    shutil.copytree(surveyed.root, known)
+    (known / "dataset.yaml").write_text(json.dumps(surveyed.dataset.as_json()))
+    truth = Truths(None, tmp_path / "other").find("surveyed")
+    assert truth is not None
+    path = Drawn(truth.poses, len(truth.poses))
+    drawing = drawn(path, result, truth, None, 1000)
+    assert drawing["reference"] is None
+    assert drawing["points"]["x"].tolist() == truth.poses.positions[:, 0].tolist()
+    assert drawing["points"]["error"].tolist() == [one["error"] for one in result.values["pointErrors"]]
 
 
 @pytest.mark.parametrize("form", ["ControlPoints", "Table"])

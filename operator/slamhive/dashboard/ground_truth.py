@@ -15,7 +15,7 @@ import numpy as np
 
 from slamhive.data.truthfolders import GroundTruthFolder
 from slamhive.model.errors import SlamHiveError
-from slamhive_eval import EvaluationError, Trajectory, read_tum
+from slamhive_eval import ControlPoints, EvaluationError, Trajectory, read_tum
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,12 +36,14 @@ class Truth:
     """Ground truth of a dataset.
 
     Attributes:
-        poses: over time.
+        poses: over time; of control points their positions.
         T_body_frame: pose in the body of the frame that they are poses of, (4, 4).
+        are_points: whether they are control points, between which nothing is known.
     """
 
     poses: Trajectory
     T_body_frame: npt.NDArray[np.float64]
+    are_points: bool = False
 
 
 class Truths:
@@ -131,6 +133,8 @@ def _of_home(home: Path, dataset: str) -> Truth | None:
     from slamhive.data.groundtruth import ground_truth  # noqa: PLC0415
 
     found = ground_truth(DatasetEntry(place.dataset, place.folder))
+    if found is not None and isinstance(found.poses, ControlPoints):
+        return Truth(found.poses.trajectory, found.T_body_frame, are_points=True)
     if found is None or not isinstance(found.poses, Trajectory):
         return None
     return Truth(found.poses, found.T_body_frame)

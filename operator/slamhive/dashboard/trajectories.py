@@ -128,9 +128,11 @@ def drawn(
     else:
         notes.append("the evaluation has no alignment: the path is drawn as the algorithm wrote it")
     errors = np.full(len(poses), np.nan)
-    reference = None
+    reference = points = None
     if truth is None:
         notes.append("the ground truth of this dataset is not at hand here")
+    elif truth.are_points:
+        points = _points(truth.poses, result)
     elif transform is None:
         reference = truth.poses
     else:
@@ -146,8 +148,19 @@ def drawn(
         "shown": len(shown),
         "estimate": estimate,
         "reference": _reference(reference, None if whole else poses, most),
+        "points": points,
         "notes": notes,
     }
+
+
+def _points(points: Trajectory, result: Result | None) -> dict[str, Any]:
+    """Return control points with the errors that an evaluation lists; NaN where it lists none."""
+    errors = np.full(len(points), np.nan)
+    listed = (result.values.get("pointErrors") if result else None) or []
+    for one in listed if isinstance(listed, list) else []:
+        nearest = int(np.argmin(np.abs(points.stamps - float(one["time"]))))
+        errors[nearest] = float(one["error"])
+    return _columns(points.stamps, points.positions) | {"error": errors}
 
 
 def _against(

@@ -163,6 +163,8 @@ declare namespace Api {
     shown: number;
     estimate: Track;
     reference: Track | null;
+    /** Control points, where the ground truth is such. */
+    points?: Track | null;
     notes: string[];
   };
   type PathGroup = {

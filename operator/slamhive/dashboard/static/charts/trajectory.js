@@ -79,19 +79,29 @@ const broken = (track, point) =>
   ]);
 
 /**
+ * Return the points of a track in a plane with their errors.
+ * @param {Api.Track} track
+ * @param {Axis} a
+ * @param {Axis} b
+ */
+const withErrors = (track, a, b) =>
+  track[a].map((value, at) => [value, track[b][at], track.error?.[at] ?? '-']);
+
+/**
  * Return the option of a plane, metres equally long on both axes: a function of the chart's size.
  * @param {Array<{name: string, track: Api.Track, colour?: string}>} estimates
  * @param {Api.Track|null} reference ground truth
  * @param {Axis} a horizontal axis
  * @param {Axis} b vertical axis
  * @param {ErrorRange} range of the errors, which colour the paths; null: each path has a colour of its own
+ * @param {Api.Track|null} [surveyed] control points, in the place of ground truth
  * @returns {(size: Size) => ChartOption}
  */
-export function plane(estimates, reference, a, b, range) {
+export function plane(estimates, reference, a, b, range, surveyed = null) {
   return ({ width, height }) => {
     const right = range ? 92 : MARGIN.right;
     const [spanA, spanB] = equal(
-      [...estimates.map((one) => one.track), ...(reference ? [reference] : [])],
+      [...estimates.map((one) => one.track), ...[reference, surveyed].flatMap((one) => one ?? [])],
       a,
       b,
       (width - MARGIN.left - right) / (height - MARGIN.top - MARGIN.bottom),
@@ -107,7 +117,9 @@ export function plane(estimates, reference, a, b, range) {
       visualMap: range
         ? {
             type: 'continuous',
-            seriesIndex: estimates.map((_, at) => at + estimates.length + (reference ? 1 : 0)),
+            seriesIndex: [...estimates, ...(surveyed ? [surveyed] : [])].map(
+              (_, at) => at + estimates.length + (reference ? 1 : 0),
+            ),
             dimension: 2,
             min: range.low,
             max: range.high,
@@ -153,11 +165,7 @@ export function plane(estimates, reference, a, b, range) {
                 name: clip(one.name, 40),
                 symbolSize: 4,
                 symbol: SYMBOLS[index % SYMBOLS.length],
-                data: one.track[a].map((value, at) => [
-                  value,
-                  one.track[b][at],
-                  one.track.error?.[at] ?? '-',
-                ]),
+                data: withErrors(one.track, a, b),
               }
             : {
                 type: 'line',
@@ -168,6 +176,20 @@ export function plane(estimates, reference, a, b, range) {
                 lineStyle: { width: 1.8 },
               },
         ),
+        ...(surveyed
+          ? [
+              {
+                type: 'scatter',
+                name: 'control points',
+                data: withErrors(surveyed, a, b),
+                symbol: 'diamond',
+                symbolSize: 11,
+                color: TRUTH,
+                itemStyle: { borderColor: TRUTH, borderWidth: 1 },
+                z: 4,
+              },
+            ]
+          : []),
       ],
     };
   };

@@ -307,6 +307,7 @@ function Trajectory({ base, results, name }) {
           <${Tracks}
             estimates=${estimates}
             reference=${data.reference}
+            surveyed=${data.points}
             byError=${true}
             csv=${csvOf(url)}
             title=${name}

@@ -43,17 +43,18 @@ export const trackTable = (estimates, columns = FIGURES) => ({
 
 /**
  * @param {{estimates: Array<{name: string, track: Api.Track, colour?: string}>, reference: Api.Track|null,
- *   byError: boolean, csv?: string|true, title: string, aligned?: string}} props byError: colours tell the
- *   error instead of the run
+ *   surveyed?: Api.Track|null, byError: boolean, csv?: string|true, title: string, aligned?: string}} props
+ *   surveyed: control points; byError: colours tell the error instead of the run
  */
-export function Tracks({ estimates, reference, byError, csv, title }) {
+export function Tracks({ estimates, reference, surveyed = null, byError, csv, title }) {
   const { query, change } = useAddress();
   const drawn = useMemo(() => {
-    const range = byError ? errorRange(estimates.map((one) => one.track)) : null;
+    const tracks = [...estimates.map((one) => one.track), ...(surveyed ? [surveyed] : [])];
+    const range = byError ? errorRange(tracks) : null;
     return {
       range,
-      table: trackTable(estimates),
-      planes: PLANES.map(([name, a, b]) => [name, plane(estimates, reference, a, b, range)]),
+      table: trackTable([...estimates, ...(surveyed ? [{ name: 'control points', track: surveyed }] : [])]),
+      planes: PLANES.map(([name, a, b]) => [name, plane(estimates, reference, a, b, range, surveyed)]),
       paths: [
         ...(reference
           ? [
@@ -75,7 +76,7 @@ export function Tracks({ estimates, reference, byError, csv, title }) {
         })),
       ],
     };
-  }, [estimates, reference, byError]);
+  }, [estimates, reference, surveyed, byError]);
   return html`
     ${drawn.planes.map(
       ([name, option]) => html`
