@@ -92,6 +92,23 @@ def test_what_a_killed_runner_held_is_free(tmp_path: Path) -> None:
         assert home.at_work() == []
 
 
+def test_files_of_a_killed_runner_go_and_those_of_others_stay(tmp_path: Path) -> None:
+    home = Home.at(tmp_path)
+    kept = home.leases.take((LeaseKind.CONTENTS, "c-1"))
+    with holder(tmp_path) as process:
+        process.kill()
+        process.wait()
+
+    def files() -> list[str]:
+        return sorted(path.parent.name for path in (tmp_path / "leases").glob("*/*"))
+
+    assert files() == ["contents", "folders", "runs", "workers"]
+    home.leases.tidy()
+    assert files() == ["contents"]
+    assert kept is not None
+    assert home.leases.is_held(LeaseKind.CONTENTS, "c-1")
+
+
 def test_many_share_a_home_and_one_is_alone_in_it(tmp_path: Path) -> None:
     home = Home.at(tmp_path)
     with (

@@ -156,6 +156,15 @@ class Leases:
                     self._let_go([lease])
         return found
 
+    def tidy(self) -> None:
+        """Remove the files of what nobody holds any more, as killed processes leave them.
+
+        Raises:
+            InputError: the home can't be written.
+        """
+        for kind in LeaseKind:
+            self.held(kind)
+
     def is_held(self, kind: LeaseKind, name: str) -> bool:
         """Tell whether anyone holds one."""
         return bool(self.held(kind, [name]))

@@ -182,6 +182,7 @@ class Runner:
         """
         # First of all: what a killed slamhive left running would disturb what is measured now.
         claims = self._claims
+        self._bench.home.leases.tidy()
         end_left_behind(self._bench.home.path / "runs", claims.is_at_work)
         sweep_stale_cgroups()
         self._bench.programs.containers.remove_left_behind(claims.runs_at_work())
