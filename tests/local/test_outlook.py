@@ -81,6 +81,12 @@ def test_a_value_that_is_added_is_told_apart_from_what_an_edit_made_stale(
     assert told.endswith("; 1 of parameters.number 15 is new")
 
 
+def test_values_that_are_new_are_named_in_one_sentence(run_sweep: Callable, look: Callable) -> None:
+    run_sweep(numbered(1))
+    told = look(numbered(1, 2, 3, 4, 5, 6, 7))[1]
+    assert told == "4 of parameters.number 2, 3, 4, 5 are new; 2 more are new; 1 takes over an equal result"
+
+
 def test_a_repetition_that_is_added_is_new_and_the_others_take_over_equal_results(
     run_sweep: Callable, look: Callable
 ) -> None:

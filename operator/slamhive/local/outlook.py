@@ -328,12 +328,19 @@ def _new(outlook: Outlook, points: Points) -> list[str]:
         pair for index in range(len(points)) for pair in _settings(points.point(index)) if pair in of_new
     )
     alone = [pair for pair, count in of_new.items() if count == of_all[pair]]
-    left, found = set(new), []
+    left = set(new)
+    values: dict[str, list[Any]] = {}
+    counts: Counter[str] = Counter()
     for label, value in sorted(alone, key=lambda pair: -of_new[pair])[:_MOST_NAMED]:
         meant = {index for index in left if (label, value) in set(_settings(points.point(index)))}
         if meant:
-            found.append(f"{len(meant):,} of {label} {value} {_are(len(meant))} new")
+            values.setdefault(label, []).append(value)
+            counts[label] += len(meant)
             left -= meant
+    found = [
+        f"{counts[label]:,} of {label} {', '.join(named)} {_are(counts[label])} new"
+        for label, named in values.items()
+    ]
     found += [f"{len(left):,}{' more' if found else ''} {_are(len(left))} new"] if left else []
     return found
 
