@@ -3,19 +3,26 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
 
+from slamhive.dashboard.api_timeline import timeline
+from slamhive.dashboard.sources import Snapshot
 from slamhive.engine import PointState
 from slamhive.model.results import Outcome, Phase, Reason
+from slamhive.tables.reading import read_archive
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from slamhive.local.home import Home
+    from slamhive.local.workbench import Workbench
 
 DEADLINE_SECONDS = 50
 
@@ -122,3 +129,19 @@ def test_a_sweep_stops_at_its_limit_of_failures(run_acts: Callable) -> None:
     assert job.verdict == "TooManyFailures"
     assert job.count(PointState.FAILED) == 3
     assert job.count(PointState.PENDING) == 17
+
+
+def test_a_record_says_on_which_cores_it_ran_and_the_timeline_has_them_as_lanes(
+    run_acts: Callable[..., Any], bench: Workbench, home: Home
+) -> None:
+    run_acts(["good", "noted"])
+    used = set()
+    for record in bench.archive.runs():
+        told = json.loads(
+            (home.path / "runs" / str(record.sweep) / record.name / "supervisor.json").read_text()
+        )
+        assert record.usage is not None
+        assert record.usage.processors == ",".join(map(str, told["cpus"]))
+        used.add(f"{record.provenance.node}, cores {record.usage.processors}")
+    answer = timeline(Snapshot(read_archive(home.archive_url)), [], (None, None)).content
+    assert set(answer["lanes"]) == used

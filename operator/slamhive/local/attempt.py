@@ -150,7 +150,10 @@ class Attempt:
         """Return what the attempt cost."""
         summary = self._summary() or {}
         found = summary.get("usage")
-        return Usage.model_validate(found) if found else None
+        if not found:
+            return None
+        asked = _read_object(self.folder / "supervisor.json") or {}
+        return Usage.model_validate(found | {"processors": _processors(asked.get("cpus"))})
 
     def times(self) -> tuple[str | None, str | None]:
         """Return when the program started and ended, as ISO 8601."""
@@ -274,6 +277,13 @@ def _joined(remark: str | None, notes: Any) -> str | None:
     """Return a remark with what the supervisor noted."""
     found = [remark, *(notes if isinstance(notes, list) else ())]
     return "; ".join(str(sentence) for sentence in found if sentence) or None
+
+
+def _processors(numbers: Any) -> str | None:
+    """Return the processors that a supervisor was told, in words; None where that isn't known."""
+    if not isinstance(numbers, list) or not all(type(number) is int for number in numbers):
+        return None
+    return ",".join(map(str, sorted(numbers))) or None
 
 
 def _read_object(path: Path) -> dict[str, Any] | None:

@@ -130,6 +130,7 @@ class Usage(Model):
     contended_seconds: float | None = optional(
         "CPU time that it waited for while others used its processors, in s."
     )
+    processors: str | None = optional("Processors of its machine that it was pinned to, such as 0,1.")
     samples: int | None = optional("Number of samples that the figures rest on.")
     source: str | None = optional("Whose account it is: the container's cgroup, or its processes in /proc.")
     includes_reader: bool | None = optional(
