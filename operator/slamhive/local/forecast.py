@@ -23,7 +23,7 @@ from slamhive.plan import whole_cores
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from slamhive.analysis.predicting import Floats, Integers
+    from slamhive.analysis.predicting import Design, Floats, Integers, Known
     from slamhive.local.costs import Combinations, Knowledge, Planned
     from slamhive.local.workbench import Workbench
 
@@ -102,47 +102,77 @@ def forecast(
     """
     known = knowledge.known(folders=True)
     planned, rows = _planned(wanted, knowledge, processor)
-    settings = [one.setting for one in planned]
-    found = Forecast(idle=knowledge.starting_seconds())
-    regression = design(known, settings)
+    regression = design(known, [one.setting for one in planned])
     counts = np.zeros(len(planned))
     for sweep in rows:
         np.add.at(counts, sweep, 1.0)
-    for setting, near, count in zip(settings, regression.nearness, counts.tolist(), strict=True):
-        if near is Nearness.NOTHING:
-            found.unknown[setting.algorithm] += int(count)
+    found = Forecast(idle=knowledge.starting_seconds())
+    for one, nearness, count in zip(planned, regression.nearness, counts.tolist(), strict=True):
+        if nearness is Nearness.NOTHING:
+            found.unknown[one.setting.algorithm] += int(count)
         else:
-            found.nearness[near] += int(count)
-    counted = np.array([near is not Nearness.NOTHING for near in regression.nearness], dtype=bool)
-    found.runs = int(counts[counted].sum())
+            found.nearness[nearness] += int(count)
+    found.runs = found.nearness.total()
     if not found.runs:
         return found
-    regression = regression.only(counted)
-    planned = [one for one, counts_here in zip(planned, counted.tolist(), strict=True) if counts_here]
-    settings = [one.setting for one in planned]
+    counted = np.array([one is not Nearness.NOTHING for one in regression.nearness], dtype=bool)
     place = np.cumsum(counted) - 1
-    rows = [place[sweep[counted[sweep]]] for sweep in rows]
-    counts = counts[counted]
-    asked = {setting.algorithm for setting in settings}
-    near = [one for one in known if one.setting.algorithm in asked]
-    found.processors = Counter(one.setting.processor for one in near)
-    found.algorithms = Counter(one.setting.algorithm for one in near)
+    _predict(
+        found,
+        known,
+        regression.only(counted),
+        _Asked(
+            [one for one, counts_too in zip(planned, counted.tolist(), strict=True) if counts_too],
+            counts[counted],
+            wanted,
+            [place[sweep[counted[sweep]]] for sweep in rows],
+            cores,
+        ),
+    )
+    return found
+
+
+@dataclass
+class _Asked:
+    """What is predicted.
+
+    Attributes:
+        planned: what settings need.
+        counts: number of runs of each, (a,).
+        wanted: the sweeps.
+        rows: for each sweep the place of the setting of each of its runs.
+        cores: that there are; None: as many as are needed.
+    """
+
+    planned: list[Planned]
+    counts: Floats
+    wanted: Sequence[Wanted]
+    rows: list[Integers]
+    cores: int | None
+
+
+def _predict(found: Forecast, known: Sequence[Known], regression: Design, asked: _Asked) -> None:
+    """Add what runs cost to a forecast."""
+    settings = [one.setting for one in asked.planned]
+    names = {setting.algorithm for setting in settings}
+    related = [one for one in known if one.setting.algorithm in names]
+    found.processors = Counter(one.setting.processor for one in related)
+    found.algorithms = Counter(one.setting.algorithm for one in related)
     found.unmeasured = sorted({setting.dataset for setting in settings if not setting.frames})
-    limits = np.array([one.limit for one in planned])
-    needs = np.array([whole_cores(one.cpu) for one in planned])
+    limits = np.array([one.limit for one in asked.planned])
+    needs = np.array([whole_cores(one.cpu) for one in asked.planned])
     for quantity in Quantity:
-        prediction = predict(quantity, known, settings, regression)
+        runs = sum(quantity in one.costs for one in related)
+        prediction = predict(quantity, known, settings, regression) if runs else None
         if prediction is None:
             continue
-        from_runs = sum(quantity in one.costs for one in near)
         if quantity is Quantity.WALL:
-            draws, found.at_a_time = _wall(prediction, wanted, rows, _Room(limits, needs, cores), found.idle)
+            draws, found.at_a_time = _wall(prediction, asked, limits, needs, found.idle)
         elif quantity is Quantity.MEMORY:
             draws = prediction.largest()
         else:
-            draws = prediction.total(counts, limits * needs if quantity is Quantity.CPU else None)
-        found.told[quantity] = Told(quantity, Interval.of(draws), from_runs)
-    return found
+            draws = prediction.total(asked.counts, limits * needs if quantity is Quantity.CPU else None)
+        found.told[quantity] = Told(quantity, Interval.of(draws), runs)
 
 
 def makespan(walls: Iterable[float], cores: Iterable[int], slots: int, room: int | None) -> float:
@@ -167,41 +197,34 @@ def makespan(walls: Iterable[float], cores: Iterable[int], slots: int, room: int
     return end
 
 
-@dataclass
-class _Room:
-    """What bounds runs: the time of each setting, the cores that it needs, and those that there are."""
-
-    limits: Floats
-    needs: Integers
-    cores: int | None
-
-
 def _wall(
-    prediction: Prediction,
-    wanted: Sequence[Wanted],
-    rows: Sequence[Integers],
-    room: _Room,
-    idle: float,
+    prediction: Prediction, asked: _Asked, limits: Floats, needs: Integers, idle: float
 ) -> tuple[Floats, int]:
     """Return draws of the wall time of all sweeps, and the most runs at a time.
 
     The runs are laid out once as they are most likely; what is drawn of their sum makes that longer or
     shorter.
+
+    Args:
+        prediction: of the programs' wall time.
+        asked: the runs.
+        limits: s that a run of each setting may take.
+        needs: cores of each.
+        idle: s until a program begins.
     """
-    each = np.minimum(prediction.middles(), room.limits)
+    each = np.minimum(prediction.middles(), limits)
     total, most = np.zeros(1), 0
-    for sweep, of_sweep in zip(wanted, rows, strict=True):
-        if not len(of_sweep):
+    for sweep, rows in zip(asked.wanted, asked.rows, strict=True):
+        if not len(rows):
             continue
-        walls, needs = each[of_sweep], room.needs[of_sweep]
-        fitting = len(of_sweep) if room.cores is None else max(1, room.cores // int(needs.min()))
-        slots = max(1, min(sweep.at_a_time or fitting, fitting, len(of_sweep)))
+        walls, cores = each[rows], needs[rows]
+        fitting = len(rows) if asked.cores is None else max(1, asked.cores // int(cores.min()))
+        slots = max(1, min(sweep.at_a_time or fitting, fitting, len(rows)))
         most = max(most, slots)
-        laid = makespan((walls + idle).tolist(), needs.tolist(), slots, room.cores)
-        counts = np.bincount(of_sweep, minlength=len(each)).astype(np.float64)
-        waiting = idle * len(of_sweep)
-        draws = prediction.total(counts, room.limits)
-        total = total + laid * (draws + waiting) / (walls.sum() + waiting)
+        laid = makespan((walls + idle).tolist(), cores.tolist(), slots, asked.cores)
+        counts = np.bincount(rows, minlength=len(each)).astype(np.float64)
+        waiting = idle * len(rows)
+        total = total + laid * (prediction.total(counts, limits) + waiting) / (walls.sum() + waiting)
     return total, most
 
 
