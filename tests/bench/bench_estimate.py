@@ -38,7 +38,7 @@ from slamhive.analysis.predicting import (
 )
 from slamhive.archive import Archive
 from slamhive.data.slamhive1 import find_runs, read_run
-from slamhive.local.costs import Knowledge
+from slamhive.local.costs import NOW, Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -138,7 +138,7 @@ def replay(title: str, runs: Sequence[Recorded]) -> None:
             _predict(group, left.nearness, single, sums)
     single.report(f"{title}, one run")
     sums.report(f"{title}, sums of what was left out together")
-    sweeps = list(dict.fromkeys(one.sweep for one in runs))
+    sweeps = list(dict.fromkeys(one.sweep for one in runs))[::-1]
     whole = Hits()
     for place, sweep in enumerate(sweeps):
         for others in ({*sweeps[:place]}, {*sweeps} - {sweep}):
@@ -162,9 +162,14 @@ def _groups(runs: Sequence[Recorded], left: Left) -> list[tuple[list[Known], lis
     ]
 
 
+def _planned(one: Known) -> Setting:
+    """Return what is asked: it would run later than all that is known."""
+    return one.setting._replace(occasion=None if one.setting.occasion is None else NOW)
+
+
 def _predict(group: tuple[list[Known], list[Known]], nearness: Nearness, single: Hits, sums: Hits) -> None:
     out, known = group
-    asked = [one.setting for one in out]
+    asked = [_planned(one) for one in out]
     rows = design(known, asked)
     if any(near is not nearness for near in rows.nearness):
         return
@@ -183,11 +188,11 @@ def _predict(group: tuple[list[Known], list[Known]], nearness: Nearness, single:
 
 
 def _sweep(out: Sequence[Known], known: Sequence[Known], whole: Hits) -> None:
-    rows = design(known, [one.setting for one in out])
+    rows = design(known, [_planned(one) for one in out])
     counted = [one for one, near in zip(out, rows.nearness, strict=True) if near is not Nearness.NOTHING]
     if not known or not counted:
         return
-    asked = [one.setting for one in counted]
+    asked = [_planned(one) for one in counted]
     rows = design(known, asked)
     for quantity in QUANTITIES:
         found = predict(quantity, known, asked, rows)
@@ -234,7 +239,7 @@ def of_home(home: Path) -> list[Recorded]:
     """Return the finished runs of a home."""
     with Archive.open(f"sqlite:///{home / 'archive.sqlite'}", read_only=True) as archive:
         catalog = [sorted({one.name for one in archive.catalog(kind)}) for kind in ("Algorithm", "Dataset")]
-        costs = archive.costs(*catalog)[::-1]
+        costs = archive.costs(*catalog)
         sweeps = {run.uid: run.sweep or "" for run in archive.runs()}
     knowledge = Knowledge.of(costs)
     known = knowledge.known(folders=True)

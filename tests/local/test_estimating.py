@@ -43,6 +43,7 @@ def cost(points: Plan, index: int, wall: float, algorithm: str = "actor") -> Cos
         dataset_sha256=None,
         created=None,
         started=None,
+        sweep_uid=None,
     )
 
 

@@ -71,13 +71,13 @@ class Nearness(Choice):
     NOTHING = "nothing"
 
 
-_KINDS = ("name", "mode", "dataset", "unknown length", "pair", "option", "processor", "trend")
+_KINDS = ("name", "mode", "dataset", "unknown length", "pair", "option", "processor", "trend", "occasion")
 # The usual scatter of the logarithm: of those kinds, then between settings and between runs of a setting.
 _USUAL = {
-    Quantity.CPU: (1.0, 0.5, 0.3, _LENGTH_UNKNOWN, 0.2, 0.15, 0.35, 0.2, 0.15, 0.1),
-    Quantity.WALL: (1.0, 0.5, 0.3, _LENGTH_UNKNOWN, 0.2, 0.15, 0.35, 0.2, 0.15, 0.15),
-    Quantity.MEMORY: (0.7, 0.4, 0.3, 0.1, 0.2, 0.15, 0.05, 0.15, 0.1, 0.05),
-    Quantity.DISK: (0.7, 0.9, 0.2, _LENGTH_UNKNOWN, 0.2, 0.15, 0.05, 0.15, 0.1, 0.1),
+    Quantity.CPU: (1.0, 0.5, 0.3, _LENGTH_UNKNOWN, 0.2, 0.15, 0.35, 0.2, 0.1, 0.15, 0.1),
+    Quantity.WALL: (1.0, 0.5, 0.3, _LENGTH_UNKNOWN, 0.2, 0.15, 0.35, 0.2, 0.15, 0.15, 0.15),
+    Quantity.MEMORY: (0.7, 0.4, 0.3, 0.1, 0.2, 0.15, 0.05, 0.15, 0.03, 0.1, 0.05),
+    Quantity.DISK: (0.7, 0.9, 0.2, _LENGTH_UNKNOWN, 0.2, 0.15, 0.05, 0.15, 0.1, 0.1, 0.1),
 }
 
 
@@ -87,6 +87,8 @@ class Setting(NamedTuple):
     Attributes:
         algorithm, sensors, pace, dataset: by their names.
         processor: model of the processor; None: not known.
+        occasion: what ran together, as a sweep: what else the machine did then is the same for all of it.
+            None: nothing is known of that.
         frames: that it is given; None: not known.
         seconds: of recording that it is given; None: not known.
         resolution: of its images.
@@ -100,6 +102,7 @@ class Setting(NamedTuple):
     pace: str
     dataset: str
     processor: str | None = None
+    occasion: str | None = None
     frames: float | None = None
     seconds: float | None = None
     resolution: float = 1.0
@@ -184,19 +187,22 @@ def design(known: Sequence[Known], asked: Sequence[Setting]) -> Design:
     """Return the rows of a regression over known runs, to predict what is asked.
 
     Args:
-        known: runs.
+        known: runs, the latest first.
         asked: settings.
     """
     codes = _Codes([one.setting for one in known], asked)
     rows: dict[Key, int] = {}
+    occasions: dict[tuple[Key, str | None], int] = {}
     effects: list[list[tuple[int, float]]] = []
     row_of = np.zeros(len(known), dtype=np.intp)
     for place, one in enumerate(known):
         key = _key(one.setting, codes.exact(one.setting))
-        if key not in rows:
-            rows[key] = len(effects)
+        then = (key, one.setting.occasion)
+        if then not in occasions:
+            occasions[then] = len(effects)
+            rows.setdefault(key, len(effects))  # the latest comes first
             effects.append(codes.effects(one.setting))
-        row_of[place] = rows[key]
+        row_of[place] = occasions[then]
     count = len(effects)
     units = {(*one.setting.unit, one.setting.dataset) for one in known}
     modes, names = {unit[:3] for unit in units}, {unit[0] for unit in units}
@@ -283,7 +289,7 @@ class _Codes:
 
     def effects(self, setting: Setting) -> list[tuple[int, float]]:
         """Return the numbers of a setting's effects, and how much each counts."""
-        place = (*setting.unit, setting.dataset, setting.processor)
+        place = (*setting.unit, setting.dataset, setting.processor, setting.occasion)
         if place not in self._places:
             self._places[place] = self._of_place(setting)
         counting = list(self._places[place])
@@ -304,6 +310,8 @@ class _Codes:
             self._number(4, (*setting.unit, data)),
             self._number(6, (setting.processor,)),
         ]
+        if setting.occasion is not None:
+            found.append(self._number(8, (setting.occasion,)))
         if data in self._unmeasured:
             found.append(self._number(3, (data,)))
         return [(number, 1.0) for number in found]
@@ -370,7 +378,9 @@ class Prediction:
 
     def middles(self) -> Floats:
         """Return the middle prediction for each asked setting, (a,)."""
-        return np.exp(np.concatenate([self._expected(part, self.effects[None])[0] for part in self._parts()]))
+        found = np.concatenate([self._expected(part, self.effects[None])[0] for part in self._parts()])
+        middles: Floats = np.exp(found)
+        return middles
 
     def scatter(self) -> Floats:
         """Return the standard deviation of the logarithm of a run of each asked setting, (a,)."""
@@ -380,8 +390,9 @@ class Prediction:
             both = self.covariance[columns[:, :, None], columns[:, None, :]]
             shared = np.einsum("ni,nij,nj->n", factors, both, factors)
             share = self._share(part)
-            found.append((1 - share) ** 2 * shared + self.settings * (1 - share) + self.runs)
-        return np.sqrt(np.concatenate(found))
+            found.append(shared + self.settings * (1 - share) + self.runs)
+        scatter: Floats = np.sqrt(np.concatenate(found))
+        return scatter
 
     def each(self) -> tuple[Floats, Floats]:
         """Return what a run of each asked setting costs at least and at most, in most cases, (a,) twice."""
@@ -419,7 +430,7 @@ class Prediction:
         """Return draws of the largest of one run of each asked setting, (d,)."""
         chance = np.random.default_rng(0)
         effects, particular = self._drawn(chance)
-        found = np.zeros(self._draws)
+        found: Floats = np.zeros(self._draws)
         for part in self._parts():
             expected = self._expected(part, effects)
             spread = np.sqrt(
@@ -436,15 +447,24 @@ class Prediction:
     @cached_property
     def _root(self) -> Floats:
         size = len(self.effects) - 1
-        return np.linalg.cholesky(self.covariance[:size, :size] + 1e-12 * np.eye(size))
+        steadied = self.covariance[:size, :size] + 1e-12 * np.eye(size)
+        return np.asarray(np.linalg.cholesky(steadied), dtype=np.float64)
 
     def _parts(self) -> list[slice]:
         count = len(self.design.twin)
         return [slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]
 
     def _columns(self, part: slice) -> tuple[Integers, Floats]:
+        """Return the effects of asked rows, with those of their twins, of which the same share is known."""
         rows = slice(self.design.known + part.start, self.design.known + part.stop)
-        return self.design.columns[rows], self.design.factors[rows]
+        columns, factors = self.design.columns[rows], self.design.factors[rows]
+        share, twin = self._share(part), self.design.twin[part]
+        if not share.any():
+            return columns, factors
+        return (
+            np.concatenate([columns, self.design.columns[twin]], axis=1),
+            np.concatenate([factors, -share[:, None] * self.design.factors[twin]], axis=1),
+        )
 
     def _share(self, part: slice) -> Floats:
         twin = self.design.twin[part]
@@ -458,7 +478,7 @@ class Prediction:
             found += effects[:, columns[:, place]] * factors[:, place]
         twin = self.design.twin[part]
         residuals = np.where(twin >= 0, np.nan_to_num(self.residuals[twin]), 0.0)
-        found += self._share(part)[None] * (residuals[None] - found)
+        found += (self._share(part) * residuals)[None]
         total: Floats = found + self.base + self.offsets[part][None]
         return total
 
@@ -505,6 +525,8 @@ def predict(
     apart = float(((found - means[row]) ** 2).sum())
     within = (_WEIGHT * usual[-1] + apart) / (_WEIGHT + len(found) - len(used))
     base = float(np.median(means[used]))
+    # Where repeated runs differ, the machine does other things too, and sweeps differ as much at least.
+    usual[_KINDS.index("occasion")] = max(usual[_KINDS.index("occasion")], within)
     solved = _solve(rows, used, means[used] - base, counts[used], (usual[:-2], float(usual[-2]), within))
     effects, covariance, between = solved
     residuals, shares = np.full(rows.known, np.nan), np.zeros(rows.known)

@@ -412,7 +412,7 @@ class Archive:
                 runs.provenance["algorithmHash"].as_string().label("algorithm_hash"),
                 runs.provenance["datasetSha256"].as_string().label("dataset_sha256"),
                 case((runs.namespace.is_(None), runs.created)).label("created"),
-                runs.started,
+                *(runs.started, runs.sweep_uid),
             )
             .where(runs.id.in_(select(numbered.c.id).where(numbered.c.place <= each)))
             .order_by(runs.id.desc())

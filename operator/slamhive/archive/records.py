@@ -114,6 +114,7 @@ class Cost(NamedTuple):
         folder: where its files were.
         prepared: what it was given of its recording, as its provenance has it.
         created, started: when it was begun, and its program; on a cluster only the latter.
+        sweep_uid: identity of its sweep.
     """
 
     uid: str
@@ -132,6 +133,7 @@ class Cost(NamedTuple):
     dataset_sha256: str | None
     created: datetime | None
     started: datetime | None
+    sweep_uid: str | None
 
 
 class Totals(NamedTuple):

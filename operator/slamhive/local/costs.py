@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 _SPARE = ("input.pace", "input.rate", "resources.memory", "resources.gpu")
 """Options that are told otherwise, or that change no cost."""
 
+NOW = "now"
+"""What runs together from now on."""
+
 MOST_FOLDERS = 20
 """Folders of runs of an algorithm on a dataset whose size is looked at."""
 
@@ -110,6 +113,7 @@ class Knowledge:
             pace=given.get("pace") or "",
             dataset=cost.dataset,
             processor=cost.cpu_model,
+            occasion=cost.sweep_uid,
             frames=prepared.get("frames") or frames,
             seconds=prepared.get("durationSeconds") or length,
             resolution=float(given.get("resolution") or 1),
@@ -203,6 +207,7 @@ def planned_settings(
             pace=given.get("pace") or "",
             dataset=data,
             processor=processor,
+            occasion=NOW,
             frames=frames,
             seconds=length,
             resolution=float(given.get("resolution") or 1),
