@@ -134,6 +134,26 @@ def test_many_runs_are_no_surer_than_what_they_share() -> None:
     assert width(many) < width(one)
 
 
+def test_another_sweep_differs_as_sweeps_did() -> None:
+    def known(*factors: float) -> list[Known]:
+        return [
+            Known(
+                one.setting._replace(occasion=f"sweep {number}"),
+                {Quantity.CPU: factor * one.costs[Quantity.CPU]},
+            )
+            for number, factor in enumerate(factors)
+            for one in KNOWN
+        ]
+
+    def width_of(runs: list[Known], occasion: str) -> float:
+        found = predicted(runs, setting(occasion=occasion))
+        return width(Interval.of(found.total(np.array([1000.0]))))
+
+    alike, different = known(1.0, 1.0, 1.0, 1.0), known(1.0, 2.0, 0.7, 1.5)
+    assert width_of(alike, "now") > width_of(alike, "sweep 0")
+    assert width_of(different, "now") > 1.3 * width_of(alike, "now")
+
+
 def test_what_a_run_may_take_at_most_bounds_it() -> None:
     draws = predicted(KNOWN, setting(dataset="street")).total(np.array([10.0]), np.array([5.0]))
     assert Interval.of(draws).middle == pytest.approx(50.0, rel=0.05)
