@@ -165,9 +165,11 @@ def costs_together(homes: Sequence[tuple[str, Sequence[Cost]]]) -> list[Cost]:
                     here.setdefault((part, getattr(cost, part)), set()).add(hashed)
         strange = {key for key, hashes in here.items() if key in known and not hashes & known[key]}
         for cost in fresh:
-            names = {part: getattr(cost, part) for part in ("algorithm", "dataset")}
-            told = {part: told_name(name, label) for part, name in names.items() if (part, name) in strange}
-            found.append(cost._replace(**told))
+            algorithm, dataset = (
+                told_name(name, label) if (part, name) in strange else name
+                for part, name in (("algorithm", cost.algorithm), ("dataset", cost.dataset))
+            )
+            found.append(cost._replace(algorithm=algorithm, dataset=dataset))
         for key, hashes in here.items():
             known.setdefault(key, hashes)
     return found
