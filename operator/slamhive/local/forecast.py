@@ -9,7 +9,7 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from slamhive.plan import whole_cores
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     from slamhive.analysis.predicting import Design, Floats, Integers, Known
     from slamhive.local.costs import Combinations, Knowledge, Planned
@@ -261,7 +262,9 @@ class Recordings:
 
 def recordings_needed(bench: Workbench, wanted: Sequence[Wanted]) -> Recordings:
     """Return which prepared recordings runs need, of the datasets that are here."""
-    found, met, folders = Recordings(), set(), set()
+    found = Recordings()
+    met: set[tuple[Any, ...]] = set()
+    folders: set[Path] = set()
     for sweep in wanted:
         points = sweep.points
         for row in dict.fromkeys(index // points.repetitions for index in sweep.indices):
