@@ -39,11 +39,11 @@ STALL_SECONDS = TIMEOUT_SECONDS
 STALL_BYTES = 1 << 20
 PAUSES = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Seconds before further tries after an interruption; bytes that come start the count again."""
-BLOCK = 1 << 20
+BLOCK = 1 << 18
 """Bytes that are written at a time: what an end by kill -9 loses."""
 _READ = 1 << 14
 """Bytes of a record of TLS: no read gives more."""
-_BLOCKS = 4
+_BLOCKS = 8
 """Blocks that are filled, written and summed up, or wait for that."""
 _Blocks = queue.SimpleQueue[tuple[int, bytearray, int] | None]
 """Where in the file, the bytes, how many of them count; None at the end."""
