@@ -40,7 +40,7 @@ STALL_BYTES = 1 << 20
 PAUSES = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Seconds before further tries after an interruption; bytes that come start the count again."""
 BLOCK = 1 << 18
-"""Bytes that are written at a time: what an end by kill -9 loses."""
+"""Bytes that are written at a time; an end by kill -9 loses those that are on their way."""
 _READ = 1 << 14
 """Bytes of a record of TLS: no read gives more."""
 _BLOCKS = 8

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A file that is being fetched, and which bytes of it are there: kill -9 loses a block at most.
+"""A file that is being fetched, and which bytes of it are there: kill -9 loses a few blocks on their way.
 
 Beside ``NAME.part`` stands ``NAME.state`` with what the file is and which spans of it are there, and
 ``NAME.at`` with the span that grows, written in place after each block: a rename for each would wait for
