@@ -150,10 +150,10 @@ class Course:
                 if time.monotonic() - sampled >= self._options.every:
                     sampled = time.monotonic()
                     self._judge(self._sampler.take(body, self._clock.seconds))
-                if is_so(body):
-                    return body
                 if self._killer is not None:
                     self._killer.look(_ended(body))
+                if is_so(body):
+                    return body
                 standing = _ended(body) + ((body.get("status") or {}).get("evaluated") or 0)
                 if standing != last:
                     last, moved = standing, time.monotonic()
