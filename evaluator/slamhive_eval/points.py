@@ -220,8 +220,8 @@ def evaluate_points(
         laid = lay(truth, at_points, options.preparation)
     except TrajectoryError as error:
         return replace(result, message=f"{error}; {len(truth)} control points were met")
-    error = _standard_error(truth, at_points, options.preparation)
-    return _judged(replace(result, standard_error=error), laid, options)
+    chance = _standard_error(truth, at_points, options.preparation)
+    return _judged(replace(result, standard_error=chance), laid, options)
 
 
 def require_point_options(options: Options | Preparation) -> None:
