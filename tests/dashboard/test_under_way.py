@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
 import sys
 from contextlib import ExitStack, contextmanager
@@ -62,6 +63,30 @@ async def test_a_sweep_whose_first_run_goes_on_is_there_already(
     assert found["live"]
 
 
+async def test_the_timeline_has_runs_that_go_on(
+    open_app: Callable[..., Any], assorted: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "runs/study/run-a"
+    (folder / "run").mkdir(parents=True)
+    (folder / "attempt.json").write_text('{"uid": "new-1", "contentHash": "c"}')
+    (folder / "supervisor.json").write_text('{"cpus": [1, 0]}')
+    (folder / "process.json").write_text("{}")
+    told = "algorithm: icp\nmode: lidar\ndataset: {name: hall}\nparameters: {voxel: 0.5}\n"
+    (folder / "run/config.yaml").write_text(told)
+    async with open_app(Workstation(assorted, tmp_path)) as client:
+        before = await client.get("/analysis/timeline")
+        with supervised(folder):
+            during = await client.get("/analysis/timeline")
+            chosen = await client.get("/analysis/timeline?parameters.voxel=0.5")
+            others = await client.get("/analysis/timeline?algorithm=nobody")
+        after = await client.get("/analysis/timeline")
+    assert [found["live"] for found in (before, during, chosen, others, after)] == [0, 1, 1, 0, 0]
+    assert during["runs"] == before["runs"] + 1
+    assert chosen["bars"]["uid"] == ["new-1"]
+    assert chosen["lanes"] == [f"{platform.node()}, cores 0,1"]
+    assert chosen["bars"]["end"][0] >= chosen["bars"]["start"][0] >= chosen["bars"]["begin"][0]
+
+
 def test_runs_of_other_homes_and_players_do_not_count(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "home")
     with ExitStack() as stack:
@@ -69,9 +94,9 @@ def test_runs_of_other_homes_and_players_do_not_count(tmp_path: Path) -> None:
         stack.enter_context(supervised(tmp_path / "home/runs/study/run-a/player"))
         stack.enter_context(supervised(tmp_path / "home/check/runs/check/run-a"))
         stack.enter_context(supervised(tmp_path / "other/runs/study/run-b"))
-        assert runs_under_way(tmp_path / "home/runs") == {"study": 1}
-        assert runs_under_way(tmp_path / "link/runs") == {"study": 1}
-    assert runs_under_way(tmp_path / "home/runs") == {}
+        assert runs_under_way(tmp_path / "home/runs") == {("study", "run-a")}
+        assert runs_under_way(tmp_path / "link/runs") == {("study", "run-a")}
+    assert runs_under_way(tmp_path / "home/runs") == set()
 
 
 def test_processes_that_end_meanwhile_are_no_trouble(tmp_path: Path) -> None:
@@ -85,4 +110,4 @@ def test_processes_that_end_meanwhile_are_no_trouble(tmp_path: Path) -> None:
         (proc / number / "cmdline").write_bytes(words)
     (proc / "4").mkdir()
     (proc / "self").mkdir()
-    assert runs_under_way(tmp_path / "runs", proc) == {}
+    assert runs_under_way(tmp_path / "runs", proc) == set()

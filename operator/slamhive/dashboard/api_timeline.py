@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.flattening import spread, stack
+from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import varying
 from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.encoding import Body
@@ -26,7 +29,6 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.analysis.columns import Floats, Indices, Mask
-    from slamhive.analysis.frame import Frame
     from slamhive.dashboard.sources import Snapshot
     from slamhive.tables.queries import Pairs
 
@@ -37,6 +39,7 @@ MOST_BARS = 1500
 MOST_LANES = 64
 BINS = 240
 _MOST_SETTINGS = 6
+_TIMES = {"created", "started"}
 _NODE, _PROCESSORS = "provenance.node", "usage.processors"
 
 
@@ -97,7 +100,7 @@ def timeline(
     low, high = given
     if low is not None and high is not None and not low < high:
         raise BadRequest("to: expected a time after that of from, in seconds since 1970", "to")
-    chosen = select(snapshot.frame, pairs, RESERVED, each=True)
+    chosen = select(_with_what_goes_on(snapshot), pairs, RESERVED, each=True)
     notes = list(chosen.notes)
     spans = _spans(chosen.frame.select(first_rows(chosen.frame)), clock, notes)
     whole = _extent(spans)
@@ -125,6 +128,24 @@ def timeline(
     else:
         content["bins"] = _bins(spans, extent)
     return Body(content, lambda: as_columns(_rows(spans)))
+
+
+def _with_what_goes_on(snapshot: Snapshot) -> Frame:
+    """Return the runs that ended, and below them those of a workstation that are at work."""
+    frame = snapshot.frame
+    ended = set(frame.column("uid").tolist())
+    at_work = [run for run in snapshot.at_work if run["uid"] not in ended]
+    if not at_work:
+        return frame
+    values: dict[str, Sequence[Any]] = {"id": [-1 - number for number in range(len(at_work))]}
+    spread(values, "", at_work)
+    columns = {name: Column.of(found) for name, found in values.items()}
+    for name in _TIMES & columns.keys():
+        columns[name] = Column.of_numbers(columns[name].floats(), ColumnKind.TIME)
+    parts = [(columns, len(at_work))]
+    if len(frame):
+        parts.insert(0, ({name: frame.column(name) for name in frame.stored}, len(frame)))
+    return Frame(*stack(parts))
 
 
 def _spans(frame: Frame, clock: Callable[[], float], notes: list[str]) -> Spans:

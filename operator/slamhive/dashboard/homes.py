@@ -80,8 +80,8 @@ class Homes:
             for label, snapshot in snapshots.items()
             for namespace, name in snapshot.asked
         }
-        live = snapshots[OWN].sweeps
-        self._snapshot = Snapshot(frame, revision, tuple(problems), live, frozenset(asked))
+        own = snapshots[OWN]
+        self._snapshot = Snapshot(frame, revision, tuple(problems), own.sweeps, frozenset(asked), own.at_work)
         self._revision = revision
 
     def _note(self, frame: Frame) -> None:

@@ -70,6 +70,7 @@ class Snapshot:
         problems: sentences on what does not answer at present.
         sweeps: live sweeps: their status by (namespace, name), of a workstation as far as it is known.
         asked: (namespace, name) of the sweeps that the archive knows, whether they have runs or not.
+        at_work: what is known of each run of a workstation that goes on; the frame has those that ended.
     """
 
     frame: Frame = field(default_factory=lambda: Frame({}, 0))
@@ -77,6 +78,7 @@ class Snapshot:
     problems: tuple[str, ...] = ()
     sweeps: Mapping[tuple[str, str], Mapping[str, Any]] = field(default_factory=dict)
     asked: frozenset[tuple[str, str]] = frozenset()
+    at_work: tuple[Mapping[str, Any], ...] = ()
 
 
 class Source(Protocol):
@@ -354,7 +356,7 @@ class Workstation:
     async def _with_what_goes_on(self, archived: Snapshot) -> Snapshot:
         now = self._under_way
         await now.follow(self._executor)
-        return replace(archived, revision=archived.revision + now.mark, sweeps=now.sweeps)
+        return replace(archived, revision=archived.revision + now.mark, sweeps=now.sweeps, at_work=now.runs)
 
     @property
     def ready(self) -> bool:
@@ -408,7 +410,7 @@ class Workstation:
 
     def live_runs(self) -> int:
         """Return the number of runs that are at work in the home."""
-        return self._under_way.runs
+        return len(self._under_way.runs)
 
 
 def _is_missing(url: str) -> bool:

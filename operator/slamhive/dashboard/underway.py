@@ -1,12 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sweeps of a workstation that are at work, for the pages: looked for now and then, as pages ask often."""
+"""Runs and sweeps of a workstation that are at work, for the pages: looked for now and then."""
 
 from __future__ import annotations
 
 import asyncio
+import json
+import platform
 import time
+from collections import Counter
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from slamhive.contract.files import read_regular
+from slamhive.dashboard.artifacts import Place
+from slamhive.dashboard.clocks import configuration_of
+from slamhive.local.cores import processors_text
 from slamhive.local.underway import runs_under_way
 from slamhive.model.results import Phase
 
@@ -16,6 +24,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 LOOK_SECONDS = 1.0
+_MOST_BYTES = 2**20
+_SETTINGS = ("parameters", "input", "seed")
 
 
 class UnderWay:
@@ -27,7 +37,7 @@ class UnderWay:
 
     Attributes:
         sweeps: the sweeps at work by (namespace, name), as a snapshot has live ones.
-        runs: number of runs at work.
+        runs: what is known of each run at work, a document in the names of the table of runs.
     """
 
     def __init__(self, home: Path | None, clock: Callable[[], float] = time.monotonic) -> None:
@@ -36,7 +46,7 @@ class UnderWay:
         self._next = clock()
         self.sweeps: dict[tuple[str, str], dict[str, Any]] = {}
         self._changes = 0
-        self.runs = 0
+        self.runs: tuple[dict[str, Any], ...] = ()
 
     @property
     def mark(self) -> str:
@@ -50,11 +60,49 @@ class UnderWay:
 
     def _look(self, runs: Path) -> None:
         self._next = self._clock() + LOOK_SECONDS
-        counts = runs_under_way(runs)
-        found = {
-            ("", name): {"live": True, "phases": {Phase.RUNNING.value: count}}
-            for name, count in counts.items()
-        }
-        if found != self.sweeps:
-            self.sweeps, self.runs = found, counts.total()
+        found = tuple(_told(runs, sweep, run) for sweep, run in sorted(runs_under_way(runs)))
+        if found != self.runs:
+            counts = Counter(str(told["sweep"]) for told in found)
+            self.sweeps = {
+                ("", name): {"live": True, "phases": {Phase.RUNNING.value: count}}
+                for name, count in counts.items()
+            }
+            self.runs = found
             self._changes += 1
+
+
+def _told(runs: Path, sweep: str, run: str) -> dict[str, Any]:
+    """Return what the folder of a run that is at work tells of it."""
+    folder = runs / sweep / run
+    given = configuration_of(Place(runs, (sweep, run)))
+    dataset = given.get("dataset")
+    uid, processors = _read(folder / "attempt.json").get("uid"), _read(folder / "supervisor.json").get("cpus")
+    return {
+        "uid": str(uid or run),
+        "run": run,
+        "sweep": sweep,
+        "algorithm": given.get("algorithm"),
+        "dataset": dataset.get("name") if isinstance(dataset, dict) else None,
+        "sensors": given.get("mode"),
+        "phase": Phase.RUNNING.value,
+        "status": Phase.RUNNING.value,
+        "created": _changed(folder / "attempt.json"),
+        "started": _changed(folder / "process.json"),
+        "provenance.node": platform.node(),
+        "usage.processors": processors_text(processors),
+        **{name: given[name] for name in _SETTINGS if name in given},
+    }
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file that a program may have written; empty where there is none."""
+    with suppress(OSError, ValueError, RecursionError):
+        found = json.loads(read_regular(str(path), _MOST_BYTES))
+        return found if isinstance(found, dict) else {}
+    return {}
+
+
+def _changed(path: Path) -> float | None:
+    with suppress(OSError):
+        return path.stat().st_mtime
+    return None

@@ -26,6 +26,7 @@ from slamhive.contract.posefiles import FRAMES
 from slamhive.contract.trajectory import check_trajectory
 from slamhive.data.erasing import erase
 from slamhive.engine import AttemptEnd
+from slamhive.local.cores import processors_text
 from slamhive.local.playing import Player
 from slamhive.local.supervision import Supervised
 from slamhive.model.base import quantity, seconds
@@ -153,7 +154,7 @@ class Attempt:
         if not found:
             return None
         asked = _read_object(self.folder / "supervisor.json") or {}
-        return Usage.model_validate(found | {"processors": _processors(asked.get("cpus"))})
+        return Usage.model_validate(found | {"processors": processors_text(asked.get("cpus"))})
 
     def times(self) -> tuple[str | None, str | None]:
         """Return when the program started and ended, as ISO 8601."""
@@ -277,13 +278,6 @@ def _joined(remark: str | None, notes: Any) -> str | None:
     """Return a remark with what the supervisor noted."""
     found = [remark, *(notes if isinstance(notes, list) else ())]
     return "; ".join(str(sentence) for sentence in found if sentence) or None
-
-
-def _processors(numbers: Any) -> str | None:
-    """Return the processors that a supervisor was told, in words; None where that isn't known."""
-    if not isinstance(numbers, list) or not all(type(number) is int for number in numbers):
-        return None
-    return ",".join(map(str, sorted(numbers))) or None
 
 
 def _read_object(path: Path) -> dict[str, Any] | None:

@@ -8,7 +8,6 @@ is over as if it went on; a process is there or it isn't, whichever runner start
 from __future__ import annotations
 
 import os
-from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,8 +15,8 @@ _PROGRAM = b"slamhive.monitor"
 _SPEC = b"--spec"
 
 
-def runs_under_way(runs: Path, processes: Path = Path("/proc")) -> Counter[str]:
-    """Return how many runs of each sweep are at work, by the name of the sweep's folder.
+def runs_under_way(runs: Path, processes: Path = Path("/proc")) -> set[tuple[str, str]]:
+    """Return the runs that are at work, by the names of the sweep's folder and of their own in it.
 
     Args:
         runs: folder of a home that holds the runs, a folder of them a sweep.
@@ -33,4 +32,4 @@ def runs_under_way(runs: Path, processes: Path = Path("/proc")) -> Counter[str]:
             told = os.fsdecode(words[words.index(_SPEC) + 1])
             sweep, run, _ = Path(os.path.realpath(told)).relative_to(root).parts
             found.add((sweep, run))
-    return Counter(sweep for sweep, _ in found)
+    return found
