@@ -210,7 +210,7 @@ def show_table(
         from slamhive.cli.published import found_for, print_published
 
         beside = found_for(frame)
-    flat = [*flat_cells(found), *(one.flat() for one in beside)]
+    flat = [*flat_cells(found), *(one.flat() for one in beside)] if form in {Format.JSON, Format.CSV} else []
     match form:
         case Format.JSON:
             write_json(sys.stdout, flat)
