@@ -10,10 +10,11 @@ from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import operating
+from scaling.storing import open_engine
 from sqlalchemy import func, select
+from sqlalchemy.exc import SQLAlchemyError
 from testcluster.errors import ClusterError
 
-from scaling.storing import open_engine
 from slamhive.archive import schema
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ class Sampler:
                 calls=self._process.calls().total(),
                 looks=self._process.reconciled().total(),
             )
-        except (OSError, LookupError, TypeError, ValueError):
+        except (OSError, LookupError, TypeError, ValueError, AttributeError, SQLAlchemyError):
             return None
         self.taken.append(sample)
         return sample

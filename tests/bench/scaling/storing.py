@@ -21,8 +21,8 @@ AT_ONCE = 50
 
 
 def open_engine(url: str) -> Engine:
-    """Return an engine for an archive's URL."""
-    return create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
+    """Return an engine for an archive's URL; a connection that its server has broken is made anew."""
+    return create_engine(url.replace("postgresql://", "postgresql+psycopg://"), pool_pre_ping=True)
 
 
 def size(url: str) -> int:
