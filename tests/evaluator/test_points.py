@@ -236,7 +236,7 @@ def test_independent_errors_look_smaller_by_what_is_said(wander: Callable[..., T
     truth, random = wander(n=1200), np.random.default_rng(5)
     points = every(truth, 20)
     found, told = [], []
-    for _ in range(300):
+    for _ in range(150):
         noise = random.normal(0, 0.1, truth.positions.shape)
         moved = Trajectory(truth.stamps, truth.positions + noise, truth.quaternions)
         one = evaluate_points(points, moved)
