@@ -491,7 +491,7 @@ def test_a_full_disk_is_said_with_what_helps(tmp_path: Path) -> None:
     Archive.open(url).close()
     engine = open_engine(parse(url))
     large = text("CREATE TABLE maps AS SELECT zeroblob(10000000)")
-    helps = "its disk is full; what it holds stays: make room, and the same command goes on"
+    helps = "database or disk is full; what it holds stays: make room, and the same command goes on"
     with engine.begin() as connection:
         connection.execute(text("PRAGMA max_page_count = 1"))  # of those that are there already
         with pytest.raises(SystemFault, match=rf"archive\.sqlite: {helps}"), failures(engine.url):

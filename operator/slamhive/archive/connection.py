@@ -52,7 +52,7 @@ _READ_ONLY = (
     "; it takes no writes: a replica, a server with default_transaction_read_only, a file or folder that "
     "this user can't write, or a file system mounted read-only"
 )
-_FULL = "; its disk is full; what it holds stays: make room, and the same command goes on"
+_FULL = "; what it holds stays: make room, and the same command goes on"
 _ADVICE: dict[str | int, str] = {
     "25006": _READ_ONLY,  # PostgreSQL's SQLSTATE, the same in every language of a server
     "53100": _FULL,
