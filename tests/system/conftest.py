@@ -88,6 +88,8 @@ class System:
     def fork(self, *arguments: str | Path) -> Fork:
         """Start the command in a fork: it does the same, and has imported what it needs."""
         number = len(self._started)
+        for name in (f"{number}.out", f"{number}.err"):
+            (self.folder / name).touch()  # the fork opens them when it comes to it
         process = self._forks.start(**self._order(f"{number}.out", f"{number}.err", *arguments))
         self._started.append(process)
         return process
