@@ -212,7 +212,6 @@ def pytest_collection(session: pytest.Session) -> Generator[None, object, object
     finally:
         gc.enable()
         gc.freeze()  # what has been imported stays
-        gc.set_threshold(20_000, 10, 10)  # looking for garbage as often as usual takes a tenth of the tests
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest brings together the tests that share a fixture

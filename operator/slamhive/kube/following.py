@@ -49,8 +49,10 @@ async def following(op: Operator) -> AsyncIterator[None]:
     finally:
         for task in tasks:
             task.remove_done_callback(op.note_end)
-        await session.close()  # before the tasks: open_session says why
-        await end_tasks(tasks)
+        try:
+            await session.close()  # before the tasks: open_session says why
+        finally:  # whoever ends this may have to say so twice
+            await end_tasks(tasks)
 
 
 def _follower(op: Operator, session: ClientSession, kind: Kind, namespace: str) -> Follower:
