@@ -281,7 +281,7 @@ def test_a_try_that_can_be_made_is_said_of_the_figures(what: str, records: dict[
 @pytest.mark.parametrize("what", ["nothing", *WITHOUT_EFFECT])
 def test_a_try_without_effect_changes_nothing(what: str, records: dict[str, RunRecord]) -> None:
     record = records[what]
-    assert figures_are_true(record)
+    assert figures_are_true(record), (record.phase, record.reason, record.message, record.usage)
     assert record.usage is not None
     assert record.usage.suspect is None
 

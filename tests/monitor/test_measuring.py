@@ -157,7 +157,7 @@ def test_contention(run: Run) -> None:
     code = f"import os\nos.sched_setaffinity(0, {{{cpu}}})\nwhile True: pass"
     other = subprocess.Popen([sys.executable, "-c", code])
     try:
-        usage = run.python(f"{BURN}\nburn(.4)", cpus=(cpu,))["usage"]
+        usage = run.python(f"{BURN}\nburn(1.2)", cpus=(cpu,))["usage"]
     finally:
         other.kill()
         other.wait()
