@@ -34,10 +34,7 @@ ROUNDS = 2
 WINDOWS = (32, 64)
 LIVE = 1000
 IDLE_SECONDS = 60.0
-MEMORY_LIMIT_MIB = 200
 SECOND_LIST_SECONDS = 15.0
-NEW_KINDS_SECONDS = 35.0
-"""After that the cluster's garbage collector has noticed our kinds; until then it tries again and again."""
 
 
 class Bench:
@@ -81,7 +78,7 @@ def bench_rates(access: Cluster, pool: Pool) -> None:
     """Report runs and Jobs per second."""
     bench = Bench(access, pool)
     with operating.operator(access, bench.where, operating.played_pods(pool.name)) as process:
-        time.sleep(NEW_KINDS_SECONDS)
+        time.sleep(operating.NEW_KINDS_SECONDS)
         bench.run_sweep(8, 8)
         loops = bench.loops
         loops.run_plain(8, 8)
@@ -149,7 +146,7 @@ def bench_live(access: Cluster, pool: Pool) -> None:
         operating.report(
             f"the operator's memory with {started} live runs",
             f"{operating.memory_mib(process.pid, 'Pss'):.0f} MiB (resident {most:.0f} MiB)",
-            f"limit {MEMORY_LIMIT_MIB} MiB",
+            f"limit {operating.MEMORY_LIMIT_MIB} MiB",
         )
         operating.report(
             "its share of a core while nothing happens", f"{share:.2%}", f"limit 1%; {operating.load()}"

@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from testcluster.access import Cluster
 
 TICKS = os.sysconf("SC_CLK_TCK")
+MEMORY_LIMIT_MIB = 200
+"""Of the operator."""
+NEW_KINDS_SECONDS = 35.0
+"""After that the cluster's garbage collector has noticed our kinds; until then it tries again and again."""
 PROGRAMS = ("kube-apiserver", "etcd", "kube-controller-manager", "kube-scheduler", "kwok")
 
 

@@ -52,9 +52,6 @@ SWEEP = "large"
 CLUSTER = "scale"
 SAMPLE_SECONDS = 10.0
 LONGEST_PAUSE = 900.0
-NEW_KINDS_SECONDS = 35.0
-"""After that the cluster's garbage collector has noticed our kinds; until then it tries again and again."""
-MEMORY_LIMIT_MIB = 200
 STAGES = ("beginning", "middle", "end")
 
 
@@ -228,7 +225,7 @@ def run(options: argparse.Namespace, access: Cluster, url: str, database: Postgr
         )
         sampler = sampling.Sampler(access, process, where, url)
         stack.callback(sampler.close)
-        time.sleep(NEW_KINDS_SECONDS)
+        time.sleep(operating.NEW_KINDS_SECONDS)
         access.apply(large_sweep("warm", options.warm, options.warm, retained=options.warm), namespace=where)
         until(
             lambda: ((sampler.sweep("warm") or {}).get("status") or {}).get("completionTime"),
@@ -312,7 +309,7 @@ def tell(
             f"CPU of API server and etcd a run, {stage}", f"{1000 * ours['server']:.1f} ms", limit
         )
     for name, text in (
-        ("operator_mib", f"MiB of the operator, limit {MEMORY_LIMIT_MIB}"),
+        ("operator_mib", f"MiB of the operator, limit {operating.MEMORY_LIMIT_MIB}"),
         ("etcd_mib", "MiB of etcd"),
         ("mappingruns", "MappingRuns"),
         ("queued", "keys in the operator's queue"),
