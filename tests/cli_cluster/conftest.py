@@ -19,6 +19,7 @@ from testcluster.labs import *  # noqa: F403
 
 from slamhive.archive import Archive
 from slamhive.cli import main
+from slamhive.cli.console import speak_json
 from slamhive.local.home import Home
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ class Desk:
     def type(self, *words: str) -> Said:
         """Run the command in this process."""
         self._capsys.readouterr()
+        speak_json(wanted=False)  # as a new process would, whatever the command before was asked for
         code = 0
         sys.argv[:] = ["slamhive", *words]
         try:

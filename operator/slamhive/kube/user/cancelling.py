@@ -10,6 +10,7 @@ from slamhive.kube.errors import NotFound
 from slamhive.kube.kinds import Key, Kind, Object
 from slamhive.kube.status import holds, phase_of
 from slamhive.kube.user.queries import find, is_over, name_of, runs_of, status_of
+from slamhive.kube.user.together import together
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -122,4 +123,4 @@ async def _cancel_runs(cluster: Cluster, sweep: Object) -> set[str]:
                 return None
         return name
 
-    return {name for name in await asyncio.gather(*map(one, going)) if name}
+    return {name for name in await together(map(one, going)) if name}

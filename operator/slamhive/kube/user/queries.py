@@ -6,7 +6,6 @@ The cluster commands show and act on what they return.
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ from slamhive.kube.builders.common import label_value
 from slamhive.kube.errors import NotFound
 from slamhive.kube.kinds import Kind, Label, Object
 from slamhive.kube.status import holds, moment, phase_of
+from slamhive.kube.user.together import together
 from slamhive.model.errors import UnknownNameError
 
 if TYPE_CHECKING:
@@ -76,10 +76,12 @@ class Picture:
 
 async def look_around(cluster: Cluster) -> Picture:
     """Return what there is in the namespace."""
-    lists = await asyncio.gather(
-        cluster.api.list(Kind.SWEEP, cluster.namespace),
-        cluster.api.list(Kind.MAPPING_RUN, cluster.namespace, labels=f"!{Label.SWEEP}"),
-        cluster.api.list(Kind.EVALUATION, cluster.namespace),
+    lists = await together(
+        (
+            cluster.api.list(Kind.SWEEP, cluster.namespace),
+            cluster.api.list(Kind.MAPPING_RUN, cluster.namespace, labels=f"!{Label.SWEEP}"),
+            cluster.api.list(Kind.EVALUATION, cluster.namespace),
+        )
     )
     sweeps, runs, evaluations = (sorted(items, key=_by_age) for items, _ in lists)
     return Picture(sweeps, runs, evaluations)
@@ -122,10 +124,10 @@ async def find(
     """
     found: list[tuple[Kind, Object]] = []
     for name in dict.fromkeys(names):
-        bodies = await asyncio.gather(*(_get(cluster, kind, name) for kind in kinds))
+        bodies = await together(_get(cluster, kind, name) for kind in kinds)
         there = [(kind, body) for kind, body in zip(kinds, bodies, strict=True) if body is not None]
         if not there:
-            lists = await asyncio.gather(*(cluster.api.list(kind, cluster.namespace) for kind in kinds))
+            lists = await together(cluster.api.list(kind, cluster.namespace) for kind in kinds)
             known = [name_of(body) for items, _ in lists for body in items]
             what = " or ".join(str(kind) for kind in kinds)
             raise UnknownNameError(what, name, known, f"namespace {cluster.namespace}")

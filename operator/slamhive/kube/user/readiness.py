@@ -11,6 +11,7 @@ from slamhive.kube.errors import ApiError, Forbidden, NotFound
 from slamhive.kube.kinds import Kind
 from slamhive.kube.transport import Request
 from slamhive.kube.user.connecting import connected, find_target
+from slamhive.kube.user.together import together
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.readiness import Row, State, limited, missing, there
 
@@ -51,7 +52,7 @@ async def look(context: str | None = None, namespace: str | None = None) -> list
     try:
         async with asyncio.timeout(PATIENCE_SECONDS), connected(target) as cluster:
             looks = (_version(cluster, named), _operator(cluster), _figures(cluster), _rights(cluster))
-            return list(await asyncio.gather(*looks))
+            return await together(looks)
     except TimeoutError:
         helps = "is the cluster up, and can it be reached from here? kubectl version"
         found = f"{named}: no answer within {PATIENCE_SECONDS:g} s"
@@ -105,7 +106,7 @@ async def _figures(cluster: Cluster) -> Row:
 
 
 async def _rights(cluster: Cluster) -> Row:
-    may = await asyncio.gather(*(_may(cluster, verb, resource) for verb, resource, _ in _RIGHTS))
+    may = await together(_may(cluster, verb, resource) for verb, resource, _ in _RIGHTS)
     lacking = [right for right, allowed in zip(_RIGHTS, may, strict=True) if allowed is False]
     if None in may:
         return Row("rights", State.UNKNOWN, "the cluster does not tell which rights this user has")

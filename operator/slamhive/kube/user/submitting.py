@@ -15,6 +15,7 @@ from slamhive.kube.errors import AlreadyExists, Conflict, Invalid, NotFound
 from slamhive.kube.kinds import Kind, Object
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.user.manifests import Difference, Manifest, bounded, compare, entry_of
+from slamhive.kube.user.together import together
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.base import Choice
 from slamhive.model.dataset import Dataset
@@ -78,7 +79,7 @@ class ClusterCatalog:
 async def read_catalog(cluster: Cluster) -> ClusterCatalog:
     """Return the catalog of a cluster's namespace."""
     models: dict[Kind, type[Resource]] = {Kind.ALGORITHM: Algorithm, Kind.DATASET: Dataset}
-    lists = await asyncio.gather(*(cluster.api.list(kind, cluster.namespace) for kind in models))
+    lists = await together(cluster.api.list(kind, cluster.namespace) for kind in models)
     bodies: dict[tuple[Kind, str], Object] = {}
     items: list[Resource] = []
     for (kind, model), (found, _) in zip(models.items(), lists, strict=True):
@@ -176,7 +177,7 @@ async def send(cluster: Cluster, manifests: Sequence[Manifest], *, trial: bool =
                 return f"{manifest.source}: {manifest}: the cluster refuses it: {error}"
         return None
 
-    seen = await asyncio.gather(*map(look, ordered))
+    seen = await together(map(look, ordered))
     _raise(
         f"{manifest.source}: {manifest} is in the cluster already with other contents, which can't change "
         f"(cluster → here): {bounded(difference.frozen)}; delete it there, or give this one another name"
@@ -184,7 +185,7 @@ async def send(cluster: Cluster, manifests: Sequence[Manifest], *, trial: bool =
         if difference.frozen
     )
     # The server checks all of them by dry runs before the first is made: either all go or none.
-    tried = await asyncio.gather(*(attempt(item, *found) for item, found in zip(ordered, seen, strict=True)))
+    tried = await together(attempt(item, *found) for item, found in zip(ordered, seen, strict=True))
     _raise(problem for problem in tried if problem)
     return [await _do(cluster, item, *found, trial) for item, found in zip(ordered, seen, strict=True)]
 
