@@ -13,9 +13,9 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import reckoning
+from scaling.points import POINT, error_at, point_of
 from sqlalchemy import create_engine
 
-from scaling.points import POINT, error_at, point_of
 from slamhive.archive import Archive
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from faultlab.arena import evaluation_of, evaluator_log
-
 from scaling.points import POINT, error_at
+
 from slamhive.kube import __main__ as program
 from slamhive.kube.client import Api
 from slamhive.kube.kinds import Key, Kind
