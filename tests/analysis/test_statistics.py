@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.statistics import (
+    Numbers,
+    Summary,
     average_ranks,
     holm,
     mean_interval,
@@ -21,7 +23,6 @@ from slamhive.analysis.statistics import (
     resampled_medians,
     sign_flip_test,
     student_quantile,
-    summarize,
 )
 
 
@@ -29,6 +30,12 @@ from slamhive.analysis.statistics import (
 def stats() -> Any:
     """SciPy's; all workers collect this file, and importing it takes a second."""
     return import_module("scipy.stats")
+
+
+def summary_of(values: Any) -> Summary:
+    (found,) = Numbers(values, np.zeros(len(values), dtype=np.intp), 1).summaries()
+    assert found is not None
+    return found
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 4, 9, 10, 99, 400, 401, 5000])
@@ -42,8 +49,7 @@ def test_students_quantiles(stats: Any, degrees: int, probability: float) -> Non
 @pytest.mark.parametrize("count", [2, 3, 10, 101])
 def test_summaries_are_those_of_the_standard_library(count: int) -> None:
     values = np.random.default_rng(count).lognormal(size=count)
-    found = summarize(values)
-    assert found is not None
+    found = summary_of(values)
     numbers = values.tolist()
     assert (found.n, found.median, found.min, found.max) == (
         *(count, statistics.median(numbers), min(numbers), max(numbers)),
@@ -69,9 +75,7 @@ def test_failures_reach_into_the_interval_of_a_median() -> None:
 
 def test_the_interval_of_a_mean_is_students(stats: Any) -> None:
     values = np.random.default_rng(1).normal(size=20)
-    summary = summarize(values)
-    assert summary is not None
-    interval = mean_interval(summary)
+    interval = mean_interval(summary_of(values))
     assert interval is not None
     expected = stats.t.interval(0.95, 19, values.mean(), stats.sem(values))
     assert (interval.low, interval.high) == pytest.approx(expected, rel=1e-9)

@@ -18,7 +18,7 @@ from slamhive.analysis.grouping import Outcomes, aggregate, varying
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.ordering import order_by
 from slamhive.analysis.selection import Selection, choose
-from slamhive.analysis.statistics import summarize
+from slamhive.analysis.statistics import Numbers
 from slamhive.model.errors import InputError
 
 
@@ -46,7 +46,7 @@ def frame_of(rows: list[dict[str, Any]], sweeps: tuple[SweepVersion, ...] = ()) 
 
 
 def mean_of(values: list[float]) -> Any:
-    return summarize(np.array(values))
+    return Numbers(np.array(values), np.zeros(len(values), dtype=np.intp), 1).summaries()[0]
 
 
 def test_mean_and_sample_deviation_of_tracked_runs() -> None:

@@ -41,7 +41,7 @@ BREAKS = (
     ),
     Break(
         "the standard deviation of all there is, not of a sample",
-        statistics.summarize,
+        statistics.Numbers.summaries,
         "/ (count - 1)",
         "/ count",
     ),

@@ -9,25 +9,16 @@ docs/results.md, "What counts", says the same in words.
 
 from __future__ import annotations
 
-import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.cells import Cell, Figure, Places, error_figures, figures
 from slamhive.analysis.columns import Column, renumbered
-from slamhive.analysis.statistics import (
-    ENOUGH,
-    Interval,
-    Summary,
-    edges,
-    mean_interval,
-    median_interval,
-    median_of_sorted,
-    summarize,
-)
+from slamhive.analysis.statistics import edges
 from slamhive.model.base import Choice
 from slamhive.model.results import Outcome, Reason
 
@@ -105,66 +96,6 @@ class Outcomes(Choice):
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A metric over a group of runs.
-
-    Attributes:
-        summary: of the numbers that count; None for none.
-        points: the numbers themselves, where they are few.
-        mean_interval, median_interval: from 10 numbers on.
-        censored: runs that failed, ranked behind all others.
-        censored_median: median of all runs so ranked; infinite when it is a failed run.
-    """
-
-    summary: Summary | None
-    points: tuple[float, ...] = ()
-    mean_interval: Interval | None = None
-    median_interval: Interval | None = None
-    censored: int = 0
-    censored_median: float | None = None
-
-    @property
-    def middle(self) -> float | None:
-        """The median, runs that failed in an error behind all others; infinite when it is one of them."""
-        if self.censored_median is not None:
-            return self.censored_median
-        return self.summary.median if self.summary else None
-
-    @property
-    def ends(self) -> tuple[float, ...]:
-        """The range of few runs, the interval of the median of many; fewer than two where unknown."""
-        interval = self.median_interval
-        if interval is not None:
-            return tuple(end for end in (interval.low, interval.high) if math.isfinite(end))
-        return (self.summary.min, self.summary.max) if self.summary and self.summary.n > 1 else ()
-
-
-@dataclass(frozen=True)
-class Cell:
-    """What a group of runs came to.
-
-    Attributes:
-        keys: the values that its runs share, by column.
-        runs: number of rows: runs, each once an evaluation; n and all failures together.
-        n: number of runs that count.
-        failures: number of runs that don't, by what became of them.
-        untracked: number of runs that count without being tracked, by what became of them.
-        coverage: of the evaluated runs, and 0 for those that failed of themselves.
-        figures: by column.
-        deterministic: whether the runs that count, more than one, have the very same trajectory.
-    """
-
-    keys: dict[str, Any]
-    runs: int
-    n: int
-    failures: dict[str, int]
-    untracked: dict[str, int]
-    coverage: Summary | None
-    figures: dict[str, Figure]
-    deterministic: bool = False
-
-
-@dataclass(frozen=True)
 class Aggregate:
     """Groups of runs in the order of their keys.
 
@@ -208,17 +139,17 @@ class Groups:
         # Numbers of 16 bits are sorted several times as fast: by radix.
         short = self.of_row.astype(np.uint16) if self.count <= 1 << 16 else self.of_row
         self.order: Indices = np.argsort(short, kind="stable")
-        self._edges = edges(self.of_row[self.order], self.count)
+        self.edges = edges(self.of_row[self.order], self.count)
 
     @cached_property
     def keys(self) -> list[dict[str, Any]]:
         """The values that the rows of each group share, by column."""
-        firsts = np.array([self.order[begin] for begin, _ in self._edges], dtype=np.intp)
+        firsts = np.array([self.order[begin] for begin, _ in self.edges], dtype=np.intp)
         return self.frame.select(firsts).records(self.names)
 
     def members(self) -> Iterator[Indices]:
         """Go through the rows of each group, in their order."""
-        for begin, end in self._edges:
+        for begin, end in self.edges:
             yield self.order[begin:end]
 
 
@@ -245,9 +176,8 @@ def aggregate(
     asked += across
     frame, facets = apart(frame, asked, metrics)
     groups = Groups(frame, [*facets, *asked])
-    material = _Material(frame, metrics, outcomes)
     members = list(groups.members())
-    cells = [material.cell(rows, keys) for rows, keys in zip(members, groups.keys, strict=True)]
+    cells = _cells(groups, metrics, outcomes)
     pooled = [name for name in changing if name not in groups.names]
     notes = [*pooling_notes(pooled), *disturbance_notes(frame, metrics)]
     same = sum(cell.deterministic for cell in cells)
@@ -473,67 +403,46 @@ def _differs(column: Column, example: Indices) -> bool:
     return not same.all()
 
 
-class _Material:
-    """What cells are made of: arrays over all rows, taken out of their columns once.
-
-    Args:
-        frame: the rows.
-        metrics: what to summarise.
-        outcomes: which rows enter the figures.
-    """
-
-    def __init__(self, frame: Frame, metrics: Sequence[str], outcomes: Outcomes) -> None:
-        status = frame.column("status")
-        self._words = status.values
-        self._status = status.codes
-        self._counted = counting(frame, outcomes)
-        self._coverage = covered(frame)
-        self._frame = frame
-        self._metrics = {
-            name: (
-                frame.column(name).floats(),
-                self._counted & sound(frame, name, outcomes),
-                worst(frame, name, outcomes) if is_error(name) else None,
-            )
-            for name in metrics
-        }
-
-    def cell(self, rows: Indices, keys: dict[str, Any]) -> Cell:
-        """Return what the runs of some rows came to."""
-        coverage, counted, status = self._coverage[rows], self._counted[rows], self._status[rows]
-        untracked = tally(self._words, status[counted])
+def _cells(groups: Groups, metrics: Sequence[str], outcomes: Outcomes) -> list[Cell]:
+    """Return what the runs of each group came to."""
+    frame, places = groups.frame, Places(groups.order, groups.edges)
+    status = frame.column("status")
+    codes = status.codes.astype(np.intp)
+    counted = counting(frame, outcomes)
+    coverage = covered(frame)
+    trajectory = frame.column("trajectory.sha256")
+    same = [False] * places.count
+    if not trajectory.kind.is_numeric:
+        same = places.agree(trajectory.codes.astype(np.intp), counted).tolist()
+    shown = [_figures(frame, places, name, counted=counted, outcomes=outcomes, same=same) for name in metrics]
+    lists = zip(
+        groups.keys,
+        places.counts(np.ones(len(frame), dtype=bool)).tolist(),
+        places.counts(counted).tolist(),
+        places.tallies(status.values, codes, ~counted),
+        places.tallies(status.values, codes, counted),
+        places.numbers(coverage, ~np.isnan(coverage)).summaries(),
+        zip(*shown, strict=True) if shown else [()] * places.count,
+        same,
+        strict=True,
+    )
+    found = []
+    for keys, runs, n, failures, untracked, covering, row, deterministic in lists:
         untracked.pop(Outcome.TRACKED.value, None)
-        same = are_equal(self._frame, rows[counted])
-        return Cell(
-            keys=keys,
-            runs=len(rows),
-            n=int(np.count_nonzero(counted)),
-            failures=tally(self._words, status[~counted]),
-            untracked=untracked,
-            coverage=summarize(coverage[~np.isnan(coverage)]),
-            figures={name: self._figure(rows, name, same=same) for name in self._metrics},
-            deterministic=same,
-        )
+        by_name = dict(zip(metrics, row, strict=True))
+        found.append(Cell(keys, runs, n, failures, untracked, covering, by_name, deterministic))
+    return found
 
-    def _figure(self, rows: Indices, name: str, *, same: bool) -> Figure:
-        everywhere, counting_, worst_ = self._metrics[name]
-        numbers, inside = everywhere[rows], counting_[rows]
-        inside &= ~np.isnan(numbers)
-        values = numbers[inside]
-        summary = summarize(values)
-        points = tuple(values.tolist()) if len(values) < ENOUGH else ()
-        interval = mean_interval(summary) if summary else None
-        if worst_ is None:
-            return Figure(summary, points, interval, median_interval(np.sort(values)))
-        failed = int(np.count_nonzero(worst_[rows]))
-        ranked = ranked_errors(numbers, inside, worst_[rows])
-        middle = median_of_sorted(ranked) if len(ranked) else None
-        if same and summary is not None and name.startswith(ERRORS):
-            # One result, however often it came out: there is no sample that could have a spread.
-            mean = summary.median if summary.min == summary.max else summary.mean
-            one = replace(summary, mean=mean, std=None)
-            return Figure(one, points, None, None, failed, middle)
-        return Figure(summary, points, interval, median_interval(ranked), failed, middle)
+
+def _figures(
+    frame: Frame, places: Places, name: str, *, counted: Mask, outcomes: Outcomes, same: Sequence[bool]
+) -> list[Figure]:
+    inside = counted & sound(frame, name, outcomes)
+    numbers = places.numbers(frame.column(name).floats(), inside)
+    if not is_error(name):
+        return figures(numbers)
+    single = same if name.startswith(ERRORS) else [False] * len(same)
+    return error_figures(numbers, places.counts(worst(frame, name, outcomes)), single)
 
 
 def are_equal(frame: Frame, rows: Indices) -> bool:

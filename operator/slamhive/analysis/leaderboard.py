@@ -18,11 +18,11 @@ from slamhive.analysis.boards import COMPETITORS, prepare
 from slamhive.analysis.grouping import ERRORS, Outcomes, are_equal, tally
 from slamhive.analysis.statistics import (
     Interval,
+    Numbers,
     Summary,
     average_ranks,
     percentiles,
     resampled_medians,
-    summarize,
 )
 from slamhive.model.errors import InputError
 
@@ -172,6 +172,7 @@ def _board(grid: Grid, draws: int) -> Board:
     drawn_ranks = average_ranks(np.nan_to_num(_scores(drawn), nan=1.0))
     drawn_ratios = _ratios(drawn)
     ranks, within = _places(scores), _dataset_ranks(grid.medians)
+    summaries = _summaries(grid)
     entries = [
         Entry(
             keys=key,
@@ -181,7 +182,7 @@ def _board(grid: Grid, draws: int) -> Board:
             ratio=float(ratios[number]),
             ratio_interval=percentiles(drawn_ratios[:, number]),
             standings=[
-                _standing(grid, (number, place), float(within[number, place]))
+                _standing(grid, (number, place), float(within[number, place]), summaries[number, place])
                 for place in range(shape[1])
                 if (number, place) in grid.members
             ],
@@ -192,10 +193,9 @@ def _board(grid: Grid, draws: int) -> Board:
     return Board(grid.facets, grid.datasets, entries)
 
 
-def _standing(grid: Grid, place: tuple[int, int], rank: float) -> Standing:
+def _standing(grid: Grid, place: tuple[int, int], rank: float, summary: Summary | None) -> Standing:
     rows = grid.members[place]
-    numbers, counted = grid.numbers[rows], grid.counted[rows]
-    values = numbers[counted & ~np.isnan(numbers)]
+    counted = grid.counted[rows]
     status = grid.frame.column("status")
     return Standing(
         dataset=grid.datasets[place[1]],
@@ -204,9 +204,19 @@ def _standing(grid: Grid, place: tuple[int, int], rank: float) -> Standing:
         failures=tally(status.values, status.codes[rows][~counted]),
         median=float(grid.medians[place]),
         rank=rank,
-        summary=_without_spread(summarize(values), grid, rows[counted]),
+        summary=_without_spread(summary, grid, rows[counted]),
         coverage=grid.mean_coverage(place),
     )
+
+
+def _summaries(grid: Grid) -> dict[tuple[int, int], Summary | None]:
+    """Return the figures of each competitor on each dataset in short."""
+    rows = np.concatenate(list(grid.members.values()))
+    of_row = np.repeat(np.arange(len(grid.members)), [len(mine) for mine in grid.members.values()])
+    values = grid.numbers[rows]
+    inside = grid.counted[rows] & ~np.isnan(values)
+    found = Numbers(values[inside], of_row[inside], len(grid.members)).summaries()
+    return dict(zip(grid.members, found, strict=True))
 
 
 def _without_spread(summary: Summary | None, grid: Grid, counted: Indices) -> Summary | None:

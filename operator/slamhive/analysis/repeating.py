@@ -11,7 +11,6 @@ import numpy as np
 from slamhive.analysis.grouping import (
     ERRORS,
     SUBJECT,
-    Cell,
     Groups,
     Outcomes,
     aggregate,
@@ -21,6 +20,7 @@ from slamhive.analysis.grouping import (
 )
 
 if TYPE_CHECKING:
+    from slamhive.analysis.cells import Cell
     from slamhive.analysis.columns import Floats
     from slamhive.analysis.frame import Frame
 

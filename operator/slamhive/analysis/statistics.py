@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     import numpy.typing as npt
 
     Floats = npt.NDArray[np.float64]
+    Indices = npt.NDArray[np.intp]
 
 LEVEL = 0.95
 """Confidence of all intervals."""
@@ -62,16 +63,70 @@ class Interval:
     method: str
 
 
-def summarize(values: Floats) -> Summary | None:
-    """Return the summary of finite numbers, (n,), None for none; sums are exact before the last rounding."""
-    count = len(values)
-    if not count:
-        return None
-    mean = math.fsum(values.tolist()) / count
-    deviations = values - mean
-    std = math.sqrt(math.fsum((deviations * deviations).tolist()) / (count - 1)) if count > 1 else None
-    ordered = np.sort(values)
-    return Summary(count, mean, std, median_of_sorted(ordered), float(ordered[0]), float(ordered[-1]))
+class Numbers:
+    """Finite numbers of groups.
+
+    Args:
+        values: the numbers, group by group, (n,).
+        of_value: the group of each, from 0, ascending, (n,).
+        count: number of groups.
+    """
+
+    def __init__(self, values: Floats, of_value: Indices, count: int) -> None:
+        self._values = values
+        self.counts = np.bincount(of_value, minlength=count)
+        ends = np.cumsum(self.counts)
+        self._starts = ends - self.counts
+        self._edges = list(zip(self._starts.tolist(), ends.tolist(), strict=True))
+        self._ordered = values[np.lexsort((values, of_value))]
+
+    def points(self) -> Iterator[tuple[float, ...]]:
+        """Go through the numbers of each group as they came; none where they are many."""
+        plain = self._values.tolist()
+        for begin, end in self._edges:
+            yield tuple(plain[begin:end]) if end - begin < ENOUGH else ()
+
+    def ordered(self, group: int) -> Floats:
+        """Return the numbers of a group, sorted, (n,)."""
+        begin, end = self._edges[group]
+        return self._ordered[begin:end]
+
+    def medians(self, behind: Indices | None = None) -> list[float | None]:
+        """Return the median of each group, None for those of nothing.
+
+        Args:
+            behind: how many further ones of each group rank behind all its numbers, (groups,): +inf.
+        """
+        extra = np.zeros_like(self.counts) if behind is None else behind
+        totals = self.counts + extra
+        low, high = self._placed((totals - 1) // 2), self._placed(totals // 2)
+        found = np.where(totals % 2 == 1, high, (low + high) / 2).tolist()
+        return [median if total else None for median, total in zip(found, totals.tolist(), strict=True)]
+
+    def _placed(self, places: Indices) -> Floats:
+        """Return the number at a place of each group's order, (groups,), +inf behind the last."""
+        inside = (places >= 0) & (places < self.counts)
+        found = np.full(len(places), np.inf)
+        found[inside] = self._ordered[(self._starts + places)[inside]]
+        return found
+
+    def summaries(self) -> list[Summary | None]:
+        """Return the summary of each group, None for those of nothing; sums are exact until rounded."""
+        plain, fsum = self._values.tolist(), math.fsum
+        means = [fsum(plain[begin:end]) / (end - begin) if end > begin else 0.0 for begin, end in self._edges]
+        deviations = self._values - np.repeat(np.array(means), self.counts)
+        squares = (deviations * deviations).tolist()
+        medians, ordered = self.medians(), self._ordered
+        found: list[Summary | None] = []
+        for (begin, end), mean, median in zip(self._edges, means, medians, strict=True):
+            count = end - begin
+            if median is None:
+                found.append(None)
+                continue
+            std = math.sqrt(fsum(squares[begin:end]) / (count - 1)) if count > 1 else None
+            low, high = (float(ordered[begin]), float(ordered[end - 1])) if count > 1 else (median, median)
+            found.append(Summary(count, mean, std, median, low, high))
+        return found
 
 
 def median_of_sorted(ordered: Floats) -> float:

@@ -47,7 +47,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from typing import TextIO
 
-    from slamhive.analysis.grouping import Aggregate, Cell
+    from slamhive.analysis.cells import Cell
+    from slamhive.analysis.grouping import Aggregate
     from slamhive.model.results import Result, RunRecord
     from slamhive.tables.published import Published
 

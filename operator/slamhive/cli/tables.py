@@ -37,21 +37,29 @@ def show(console: Console, headings: Sequence[str], lines: Iterable[Sequence[str
 
     Rich takes five minutes for 80,000 lines of 30 columns, this some seconds.
     """
-    kept = [tuple(cell.translate(_UNPRINTABLE) for cell in line) for line in lines]
+    kept = [tuple(map(_printable, line)) for line in lines]
     titles = [heading.replace(" [", "\n[").split("\n") for heading in headings]
     deep = max(map(len, titles), default=0)
     head = list(zip(*([""] * (deep - len(title)) + title for title in titles), strict=True))
     columns = zip(*head, *kept, strict=True)
-    widths = [max(map(cell_len, column)) for column in columns]
+    widths = [max(map(_width, column)) for column in columns]
 
     def aligned(line: Sequence[str]) -> str:
-        cells = (cell + " " * (width - cell_len(cell)) for cell, width in zip(line, widths, strict=True))
+        cells = [cell + " " * (width - _width(cell)) for cell, width in zip(line, widths, strict=True)]
         return _GAP.join(cells) + "\n"
 
     bold, plain = ("\x1b[1m", "\x1b[0m") if console.is_terminal and not console.no_color else ("", "")
     console.file.writelines(f"{bold}{aligned(line)[:-1]}{plain}\n" for line in head)
     console.file.write("─" * (sum(widths) + len(_GAP) * max(len(widths) - 1, 0)) + "\n")
     console.file.writelines(map(aligned, kept))
+
+
+def _printable(cell: str) -> str:
+    return cell if cell.isprintable() else cell.translate(_UNPRINTABLE)
+
+
+def _width(cell: str) -> int:
+    return len(cell) if cell.isascii() else cell_len(cell)
 
 
 def write_markdown(stream: TextIO, headings: Sequence[str], lines: Iterable[Sequence[str]]) -> None:

@@ -14,9 +14,9 @@ from slamhive.dashboard.encoding import plain
 from slamhive.tables.text import PARTS
 
 if TYPE_CHECKING:
+    from slamhive.analysis.cells import Figure
     from slamhive.analysis.columns import Column, Floats
     from slamhive.analysis.frame import Frame
-    from slamhive.analysis.grouping import Figure
     from slamhive.analysis.statistics import Interval, Summary
 
 _MAX_DISTINCT = 200

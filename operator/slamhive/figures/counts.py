@@ -13,7 +13,7 @@ from slamhive.tables.text import counts_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from slamhive.analysis.grouping import Cell
+    from slamhive.analysis.cells import Cell
 
 
 def span(numbers: Sequence[int]) -> str:

@@ -37,10 +37,11 @@ from slamhive.tables.text import as_columns, flat_cells
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from slamhive.analysis.cells import Cell
+    from slamhive.analysis.cells import Figure as Summed
     from slamhive.analysis.columns import Floats
     from slamhive.analysis.frame import Frame
-    from slamhive.analysis.grouping import Aggregate, Cell
-    from slamhive.analysis.grouping import Figure as Summed
+    from slamhive.analysis.grouping import Aggregate
     from slamhive.analysis.metrics import Metric
     from slamhive.figures.asking import Wish
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from slamhive.analysis import Metric
-    from slamhive.analysis.grouping import Cell
+    from slamhive.analysis.cells import Cell
     from slamhive.analysis.leaderboard import Board
     from slamhive.analysis.pareto import Front
     from slamhive.reporting.markup import Markup

@@ -44,8 +44,8 @@ from slamhive.tables.text import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from slamhive.analysis.cells import Cell
     from slamhive.analysis.frame import Frame
-    from slamhive.analysis.grouping import Cell
     from slamhive.reporting.questions import Question
     from slamhive.reporting.studies import Study
 

@@ -20,8 +20,8 @@ from slamhive.model.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from slamhive.analysis.cells import Cell
     from slamhive.analysis.frame import Frame
-    from slamhive.analysis.grouping import Cell
 
 SMALL_IS_GOOD = ("usage.", "frames.dropped")
 """What the names of columns begin with whose smallest number is the best."""

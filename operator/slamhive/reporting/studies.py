@@ -16,8 +16,9 @@ from slamhive.analysis.grouping import LOAD, LOAD_FACETS, Groups, aggregate, apa
 from slamhive.tables.reading import with_figure
 
 if TYPE_CHECKING:
+    from slamhive.analysis.cells import Cell
     from slamhive.analysis.frame import Frame
-    from slamhive.analysis.grouping import Aggregate, Cell
+    from slamhive.analysis.grouping import Aggregate
     from slamhive.reporting.questions import Question
 
 MOST_PANELS = 12

@@ -15,13 +15,15 @@ from slamhive.analysis.metrics import Metric
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from slamhive.analysis.grouping import Aggregate, Cell
+    from slamhive.analysis.cells import Cell
+    from slamhive.analysis.grouping import Aggregate
     from slamhive.analysis.statistics import Interval, Summary
 
 PARTS = ("n", "mean", "std", "median", "min", "max")
 """What a summary is made of, in flat records."""
 
 COVERAGE = Metric("coverage", "", 1.0, ".3f")
+_AS_STORED = Metric("", "", 1.0, "")
 
 _ROUNDING = 1e-12
 """A spread below this share of the mean is rounding, not a spread."""
@@ -42,7 +44,7 @@ def value_text(metric: Metric, value: Any) -> str:
 
 def key_text(value: Any) -> str:
     """Return a key of a group as people read it."""
-    return value_text(Metric("", "", 1.0, ""), value) if not isinstance(value, float) else repr(value)
+    return value_text(_AS_STORED, value) if not isinstance(value, float) else repr(value)
 
 
 def spread_text(metric: Metric, summary: Summary | None) -> str:
@@ -121,16 +123,13 @@ def table_lines(
     for values in sides:
         prefix = "".join(f"{key_text(value)} " for value in values)
         headings += [prefix + part for part in parts]
-    lines: dict[str, dict[str, Cell]] = {}
-    for cell in found.cells:
-        row = _identity(cell.keys[name] for name in rows)
-        lines.setdefault(row, {})[_identity(cell.keys[name] for name in across)] = cell
+    places = [_identity(values) for values in sides]
     rendered = []
-    for cells in lines.values():
+    for cells in _lines(found.cells, rows, across):
         first = next(iter(cells.values()))
         line = [key_text(first.keys[name]) for name in rows]
-        for values in sides:
-            line += _cell_texts(cells.get(_identity(values)), metrics)
+        for place in places:
+            line += _cell_texts(cells.get(place), metrics)
         rendered.append(line)
     return headings, rendered
 
@@ -192,6 +191,18 @@ def short_name(name: str, names: Sequence[str]) -> str:
             short = name.removeprefix(prefix)
             return name if sum(other.endswith(f".{short}") for other in names) > 1 else short
     return name
+
+
+def _lines(cells: Sequence[Cell], rows: Sequence[str], across: Sequence[str]) -> Iterable[dict[str, Cell]]:
+    """Return the cells of each line by what lies side by side."""
+    if not across:
+        whole = _identity([])
+        return [{whole: cell} for cell in cells]
+    lines: dict[str, dict[str, Cell]] = {}
+    for cell in cells:
+        row = _identity(cell.keys[name] for name in rows)
+        lines.setdefault(row, {})[_identity(cell.keys[name] for name in across)] = cell
+    return lines.values()
 
 
 def _cell_texts(cell: Cell | None, metrics: Sequence[Metric]) -> list[str]:

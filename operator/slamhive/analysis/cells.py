@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of many groups of runs at once: summaries, medians with failures, outcomes; grouping.py asks.
+
+A table may have a group a run. So what can be is done for all groups by one call of NumPy, and what stays in
+Python is one pass over plain numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slamhive.analysis.statistics import ENOUGH, Interval, Numbers, Summary, mean_interval, median_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.analysis.columns import Floats, Indices, Mask
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A metric over a group of runs.
+
+    Attributes:
+        summary: of the numbers that count; None for none.
+        points: the numbers themselves, where they are few.
+        mean_interval, median_interval: from 10 numbers on.
+        censored: runs that failed, ranked behind all others.
+        censored_median: median of all runs so ranked; infinite when it is a failed run.
+    """
+
+    summary: Summary | None
+    points: tuple[float, ...] = ()
+    mean_interval: Interval | None = None
+    median_interval: Interval | None = None
+    censored: int = 0
+    censored_median: float | None = None
+
+    @property
+    def middle(self) -> float | None:
+        """The median, runs that failed in an error behind all others; infinite when it is one of them."""
+        if self.censored_median is not None:
+            return self.censored_median
+        return self.summary.median if self.summary else None
+
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """The range of few runs, the interval of the median of many; fewer than two where unknown."""
+        interval = self.median_interval
+        if interval is not None:
+            return tuple(end for end in (interval.low, interval.high) if math.isfinite(end))
+        return (self.summary.min, self.summary.max) if self.summary and self.summary.n > 1 else ()
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a group of runs came to.
+
+    Attributes:
+        keys: the values that its runs share, by column.
+        runs: number of rows: runs, each once an evaluation; n and all failures together.
+        n: number of runs that count.
+        failures: number of runs that don't, by what became of them.
+        untracked: number of runs that count without being tracked, by what became of them.
+        coverage: of the evaluated runs, and 0 for those that failed of themselves.
+        figures: by column.
+        deterministic: whether the runs that count, more than one, have the very same trajectory.
+    """
+
+    keys: dict[str, Any]
+    runs: int
+    n: int
+    failures: dict[str, int]
+    untracked: dict[str, int]
+    coverage: Summary | None
+    figures: dict[str, Figure]
+    deterministic: bool = False
+
+
+class Places:
+    """The rows of groups, one group after the other.
+
+    Args:
+        order: the rows, (n,).
+        edges: where each group begins and ends among them.
+    """
+
+    def __init__(self, order: Indices, edges: Sequence[tuple[int, int]]) -> None:
+        self.order = order
+        self.count = len(edges)
+        sizes = np.array([end - begin for begin, end in edges], dtype=np.intp)
+        self.of_row: Indices = np.repeat(np.arange(self.count), sizes)
+        """The group of each row, in their order, (n,)."""
+
+    def numbers(self, values: Floats, inside: Mask) -> Numbers:
+        """Return the numbers of all groups.
+
+        Args:
+            values: of each row of the frame, NaN where unknown.
+            inside: which of these rows count.
+        """
+        mine = values[self.order]
+        kept = inside[self.order] & ~np.isnan(mine)
+        return Numbers(mine[kept], self.of_row[kept], self.count)
+
+    def counts(self, mask: Mask) -> Indices:
+        """Return how many rows of each group a mask has, (groups,)."""
+        return np.bincount(self.of_row[mask[self.order]], minlength=self.count)
+
+    def tallies(self, words: Sequence[str], codes: Indices, inside: Mask) -> list[dict[str, int]]:
+        """Return how often each word occurs in each group, the words sorted.
+
+        Args:
+            words: what codes stand for.
+            codes: the word of each row of the frame, (n,).
+            inside: which of these rows count.
+        """
+        kept = inside[self.order]
+        cells = self.of_row[kept] * len(words) + codes[self.order][kept]
+        used, counts = np.unique(cells, return_counts=True)
+        found: list[dict[str, int]] = [{} for _ in range(self.count)]
+        ranked = sorted(
+            zip(used.tolist(), counts.tolist(), strict=True), key=lambda one: words[one[0] % len(words)]
+        )
+        for cell, count in ranked:
+            group, word = divmod(cell, len(words))
+            found[group][words[word]] = count
+        return found
+
+    def agree(self, codes: Indices, inside: Mask) -> Mask:
+        """Tell of which groups several rows count, all with one and the same known code, (groups,)."""
+        kept = inside[self.order]
+        groups, mine = self.of_row[kept], codes[self.order][kept]
+        first = np.full(self.count, -1, dtype=mine.dtype)
+        first[groups[::-1]] = mine[::-1]
+        others = np.bincount(groups[mine != first[groups]], minlength=self.count)
+        agreeing: Mask = (np.bincount(groups, minlength=self.count) > 1) & (first >= 0) & (others == 0)
+        return agreeing
+
+
+def figures(numbers: Numbers) -> list[Figure]:
+    """Return the figures of a metric by which failed runs have no rank."""
+    found = []
+    for group, (summary, points) in enumerate(zip(numbers.summaries(), numbers.points(), strict=True)):
+        if summary is None or summary.n < ENOUGH:
+            found.append(Figure(summary, points))
+            continue
+        found.append(Figure(summary, points, mean_interval(summary), median_interval(numbers.ordered(group))))
+    return found
+
+
+def error_figures(numbers: Numbers, failed: Indices, single: Sequence[bool]) -> list[Figure]:
+    """Return the figures of an error, by which failed runs rank behind all others.
+
+    Args:
+        numbers: the errors.
+        failed: number of failed runs of each group, (groups,).
+        single: whether the runs of a group are one and the same result.
+    """
+    found = []
+    rows = zip(
+        numbers.summaries(),
+        numbers.points(),
+        numbers.medians(failed),
+        failed.tolist(),
+        single,
+        strict=True,
+    )
+    for group, (summary, points, middle, behind, same) in enumerate(rows):
+        if same and summary is not None:
+            # One result, however often it came out: there is no sample that could have a spread.
+            mean = summary.median if summary.min == summary.max else summary.mean
+            found.append(Figure(replace(summary, mean=mean, std=None), points, None, None, behind, middle))
+            continue
+        count = summary.n if summary else 0
+        interval = mean_interval(summary) if summary and count >= ENOUGH else None
+        middles = None
+        if count + behind >= ENOUGH:
+            middles = median_interval(np.concatenate([numbers.ordered(group), np.full(behind, np.inf)]))
+        found.append(Figure(summary, points, interval, middles, behind, middle))
+    return found
