@@ -68,6 +68,22 @@ async def test_fetched_runs_are_like_runs_of_this_machine(lab: Lab, desk: Desk) 
         assert {entry.name for entry in archive.catalog("Dataset")} == {"park"}
 
 
+async def test_runs_on_a_generated_dataset_have_the_attributes_of_their_world(lab: Lab, desk: Desk) -> None:
+    made = dataset("made")
+    made["spec"] = {
+        "recording": {"synthetic": {"loops": 0.25, "light": 0.5}},
+        "attributes": {"motion": "fast"},
+    }
+    lab.apply(made)
+    async with lab.operator() as op:
+        lab.apply(sweep(template={"datasetRef": {"name": "made"}}))
+        await status_of(op, Kind.SWEEP, "study", is_complete)
+    assert (await desk.types("fetch", "study")).code == 0
+    attributes = records(desk)[0].attributes
+    # As a workstation has them: what is said by hand goes before what follows from the generator.
+    assert (attributes["loops"], attributes["light"], attributes["motion"]) == (0.25, 0.5, "fast")
+
+
 async def test_fetching_again_brings_up_to_date_and_doubles_nothing(lab: Lab, desk: Desk) -> None:
     async with lab.operator() as op:
         lab.apply(sweep())

@@ -178,14 +178,9 @@ def _with_files(dataset: Dataset, folder: Path) -> Dataset:
         sensors=sensors | dataset.spec.sensors,
         ground_truth=dataset.spec.ground_truth or GroundTruth(file="groundtruth.txt"),
         gravity_aligned=dataset.spec.has_level_truth,
-        attributes=dict(_attributes(dataset)) | dataset.spec.attributes,
+        attributes=dataset.spec.known_attributes,
     )
     return dataset.replace(spec=spec)
-
-
-def _attributes(dataset: Dataset) -> dict[str, Any]:
-    spec = dataset.spec.recording.synthetic
-    return {} if spec is None else spec.attributes()
 
 
 def _sensor(entry: dict[str, Any]) -> Sensor:

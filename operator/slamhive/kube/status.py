@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import RunState
 from slamhive.model.results import Phase, Reason, Result
-from slamhive.model.status import MESSAGE_LENGTH, MappingRunStatus, RunDisplay
+from slamhive.model.status import MESSAGE_LENGTH, DatasetStatus, MappingRunStatus, RunDisplay, VariantEntry
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -182,3 +182,10 @@ def status_patch(
         after = merged(before.get("conditions") or (), told, generation, now)
         fields = {**fields, "conditions": after}
     return changes(before, fields)
+
+
+def variant_of(dataset: Mapping[str, Any], name: str) -> VariantEntry | None:
+    """Return what a Dataset's status says of one variant; the others are not even read."""
+    variants = (dataset.get("status") or {}).get("variants") or ()
+    same = [item for item in variants if item.get("name") == name]
+    return next(iter(DatasetStatus.of({"status": {"variants": same}}).variants), None)

@@ -91,7 +91,7 @@ def settings_frame(sweep: Sweep, points: Points, workshop: Workshop) -> Frame:
     specs = [point.spec for point in found]
     labels = dict(sweep.spec.template.metadata.labels)
     attributes = {
-        name: dict(place.dataset.spec.attributes) for name, place in workshop.dataset_places.items()
+        name: place.dataset.spec.known_attributes for name, place in workshop.dataset_places.items()
     }
     datasets = [spec["datasetRef"]["name"] for spec in specs]
     runs: Mapping[str, Sequence[Any]] = {

@@ -204,7 +204,7 @@ class Workbench:
         """Return a dataset's free attributes."""
         entry = self._datasets.get(name)
         dataset = entry.dataset if entry else self.workshop.dataset(name).dataset
-        return dict(dataset.spec.attributes)
+        return dict(dataset.spec.known_attributes)
 
     @contextmanager
     def _making(self, what: str, notify: Callable[[str], None]) -> Iterator[Callable[[float], None]]:

@@ -246,6 +246,12 @@ class DatasetSpec(Model):
         return self
 
     @property
+    def known_attributes(self) -> dict[str, Scalar]:
+        """Its free attributes, and those that follow from how it is generated."""
+        generated = {} if self.recording.synthetic is None else self.recording.synthetic.attributes()
+        return generated | self.attributes
+
+    @property
     def has_level_truth(self) -> bool:
         """Tell whether the ground truth's z axis points up: it is declared, or the recording is synthetic."""
         return self.gravity_aligned or self.recording.synthetic is not None

@@ -124,8 +124,7 @@ class Retirement:
             dataset = CatalogEntry.of(found)
             variant = run["status"].get("variant") or ""
             known = variants.described(op, Key(Kind.DATASET, namespace, found.name), variant) or {}
-            # A generator adds what it knows of the world that it made.
-            attributes = known.get("attributes") or dict(found.spec.attributes)
+            attributes = known.get("attributes") or found.spec.known_attributes
         except UnknownNameError:  # deleted from the catalog meanwhile
             pass
         record = record_of(run, attributes=attributes).replace(cluster=op.cluster)

@@ -19,7 +19,7 @@ from slamhive.kube.errors import AlreadyExists
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
 from slamhive.kube.observing import observe_variant
 from slamhive.kube.reconciling.refusals import patience
-from slamhive.kube.status import iso, moment
+from slamhive.kube.status import iso, moment, variant_of
 from slamhive.model.base import quantity
 from slamhive.model.results import Reason
 from slamhive.model.run import InputOptions
@@ -330,10 +330,7 @@ def _within(op: Operator, namespace: str, known: dict[str, VariantEntry]) -> dic
 
 def _entry_of(op: Operator, key: Key, name: str) -> VariantEntry | None:
     """Return what a Dataset's status says of one variant; the others are not even read."""
-    dataset = op.store.get(key) or {}
-    variants = (dataset.get("status") or {}).get("variants") or ()
-    same = [item for item in variants if item.get("name") == name]
-    return next(iter(DatasetStatus.of({"status": {"variants": same}}).variants), None)
+    return variant_of(op.store.get(key) or {}, name)
 
 
 def described(op: Operator, key: Key, name: str) -> dict[str, Any] | None:

@@ -12,7 +12,7 @@ from slamhive.archive import CatalogEntry, SweepRecord
 from slamhive.kube.kinds import Kind, Object
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.records import record_of, with_evaluations
-from slamhive.kube.status import phase_of
+from slamhive.kube.status import phase_of, variant_of
 from slamhive.kube.user.queries import is_over, name_of, owner_uid, runs_of, status_of
 from slamhive.kube.user.run_files import Wanted
 from slamhive.model.errors import InputError
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from slamhive.kube.user.connecting import Cluster
     from slamhive.kube.user.run_files import RunFolder
     from slamhive.kube.user.submitting import ClusterCatalog
+    from slamhive.model.dataset import Dataset
     from slamhive.model.results import RunRecord
 
 
@@ -142,8 +143,7 @@ class Fetcher:
         dataset = self._catalog.items.datasets.get(spec["datasetRef"]["name"])
         with suppress(InputError):  # the spec of a run that was refused is recorded as it stands
             spec = resolve({key: spec[key] for key in spec if key != "cancel"}, algorithm, None)
-        attributes = dict(dataset.spec.attributes) if dataset else {}
-        record = record_of(run, spec, attributes).replace(sweep=sweep, sweep_uid=uid)
+        record = record_of(run, spec, self._attributes(run, dataset)).replace(sweep=sweep, sweep_uid=uid)
         settings = self._settings.get(uid) or (EvaluationSettings() if uid == record.uid else None)
         record = with_evaluations(record, settings, dataset)
         return (
@@ -151,6 +151,15 @@ class Fetcher:
             CatalogEntry.of(algorithm) if algorithm else None,
             CatalogEntry.of(dataset) if dataset else None,
         )
+
+    def _attributes(self, run: Object, dataset: Dataset | None) -> Object:
+        """Return the free attributes of a run's dataset, those of its preparation if they are still known."""
+        if dataset is None:
+            return {}
+        body = self._catalog.bodies[Kind.DATASET, dataset.name]
+        entry = variant_of(body, status_of(run).get("variant") or "")
+        known = (entry.description if entry else None) or {}
+        return known.get("attributes") or dict(dataset.spec.known_attributes)
 
 
 def put_folder(archive: Archive, item: Wanted, folder: RunFolder) -> None:
