@@ -49,7 +49,8 @@ class _Session:
             pytest.skip(chosen.sentence())
         if self._ours is None:
             usual = choice.cluster(DEFAULT)
-            if usual.alive():
+            # Sessions side by side would stop each other's programs and count each other's nodes.
+            if "PYTEST_XDIST_WORKER" not in os.environ and usual.alive():
                 return usual.up(node=node)
             self._ours = choice.cluster(f"test{os.getpid()}")
             self._pipe = os.pipe()
