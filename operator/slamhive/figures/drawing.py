@@ -444,24 +444,28 @@ class Drawing:
     # Outside
 
     def _outside(self, axes: Any, panel: Panel) -> None:
-        """Mark what lies outside of the axes at their edge: by its own mark, and an arrowhead beyond it."""
+        """Mark what lies outside of the axes at their edge: by an arrowhead, and its own mark before that.
+
+        Both lie inside: above the edge is the title.
+        """
         for mark in panel.marks:
             style = Style(getattr(mark, "series", -1))
             marked = isinstance(mark, Dots | Box) or (isinstance(mark, Line) and mark.marked)
             for x, y, side in _beyond(mark, self._picture):
-                transform = (
+                plain = (
                     axes.get_xaxis_transform() if side in {"above", "below"} else axes.get_yaxis_transform()
                 )
-                edge = {"transform": transform, "linestyle": "none", "clip_on": False, "zorder": 6}
+
+                def inwards(share: float, plain: Any = plain, side: str = side) -> dict[str, Any]:
+                    across, up = (share * part * self._points for part in _INWARDS[side])
+                    moved = library("transforms").offset_copy(plain, self.figure, across, up, "points")
+                    return {"transform": moved, "linestyle": "none", "clip_on": False, "zorder": 6}
+
                 arrow = {"marker": _ARROWS[side], "markersize": 0.55 * self._points, "color": style.colour}
-                axes.plot([x], [y], **edge, **arrow)
+                axes.plot([x], [y], **inwards(0.3), **arrow)
                 if marked:
-                    across, up = _INWARDS[side]
-                    edge["transform"] = library("transforms").offset_copy(
-                        transform, self.figure, 0.5 * across * self._points, 0.5 * up * self._points, "points"
-                    )
                     hollow = isinstance(mark, Dots) and bool(mark.hollow) and all(mark.hollow)
-                    axes.plot([x], [y], **edge, **self._look(style, hollow=hollow))
+                    axes.plot([x], [y], **inwards(0.8), **self._look(style, hollow=hollow))
 
     def _look(self, style: Style, *, hollow: bool = False) -> dict[str, Any]:
         """Return how a mark of a series is drawn."""
