@@ -203,8 +203,10 @@ def build_wheel(folder, config_settings=None, metadata_directory=None):
 
 
 @pytest.fixture
-def told_by_setup(home, tmp_path: Path) -> Path:  # noqa: ANN001
+def told_by_setup(home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:  # noqa: ANN001
     """Make the actor need a package that has source alone; return where its setup tells its variables."""
+    # pip keeps what it built by the file's path, which an earlier session of pytest may have had too.
+    monkeypatch.setenv("PIP_CACHE_DIR", str(tmp_path / "pip"))
     told = tmp_path / "told.json"
     files = {
         "pyproject.toml": '[build-system]\nrequires = []\nbuild-backend = "own"\nbackend-path = ["."]\n',
