@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of what an algorithm, which has the monitor's user, can see and change of it through /proc."""
+"""Tests of what an algorithm, of the same user as the monitor, can see and change of it, and lock away."""
 
 from __future__ import annotations
 
@@ -106,3 +106,23 @@ def test_an_algorithm_sees_nothing_of_the_sidecar(
         finally:
             sidecar.terminate()
     assert (folder / "summary.json").is_file()
+
+
+LOCKED = """
+import os
+from slamhive.monitor.output import OutputMeter
+os.makedirs("output/locked/inner")
+with open("output/locked/inner/map.bin", "wb") as file:
+    file.truncate(3 << 20)
+for folder in ("output/locked/inner", "output/locked"):
+    os.chmod(folder, 0)
+for limit in (4 << 20, 2 << 20):
+    stop = OutputMeter("output", limit, 100).problem(1.0, [])
+    print(stop and stop.message)
+"""
+
+
+def test_what_lies_in_locked_folders_is_counted(python: str, folder: Path) -> None:
+    command = [python, "-P", "-c", LOCKED]
+    told = subprocess.run(command, env=ENVIRONMENT, check=True, capture_output=True, cwd=folder, **USER)
+    assert told.stdout.decode().splitlines() == ["None", "its output grew beyond the limit of 2 MiB"]

@@ -16,7 +16,8 @@ from slamhive.monitor.outcome import Stop
 from slamhive.monitor.summary import Reason
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
+    from contextlib import AbstractContextManager
 
 # Measuring may take this share of a processor, but it is done at least this often, s.
 _SHARE = 0.005
@@ -109,7 +110,7 @@ def measure(directory: str, most_bytes: int, most_entries: int | None) -> Extent
     while waiting and size <= most_bytes and (most_entries is None or entries <= most_entries):
         folder = waiting.pop()
         try:
-            with os.scandir(folder) as found:
+            with _listing(folder) as found:
                 for entry in found:
                     entries += 1
                     if entry.is_dir(follow_symlinks=False):
@@ -124,6 +125,23 @@ def measure(directory: str, most_bytes: int, most_entries: int | None) -> Extent
         except OSError:
             return Extent(size, entries, os.path.basename(folder))  # noqa: PTH119
     return Extent(size, entries)
+
+
+def _listing(folder: str) -> AbstractContextManager[Iterator[os.DirEntry[str]]]:
+    """Return an open listing of a folder; a locked one that belongs to our user is unlocked first.
+
+    Otherwise it would depend on the moment of looking whether a run that ends with a locked folder is one
+    that hides its output.
+    """
+    with suppress(PermissionError):
+        return os.scandir(folder)
+    # By descriptor: the name may be a link to somewhere else by now.
+    place = os.open(folder, os.O_PATH | os.O_NOFOLLOW | os.O_DIRECTORY)
+    try:
+        os.chmod(f"/proc/self/fd/{place}", stat.S_IMODE(os.fstat(place).st_mode) | stat.S_IRWXU)  # noqa: PTH101
+    finally:
+        os.close(place)
+    return os.scandir(folder)
 
 
 def held_open(directory: str, processes: Iterable[int]) -> Held:
