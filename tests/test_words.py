@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of the words that people read: module docstrings and the glossary."""
+"""Tests of the words that people read: docstrings and the glossary."""
 
 from __future__ import annotations
 
@@ -22,6 +22,19 @@ def test_a_modules_docstring_begins_with_a_noun(folder: str) -> None:
         if text and RIDDLES.match(text):
             wrong.append(f"{path.relative_to(ROOT)}: {text.splitlines()[0]}")
     assert not wrong, "say what the module is, then what it does, as in 'Queue of objects to handle: …'"
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_no_docstring_begins_with_a_riddle(folder: str) -> None:
+    wrong = []
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            text = ast.get_docstring(node)
+            if text and RIDDLES.match(text):
+                wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}: {text.splitlines()[0]}")
+    assert not wrong, "name what it is, as in 'Figures of a run: …', or what it does, as in 'Return …'"
 
 
 @pytest.mark.parametrize("word", ["variant", "point", "slot", "attempt", "twin", "board", "common support"])

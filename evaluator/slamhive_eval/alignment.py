@@ -124,7 +124,7 @@ def umeyama_scale(reference: Trajectory, estimate: Trajectory) -> float | None:
 
 
 def stands_still(positions: FloatArray) -> bool:
-    """Whether positions, shape (n, 3), differ by no more than rounding."""
+    """Tell whether positions, shape (n, 3), differ by no more than rounding."""
     spread = np.abs(positions - positions[0]).max()
     return bool(spread <= max(_STILL_METRES, _RANK_TOLERANCE * np.abs(positions).max()))
 

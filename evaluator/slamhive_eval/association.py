@@ -185,7 +185,7 @@ def pair_up(
     offset_seconds: float = 0.0,
     max_gap_seconds: float = DEFAULT_GAP_SECONDS,
 ) -> tuple[Association, Trajectory, Trajectory]:
-    """As match, but without an error when no poses belong together, and with the indices of those that do.
+    """Return what match does, but no error where no poses belong together, and the indices of those that do.
 
     Returns:
         The pairs, of the reference pose nearest in time where the ground truth is interpolated; and the m

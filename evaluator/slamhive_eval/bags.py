@@ -20,7 +20,7 @@ SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 def is_bag(path: str | Path) -> bool:
-    """Whether a path is that of a recording: by its ending, or a folder with metadata.yaml."""
+    """Tell whether a path is that of a recording: by its ending, or a folder with metadata.yaml."""
     path = Path(path)
     return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
 

@@ -66,7 +66,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Truths:
-    """What the files of ground truth are.
+    """Format of the ground-truth files that a batch of estimates is compared with.
 
     Attributes:
         table: Their columns; None: they say it themselves.

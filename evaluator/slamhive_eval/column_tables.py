@@ -133,7 +133,7 @@ def _stamps(path: str | Path, rows: list[_Row], form: TableFormat, times: str | 
 
 
 def _exact(path: str | Path, rows: list[_Row], form: TableFormat, name: str, exponent: int) -> list[Decimal]:
-    """What a column says, times a power of ten, with all digits."""
+    """Return a column's numbers times a power of ten, as decimals with all digits."""
     place = form.places[name]
     try:
         return [Decimal(row.words[place]).scaleb(exponent) for row in rows]

@@ -30,7 +30,7 @@ _DELIMITERS = (",", ";", "\t", " ")
 
 @dataclass(frozen=True)
 class TableFormat:
-    """What the columns of a table mean.
+    """Format of a table: the meaning of its columns, their units, and how the file is to be read.
 
     Attributes:
         columns: Words of COLUMNS from the first column on; further ones are passed over. Time: one of ``t``,
@@ -68,12 +68,12 @@ class TableFormat:
 
     @property
     def by_frames(self) -> bool:
-        """Whether lines have frames instead of times."""
+        """True if lines have frames instead of times."""
         return not {"t", "sec"}.intersection(self.columns)
 
     @property
     def oriented(self) -> bool:
-        """Whether there are orientations."""
+        """True if the columns contain orientations."""
         return bool({"qw", "roll", "matrix"}.intersection(self.columns))
 
     @property
@@ -84,7 +84,7 @@ class TableFormat:
 
     @property
     def places(self) -> dict[str, int]:
-        """Where each column is, from 0; of ``matrix`` the first of its twelve."""
+        """Index of each column by its name, from 0; of ``matrix`` the first of its twelve."""
         found, place = {}, 0
         for name in self.columns:
             if name != "_":
@@ -103,7 +103,7 @@ def parse_columns(words: str, **settings: object) -> TableFormat:
 
 
 def _columns_problem(form: TableFormat) -> str:
-    """What is wrong with the columns, in a sentence; empty where nothing is."""
+    """Return what is wrong with the columns, in a sentence; empty where nothing is."""
     names = [name for name in form.columns if name != "_"]
     for name in names:
         if name not in COLUMNS:

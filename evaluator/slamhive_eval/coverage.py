@@ -36,7 +36,7 @@ _courses: WeakKeyDictionary[Trajectory, tuple[FloatArray, FloatArray]] = WeakKey
 
 @dataclass(frozen=True)
 class Coverage:
-    """What an estimate covers of the ground truth's path.
+    """Share and length of the ground truth's path that an estimate covers.
 
     Attributes:
         share: Covered share of the path within [0, 1]; of the time where the ground truth stands still.
@@ -52,7 +52,7 @@ class Coverage:
 
 
 def is_keyframes(estimate: Trajectory) -> bool:
-    """Whether the poses are spaced like keyframes: median spacing above 0.2 s."""
+    """Tell whether the poses are spaced like keyframes: median spacing above 0.2 s."""
     return len(estimate) > 1 and bool(np.median(np.diff(estimate.stamps)) > KEYFRAME_SPACING_SECONDS)
 
 

@@ -48,7 +48,7 @@ _SPLITTER = 2.0**27 + 1.0
 
 
 class _Numbers(NamedTuple):
-    """Where the parts of n numbers are in a text, row by row, each of shape (n,).
+    """Positions of the parts of n numbers in a text, row by row, each of shape (n,).
 
     Attributes:
         characters: The text, with room before it.
@@ -133,7 +133,7 @@ def _find(text: bytes) -> _Numbers | None:
 def _exponents(
     characters: npt.NDArray[np.uint8], first: IndexArray, end: IndexArray
 ) -> tuple[IndexArray, IndexArray | None]:
-    """Where the digits end, and the exponent behind them where there is one of a sign and two digits."""
+    """Return where the digits end, and exponents of a sign and two digits behind them; None without any."""
     letter, sign, tens, units = (characters[end - k].astype(np.intp) for k in (4, 3, 2, 1))
     has = (letter | 32 == _LETTER_E) & ((sign == _MINUS) | (sign == _PLUS)) & (end - 4 > first)
     tens, units = tens - _ZERO, units - _ZERO

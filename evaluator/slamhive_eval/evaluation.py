@@ -40,7 +40,7 @@ MOTION_METRES = 0.1
 
 
 class Outcome(StrEnum):
-    """What became of a run, in falling order."""
+    """Outcomes of a run by its evaluation, from best to worst."""
 
     TRACKED = "Tracked"
     PARTIAL = "Partial"
@@ -71,7 +71,7 @@ class RpeOptions:
 
 @dataclass(frozen=True, eq=False)
 class Options:
-    """How to evaluate.
+    """Options of an evaluation: matching, alignment, errors to compute and thresholds of the outcome.
 
     Attributes:
         alignment: ``none``, ``origin``, ``se3``, ``sim3``, ``scale`` or ``yaw``.
@@ -114,7 +114,7 @@ class Options:
 
     @property
     def preparation(self) -> Preparation:
-        """How the trajectories are laid onto one another.
+        """Settings for matching the trajectories and laying them onto one another.
 
         Raises:
             OptionError: Options that contradict one another.
@@ -164,7 +164,7 @@ class RelativeError:
 
     @property
     def ranked(self) -> bool:
-        """Whether there are pairs enough to rank by."""
+        """True if there are enough pairs of poses to rank by."""
         return len(self.pairs) >= MIN_RANKED_PAIRS
 
     def as_dict(self) -> dict[str, Any]:
@@ -203,7 +203,7 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What evaluate found.
+    """Result of `evaluate`: outcome, coverage, alignment and errors of an estimate.
 
     Attributes:
         outcome: Tracked, Partial, Lost or Diverged.

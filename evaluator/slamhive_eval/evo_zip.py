@@ -92,7 +92,7 @@ class ErrorSeries:
 
     @property
     def title(self) -> str:
-        """What was measured, in evo's words, on several lines."""
+        """Title that names the measured error and the alignment, in evo's words, on several lines."""
         unit = RELATION_UNITS[self.relation]
         relation = f"{_RELATIONS[self.relation]} ({unit or 'unit-less'})"
         lines = [f"{self.metric.upper()} w.r.t. {relation}", self.detail]

@@ -126,7 +126,7 @@ def read_estimate(
 
 
 def detect_format(path: str | Path) -> Format:
-    """What a file is by its first line or, for recordings, by its name.
+    """Return the format of a file by its first line or, for recordings, by its name.
 
     Raises:
         FileError: It can't be read, or its first line is of no known format.

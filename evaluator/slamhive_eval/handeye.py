@@ -30,7 +30,7 @@ _SMALLEST_SPREAD = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
-    """What hand_eye found.
+    """Result of `hand_eye`, a hand-eye calibration: extrinsic, scale and residuals.
 
     Attributes:
         extrinsic: T_body_sensor, the pose of the estimate's frame in the ground truth's, shape (4, 4).

@@ -79,7 +79,7 @@ class SegmentGroup:
 
 @dataclass(frozen=True, eq=False)
 class KittiErrors:
-    """What kitti_errors found.
+    """Result of `kitti_errors`: errors over segments of the path, as the KITTI odometry benchmark has them.
 
     Attributes:
         segments: All segments with their errors.

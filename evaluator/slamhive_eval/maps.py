@@ -77,7 +77,7 @@ class MapErrors:
 
 @dataclass(frozen=True)
 class MapEntropy:
-    """How blurred a map is.
+    """Mean map entropy, a measure of how blurred a map is.
 
     Attributes:
         mean: Mean entropy in nats; smaller is sharper. None where no point has neighbours enough.
@@ -195,7 +195,7 @@ def thin_out(points: FloatArray, voxel: float) -> FloatArray:
 
 
 def _nearest() -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """What finds the distance in m from each of some points to the nearest of others."""
+    """Return a function that finds the distance in m from each of some points to the nearest of others."""
     try:
         build = importlib.import_module("small_gicp").KdTree
     except ImportError:

@@ -93,7 +93,7 @@ class ControlPoints:
 
 @dataclass(frozen=True, eq=False)
 class PointErrors:
-    """What evaluate_points found.
+    """Result of `evaluate_points`: errors of an estimate at control points, and the run's outcome.
 
     Attributes:
         outcome: Tracked, Partial, Lost or Diverged.
@@ -300,7 +300,7 @@ def _in_window(points: ControlPoints, options: Options) -> ControlPoints:
 def _at(
     estimate: Trajectory, times: FloatArray, gap: float, options: Options
 ) -> tuple[npt.NDArray[np.bool_], Trajectory | None]:
-    """Which times the estimate has a pose at, and its poses there."""
+    """Return which of some times the estimate has a pose at, and its poses there; None without any."""
     met, positions, quaternions = interpolate(estimate, times, gap)
     close = nearest(estimate.stamps, times, options.max_difference_seconds)
     beside = ~met & (close >= 0)

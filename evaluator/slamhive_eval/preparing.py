@@ -32,7 +32,7 @@ _SETTLED = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """How two trajectories are laid onto one another.
+    """Settings for matching two trajectories and laying one onto the other.
 
     Attributes:
         matching: ``nearest``, ``unique``, ``forward`` or ``interpolate``; see `slamhive_eval.match`.
@@ -80,7 +80,7 @@ class Preparation:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What prepare made.
+    """Result of `prepare`: matched and aligned trajectories, with the alignment, clock and extrinsic found.
 
     Attributes:
         reference: m poses of the ground truth, in the estimate's frame where that was asked.
@@ -202,7 +202,7 @@ def _aligned(reference: Trajectory, estimate: Trajectory, asked: Preparation) ->
 
 
 def _lever(extrinsic: FloatArray) -> FloatArray | None:
-    """Where the ground truth's frame is in the estimate's, in m, shape (3,); None where it is there too."""
+    """Return the ground truth's origin in the estimate's frame, in m, shape (3,); None where it is 0."""
     matrix = check_rigid(extrinsic)
     lever: FloatArray = -matrix[:3, :3].T @ matrix[:3, 3]
     return lever if np.abs(lever).max() > _LEVER_METRES else None

@@ -94,7 +94,7 @@ class RelationGroup:
 
 @dataclass(frozen=True, eq=False)
 class RelationErrors:
-    """What evaluate_relations found.
+    """Result of `evaluate_relations`: errors of an estimate against pairwise ground truth.
 
     Attributes:
         relations: Relations in the file.

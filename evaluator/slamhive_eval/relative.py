@@ -79,7 +79,7 @@ class SubTrajectoryErrors:
 
 @dataclass(frozen=True, eq=False)
 class ScaleDrift:
-    """How the scale changes along the path.
+    """Drift of an estimate's scale along the path, from windows of it that are aligned one by one.
 
     Attributes:
         distances: Where each window's middle lies on the ground truth's path, in m, shape (k,).

@@ -48,7 +48,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class SuccessRate:
-    """How many runs stay within a threshold; failed ones don't.
+    """Number and share of the runs whose error stays within a threshold; failed ones are never among them.
 
     Attributes:
         threshold: Largest error of a success, included.

@@ -70,7 +70,7 @@ def report_data(
     title: str,
     reference_name: str,
 ) -> dict[str, Any]:
-    """What the page draws, as plain JSON data.
+    """Return the curves, statistics and histograms that the page of a report draws, as plain JSON data.
 
     Args:
         reference: The whole ground truth.

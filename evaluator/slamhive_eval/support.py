@@ -54,7 +54,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Support:
-    """When an estimate has poses.
+    """Times at which an estimate has poses.
 
     Attributes:
         seconds_to_first_pose: From the window's begin to the first pose, ≥ 0.
@@ -146,7 +146,7 @@ def find_support(
     longest_step_seconds: float | None = None,
     window: tuple[float, float] | None = None,
 ) -> Support:
-    """When the estimate has poses within the ground truth's time.
+    """Return the times at which the estimate has poses within the ground truth's time.
 
     Args:
         reference: Ground truth.

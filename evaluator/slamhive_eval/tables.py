@@ -58,7 +58,7 @@ _LARGEST_UNNAMED_ANGLE = 6.5
 
 
 class Rows(NamedTuple):
-    """What a table holds, unchecked.
+    """Poses from the rows of a table, not checked yet.
 
     Attributes:
         stamps: In s, shape (n,).
@@ -100,7 +100,7 @@ class Header:
 
     @property
     def is_trajectory(self) -> bool:
-        """Whether there are a time and a position."""
+        """True if the columns contain a time and a position."""
         return ("time" in self.columns or "sec" in self.columns) and {"x", "y"} <= self.columns.keys()
 
     @property
@@ -206,7 +206,7 @@ def _tokens(name: str) -> tuple[list[str], str]:
 
 
 def _field(tokens: list[str]) -> str | None:
-    """What a column stands for by the words of its name."""
+    """Return the field that a column stands for, by the words of its name; None for no known one."""
     if not tokens or _OTHER.intersection(tokens[:-1]):
         return None
     last, before = tokens[-1], set(tokens[:-1])

@@ -166,7 +166,7 @@ def fault_in_row(path: str | Path, data: bytes, row: int, message: str, skipped:
 
 
 def is_number(word: str) -> bool:
-    """Whether a word is what numpy and C take for a number."""
+    """Tell whether numpy and C take a word for a number."""
     try:
         float(word)
     except ValueError:

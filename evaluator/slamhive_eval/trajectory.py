@@ -32,7 +32,7 @@ _COLUMNS = ("time stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
 
 class Fault(NamedTuple):
-    """What is wrong with one pose."""
+    """Invalid pose of a trajectory: its row, from 0, and what is wrong with it."""
 
     row: int
     message: str

@@ -22,7 +22,7 @@ _COMPILED = ("__pycache__", "*.pyc")
 
 @dataclass(frozen=True)
 class Recipe:
-    """How an image is built.
+    """Build instructions of a container image: its name and tag, Dockerfile and context.
 
     Attributes:
         name: What the command line calls it: the folder's name.

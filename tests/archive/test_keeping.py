@@ -447,7 +447,7 @@ def test_power_loss_during_an_upgrade_leaves_one_version_or_the_other(
 
 
 def test_writing_waits_its_turn_by_one_statement_more(sqlite_url: str) -> None:
-    """What is asked before each write is asked inside its transaction."""
+    """The check of the archive's version before each write is one query inside its transaction."""
     engine = connect(sqlite_url)
     statements: list[str] = []
     event.listen(engine, "before_cursor_execute", lambda *told: statements.append(told[2]))

@@ -57,7 +57,7 @@ def a_sweep(place: tuple[str | None, str | None]) -> Sweep:
 
 
 async def recalled(url: str, place: tuple[str | None, str | None]) -> SweepMemory:
-    """What an operator that starts there knows of its Sweep."""
+    """Return what an operator that starts in a place knows of its Sweep from the archive."""
     catalog = FixedCatalog({"icp": ALGORITHM}, {"hall": DATASET})
     with Archive.open(url) as archive:
         return await remember(
@@ -114,7 +114,7 @@ async def test_sweeps_are_told_apart_by_uid_in_a_shared_archive(url: str, make_r
 
 
 def test_who_does_not_know_the_cluster_leaves_it_as_it_is(url: str, make_run: MakeRun) -> None:
-    """As `slamhive fetch`, whose user may see less than the operator."""
+    """Case of `slamhive fetch`, whose user may see less than the operator."""
     sweep = SweepRecord(uid="s", name="first", spec={}, namespace="lab")
     with Archive.open(url) as archive:
         for cluster in ("cluster-a", None):

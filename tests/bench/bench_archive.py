@@ -57,7 +57,7 @@ _RANDOM = {
 
 @dataclass(frozen=True)
 class Rate:
-    """How fast runs were written.
+    """Rate at which runs were written to an archive.
 
     Attributes:
         wall: runs a second.

@@ -82,7 +82,7 @@ class Recorded(NamedTuple):
 
 
 class Left(NamedTuple):
-    """What is left out together, by what is left out at each distance."""
+    """Choice of the runs that are left out together to test estimates from known runs of one nearness."""
 
     nearness: Nearness
     of: Callable[[Setting], Any]

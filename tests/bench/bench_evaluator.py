@@ -121,7 +121,7 @@ print(json.dumps({"cpu": time.process_time() - start, "result": out}))
 
 
 class Cost(NamedTuple):
-    """What a process took."""
+    """CPU seconds, peak memory in MB and printed result of a process."""
 
     cpu: float
     megabytes: float
@@ -174,7 +174,7 @@ def make_files(folder: Path, poses: int, form: str = NINE_DECIMALS) -> list[str]
 
 
 def agree(ours: list[float], theirs: list[float]) -> str:
-    """Whether numbers are the same to 1e-9."""
+    """Return a warning where numbers are not the same to 1e-9, empty where they are."""
     same = all(math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12) for a, b in zip(ours, theirs, strict=True))
     return "" if same else ", RESULTS DIFFER"
 

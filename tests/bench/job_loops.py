@@ -25,7 +25,7 @@ LONGEST_SECONDS = 900.0
 
 @dataclass(frozen=True)
 class Cost:
-    """What bringing a number of runs or Jobs to their end took, each of them.
+    """Cost of bringing runs or Jobs to their end: how many a second, and CPU seconds for each.
 
     Attributes:
         rate: how many a second.

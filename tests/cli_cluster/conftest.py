@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Said:
-    """What a command did.
+    """Exit code and output of a command that a test ran.
 
     Attributes:
         code: its exit code.

@@ -31,7 +31,7 @@ POSES = b"0 1 2 3 0 0 0 1\n" * 5000
 
 
 class Talk:
-    """What a Session is to Filing, with the program as a process here.
+    """Stand-in for the Session that Filing talks to, with the program as a process here.
 
     Args:
         process: the program.

@@ -34,7 +34,7 @@ def workstation(
 
 @pytest.fixture(scope="module")
 def behaved(workstation: InContainers) -> dict[str, Row]:
-    """What came of the behaviours."""
+    """Outcomes of a sample of the behaviours in containers, by behaviour."""
     return table.carry_out(workstation, table.SAMPLE)
 
 

@@ -109,7 +109,7 @@ def test_seconds_of_a_kitti_folder_count_from_its_first_frame(output: Path, tmp_
 
 
 def test_euroc_ground_truth_of_a_real_flight(output: Path) -> None:
-    """As the data set has it, with its header, velocities and biases: against a copy in the order of TUM."""
+    """Compare it, with the header, velocities and biases that the dataset has, with a copy in TUM's order."""
     reference = np.loadtxt(real("icra2023/groundtruth/MH_01_easy.txt"))
     lines = [
         "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"

@@ -39,7 +39,7 @@ def process(tmp_path_factory: pytest.TempPathFactory, environments: Path, tiny: 
 
 @pytest.fixture(scope="module")
 def behaved(process: Process) -> dict[str, Row]:
-    """What came of all behaviours; ``SLAMHIVE_UPDATE=1`` keeps figures of some as what is expected."""
+    """Outcomes of all behaviours; ``SLAMHIVE_UPDATE=1`` keeps figures of some as the expected ones."""
     found = table.carry_out(process)
     if os.environ.get("SLAMHIVE_UPDATE"):
         kept = {key: value for key, value in found["well"].items() if not key.startswith(NOT_MEASURED)}

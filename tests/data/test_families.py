@@ -37,7 +37,7 @@ IDENTITY = np.eye(4)
 
 @dataclass
 class Publisher:
-    """Where files of a family are put: on its servers, or in the folder of what is fetched by hand.
+    """Publisher of a family's files, on its servers or in the folder of what is fetched by hand.
 
     Attributes:
         site: Folder of the server.

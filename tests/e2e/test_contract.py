@@ -45,7 +45,7 @@ def test_an_algorithm_in_shell_alone_gets_a_result(lab: Lab) -> None:
 
 @pytest.fixture(scope="module")
 def behaved(lab: Lab, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Row]]:
-    """What came of the behaviours, with runs of a well-behaved algorithm beside them."""
+    """Outcomes of a sample of the behaviours, with runs of a well-behaved algorithm beside them."""
     beside = manifest(
         "Sweep",
         "beside",
@@ -75,7 +75,7 @@ def restarts(lab: Lab) -> list[tuple[str, int]]:
 
 @pytest.mark.parametrize("name", table.expected(OnCluster.name, table.SAMPLE))
 def test_a_cluster_makes_of_it_what_the_table_says(name: str, behaved: dict[str, Row]) -> None:
-    """As tests/contract/test_process.py says of a workstation."""
+    """Counterpart of what tests/contract/test_process.py says of a workstation."""
     assert differences(behaved[name], table.expected(OnCluster.name)[name]) == []
 
 

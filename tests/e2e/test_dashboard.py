@@ -45,7 +45,7 @@ async def server(lab: Lab) -> tuple[str, ssl.SSLContext]:
 
 
 class Page:
-    """What a page does: it asks the API, follows the events, and connects again when they break off.
+    """Client that acts as a page: it asks the API, follows the events, and reconnects when they break off.
 
     Args:
         client: asks the dashboard by way of the API server.

@@ -62,7 +62,7 @@ def test_upgrade_and_uninstall(lab: Lab) -> None:
 
 @pytest.fixture
 def kind_desk(lab: Lab, tmp_path: Path) -> Iterator[Desk]:
-    """What kind.md takes for granted, and nothing of the other document's."""
+    """Desk with all that kind.md takes for granted, and nothing of the other document's."""
     lab.desk.run("helm uninstall slamhive-crds --namespace kube-system")
     yield lab.desk
     lab.cluster.kubectl("delete", "namespace", "slamhive", "--wait=false", "--ignore-not-found")

@@ -254,7 +254,7 @@ def test_real_recordings(bags: Path, address: str, poses: int, metres: float | N
 
 
 def test_a_real_robot_in_the_map(bags: Path) -> None:
-    """What AMCL says and what the chain of transforms map → odom → base says is the same."""
+    """Poses of AMCL agree with those of the chain of transforms map → odom → base."""
     said = read_trajectory(bags / "nav2_turtlebot.mcap:/amcl_pose")
     moved = read_trajectory(bags / "nav2_turtlebot.mcap:/tf:map.base_footprint")
     index = np.searchsorted(moved.stamps, said.stamps).clip(0, len(moved) - 1)

@@ -78,7 +78,7 @@ def test_lever_arms_and_sub_trajectories_need_them(
 def test_a_prism_is_reached_by_the_orientations_of_the_estimate(
     wander: Callable[..., Trajectory], alignment: Method, scale: float
 ) -> None:
-    """What a tracker sees is a prism on the body; the estimate is that of a camera, perhaps without scale."""
+    """A tracker sees a prism on the body; the estimate is that of a camera, perhaps without scale."""
     body, prism, camera = wander(), np.eye(4), np.eye(4)
     prism[:3, 3] = -0.294, -0.012, -0.273
     camera[:3, :3], camera[:3, 3] = rotation.to_matrix(np.array([0.5, -0.5, 0.5, -0.5])), (0.1, 0.3, -0.2)

@@ -46,7 +46,7 @@ def noise(shape: tuple[int, ...], start: float) -> np.ndarray:
 
 
 def trajectory(t: np.ndarray) -> Trajectory:
-    """Where a car that sways is at times in s."""
+    """Return the poses of a car that sways, at times in s."""
     heading = 0.02 * t + 0.8 * np.sin(0.05 * t)
     rpy = np.column_stack((0.05 * np.sin(0.7 * t), 0.04 * np.cos(0.5 * t), heading))
     step = SPEED * np.column_stack((np.cos(heading), np.sin(heading), 0.05 * np.sin(0.1 * t)))

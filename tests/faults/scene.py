@@ -83,7 +83,7 @@ def write_truth(place: Path) -> None:
 
 @dataclass(frozen=True)
 class End:
-    """What a home holds after a command.
+    """State of a home after a command: its finished runs, how often each was started, and damage to files.
 
     Attributes:
         records: the finished runs by UID, as far as faults must not change them.
@@ -172,7 +172,7 @@ def _damage(record: RunRecord) -> list[str]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a fault.
+    """Outcome of a sweep with a fault, and of the same sweep once more without.
 
     Attributes:
         fault: as asked for.

@@ -121,7 +121,7 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lab:
 
 @dataclass(frozen=True)
 class Said:
-    """What a command said."""
+    """Exit code and output of a `slamhive` command."""
 
     code: int
     out: str

@@ -85,7 +85,7 @@ NAMES = (
 
 @dataclass
 class Tally:
-    """What was asked and what went wrong.
+    """Counts of the questions and answers of a fuzzed API, with the faults found.
 
     Attributes:
         asked: questions by their sort.

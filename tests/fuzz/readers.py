@@ -259,7 +259,7 @@ def check(path: Path, rng: random.Random) -> None:
 
 
 def hang(*_: object) -> NoReturn:
-    """What a reader that doesn't come back is stopped by."""
+    """Stop a reader that doesn't come back; the handler of the alarm signal."""
     raise TimeoutError(f"no answer within {HANG_SECONDS} s")
 
 

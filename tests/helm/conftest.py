@@ -107,7 +107,7 @@ def variety(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def rendered(helm: Helm, variety: str) -> list[dict[str, Any]]:
-    """What the chart renders with each of the files of values."""
+    """Objects that the chart renders with each of the files of values."""
     return helm.objects("-f", str(VALUES / f"{variety}.yaml"))
 
 

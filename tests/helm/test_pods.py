@@ -40,7 +40,7 @@ def pods(objects: list[dict[str, Any]]) -> Iterator[tuple[str, dict[str, str], S
 
 
 def violations(spec: Spec) -> list[str]:
-    """What the standard (kubernetes.io/docs/concepts/security/pod-security-standards) forbids in a pod."""
+    """Return a pod's breaches of the standard kubernetes.io/docs/concepts/security/pod-security-standards."""
     found = [key for key in ("hostNetwork", "hostPID", "hostIPC") if spec.get(key)]
     for volume in spec.get("volumes", []):
         found += [f"volume {kind}" for kind in volume.keys() - {"name"} if kind not in VOLUMES]

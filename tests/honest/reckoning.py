@@ -72,7 +72,7 @@ ALGORITHM_CHANGED, DATASET_CHANGED, SWEEP_EDITED = "algorithm changed", "dataset
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of an archive.
+    """Question to an archive: which runs to choose, how to group them, and which metrics to summarise.
 
     Attributes:
         sweeps: only runs of these, by name; none for all.
@@ -443,7 +443,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Group:
-    """What some rows came to.
+    """Group of rows that share the values of some columns, with counts and figures over them.
 
     Attributes:
         keys: the values that they share, by column.

@@ -33,7 +33,7 @@ SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 @dataclass
 class Ended:
-    """How a program ended."""
+    """Exit code, output and termination message of a Job's program."""
 
     code: int
     stdout: str
@@ -101,7 +101,7 @@ class Pod:
 
 @pytest.fixture(scope="session")
 def forks() -> Iterator[Forks]:
-    """What forks programs: it takes a second of CPU to import what they need."""
+    """Process that forks programs: importing what they need takes a second of CPU."""
     found = Forks(PROGRAMS, dict(os.environ))
     yield found
     found.close()

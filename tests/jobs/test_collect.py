@@ -178,7 +178,7 @@ def trash(volumes: Any) -> list[Path]:
     "lost", ["objects", "the namespace", "the archive", "its content", "its secret", "the datasets"]
 )
 def test_nothing_is_deleted_because_something_else_was_lost(volumes: Any, tmp_path: Path, lost: str) -> None:
-    """Who knew the runs is gone: made anew under the old names, restored, or not named any more."""
+    """Objects or archive of the runs are gone: made anew under old names, restored, or no longer named."""
     folders = fill(volumes, 60)
     url = f"sqlite:///{tmp_path / 'archive.db'}"
     (tmp_path / "url").write_text(url)

@@ -229,7 +229,7 @@ def _digest() -> str:
 
 
 def test_usage_is_the_kernels_own_account(boxes: Boxes) -> None:
-    """As the program itself reads it of its control group, as its last act."""
+    """Compare it with what the program itself reads of its control group, as its last act."""
     script = f"""{POSES}i=0; while [ $i -lt 300000 ]; do i=$((i + 1)); done
 cat /sys/fs/cgroup/cpuacct/cpuacct.usage /sys/fs/cgroup/cpu.stat 2>/dev/null"""
     (record,) = boxes(shell(script))

@@ -211,7 +211,7 @@ def base() -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def records(tiny: Path, base: Path) -> dict[str, RunRecord]:
-    """What became of a run of each try, by the try; one ``slamhive run`` makes them all."""
+    """Records of one run of each try, by the try; one ``slamhive run`` makes them all."""
     home, actor = base / "home", base / "home" / "algorithms" / "actor"
     shutil.copytree(tiny, home / "datasets")
     shutil.copytree(Path(__file__).parents[1] / "actor", actor)

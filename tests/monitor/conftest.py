@@ -141,7 +141,7 @@ class Pod:
         return process
 
     def _script(self) -> str:
-        """What a runtime does in a container before its program: its own cgroup alone is seen in there."""
+        """Return a shell script that sets a container up as a runtime does: it sees its own cgroup alone."""
         if self.group is None:
             return 'exec "$@"'
         mounts = {tree.directory: tree for tree in own_hierarchies()}
@@ -205,7 +205,7 @@ class Pod:
         return self.summary()
 
     def others(self) -> list[bytes]:
-        """What runs in the pod beside its pause."""
+        """Return the command lines of the processes in the pod beside its pause."""
         names = []
         for pid in map(int, filter(str.isdigit, os.listdir("/proc"))):  # noqa: PTH208
             with contextlib.suppress(OSError):

@@ -340,7 +340,7 @@ def test_spec_is_frozen() -> None:
 
 
 def volume(free: int, files: int = 0, *, total: int = 1000, used: int = 0) -> SimpleNamespace:
-    """What a file system says of itself, in MiB and files."""
+    """Return the statistics of a file system, in MiB and files, in the form of `os.statvfs`."""
     return SimpleNamespace(
         f_blocks=total, f_bfree=total - used, f_bavail=free, f_frsize=1 << 20, f_files=1000, f_favail=files
     )

@@ -151,7 +151,7 @@ def slamhive(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 
 @pytest.fixture
 def records() -> Any:
-    """What makes records."""
+    """Module with the functions that make records."""
     return sys.modules[__name__]
 
 

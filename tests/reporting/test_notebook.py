@@ -19,7 +19,7 @@ NOTEBOOK = ROOT / "docs" / "results.ipynb"
 
 @pytest.fixture
 def cells(records: Any) -> ModuleType:
-    """What runs cells without Jupyter: the tests of the other notebook."""
+    """Module that runs cells without Jupyter: the tests of the other notebook."""
     return records.of_file("evaluator_notebook", ROOT / "tests" / "evaluator" / "test_notebook.py")
 
 

@@ -183,7 +183,7 @@ class System:
 
 @pytest.fixture(scope="session")
 def forks() -> Iterator[Forks]:
-    """What forks commands that are run to their end: importing takes longer than most of them."""
+    """Process that forks commands that are run to their end: importing takes longer than most of them."""
     found = Forks(IMPORTED, environment())
     yield found
     found.close()

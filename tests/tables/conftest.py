@@ -30,7 +30,7 @@ class Kept:
 
     @property
     def path(self) -> Path:
-        """Where it is."""
+        """Path of the home."""
         return self.home.path
 
     def run(self, uid: str, *, content: str = "c1", version: str = "v1", **fields: Any) -> RunRecord:

@@ -85,7 +85,7 @@ def euroc() -> dict[str, Any]:
 
 @pytest.fixture
 def told() -> dict[str, Any]:
-    """What a stereo-inertial run on EuRoC is told."""
+    """Configuration of a stereo-inertial run on EuRoC, as its algorithm is told it."""
     return euroc()
 
 

@@ -170,7 +170,7 @@ def _offset(word: str) -> float | str:
 
 
 def preparation(asked: argparse.Namespace) -> Preparation:
-    """How to lay estimates onto the ground truth, as the options say."""
+    """Return the settings for matching and aligning estimates with the ground truth, as the options say."""
     clock: Clock = {"auto": "offset", "drift": "drift"}.get(asked.offset, "given")  # type: ignore[assignment]
     return Preparation(
         matching=asked.match,

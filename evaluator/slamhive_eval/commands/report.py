@@ -69,7 +69,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _names(estimates: Sequence[str]) -> list[str]:
-    """What to call the estimates: stems where they tell them apart, otherwise the words given."""
+    """Return names for the estimates: file stems where they tell them apart, otherwise the words given."""
     stems = [Path(name).stem for name in estimates]
     names = stems if len(set(stems)) == len(stems) else list(estimates)
     if len(set(names)) != len(names):

@@ -89,7 +89,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _names(asked: argparse.Namespace) -> list[str]:
-    """What a figure calls the trajectories: their stems where those differ."""
+    """Return names of the trajectories for a figure: file stems where those differ, else numbered paths."""
     stems = [Path(name.split(":", 1)[0]).stem for name in asked.estimates]
     if len(set(stems)) == len(stems):
         return stems

@@ -144,7 +144,7 @@ def _as_they_are(*images: np.ndarray) -> tuple[np.ndarray, ...]:
 
 @dataclass(frozen=True)
 class Rig:
-    """What a mode hands to ORB-SLAM3, and how.
+    """Camera and settings of a mode, as ORB-SLAM3 gets them, and the method that takes its images.
 
     Attributes:
         camera: The first camera, as its images are handed over.

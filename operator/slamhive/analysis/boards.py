@@ -82,7 +82,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Marks:
-    """What each row of a table counts for; fields as in ``Grid``."""
+    """Metric, outcome and coverage of each row, from which grids are made; fields as in ``Grid``."""
 
     numbers: Floats
     counted: Mask

@@ -58,7 +58,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Cell:
-    """What a group of runs came to.
+    """Figures, failures and coverage of a group of runs: one row of an aggregated table.
 
     Attributes:
         keys: the values that its runs share, by column.

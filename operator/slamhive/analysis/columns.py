@@ -41,7 +41,7 @@ def sort_key(value: Any) -> tuple[int, float, str]:
 
 
 class ColumnKind(Choice):
-    """What the values of a column are."""
+    """Types of values that a column can hold."""
 
     NUMBER = "number"
     INTEGER = "integer"
@@ -163,12 +163,12 @@ class Column:
 
     @cached_property
     def present(self) -> Mask:
-        """Where there is a value, (n,)."""
+        """Mask of the rows that have a value, (n,)."""
         return ~np.isnan(self.numbers) if self.kind.is_numeric else self.codes >= 0
 
     @property
     def is_empty(self) -> bool:
-        """Whether no row has a value."""
+        """True if no row has a value."""
         return not self.present.any()
 
     def take(self, rows: Indices | Mask) -> Column:

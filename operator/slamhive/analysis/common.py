@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Common:
-    """What several estimates of one recording have in common.
+    """Errors of several estimates of one recording over the time in which all of them have poses.
 
     Attributes:
         spans: first and last times in s, ascending, (k, 2); (0, 2) where there is no common time.

@@ -70,7 +70,7 @@ class Pair:
 
     @property
     def sentence(self) -> str:
-        """What it means."""
+        """Result in a sentence: how often each competitor is better, and whether that may be chance."""
         count = len(self.datasets)
         datasets = "1 dataset" if count == 1 else f"{count} datasets"
         better = f"{_words(self.a)} {self.wins[0]} times better, {_words(self.b)} {self.wins[1]} times"

@@ -108,7 +108,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class NullTest:
-    """Whether a value is missing."""
+    """Condition that a value is missing, or that it is there if ``wanted`` is false."""
 
     operand: Operand
     wanted: bool
@@ -120,7 +120,7 @@ class NullTest:
 
 @dataclass(frozen=True)
 class Membership:
-    """Whether a value equals one of several."""
+    """Condition that a value equals one of several, or none of them if ``negated``."""
 
     operand: Operand
     values: tuple[Any, ...]

@@ -89,7 +89,7 @@ _MOST_NAMES = 6
 
 
 class Outcomes(Choice):
-    """Which runs enter the figures."""
+    """Choices of the runs that enter the figures: tracked ones, or all that were evaluated."""
 
     TRACKED = "tracked"
     ALL = "all"

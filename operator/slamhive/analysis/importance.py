@@ -48,7 +48,7 @@ MAX_SUBJECTS = 200
 
 @dataclass(frozen=True)
 class Influence:
-    """What one setting does.
+    """Influence of one setting on a metric: shares of variance that it explains, and rank correlation.
 
     Attributes:
         name: its column.
@@ -67,7 +67,7 @@ class Influence:
 
 @dataclass(frozen=True)
 class Interaction:
-    """What two settings explain together beyond what each does."""
+    """Share of the variance that two settings explain together beyond what each explains alone."""
 
     a: str
     b: str
@@ -76,7 +76,7 @@ class Interaction:
 
 @dataclass(frozen=True)
 class Influences:
-    """What matters for one subject.
+    """Importance of the settings of one subject: influence of each, and interactions of pairs.
 
     Attributes:
         keys: the subject.

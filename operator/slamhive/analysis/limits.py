@@ -35,7 +35,7 @@ STEEP = 50.0
 
 @dataclass(frozen=True)
 class Limits:
-    """What an axis has to hold.
+    """Limits of an axis, with counts of the numbers that lie outside of them.
 
     Attributes:
         low, high: the smallest and largest number inside.
@@ -49,7 +49,7 @@ class Limits:
 
     @property
     def outside(self) -> int:
-        """How many numbers are not on the axis."""
+        """Count of the numbers that are not on the axis."""
         return self.below + self.above
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Name(NamedTuple):
-    """What people call a column.
+    """Name and unit of a column as people read them in tables, pages, figures and reports.
 
     Attributes:
         text: its name, where there is room.

@@ -53,7 +53,7 @@ _NORMAL = 1.2815515655446004
 
 
 class Quantity(Choice):
-    """What a run costs."""
+    """Costs of a run that are predicted: CPU time, wall time, memory and disk space."""
 
     CPU = "cpuSeconds"
     WALL = "wallSeconds"
@@ -62,7 +62,7 @@ class Quantity(Choice):
 
 
 class Nearness(Choice):
-    """How near the nearest known runs are to a run that is predicted."""
+    """Levels of similarity between a predicted run and the known runs nearest to it."""
 
     SETTING = "the same settings"
     PAIR = "other settings on the dataset"
@@ -82,7 +82,7 @@ _USUAL = {
 
 
 class Setting(NamedTuple):
-    """What a run is made from, but for its repetition.
+    """Configuration of a run without its repetition, from which the costs of the run are predicted.
 
     Attributes:
         algorithm, sensors, pace, dataset: by their names.
@@ -346,7 +346,7 @@ def _is_number(value: Any) -> bool:
 
 @dataclass
 class Prediction:
-    """What is thought of one cost of the settings asked for.
+    """Prediction of one cost for all settings asked for, by a regression over known runs.
 
     Attributes:
         quantity: which cost.

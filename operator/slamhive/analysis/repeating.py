@@ -52,7 +52,7 @@ class Repetitions:
 
     @property
     def verdict(self) -> str:
-        """What it means, in a sentence."""
+        """Summary in a sentence: whether the runs are deterministic, their spread, and failures."""
         parts = []
         if self.cell.deterministic:
             parts.append(f"deterministic: one result, {self.cell.n} equal runs")
@@ -122,7 +122,7 @@ class Suspect:
 
     @property
     def sentence(self) -> str:
-        """What it means."""
+        """Warning of a wrong calibration, with the number of runs, their median scale and its spread."""
         return (
             f"calibration suspect: in {self.n} runs the scale is {self.scale:.4g} ± {self.spread:.2g}; an "
             "algorithm's own error would vary, a wrong calibration or depth factor doesn't"

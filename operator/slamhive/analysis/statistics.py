@@ -51,7 +51,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class Interval:
-    """Where a figure lies with 95 % confidence.
+    """Confidence interval (95 %) of a figure.
 
     Attributes:
         low, high: its ends; infinite where failed runs reach into it.

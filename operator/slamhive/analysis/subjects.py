@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a run was given, as far as its measurement depends on it.
+    """Sensor poses, ground truth frame and time window of a run, on which its evaluation depends.
 
     Attributes:
         truth_frame: T_body_frame, pose in the body of the frame whose poses the ground truth has, (4, 4).

@@ -129,7 +129,7 @@ class Setting:
 
     @property
     def deterministic(self) -> bool:
-        """Whether both versions gave one result each, however often they ran."""
+        """True if both versions ran more than once and gave one result each."""
         return self.before.same and self.after.same
 
 
@@ -186,12 +186,12 @@ class Change:
 
     @property
     def deterministic(self) -> bool:
-        """Whether each setting has one result before and one after, however often it ran."""
+        """True if there are settings, each with one result before and one after in all of its runs."""
         return bool(self.settings) and all(setting.deterministic for setting in self.settings)
 
     @property
     def sentence(self) -> str:
-        """What it means."""
+        """Result in a sentence: by how much the metric changed, and whether that may be chance."""
         if not self.settings:
             return "no setting has results of both versions: run the current one in a setting of before"
         change = self._told()
@@ -201,7 +201,7 @@ class Change:
 
     @property
     def verdict(self) -> str:
-        """What the test says of it; empty where there is nothing to test."""
+        """Verdict of the significance test in words; empty where there is nothing to test."""
         if not self.settings or self.deterministic or self.wins[2] == len(self.settings):
             return ""
         return verdict(self.p_holm, self.least_p, " after correction" if self.p_holm != self.p else "")

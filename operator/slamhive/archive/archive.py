@@ -100,12 +100,12 @@ class Archive:
 
     @property
     def location(self) -> str:
-        """Where it is, as it may be shown: a file's path, or the URL without its password."""
+        """Address of the archive, fit to be shown: its file's path, or its URL without the password."""
         return shown(self._engine.url)
 
     @property
     def identity(self) -> str:
-        """What tells this archive from every other one: a UUID."""
+        """UUID that tells this archive from every other one."""
         with reading(self._engine) as connection:
             return str(connection.execute(select(schema.schema_version.c.identity)).scalar_one())
 

@@ -55,7 +55,7 @@ _COMPARED = ("algorithm", "dataset", "sensors", "pace", "repetition", "seed", "c
 
 @dataclass
 class Findings:
-    """What a look through an archive found.
+    """Row counts, damage and remarks from a check of an archive.
 
     Attributes:
         counts: rows by table.

@@ -68,7 +68,7 @@ class CatalogEntry(Model):
 
 @dataclass(frozen=True)
 class FinishedPoint:
-    """What became of a finished run of a sweep."""
+    """Result of a finished run of a sweep: its phase, and its outcome under each evaluation."""
 
     index: int | None
     phase: Phase
@@ -103,7 +103,7 @@ class EarlierRun:
 
 
 class Cost(NamedTuple):
-    """What a finished run did cost, and what that depends on.
+    """CPU, memory and time that a finished run took, with what they depend on; forecasts are made from these.
 
     Attributes:
         uid, algorithm, dataset, spec: which run.

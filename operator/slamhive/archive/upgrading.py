@@ -41,7 +41,7 @@ _PAGES = 250
 
 
 class Upgrade(NamedTuple):
-    """What was done to an archive.
+    """Result of upgrading an archive: versions of its tables before and after, and the copy of its old file.
 
     Attributes:
         before, after: versions of its tables.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Here:
-    """What is known of a home's runs.
+    """Access to the runs of a home: their records in the archive, their folders and ground truth.
 
     Args:
         archive: the archive, open.

@@ -44,7 +44,7 @@ _NUMBERED = re.compile(r"spec\.(matrix|include|exclude)\[(\d+)\]")
 
 @dataclass
 class Checked:
-    """What manifests hold.
+    """Objects, plans and mistakes that were found in manifest files.
 
     Attributes:
         objects: their objects without those in which the model of its kind finds a mistake.

@@ -39,7 +39,7 @@ _COLOURS = {"pass": "green", "warning": "yellow", "fail": "red", "skipped": "dim
 
 
 class Place(Choice):
-    """Where an algorithm is checked."""
+    """Places where ``slamhive algorithm check`` starts an algorithm: the values of its ``--on``."""
 
     PROCESS = "process"
     CONTAINER = "container"
@@ -151,7 +151,7 @@ def _seconds(text: str) -> float:
 
 
 class _Wish(NamedTuple):
-    """What is asked of executors."""
+    """Request of ``slamhive algorithm check``: the algorithm and the options that executors are chosen by."""
 
     bench: Bench
     name: str

@@ -34,7 +34,7 @@ _SHOWN = 10
 
 @dataclass(frozen=True)
 class Copied:
-    """What was copied into the archive.
+    """Sweeps and runs copied from a cluster into the archive, and those of the runs whose files are not here.
 
     Attributes:
         fetched: what came of each Sweep or run.

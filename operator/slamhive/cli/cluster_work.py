@@ -48,7 +48,7 @@ _REFUSED = 20
 
 @dataclass(frozen=True)
 class Place:
-    """Where a command is to work, as its options say.
+    """Kubernetes context and namespace that a command works in, as its options say.
 
     Attributes:
         context: context of the kubeconfig; None: the current one.

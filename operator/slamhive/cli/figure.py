@@ -28,7 +28,7 @@ from slamhive.tables.reading import revision
 
 
 class Hold(Choice):
-    """What axes hold."""
+    """Choices of which values the axes of a figure include: the values of ``--limits``."""
 
     ROBUST = "robust"
     ALL = "all"

@@ -42,7 +42,7 @@ _SHARE = f"{COVERED:.0%}".replace("%", " %")
 
 @dataclass
 class _Found:
-    """What a forecast is made from.
+    """Runs of sweeps that a cost forecast is made for, and those that need no computing: finished or reused.
 
     Attributes:
         wanted: the runs that are to be done.

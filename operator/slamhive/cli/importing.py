@@ -110,7 +110,7 @@ def import_slam_hive(
 
 @dataclass
 class Report:
-    """What an import did.
+    """Counts of imported runs and their outcomes, with the problems found, for the summary of an import.
 
     Attributes:
         added: runs that were new.

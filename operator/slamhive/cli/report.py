@@ -41,7 +41,7 @@ DEFAULT_METRICS = ("ate.rmse",)
 
 
 class TableStyle(Choice):
-    """How a table for a paper is written."""
+    """Formats in which a table for a paper is written: two styles of LaTeX, Markdown or CSV."""
 
     BOOKTABS = "booktabs"
     IEEE = "ieee"

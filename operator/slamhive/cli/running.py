@@ -72,14 +72,14 @@ _SAVED = -1
 
 
 class On(Choice):
-    """Where runs happen."""
+    """Places where ``slamhive run`` executes runs: the values of its ``--on``."""
 
     WORKSTATION = "workstation"
     CLUSTER = "cluster"
 
 
 class LogFormat(Choice):
-    """How it is told what goes on."""
+    """Formats of the progress messages of ``slamhive run``."""
 
     TEXT = "text"
     JSON = "json"

@@ -24,7 +24,7 @@ _UNPRINTABLE = dict.fromkeys((*range(32), 127), " ")
 
 
 class Format(StrEnum):
-    """How a table is printed."""
+    """Formats in which commands print a table."""
 
     TABLE = "table"
     CSV = "csv"

@@ -37,7 +37,7 @@ _FORETELLS = (0.05, 3.0)
 
 @dataclass
 class _Step:
-    """What is being done.
+    """Step of a piece of work whose progress is shown: its description, start and share done.
 
     Attributes:
         what: in words.

@@ -51,7 +51,7 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class Asked:
-    """What is to be checked.
+    """Request for a conformance check: the algorithm, the dataset, and the time limit of a start.
 
     Attributes:
         name: the algorithm.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Damage:
-    """What a recording lacks.
+    """Damage to a copy of a recording, for a check: one sensor's topic is left out, or every message.
 
     Attributes:
         missing: the sensor whose topic isn't there; None: all are there, without a message.

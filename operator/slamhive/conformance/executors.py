@@ -40,7 +40,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Ended:
-    """What came of a start.
+    """Outcome of one start of an algorithm in a check: the run's record, trajectory and exit.
 
     Attributes:
         record: the run, as it would be recorded.
@@ -76,7 +76,7 @@ def read_poses(path: Path) -> tuple[bytes, Trajectory | None]:
 
 
 class Executor(Protocol):
-    """What starts an algorithm and tells what came of it."""
+    """Interface to start an algorithm for a check and get the outcome: on this machine or on a cluster."""
 
     @property
     def name(self) -> str:

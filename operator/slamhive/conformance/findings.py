@@ -9,7 +9,7 @@ from slamhive.model.base import Choice
 
 
 class Answer(Choice):
-    """What was found of something that is looked at."""
+    """Verdicts that a finding of a check can have."""
 
     PASS = "pass"  # noqa: S105 - no password
     WARNING = "warning"

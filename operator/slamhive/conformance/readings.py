@@ -41,7 +41,7 @@ _SHIFTS_SECONDS = (-0.1, -0.05, 0.05, 0.1)
 
 
 class Fit(NamedTuple):
-    """How well poses fit the ground truth under one reading of them.
+    """Errors of poses against the ground truth under one reading of them: frame, direction and stamp.
 
     Attributes:
         metres: RMSE of the ATE.
@@ -71,7 +71,7 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Declared:
-    """What an Algorithm says of its poses, and what else they could be.
+    """Declaration of an Algorithm's poses, with the other frames and time shifts to compare them with.
 
     Attributes:
         mode: its sensor mode.

@@ -61,7 +61,7 @@ _MEANINGS = {
 
 
 class Converted(NamedTuple):
-    """What came of converting.
+    """Result of converting a program's pose files: faults of the files, and of the machine.
 
     Attributes:
         trajectory: What is wrong with the file of the trajectory; nothing where there is none or all is well.
@@ -75,7 +75,7 @@ class Converted(NamedTuple):
 
 
 class MachineFault(Exception):  # noqa: N818 - it becomes a run's reason, SystemFault
-    """What the machine refused, in a sentence: nothing that the algorithm wrote is to blame."""
+    """Fault of the machine in reading or writing poses, in a sentence: the algorithm is not to blame."""
 
 
 def convert_all(output_directory: str, files: PoseFiles, trajectory: str, keyframes: str) -> Converted:

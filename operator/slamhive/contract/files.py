@@ -18,7 +18,7 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class NotRegularError(OSError):
-    """What was to be read is no file but a link, a directory or a pipe."""
+    """Error for a path at which there is no regular file, but a link, a directory or a pipe."""
 
 
 @contextmanager

@@ -20,7 +20,7 @@ _SHOWN_CHARACTERS = 30
 
 
 class TextFault(Exception):  # noqa: N818 - never seen outside
-    """What is wrong with a text, in a sentence that names it."""
+    """Fault in a text that an algorithm wrote, as a sentence that names the text."""
 
     @classmethod
     def at(cls, name: str, message: str, line: int | None = None) -> TextFault:

@@ -39,7 +39,7 @@ _SHOWN_CHARACTERS = 40
 
 
 class Metrics(NamedTuple):
-    """What metrics.json holds.
+    """Contents of an algorithm's metrics.json, with a note where the file can't be used.
 
     Attributes:
         values: Its object, empty if there is none.
@@ -51,7 +51,7 @@ class Metrics(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What is recorded of metrics.json.
+    """Values of metrics.json that are recorded, with a note on those that were left out.
 
     Attributes:
         values: Numbers, flags and texts, also in objects.

@@ -25,7 +25,7 @@ KEYFRAMES = "trajectory.keyframes.txt"
 
 
 class Output(NamedTuple):
-    """What an algorithm left.
+    """Contents of an algorithm's output folder, read once when the run has ended.
 
     Attributes:
         metrics: What metrics.json holds.

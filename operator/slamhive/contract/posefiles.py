@@ -73,7 +73,7 @@ class PoseFile:
 
 @dataclass(frozen=True, slots=True)
 class PoseFiles:
-    """What a program writes of poses beside the contract's own files.
+    """Pose files that a program writes in formats of its own, beside the contract's own files.
 
     Attributes:
         trajectory: Its final estimate, None where that is trajectory.txt itself.

@@ -56,7 +56,7 @@ class TrajectoryInfo:
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryCheck:
-    """What was found.
+    """Result of checking an algorithm's trajectory: its key figures, or why it can't be used.
 
     Attributes:
         info: The trajectory, None if it can't be used.
@@ -110,7 +110,7 @@ def _read(file: IO[bytes], limit: int) -> TrajectoryInfo:
 
 
 class _Poses:
-    """What was seen so far."""
+    """Count, first and last stamp of the poses in a trajectory's lines that were checked so far."""
 
     def __init__(self) -> None:
         self.count = 0

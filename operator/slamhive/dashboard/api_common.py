@@ -88,7 +88,7 @@ class Meant:
 
 @dataclass(frozen=True)
 class Material:
-    """What results are measured again by.
+    """Records, run folders and ground truth that selected results are measured again from.
 
     Attributes:
         meant: the results.

@@ -77,7 +77,7 @@ class Ranked:
 
 
 class Ranking:
-    """What ranks runs by a figure, failed ones last: arrays over all rows, taken out of their columns once.
+    """Ranking of runs by a figure, failed ones last: arrays over all rows, taken out of their columns once.
 
     Args:
         frame: the rows.

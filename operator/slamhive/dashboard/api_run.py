@@ -153,7 +153,7 @@ def _text(place: Place, item: dict[str, Any]) -> str | None:
 
 @dataclass(frozen=True)
 class Material:
-    """What a run's path is drawn from.
+    """Record, folder and ground truth of a run, from which its trajectory is drawn.
 
     Attributes:
         record: the run.

@@ -45,7 +45,7 @@ _NODE, _PROCESSORS = "provenance.node", "usage.processors"
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """When runs were worked at; all arrays (n,), times in s since 1970.
+    """Spans of time in which runs were worked at; all arrays (n,), times in s since 1970.
 
     Attributes:
         frame: their rows.

@@ -36,7 +36,7 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 @dataclass(frozen=True)
 class Clock:
-    """Where time begins in pictures.
+    """Zero of the time axis in a run's pictures, in sensor time.
 
     Attributes:
         start: sensor time of the zero, s.

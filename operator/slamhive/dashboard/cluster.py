@@ -174,12 +174,12 @@ class ClusterSource:
 
     @property
     def ready(self) -> bool:
-        """Whether what is shown was made of all kinds, each listed once, and of the archive."""
+        """True if the data shown were built after all kinds were listed once and the archive was read."""
         return bool(self._built) and bool(self._built[-1])
 
     @property
     def _listed(self) -> bool:
-        """Whether every kind was listed once, and the archive read."""
+        """True if all kinds of objects were listed once, and the archive was read or its trouble is known."""
         listed = len(self._troubles) == len(self._namespaces) * (len(_OTHERS) + 1)
         known = listed and len(self._cluster.runs) == len(self._namespaces)
         return known and (self._archive is None or self._archive.loaded_once or bool(self._archive.problem))

@@ -34,7 +34,7 @@ _BLOCK_ROWS = 2000
 
 
 class Format(Choice):
-    """How a table is sent."""
+    """Formats in which the API sends a table."""
 
     JSON = "json"
     CSV = "csv"
@@ -50,7 +50,7 @@ TYPES = {
 
 @dataclass(frozen=True)
 class Body:
-    """What an answer holds.
+    """Content of an answer of the API: a JSON value, the same as a table, and a link to the next page.
 
     Attributes:
         content: the JSON value.

@@ -102,7 +102,7 @@ class Homes:
 
     @property
     def ready(self) -> bool:
-        """Whether one's own archive was read."""
+        """True if the archive of one's own home was read."""
         return self._stations[OWN].ready
 
     def describe(self) -> dict[str, Any]:

@@ -33,7 +33,7 @@ _LONGEST_LINE = 2**16
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """What was read of a file.
+    """Rows of numbers that were read from a run's file, thinned where it has too many.
 
     Attributes:
         name: the file's.

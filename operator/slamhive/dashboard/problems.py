@@ -67,7 +67,7 @@ class NotAcceptable(Problem):
 
 
 class Unavailable(Problem):
-    """What the answer comes from does not answer at present."""
+    """Error of a request whose data source does not answer at present: status 503."""
 
     status = 503
     retry_after = RETRY_SECONDS
@@ -94,7 +94,7 @@ class Busy(Unavailable):
 
 
 class Refused(Problem):
-    """What a worker told instead of an answer.
+    """Error that a worker process sent instead of an answer.
 
     Args:
         status: of HTTP.

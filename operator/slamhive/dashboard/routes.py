@@ -124,7 +124,7 @@ def router(service: Service) -> APIRouter:
         superseded: Superseded = None,  # noqa: ARG001
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
-        """What must not be pooled becomes a key by itself."""
+        """Return figures over groups of runs; columns that must not be pooled become keys where they vary."""
         asked = pairs(request)
         return await service.answer(
             request,

@@ -81,7 +81,7 @@ class _Pending:
 
 
 class Service:
-    """What all requests share.
+    """State that all requests to the dashboard share: data source, worker processes and kept answers.
 
     Args:
         source: where the data come from.

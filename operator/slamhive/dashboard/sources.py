@@ -82,7 +82,7 @@ class Snapshot:
 
 
 class Source(Protocol):
-    """What the API asks for data; all methods but ``fresh`` may block and are called from threads."""
+    """Source of the API's data; all methods but ``fresh`` may block and are called from threads."""
 
     async def start(self, executor: Executor) -> None:
         """Begin to look after the data."""
@@ -95,7 +95,7 @@ class Source(Protocol):
 
     @property
     def ready(self) -> bool:
-        """Whether there are data."""
+        """True if there are data."""
 
     def describe(self) -> dict[str, Any]:
         """Say what the data come from."""
@@ -162,7 +162,7 @@ class ArchiveData:
 
     @property
     def revision(self) -> str:
-        """What differs after each change."""
+        """Revision of the data: a text that differs after each change."""
         return f"{self._nonce}-{self._count}{'-late' if self._late else ''}"
 
     @property
@@ -182,12 +182,12 @@ class ArchiveData:
 
     @property
     def is_open(self) -> bool:
-        """Whether the database answered last time."""
+        """True if the database answered last time."""
         return self._engine is not None
 
     @property
     def is_absent(self) -> bool:
-        """Whether there is no archive yet, which is no fault."""
+        """True if there is no archive yet, which is no fault."""
         return self._engine is None and self.problem is None
 
     @property
@@ -360,7 +360,7 @@ class Workstation:
 
     @property
     def ready(self) -> bool:
-        """Whether the archive was read."""
+        """True if the archive was read."""
         return self._data.loaded_once
 
     def describe(self) -> dict[str, Any]:

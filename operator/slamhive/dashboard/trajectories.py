@@ -49,7 +49,7 @@ _UNLIKE = (
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """What a run wrote.
+    """Trajectory that a run wrote, thinned where its file has too many poses.
 
     Attributes:
         poses: as they were read.

@@ -50,7 +50,7 @@ class UnderWay:
 
     @property
     def mark(self) -> str:
-        """What differs whenever other runs are at work; empty before there were any."""
+        """Text that differs whenever other runs are at work; empty before there were any."""
         return f"-{self._changes}" if self._changes else ""
 
     async def follow(self, executor: Executor | None) -> None:

@@ -42,7 +42,7 @@ _log = logging.getLogger("slamhive.dashboard")
 
 @dataclass(frozen=True)
 class Budget:
-    """What one answer may cost.
+    """Limits of CPU time, duration and memory for one answer of the dashboard.
 
     Attributes:
         cpu_seconds: of the worker.
@@ -57,7 +57,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Limits:
-    """What all answers together may cost.
+    """Limits for all answers of the dashboard together: their budgets, how many are computed, how many wait.
 
     Attributes:
         answer: budget of an answer.
@@ -84,7 +84,7 @@ class Limits:
 
 @dataclass
 class Cost:
-    """What a worker came to.
+    """CPU time and memory that a worker process took to compute an answer.
 
     Attributes:
         cpu_seconds: user and system.

@@ -22,7 +22,7 @@ _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f
 
 @dataclass(frozen=True)
 class CloudFilter:
-    """What is kept of scans.
+    """Filter for the points of LiDAR scans: the ranges and rings that are kept.
 
     Attributes:
         min_range: Points nearer go, m; None: none.

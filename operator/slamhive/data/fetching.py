@@ -72,7 +72,7 @@ class Wanted:
 
 @dataclass
 class Progress:
-    """Who is told of a fetch.
+    """Callbacks that a fetch reports to: its progress in bytes, and sentences on anything unusual.
 
     Attributes:
         count: Called with the bytes that are there and how many they are to be, if that is known.
@@ -281,7 +281,7 @@ class _Running:
 
 @dataclass(frozen=True)
 class _Order:
-    """What is fetched from where, to where."""
+    """Arguments of one attempt to fetch a file: its URL, the partial file that it goes to, callbacks."""
 
     wanted: Wanted
     url: str

@@ -55,7 +55,7 @@ _DEPTH_ENCODING = "16UC1"
 
 @dataclass(frozen=True, eq=False)
 class FolderPlan:
-    """What a folder is to hold.
+    """Plan of a folder that a recording is written into as files: form, sensors, rectification.
 
     Attributes:
         form: Its form.

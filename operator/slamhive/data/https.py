@@ -42,7 +42,7 @@ class Interrupted(SystemFault):
 
 @dataclass
 class Answer:
-    """What a server sends; a context manager that closes it.
+    """Response of an https server to a request for a file; a context manager that closes it.
 
     Attributes:
         start: Number of the first byte that comes; 0 where the server sends everything anew.

@@ -56,7 +56,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class SensorReport:
-    """What a recording holds of a sensor.
+    """Report on a sensor's messages in a recording: type, number, rate, span of time and gaps.
 
     Attributes:
         name: The sensor's name.
@@ -93,7 +93,7 @@ class SensorReport:
 
 @dataclass(frozen=True)
 class TruthReport:
-    """What the ground truth is like.
+    """Report on a dataset's ground truth: kind, span of time, overlap with the recording, gaps.
 
     Attributes:
         kind: ``trajectory``, ``positions``, ``points`` or ``relations``.
@@ -118,7 +118,7 @@ class TruthReport:
 
 @dataclass(frozen=True)
 class DatasetReport:
-    """What a dataset holds.
+    """Report on a dataset: its length, sensors and ground truth, with all errors and warnings.
 
     Attributes:
         name: The dataset's name.

@@ -28,7 +28,7 @@ FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
 
 @dataclass(frozen=True)
 class SensorKind:
-    """What is to know of a kind of sensor.
+    """Properties of a kind of sensor: its title, the types of its messages, and its default role.
 
     Attributes:
         title: What people call it.

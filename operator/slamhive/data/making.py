@@ -106,7 +106,7 @@ def _views(sensors: dict[Role, SensorView], wish: Wish) -> dict[Role, SensorView
 
 @dataclass(frozen=True)
 class Order:
-    """What a recording is made from, checked as far as that goes without reading it.
+    """Order to make a recording from a dataset, checked as far as possible before the dataset is read.
 
     Attributes:
         entry: The dataset, materialised.
@@ -129,7 +129,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Made:
-    """What became of an order.
+    """Result of making a recording: the messages chosen, and the sensors as they are in it.
 
     Attributes:
         selection: The messages chosen.

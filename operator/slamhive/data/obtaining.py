@@ -40,7 +40,7 @@ _NOT_ZIP = (".tar", ".tgz", ".tar.gz", ".tar.bz2", ".tar.xz", ".7z")
 
 @dataclass(frozen=True)
 class Listener:
-    """Who is told how far it is.
+    """Callbacks that obtaining a sequence reports to: steps, their progress, sentences for the user.
 
     Attributes:
         step: Called with what is being done from now on.

@@ -55,7 +55,7 @@ _IMAGE_TYPES = {kinds.IMAGE, kinds.COMPRESSED_IMAGE}
 
 @dataclass
 class SensorView:
-    """What is drawn of a sensor. Times are s since the recording's start.
+    """Overview of one sensor: rates, gaps, images, clouds, IMU. Times are s since the recording's start.
 
     Attributes:
         name, type, topic: As declared.
@@ -84,7 +84,7 @@ class SensorView:
 
 @dataclass
 class Overview:
-    """What is drawn of a dataset.
+    """Overview of a dataset that its HTML page and the dashboard draw: sensors and ground truth.
 
     Attributes:
         name: The dataset's name.

@@ -23,7 +23,7 @@ STATIC_TRANSFORMS = "/tf_static"
 
 
 class Kind(Enum):
-    """What is done with a topic."""
+    """Kinds of topics in a variant, by how their messages are thinned and cut."""
 
     FRAMES = "frames"  # of the sensor that sets the pace: thinned and cut
     PARTNER = "partner"  # frames kept together with those of another sensor

@@ -37,7 +37,7 @@ class Changes(Protocol):
 
     @property
     def lidar(self) -> LidarInput | None:
-        """What is kept of scans."""
+        """Ranges and rings of LiDAR scans that are kept; None where all points are."""
 
 
 def transfer(

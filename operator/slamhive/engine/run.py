@@ -44,7 +44,7 @@ LAST_BACKOFF_SECONDS = 60.0
 
 
 class VariantState(enum.Enum):
-    """Whether the prepared recording is there."""
+    """States of the prepared recording (variant) that a run reads."""
 
     ABSENT = enum.auto()
     MAKING = enum.auto()
@@ -53,7 +53,7 @@ class VariantState(enum.Enum):
 
 
 class AttemptState(enum.Enum):
-    """Whether the algorithm's program is running."""
+    """States of a run's current attempt: none, running or ended."""
 
     NONE = enum.auto()
     RUNNING = enum.auto()
@@ -62,7 +62,7 @@ class AttemptState(enum.Enum):
 
 @dataclass(frozen=True)
 class AttemptEnd:
-    """How an attempt ended, as its executor saw it.
+    """End of an attempt as its executor saw it: exit code or signal, cause, and faults of the trajectory.
 
     Attributes:
         exit_code: the program's exit code, or None when a signal or the executor ended it.
@@ -85,7 +85,7 @@ class AttemptEnd:
 
 @dataclass(frozen=True)
 class RunState:
-    """What is remembered of a run between two decisions.
+    """State of a run that is kept between two decisions.
 
     Attributes:
         phase: where it stands.
@@ -108,7 +108,7 @@ class RunState:
 
 @dataclass(frozen=True)
 class RunObserved:
-    """What is seen of a run.
+    """Observed facts about a run, from which ``decide_run`` decides what happens next.
 
     Attributes:
         problem: why the run can never start (its spec against its catalog), if so.

@@ -30,7 +30,7 @@ class PointState(enum.IntEnum):
 
 
 class Verdict(Choice):
-    """Where a sweep stands."""
+    """States of a sweep: running, suspended, complete, or stopped by a limit."""
 
     RUNNING = "Running"
     SUSPENDED = "Suspended"
@@ -46,7 +46,7 @@ class Verdict(Choice):
 
 @dataclass(frozen=True)
 class SweepObserved:
-    """What is seen of a sweep.
+    """Observed facts about a sweep, from which ``decide_sweep`` decides what happens next.
 
     Attributes:
         states: state of each point, by index.
@@ -92,7 +92,7 @@ class StopPoints:
 
 @dataclass(frozen=True)
 class SweepDecision:
-    """Where a sweep stands, why, what to do, and where to search next time."""
+    """State of a sweep with its reason, the actions to take, and where to search for points next time."""
 
     verdict: Verdict
     message: str = ""

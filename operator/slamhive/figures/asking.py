@@ -30,7 +30,7 @@ MOST_CATEGORIES = 60
 
 
 class Kind(Choice):
-    """What a figure shows."""
+    """Kinds of figures that can be drawn: scatter plots, box plots, heat maps, trajectories and others."""
 
     SCATTER = "scatter"
     LINES = "lines"
@@ -45,12 +45,12 @@ class Kind(Choice):
 
     @property
     def is_of_files(self) -> bool:
-        """Whether it is made of files in the folders of runs, and not of the table of runs alone."""
+        """True if it is made of files in the folders of runs, and not of the table of runs alone."""
         return self in {Kind.TRAJECTORIES, Kind.ERROR_OVER_TIME, Kind.USAGE}
 
 
 class Log(Choice):
-    """Which axes are logarithmic."""
+    """Choices of which axes of a figure are logarithmic."""
 
     AUTO = "auto"
     X = "x"

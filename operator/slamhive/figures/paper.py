@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Paper:
-    """What a figure is drawn on.
+    """Size and font of a figure for a paper.
 
     Attributes:
         width: of the figure, with the size of its letters.

@@ -33,7 +33,7 @@ SCALE = "cividis"
 
 @dataclass(frozen=True)
 class Style:
-    """How a series is drawn; no two of the first 84 are alike.
+    """Colour, marks, dashes and hatching of a series in a figure; no two of the first 84 are alike.
 
     Attributes:
         number: of the series.
@@ -68,7 +68,7 @@ class Style:
 
 
 class Face(Choice):
-    """Which letters a figure has; both come with matplotlib, so that a figure is the same everywhere."""
+    """Fonts of a figure; all come with matplotlib, so that a figure is the same everywhere."""
 
     SANS = "sans"
     SERIF = "serif"

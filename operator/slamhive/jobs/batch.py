@@ -57,7 +57,7 @@ _POSITIONS = TableFormat(("t", "tx", "ty", "tz"))
 
 @dataclass(frozen=True)
 class Bench:
-    """What measuring needs, the same for all runs.
+    """Inputs of measuring that all runs of a batch share: settings, ground truth, folder of results.
 
     Attributes:
         results: folder of the results volume.

@@ -52,7 +52,7 @@ class Known:
 
 
 class Archived(NamedTuple):
-    """What an archive knows.
+    """Identity of an archive, and UIDs of the runs that it knows: with a folder, or released.
 
     Attributes:
         identity: what tells it from every other archive.

@@ -28,7 +28,7 @@ _AGAIN = (
 
 @dataclass(frozen=True)
 class Owner:
-    """Who knows the runs on a volume.
+    """Owner of a results volume: the namespace and the archive that know the runs on it.
 
     Attributes:
         namespace: its name.

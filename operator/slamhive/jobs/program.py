@@ -37,7 +37,7 @@ _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 
 
 class Refused(SlamHiveError):  # noqa: N818 - says what a Job answers
-    """What was asked can't be done.
+    """Error of a Job's program that can't do what it was asked, with the reason that it reports.
 
     Args:
         reason: why, in one word.

@@ -27,7 +27,7 @@ _log = logging.getLogger("slamhive.operator")
 
 
 class Operator(Protocol):
-    """What is needed of the operator here; its methods say what they do."""
+    """Interface of the operator as far as this module uses it; the operator's class documents it."""
 
     api: Api
     store: Store

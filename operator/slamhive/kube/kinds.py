@@ -31,7 +31,7 @@ class Label(Choice):
 
 
 class Role(Choice):
-    """What a Job of ours is for: the value of the label ``slamhive.io/role``."""
+    """Purposes of the operator's Jobs: values of the label ``slamhive.io/role``."""
 
     RUN = "run"
     PREPARE = "prepare"

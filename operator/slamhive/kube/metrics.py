@@ -40,7 +40,7 @@ _RECONCILE_SECONDS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 
 class PodLabels(NamedTuple):
-    """What a live series is labelled with."""
+    """Labels of the live Prometheus series of a run's pod."""
 
     namespace: str
     sweep: str

@@ -32,7 +32,7 @@ ENDED = frozenset({"Succeeded", "Failed"})
 
 @dataclass
 class Observed:
-    """What the metrics API has said of one pod's algorithm.
+    """CPU and memory of one pod's algorithm from the metrics API: the last figures and the largest.
 
     Attributes:
         samples: number of different samples seen.

@@ -67,7 +67,7 @@ _HIDDEN_SECONDS = 2.0
 
 @dataclass(frozen=True)
 class Attempted:
-    """What is seen of an attempt.
+    """State of a run's attempt, as its Job and pod show it: progress, end and report.
 
     Attributes:
         state: whether its program runs, as far as the engine is concerned.
@@ -371,7 +371,7 @@ def _hid(ending: Ending, report: Report | None) -> bool:
 
 @dataclass(frozen=True)
 class VariantObserved:
-    """What is seen of a preparation.
+    """State of a variant's preparation, as its Job and pod show it.
 
     Attributes:
         state: whether the variant is there.
@@ -420,7 +420,7 @@ def _of_preparation(problem: Problem) -> Problem:
 
 @dataclass(frozen=True)
 class EvaluatorObserved:
-    """What is seen of a Job that measures.
+    """State of a Job that evaluates trajectories, as the Job and its pod show it.
 
     Attributes:
         state: whether it runs.
@@ -452,7 +452,7 @@ def observe_evaluator(job: Object | None, pods: Iterable[Object]) -> EvaluatorOb
 
 @dataclass(frozen=True)
 class ReadObserved:
-    """What is seen of a Job that reads what a monitor left.
+    """State of a Job that reads what a monitor left, with the report that it found.
 
     Attributes:
         ended: whether it has told all that it will.
@@ -480,7 +480,7 @@ def observe_read(job: Object | None, pods: Iterable[Object]) -> ReadObserved:
 
 @dataclass(frozen=True)
 class _JobSeen:
-    """What is seen of a Job of our own programs."""
+    """State of a Job that prepares, evaluates or reads, as the Job and its pod show it."""
 
     state: AttemptState
     problem: Problem | None = None

@@ -39,7 +39,7 @@ _PROGRAM = ("exec: ", "executable file not found", "no command specified", "no s
 
 @dataclass(frozen=True)
 class Waiting:
-    """Why a pod doesn't run yet.
+    """Reason and message that say why a pod doesn't run yet.
 
     Attributes:
         reason: one word for a condition.
@@ -58,7 +58,7 @@ class Waiting:
 
 @dataclass(frozen=True)
 class Ending:
-    """How a container ended.
+    """End of a container, from its pod's status: exit code or signal, reason, message and times.
 
     Attributes:
         exit_code: its exit code; None when a signal ended it or nobody knows.

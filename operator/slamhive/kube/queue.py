@@ -22,7 +22,7 @@ LAST_BACKOFF_SECONDS = 60.0
 
 
 class Cancellable(Protocol):
-    """What can still be called off."""
+    """Handle of a scheduled call that can still be cancelled, as asyncio's TimerHandle."""
 
     def cancel(self) -> None:
         """Call it off."""

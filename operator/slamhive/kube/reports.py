@@ -54,7 +54,7 @@ _JOBS = frozenset(
 
 @dataclass(frozen=True)
 class Report:
-    """What a monitor, or a Job that read its file, told of an attempt.
+    """Report on an attempt, from its monitor or from a Job that read the monitor's file.
 
     Attributes:
         reason: why it ended the algorithm, or what it saw of its end.
@@ -89,7 +89,7 @@ class Report:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a Job of ours could not do what it was asked, in its own words."""
+    """Error of a Job of ours that could not do what it was asked, in its own words."""
 
     reason: Reason
     message: str

@@ -31,7 +31,7 @@ NamespaceName = Annotated[
 
 
 class PullPolicy(Choice):
-    """When the kubelet pulls an image."""
+    """Policies that say when the kubelet pulls an image."""
 
     ALWAYS = "Always"
     IF_NOT_PRESENT = "IfNotPresent"
@@ -39,7 +39,7 @@ class PullPolicy(Choice):
 
 
 class LogFormat(Choice):
-    """How the operator writes its log."""
+    """Formats of the operator's log."""
 
     PLAIN = "plain"
     JSON = "json"
@@ -52,14 +52,14 @@ class Claim(Model):
 
 
 class Volumes(Model):
-    """Where results and datasets are."""
+    """Volumes of results and datasets, by their PersistentVolumeClaims."""
 
     results: Claim
     data: Claim
 
 
 class PodSettings(Model):
-    """What is passed through to every pod of ours."""
+    """Settings that every pod of ours gets, such as node selector, tolerations and service account."""
 
     node_selector: dict[str, str] = Field(default_factory=dict)
     tolerations: list[dict[str, Any]] = Field(default_factory=list)
@@ -72,7 +72,7 @@ class PodSettings(Model):
 
 
 class EvaluationJobs(Model):
-    """How trajectories are evaluated."""
+    """Settings of the Jobs that evaluate trajectories: batches, number in parallel, CPU and memory."""
 
     batch_size: int = Field(default=200, ge=1, le=200)
     delay_seconds: float = Field(default=2.0, ge=0)
@@ -82,7 +82,7 @@ class EvaluationJobs(Model):
 
 
 class PreparationJobs(Model):
-    """How variants of datasets are prepared."""
+    """Settings of the Jobs that prepare variants of datasets, such as CPU, memory and time limit."""
 
     parallel_jobs: int = Field(default=2, ge=1)
     cpu: Quantity = "1"
@@ -96,7 +96,7 @@ class PreparationJobs(Model):
 
 
 class MetricsSettings(Model):
-    """What Prometheus gets."""
+    """Settings of the Prometheus metrics: port, interval of live figures, label with the run's name."""
 
     port: int = Field(default=9090, ge=0, le=65535)
     interval_seconds: float = Field(default=15.0, gt=0)
@@ -104,7 +104,7 @@ class MetricsSettings(Model):
 
 
 class HealthSettings(Model):
-    """Where the kubelet asks how the operator is."""
+    """Settings of the operator's health server, which the kubelet asks."""
 
     port: int = Field(default=8080, ge=0, le=65535)
 

@@ -61,7 +61,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Access:
-    """How the API server is reached."""
+    """Address and credentials of the API server, as watches need them."""
 
     server: str
     ca_path: str | None

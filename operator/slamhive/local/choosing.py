@@ -27,7 +27,7 @@ _NOTHING_YET = ("usage", "frames", "trajectory", "metrics", "provenance")
 
 @dataclass(frozen=True)
 class Wish:
-    """How much of what is asked for is done this time.
+    """Choice of how many runs of the sweeps are done this time, and whether finished ones are done again.
 
     Attributes:
         first: at most so many runs are done, those that tell most; None for all.

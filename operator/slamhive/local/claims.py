@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Claims:
-    """What a runner holds, by sweep and point.
+    """Leases that one runner holds on runs, their folders and contents, by sweep and point.
 
     Args:
         leases: of the home.

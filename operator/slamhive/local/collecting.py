@@ -89,7 +89,7 @@ class Find(NamedTuple):
 
 @dataclass(frozen=True)
 class Asked:
-    """What may go beyond what nothing refers to.
+    """Options of ``slamhive gc``: what may be removed beyond what nothing refers to.
 
     Attributes:
         made_again: caches that something refers to, too: they are made again when they are needed.
@@ -102,7 +102,7 @@ class Asked:
 
 @dataclass
 class _Referred:
-    """What the runs of a home refer to."""
+    """Prepared recordings, assets and environments that the runs of a home refer to."""
 
     variants: set[str] = field(default_factory=set)
     assets: set[str] = field(default_factory=set)

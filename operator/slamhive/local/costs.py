@@ -37,7 +37,7 @@ MOST_FOLDERS = 20
 
 @dataclass
 class Knowledge:
-    """What is known of costs.
+    """Costs of finished runs and lengths of recordings, from which the costs of other runs are predicted.
 
     Attributes:
         costs: of finished runs, the latest first.
@@ -153,7 +153,7 @@ class Combinations(Points, Protocol):
 
 
 class Planned(NamedTuple):
-    """What a combination of a plan needs.
+    """Setting, time limit and processors of a combination of a plan, from which its cost is predicted.
 
     Attributes:
         setting: what is predicted from.

@@ -42,7 +42,7 @@ _HINTS = (
 
 
 class ContainerChoice(Choice):
-    """What runs images on a workstation."""
+    """Container engines that a user can choose for runs on a workstation, or none."""
 
     PODMAN = "podman"
     DOCKER = "docker"

@@ -447,7 +447,7 @@ def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, python: Path)
 
 
 class _Made:
-    """What is being done to make an environment, for who waits for it; a context manager.
+    """Progress of making an environment, shown to those who wait for it; a context manager.
 
     Args:
         name: of the algorithm.

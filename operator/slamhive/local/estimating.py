@@ -29,7 +29,7 @@ _AGAIN = 1.25
 
 
 class Costs(Protocol):
-    """What knows the costs of runs: the archive."""
+    """Source of the costs of earlier runs: the archive."""
 
     def costs(
         self, algorithms: Iterable[str], datasets: Iterable[str], each: int = ..., most: int = ...
@@ -38,7 +38,7 @@ class Costs(Protocol):
 
 
 class Estimate:
-    """How long the runs of a sweep take.
+    """Estimate of how long the runs of a sweep take, improved by each run that ends.
 
     Args:
         points: the runs.

@@ -15,7 +15,7 @@ _BLOCK = 512
 
 
 class Extent(NamedTuple):
-    """What some files take.
+    """Disk space that some files take, and their number.
 
     Attributes:
         size: bytes of their blocks.

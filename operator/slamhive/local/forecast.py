@@ -65,7 +65,7 @@ class Told:
 
 @dataclass
 class Forecast:
-    """What sweeps are expected to cost.
+    """Forecast of the CPU, time, memory and disk space that sweeps take, and the runs that it comes from.
 
     Attributes:
         runs: number of runs that are counted.
@@ -135,7 +135,7 @@ def forecast(
 
 @dataclass
 class _Asked:
-    """What is predicted.
+    """Runs whose costs are predicted: their settings, how many have each, and their sweeps.
 
     Attributes:
         planned: what settings need.

@@ -65,7 +65,7 @@ class Going:
 
 @dataclass(frozen=True)
 class Forgetting:
-    """What is to be forgotten.
+    """Plan for forgetting chosen runs: which of them go, and how many stay.
 
     Attributes:
         going: the runs.

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Home:
-    """Where things are kept."""
+    """Folder in which a workstation keeps everything, and the URL of its archive."""
 
     path: Path
     archive_url: str = field(repr=False)

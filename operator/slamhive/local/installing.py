@@ -28,7 +28,7 @@ _FIRST_WAIT = 10.0
 
 
 class Step(NamedTuple):
-    """What pip is at.
+    """Step of an installation by pip, with the number of packages fetched so far.
 
     Attributes:
         what: in words.

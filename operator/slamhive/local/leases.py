@@ -41,7 +41,7 @@ _OTHERS = re.compile(r"[^A-Za-z0-9@._,-]")
 
 
 class LeaseKind(Choice):
-    """What is held."""
+    """Kinds of things in a home that a runner can hold a lease on."""
 
     WORKERS = "workers"
     CORES = "cores"

@@ -52,7 +52,7 @@ Parts = tuple[str, str]
 
 
 class Key(NamedTuple):
-    """What makes a run the same in two homes."""
+    """Identity, content and times of a run; where all are equal, two homes have the same run."""
 
     uid: str
     content: str | None
@@ -62,7 +62,7 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True)
 class Other:
-    """What is merged.
+    """Other home or archive that is merged into one's own.
 
     Attributes:
         label: what it is called.
@@ -96,7 +96,7 @@ class Coming:
 
 @dataclass
 class Merge:
-    """What a merge does.
+    """Plan of a merge: the runs and results that come, what is kept beside, and what could not be copied.
 
     Attributes:
         coming: runs that come.

@@ -30,7 +30,7 @@ _OTHER = ("other files", "")
 
 
 class Room(NamedTuple):
-    """What one kind of things takes.
+    """Disk space that one kind of thing takes in a home, and the command that frees it.
 
     Attributes:
         kind: what they are.

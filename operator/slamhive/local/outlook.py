@@ -33,7 +33,7 @@ _REPETITION = "repetition"
 
 
 class Standing(enum.IntEnum):
-    """How a run of a sweep stands before anything is done."""
+    """States of a run of a sweep before anything is done: whether it is new, finished, stale and so on."""
 
     NEW = 0
     DONE = 1
@@ -83,7 +83,7 @@ class Points(Protocol):
 
 
 class Now(NamedTuple):
-    """What a run would be made from today.
+    """Content hash that a run would have today, and what it is made from.
 
     Attributes:
         content: its content hash.
@@ -96,7 +96,7 @@ class Now(NamedTuple):
 
 @dataclass
 class Outlook:
-    """How the runs of a sweep stand.
+    """State of each run of a sweep before anything is done, with the earlier runs and why some are stale.
 
     Attributes:
         standing: of each, by index.

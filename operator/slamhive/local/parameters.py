@@ -18,7 +18,7 @@ _FILES, _BYTES = 1000, 4 << 20
 
 
 class Uses(NamedTuple):
-    """Who reads an algorithm's parameters.
+    """Parameters of an algorithm that nothing seems to read, and why that may be wrong.
 
     Attributes:
         unused: those that no template and no program of its folder names.

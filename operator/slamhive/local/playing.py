@@ -57,12 +57,12 @@ class Player:
 
     @property
     def took_part(self) -> bool:
-        """Whether there was something to play to this attempt, by whichever slamhive started it."""
+        """True if sensor data were to be played to this attempt, by whichever slamhive started it."""
         return self._folder.is_dir()
 
     @property
     def record(self) -> Path:
-        """Where its supervisor says who runs."""
+        """Path of the file in which the player's supervisor records which processes run."""
         return self._program.record
 
     def start(self, order: AttemptOrder) -> dict[str, str]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AttemptOrder:
-    """What an attempt runs.
+    """Program, configuration, prepared recording and resources of one attempt of a run.
 
     Attributes:
         uid: the run's identity.

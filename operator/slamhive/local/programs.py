@@ -34,7 +34,7 @@ CONTAINER = "container"
 
 
 class Executor(Protocol):
-    """What prepares programs."""
+    """Executor that prepares algorithms' programs, to run as processes or in containers."""
 
     def digest(self, entry: AlgorithmEntry) -> str:
         """Return what tells apart programs: equal digests run the same.

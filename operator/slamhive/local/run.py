@@ -73,7 +73,7 @@ class AtWorkElsewhere(Exception):  # noqa: N818 - no error: the run waits
 
 
 class Step(Choice):
-    """What a run is waiting for, or at."""
+    """Steps of a run that it waits for or works at."""
 
     CORES = "waiting for a core"
     DATASET = "waiting for its dataset"
@@ -84,7 +84,7 @@ class Step(Choice):
 
 
 class Point(Protocol):
-    """What a plan says of one run."""
+    """Run of a plan: its name, place in the sweep and spec."""
 
     @property
     def name(self) -> str:
@@ -141,7 +141,7 @@ class RunOrder:
 
 @dataclass
 class _Progress:
-    """What has been found out about a run so far."""
+    """State of a run as far as it was found out: its program, prepared recording, attempt and results."""
 
     program: Prepared | None = None
     variant: Variant | None = None

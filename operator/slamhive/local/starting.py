@@ -26,7 +26,7 @@ EDITOR_LINE = re.compile(r"^# yaml-language-server: .*\n", re.MULTILINE)
 
 
 class Kind(Choice):
-    """What an algorithm is begun as."""
+    """Kinds of examples that the folder of a new algorithm can be started from."""
 
     LIDAR_PYTHON = "lidar-python"
     ROS1_NODE = "ros1-node"

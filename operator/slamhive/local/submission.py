@@ -40,7 +40,7 @@ _DATE = (1980, 1, 1, 0, 0, 0)
 
 
 class Pick(StrEnum):
-    """Which of several repetitions is submitted."""
+    """Rules for choosing which of several repetitions is submitted."""
 
     FIRST = "first"
     BEST = "best"
@@ -49,7 +49,7 @@ class Pick(StrEnum):
 
 @dataclass(frozen=True)
 class Challenge:
-    """What a challenge wants.
+    """Requirements of a SLAM challenge on a submission: its sequences, sensor of the poses and format.
 
     Attributes:
         sequences: names that its files have; None where no full list of them is public.

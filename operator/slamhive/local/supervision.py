@@ -43,17 +43,17 @@ class Supervised:
 
     @property
     def record(self) -> Path:
-        """Where the supervisor says who runs."""
+        """Path of the file in which the supervisor records which processes run."""
         return self._folder / "process.json"
 
     @property
     def started(self) -> bool:
-        """Whether a supervisor was started."""
+        """True if a supervisor was started."""
         return self._process is not None
 
     @property
     def running(self) -> bool:
-        """Whether the supervisor lives."""
+        """True if the supervisor is alive."""
         return self._process is not None and self._process.poll() is None
 
     def start(self, spec: SupervisorSpec, holding: Collection[int] = ()) -> None:

@@ -10,7 +10,7 @@ _LIMIT = 64 << 10
 
 
 class Words:
-    """What a child writes to its standard error."""
+    """Standard error of a child process, kept in a file in memory."""
 
     def __init__(self) -> None:
         self.descriptor = os.memfd_create("words", os.MFD_CLOEXEC)

@@ -41,7 +41,7 @@ _VARIANTS_LIMIT = "100Gi"
 
 
 class Program(NamedTuple):
-    """What an algorithm is.
+    """Hashes that identify an algorithm with its program: of its Algorithm, environment and image.
 
     Attributes:
         algorithm_hash: hash of its Algorithm.

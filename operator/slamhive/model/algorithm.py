@@ -62,7 +62,7 @@ PARAMETERS_LIMIT = 128 * 1024
 
 
 class Pace(Choice):
-    """How a recording is handed to an algorithm."""
+    """Ways of handing a recording to an algorithm: as fast as it reads, or by the clock."""
 
     LOCKSTEP = "Lockstep"
     REALTIME = "Realtime"
@@ -87,7 +87,7 @@ class Parameter(Model):
     maximum: float | None = optional("Greatest value allowed.")
     values: list[Scalar] | None = optional("The only values allowed.", min_length=1)
     unit: str | None = optional("Unit of the value.")
-    description: str = Field(default="", description="What the parameter does.")
+    description: str = Field(default="", description="Effect of the parameter.")
 
     @model_validator(mode="after")
     def _default_fits(self) -> Self:
@@ -154,14 +154,14 @@ class PoseStamp(Choice):
 
 
 class Poses(Choice):
-    """Which poses an algorithm writes."""
+    """Kinds of poses that an algorithm writes: those of all frames, or of keyframes alone."""
 
     FRAMES = "Frames"
     KEYFRAMES = "Keyframes"
 
 
 class Output(Model):
-    """What the poses of an algorithm mean."""
+    """Meaning of the poses that an algorithm writes, and the files that it writes them into."""
 
     frame: FrameOwner = Field(description="Whose pose is written: a role's sensor, or the body.")
     stamp: PoseStamp = Field(
@@ -193,7 +193,7 @@ class Output(Model):
 
 
 class OutputChange(Model):
-    """What a mode changes of the algorithm's output."""
+    """Differences between the output in one sensor mode and the algorithm's usual output."""
 
     frame: FrameOwner | None = optional("Whose pose is written in this mode.")
     stamp: PoseStamp | None = optional("The instant that a pose and its stamp mean in this mode.")
@@ -242,7 +242,7 @@ class Asset(Model):
 class SettingsFile(Model):
     """A settings file that an algorithm reads, rendered from a template before each run."""
 
-    path: SettingsPath = Field(description="Where it is, below $SLAMHIVE_FILES.")
+    path: SettingsPath = Field(description="Path of the file, below $SLAMHIVE_FILES.")
     template: str = Field(
         max_length=TEMPLATE_LIMIT,
         description="Jinja2 template of its text: see docs/settings-files.md for its names.",
@@ -256,7 +256,7 @@ class SettingsFile(Model):
 
 
 class LocalProgram(Model):
-    """How an algorithm runs on a workstation without a container."""
+    """Program that runs an algorithm on a workstation without a container, and what it needs."""
 
     command: list[str] | None = optional(
         "Program in this folder, with its arguments, where it needs no adapter and no Python.", min_length=1
@@ -296,10 +296,12 @@ class LocalProgram(Model):
 
 
 class RealtimePolicy(Model):
-    """What happens in real time when an algorithm is slower than the sensor."""
+    """Queue and drop policy in real time, for an algorithm that is slower than the sensor."""
 
     queue: int = Field(default=1, ge=1, description="Messages that wait at most.")
-    drop: Literal["Oldest", "Newest"] = Field(default="Oldest", description="Which one goes.")
+    drop: Literal["Oldest", "Newest"] = Field(
+        default="Oldest", description="Message that goes when the queue is full."
+    )
 
 
 class AlgorithmSpec(Model):
@@ -323,14 +325,14 @@ class AlgorithmSpec(Model):
     files: list[SettingsFile] | None = optional(
         "Settings files that it reads, rendered before each run.", max_length=FILES_LIMIT
     )
-    output: Output = Field(description="What its poses mean.")
+    output: Output = Field(description="Meaning of its poses, and the files they are in.")
     paces: list[Pace] = Field(default_factory=lambda: [Pace.LOCKSTEP], min_length=1, description="Paces.")
     realtime: RealtimePolicy | None = optional("Queue and drop policy in real time.")
     ros1: Ros1 | None = optional("In real time it is a ROS 1 node: how it is played to, where its poses are.")
     deterministic: Literal["Yes", "No", "Unknown"] = Field(
         default="Unknown", description="Whether equal input and seed give equal output."
     )
-    seed: Literal["Ignored", "Used"] = Field(default="Ignored", description="What it does with the seed.")
+    seed: Literal["Ignored", "Used"] = Field(default="Ignored", description="Use that it makes of the seed.")
     includes_reader: bool = Field(
         default=False, description="Whether its CPU time holds the reading of the recording."
     )

@@ -39,7 +39,7 @@ class Part(Model):
     """
 
     url: str | None = optional("Where it is.", pattern=HTTPS)
-    mirrors: list[str] = Field(default_factory=list, description="Where else it is.")
+    mirrors: list[str] = Field(default_factory=list, description="Other addresses of it.")
     manual: str | None = optional(
         "The page from which it is to be fetched by hand, after a login or a click.", pattern=HTTPS
     )
@@ -79,13 +79,15 @@ class Part(Model):
 
 
 class SequenceSpec(Model):
-    """What is said of one sequence beside what its family says."""
+    """Entry of one sequence in its family's file: what it has beside what the family says."""
 
     parts: list[str] | None = optional("Names of the parts that it comes from; absent: all.")
     words: dict[str, str] = Field(default_factory=dict, description="Words for the texts of its parts.")
     sizes: dict[str, int] = Field(default_factory=dict, description="Sizes of parts of its own, bytes.")
     sha256: dict[str, Sha256] = Field(default_factory=dict, description="Checksums of parts of its own.")
-    dataset: dict[str, Any] = Field(default_factory=dict, description="What its manifest has of its own.")
+    dataset: dict[str, Any] = Field(
+        default_factory=dict, description="Fields that its manifest has of its own."
+    )
     attributes: dict[str, Scalar] = Field(default_factory=dict, description="To select by.")
 
 
@@ -93,18 +95,18 @@ class FamilyHead(Model):
     """A family of sequences, which one publisher gives away in one layout."""
 
     name: str = Field(pattern=r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$", description="First word of its datasets.")
-    title: str = Field(description="What it is called.")
-    homepage: str = Field(pattern=HTTPS, description="Where it is described.")
+    title: str = Field(description="Name for people.")
+    homepage: str = Field(pattern=HTTPS, description="Page that describes it.")
     license: str = Field(description="Licence of the data.")
-    cite: str = Field(description="What is to be cited where results are published.")
-    unverified: str = Field(default="", description="What nobody has verified yet, one sentence.")
+    cite: str = Field(description="Publication to cite with results.")
+    unverified: str = Field(default="", description="Claims that nobody has verified yet, one sentence.")
     layout: str = Field(description="An importer's layout, or Bag.")
     sensors: dict[str, SensorType] = Field(description="Kinds of the sensors by their names.")
     folder: str = Field(default="", description="The folder that is imported of what is unpacked.")
     sequence: str | None = optional("Which sequence in it the importer takes.")
-    parts: dict[str, Part] = Field(min_length=1, description="What sequences come from.")
+    parts: dict[str, Part] = Field(min_length=1, description="Files and archives that sequences come from.")
     dataset: dict[str, Any] = Field(
-        default_factory=dict, description="What the manifests have beside what is imported; of Bag all."
+        default_factory=dict, description="Fields of the manifests beside what is imported; of Bag all."
     )
     attributes: dict[str, Scalar] = Field(default_factory=dict, description="To select all by.")
 

@@ -24,7 +24,7 @@ class RecordingPlace(Model):
 
 
 class DatasetView(Model):
-    """What an algorithm may know of the dataset."""
+    """Description of the dataset in config.yaml: as much as an algorithm may know."""
 
     name: str
     recording: RecordingPlace
@@ -40,7 +40,7 @@ class SensorView(Sensor):
 
 
 class PreparedRecording(Model):
-    """What preparation tells of a variant, as far as an algorithm is to know it."""
+    """Description of a prepared recording (variant), as far as an algorithm is to know it."""
 
     format: DataFormat
     recording: str = Field(

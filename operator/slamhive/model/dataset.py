@@ -23,7 +23,9 @@ class DataFile(Model):
     """A file of a recording."""
 
     path: RelativePath = Field(description="Path below the dataset's folder on the dataset volume.")
-    url: str | None = Field(default=None, pattern=HTTPS, description="Where to get it when absent.")
+    url: str | None = Field(
+        default=None, pattern=HTTPS, description="Address to fetch it from when it is absent."
+    )
     sha256: Sha256 | None = Field(default=None, description="Checksum of the file.")
 
     @model_validator(mode="after")
@@ -34,9 +36,9 @@ class DataFile(Model):
 
 
 class Recording(Model):
-    """Where the sensors' messages come from: files, or a generator."""
+    """Source of the sensors' messages: files, or a generator."""
 
-    format: RecordingFormat = Field(default=RecordingFormat.ROSBAG1, description="How it is stored.")
+    format: RecordingFormat = Field(default=RecordingFormat.ROSBAG1, description="Format of the recording.")
     files: list[DataFile] = Field(default_factory=list, description="Files, in the order of time.")
     synthetic: SyntheticRecording | None = Field(default=None, description="A generated recording.")
     duration_seconds: float | None = Field(
@@ -51,7 +53,7 @@ class Recording(Model):
 
 
 class TruthFormat(Choice):
-    """How ground truth is written."""
+    """Formats of files with ground truth."""
 
     TUM = "Tum"
     EUROC = "Euroc"
@@ -62,7 +64,7 @@ class TruthFormat(Choice):
 
 
 class TruthColumn(Choice):
-    """What a column of a table of ground truth holds."""
+    """Kinds of columns in a table of ground truth, such as time, position and orientation."""
 
     T = "t"
     SEC = "sec"
@@ -152,7 +154,7 @@ class Hole(Model):
 
 
 class GroundTruth(Model):
-    """Where the reference poses are and what they mean."""
+    """Ground truth of a dataset: where the reference poses are and what they mean."""
 
     file: RelativePath | None = Field(default=None, description="File below the dataset's folder.")
     times: RelativePath | None = Field(
@@ -160,7 +162,7 @@ class GroundTruth(Model):
         description="File with a stamp a line, for Kitti and for tables whose lines have frames.",
     )
     topic: str | None = Field(default=None, description="Topic of the recording that carries the poses.")
-    format: TruthFormat = Field(default=TruthFormat.TUM, description="How the file is written.")
+    format: TruthFormat = Field(default=TruthFormat.TUM, description="Format of the file.")
     table: TruthTable | None = optional("Table, ControlPoints: what the columns are.")
     frame: str = Field(default="body", description="Whose pose it is: body, or the name of a sensor.")
     T_body_frame: Extrinsics | None = Field(
@@ -203,7 +205,7 @@ class DatasetSpec(Model):
     """A recording with what is known about it."""
 
     description: str = Field(default="", description="One sentence.")
-    homepage: str | None = Field(default=None, description="Where the data come from.")
+    homepage: str | None = Field(default=None, description="Page of those who published the data.")
     license: str | None = Field(default=None, description="Licence of the data.")
     catalogue: str | None = Field(
         default=None,

@@ -31,7 +31,7 @@ class SlamHiveError(Exception):
 
 
 class InputError(SlamHiveError):
-    """What the user wrote or gave cannot be used as it is."""
+    """Error in what the user wrote or gave: it cannot be used as it is."""
 
     reason = "InvalidInput"
 

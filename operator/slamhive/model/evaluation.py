@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Alignment(Choice):
-    """How an estimate is moved onto the ground truth before its error is taken."""
+    """Methods of aligning an estimate with the ground truth before its error is taken."""
 
     AUTO = "Auto"
     SE3 = "SE3"
@@ -29,28 +29,30 @@ class RpeSpec(Model):
 
     delta: float = Field(default=1.0, gt=0, description="Distance between the poses of a pair, in unit.")
     unit: Literal["frames", "m", "deg", "rad", "s"] = Field(default="m", description="Unit of delta.")
-    pairs: Literal["All", "Consecutive"] = Field(default="All", description="Which pairs.")
+    pairs: Literal["All", "Consecutive"] = Field(
+        default="All", description="Pairs of poses: all, or those that follow each other."
+    )
     rel_tolerance: float = Field(
         default=0.1, ge=0, le=1, description="Tolerance of delta for all pairs, relative."
     )
 
 
 class Association(Model):
-    """How poses find their counterparts in the ground truth."""
+    """Settings for matching the poses of an estimate with the ground truth by their time stamps."""
 
     max_difference: Duration = Field(default="10ms", description="Greatest difference of time stamps.")
     offset: float = Field(default=0.0, description="Seconds to add to the estimate's stamps.")
 
 
 class Success(Model):
-    """When a run counts as tracked."""
+    """Conditions under which a run counts as tracked."""
 
     min_coverage: float = Field(default=0.9, gt=0, le=1, description="Least share of the path covered.")
     max_ate: float | None = Field(default=None, gt=0, description="Greatest ATE RMSE in m.")
 
 
 class EvaluationSettings(Model):
-    """How trajectories are measured; part of an Evaluation and of a Sweep."""
+    """Settings for measuring trajectories; part of an Evaluation and of a Sweep."""
 
     alignment: Alignment = Field(
         default=Alignment.AUTO, description="Auto: Sim3 for monocular runs, SE3 for all others."
@@ -63,11 +65,13 @@ class EvaluationSettings(Model):
     rpe: list[RpeSpec] = Field(
         default_factory=lambda: [RpeSpec()], max_length=16, description="Relative pose errors."
     )
-    success: Success = Field(default_factory=Success, description="When a run counts as tracked.")
+    success: Success = Field(
+        default_factory=Success, description="Conditions under which a run counts as tracked."
+    )
 
 
 class RunSelector(Model):
-    """Which runs an Evaluation measures."""
+    """Selection of the runs that an Evaluation measures, by name, Sweep or label."""
 
     names: list[Name] = Field(default_factory=list, description="Runs by name.")
     sweep_ref: Reference | None = Field(default=None, description="All runs of a Sweep.")

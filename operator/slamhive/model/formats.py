@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class RecordingFormat(Choice):
-    """How a recording is stored."""
+    """Bag formats in which a recording is stored."""
 
     ROSBAG1 = "Rosbag1"
     ROSBAG2 = "Rosbag2"

@@ -93,7 +93,7 @@ _Places = dict[Path_, list[int]]
 
 @dataclass
 class Judged:
-    """What a document is, and what is wrong with it.
+    """Result of checking a document: the object that it holds, and the mistakes in it.
 
     Attributes:
         document: the document.

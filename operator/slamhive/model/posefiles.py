@@ -18,7 +18,7 @@ _TAKEN = (
 
 
 class PoseFormat(Choice):
-    """How a file holds poses."""
+    """Formats of files in which a program writes its poses."""
 
     TUM = posefiles.TUM
     EUROC = posefiles.EUROC

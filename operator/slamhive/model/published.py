@@ -16,7 +16,7 @@ from slamhive.model.sensors import SensorMode
 
 
 class PublishedStatistic(Choice):
-    """What a published number stands for."""
+    """Statistics that a published number can be: a single run, or mean, median or best of several."""
 
     SINGLE = "Single"
     MEAN = "Mean"
@@ -25,13 +25,13 @@ class PublishedStatistic(Choice):
 
 
 class PublishedSource(Model):
-    """Where numbers were published."""
+    """Publication that numbers are taken from: a paper, or a leaderboard."""
 
     title: str = Field(min_length=1, description="Title of the paper, or name of the leaderboard.")
-    authors: list[str] = Field(default_factory=list, description="Who published them.")
+    authors: list[str] = Field(default_factory=list, description="Those who published them.")
     venue: str | None = Field(default=None, description="Conference, journal or site.")
     year: int | None = Field(default=None, ge=1950, le=2100, description="Year of publication.")
-    url: str | None = Field(default=None, pattern=r"^https?://", description="Where it can be read.")
+    url: str | None = Field(default=None, pattern=r"^https?://", description="Address where it can be read.")
     doi: str | None = Field(default=None, pattern=r"^10\.", description="Its DOI.")
 
 
@@ -51,9 +51,9 @@ class PublishedTable(Model):
 
     place: str = Field(min_length=1, description="Table or page.")
     alignment: Alignment | None = Field(default=None, description="Alignment; none: it isn't said.")
-    statistic: PublishedStatistic | None = Field(default=None, description="What the numbers stand for.")
+    statistic: PublishedStatistic | None = Field(default=None, description="Statistic that the numbers are.")
     runs: int | None = Field(default=None, ge=1, description="Repetitions behind each number.")
-    poses: str | None = Field(default=None, description="Which poses are measured: all frames, keyframes, …")
+    poses: str | None = Field(default=None, description="Poses that are measured: all frames, keyframes, …")
     frame: str | None = Field(default=None, description="Whose poses are measured: body, camera, …")
     truth: str | None = Field(default=None, description="Ground truth, where not the publishers' own.")
     units: dict[str, str] = Field(default_factory=dict, description="Units, by column; default: as stored.")
@@ -71,7 +71,7 @@ class PublishedTable(Model):
 class PublishedNumbers(Model):
     """A file of published numbers."""
 
-    source: PublishedSource = Field(description="Where they were published.")
+    source: PublishedSource = Field(description="Paper or leaderboard that has them.")
     families: dict[str, list[str]] = Field(
         default_factory=dict, description="Sequences by family: a dataset FAMILY-SEQUENCE is meant too."
     )

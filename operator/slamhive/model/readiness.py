@@ -10,7 +10,7 @@ from slamhive.model.base import Choice
 
 
 class State(Choice):
-    """Whether something is there."""
+    """States of a thing that ``slamhive doctor`` checks, such as there or missing."""
 
     THERE = "there"
     LIMITED = "limited"
@@ -21,7 +21,7 @@ class State(Choice):
 
 @dataclass(frozen=True)
 class Row:
-    """What was found of one thing.
+    """Result of one check of ``slamhive doctor``.
 
     Attributes:
         check: what it is.

@@ -21,7 +21,7 @@ IMPORTED = "slam-hive"
 
 
 class Phase(Choice):
-    """Where a run is; for printing, derived from what happened."""
+    """Phases of a run, from waiting to its end; for printing, derived from what happened."""
 
     PENDING = "Pending"
     PREPARING = "Preparing"
@@ -37,7 +37,7 @@ class Phase(Choice):
 
 
 class Reason(Choice):
-    """Why a run is as it is."""
+    """Reasons for a run's phase, such as what made it fail."""
 
     INVALID_PARAMETERS = "InvalidParameters"
     DATASET_MISSING = "DatasetMissing"
@@ -68,7 +68,7 @@ class Reason(Choice):
 
 
 class Outcome(Choice):
-    """What an evaluation found of a run that ended well."""
+    """Verdicts of an evaluation on a run that ended well, such as tracked or lost."""
 
     TRACKED = "Tracked"
     PARTIAL = "Partial"
@@ -90,7 +90,7 @@ class CpuUsage(Model):
 
 
 class MemoryKind(Choice):
-    """What peakBytes and meanBytes are; those of different kinds can't be compared."""
+    """Kinds of memory that peakBytes and meanBytes measure; different kinds can't be compared."""
 
     RESIDENT = "Resident"
     WORKING_SET = "WorkingSet"
@@ -116,7 +116,7 @@ class MemoryUsage(Model):
 
 
 class Usage(Model):
-    """What a run cost."""
+    """CPU time, memory and wall time that a run took, and how they were measured."""
 
     model_config = ConfigDict(extra="ignore")
     cpu: CpuUsage = Field(default_factory=CpuUsage)
@@ -195,7 +195,7 @@ class TrajectoryInfo(Model):
 
 
 class Prepared(Model):
-    """What a run was given of its recording, counted in what was prepared of it."""
+    """Frame rate, resolution and length of what a run was given of its recording, counted in its variant."""
 
     model_config = ConfigDict(extra="ignore")
     frame_rate: float | None = optional("Rate of the sensor whose frames are counted, in Hz.")
@@ -211,7 +211,7 @@ class Prepared(Model):
 
 
 class Provenance(Model):
-    """What exactly produced a result, and what was asked of the recording without effect."""
+    """Origin of a result: hashes, versions and machine, and input options that had no effect."""
 
     content_hash: str | None = optional(
         "Hash of everything that decides the result: equal hashes, equal runs."
@@ -237,7 +237,7 @@ class Provenance(Model):
 
 
 class Result(Model):
-    """What one evaluation found of one run; ``values`` are the evaluator's own names."""
+    """Outcome, coverage and errors of a run in one evaluation; ``values`` has the evaluator's own names."""
 
     evaluation: str
     outcome: Outcome

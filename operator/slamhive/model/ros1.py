@@ -36,7 +36,7 @@ class Ros1Poses(Model):
 
     topic: RosTopic = Field(description="The topic; /tf for transforms.")
     type: PoseMessage = Field(
-        description="What it carries. Of a Path the last message is the final estimate; TF needs two frames."
+        description="Type of its messages. A Path's last message is the final estimate; TF needs two frames."
     )
     parent: RosFrame | None = Field(default=None, description="TF: the frame of the algorithm's world.")
     frame: RosFrame | None = Field(default=None, description="TF: the frame whose pose is taken.")
@@ -59,7 +59,7 @@ class Ros1Poses(Model):
 class Ros1(Model):
     """A ROS 1 node: a player beside it plays the recording and records its poses."""
 
-    poses: Ros1Poses = Field(description="Where its poses come from.")
+    poses: Ros1Poses = Field(description="Source of its poses.")
     topics: dict[str, RosTopic] = Field(
         default_factory=dict,
         description="Topic on which it takes a role's messages, such as lidar: /velodyne_points; default: "

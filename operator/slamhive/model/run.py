@@ -13,7 +13,7 @@ from slamhive.model.sensors import SensorMode
 
 
 class LidarInput(Model):
-    """What is kept of LiDAR scans."""
+    """Filter of LiDAR scans: range of the points and number of rings that are kept."""
 
     min_range: float | None = Field(default=None, ge=0, description="Points nearer than this go, in m.")
     max_range: float | None = Field(default=None, gt=0, description="Points farther than this go, in m.")
@@ -21,7 +21,7 @@ class LidarInput(Model):
 
 
 class InputOptions(Model):
-    """What the algorithm is given of the recording."""
+    """Options of a run's input: pace, and what is taken of the recording and its sensors."""
 
     pace: Pace | None = Field(
         default=None, description="Lockstep or Realtime; default: the algorithm's first."
@@ -33,14 +33,14 @@ class InputOptions(Model):
     start: Duration | None = Field(default=None, description="Time to leave out at the beginning.")
     duration: Duration | None = Field(default=None, description="Length to keep.")
     rate: float | None = Field(default=None, gt=0, le=100, description="Speed of playback in real time.")
-    lidar: LidarInput | None = Field(default=None, description="What is kept of scans.")
+    lidar: LidarInput | None = Field(default=None, description="Filter of LiDAR scans.")
     remap: dict[str, str] = Field(
         default_factory=dict, description="Sensor of the dataset for a role, such as camera: back."
     )
 
 
 class Resources(Model):
-    """What a run may use; requests equal limits."""
+    """Processors, memory and GPUs that a run may use; requests equal limits."""
 
     cpu: Quantity = Field(default="1", description="Processors; on a workstation whole cores.")
     memory: Quantity = Field(default="4Gi", description="Memory.")
@@ -54,10 +54,12 @@ class MappingRunSpec(Model):
     dataset_ref: Reference = Field(description="The Dataset.")
     sensors: SensorMode | None = Field(default=None, description="Sensor mode; default: the only one.")
     parameters: dict[str, Scalar] = Field(default_factory=dict, description="The algorithm's parameters.")
-    input: InputOptions = Field(default_factory=InputOptions, description="What it is given.")
+    input: InputOptions = Field(
+        default_factory=InputOptions, description="Options of the input: pace, rates, resolution, span."
+    )
     repetition: int = Field(default=0, ge=0, le=100_000, description="Number of the repetition.")
     seed: int = Field(default=1, ge=0, le=2**31 - 1, description="Seed for the algorithm.")
-    resources: Resources = Field(default_factory=Resources, description="What it may use.")
+    resources: Resources = Field(default_factory=Resources, description="Processors, memory and GPUs.")
     timeout: Duration = Field(default="1h", description="Longest time from the algorithm's first process.")
     retries: int = Field(
         default=2, ge=0, le=10, description="Further attempts after infrastructure failures."

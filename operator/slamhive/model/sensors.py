@@ -41,7 +41,7 @@ class SensorMode(Choice):
 
 
 class Role(Choice):
-    """What a sensor is to an algorithm."""
+    """Roles of sensors in an algorithm's sensor modes, such as left camera, LiDAR or IMU."""
 
     CAMERA = "camera"
     LEFT = "left"
@@ -141,7 +141,7 @@ SAME_RATE = 1.02
 
 
 class SensorType(Choice):
-    """What kind of device a sensor is."""
+    """Kinds of devices that a dataset's sensors can be."""
 
     CAMERA = "Camera"
     DEPTH_CAMERA = "DepthCamera"
@@ -241,7 +241,7 @@ class Camera(Model):
 
 
 class Lidar(Model):
-    """What is to know of a LiDAR."""
+    """Properties of a LiDAR: rings, columns, valid range, and names of its point fields."""
 
     rings: int | None = Field(default=None, gt=0, le=1024, description="Number of rings.")
     columns: int | None = Field(default=None, gt=0, le=65536, description="Firings per turn.")

@@ -53,10 +53,10 @@ class Condition(_Item):
 
     type: str = Field(max_length=316, description="Name of the aspect.")
     status: Literal["True", "False", "Unknown"] = Field(description="Whether it holds.")
-    reason: str = Field(max_length=1024, description="Why, in one word.")
-    message: str = Field(max_length=32768, description="Why, in a sentence.")
+    reason: str = Field(max_length=1024, description="Reason in one word.")
+    message: str = Field(max_length=32768, description="Reason in a sentence.")
     observed_generation: _Count | None = optional("Generation of the spec that it was found for.")
-    last_transition_time: _Time = Field(description="When the status last changed.")
+    last_transition_time: _Time = Field(description="Time at which the status last changed.")
 
 
 class Status(Model):
@@ -146,12 +146,12 @@ class ResultFigures(ErrorFigures):
 
 
 class ResultEntry(_Item):
-    """What one evaluation found."""
+    """Result of a run in one evaluation: outcome, coverage, scale and errors."""
 
     model_config = ConfigDict(json_schema_extra={KEEP: True})
 
     evaluation: _Line = Field(description="Name of the Evaluation.")
-    outcome: Outcome = Field(description="What became of the run.")
+    outcome: Outcome = Field(description="Verdict on the run, such as Tracked or Lost.")
     coverage: float | None = optional("Share of the ground truth's path that the estimate covers.")
     scale: float | None = optional("Scale of the alignment.")
     ate: ResultFigures | None = optional("Absolute trajectory error in m.")
@@ -175,7 +175,7 @@ class RunDisplay(Model):
 
 
 class MappingRunStatus(Status):
-    """What happened to the run."""
+    """Status of a MappingRun: phase and reason, attempts, usage and results."""
 
     phase: Phase | None = optional("Where the run is, for printing.")
     reason: _Word | None = optional("Why it is there, in one word.")
@@ -195,11 +195,11 @@ class MappingRunStatus(Status):
     results: list[ResultEntry] = Field(
         default_factory=list,
         max_length=MOST_RESULTS,
-        description="What evaluations found, by evaluation.",
+        description="Results, one an evaluation.",
         json_schema_extra=_map_by("evaluation"),
     )
     provenance: Provenance = Field(
-        default_factory=Provenance, description="What exactly produced the result."
+        default_factory=Provenance, description="Hashes, versions and machine that produced the result."
     )
     start_time: _Time | None = optional("When the first run or attempt started.")
     completion_time: _Time | None = optional("When it had finished.")
@@ -214,7 +214,7 @@ class SweepDisplay(Model):
 
 
 class AxisSelection(_Item):
-    """What one axis runs over."""
+    """Catalog entries that the selector of one axis of a Sweep chose."""
 
     axis: _Count | None = optional("Index of the axis.")
     names: list[_Line] = Field(
@@ -234,7 +234,7 @@ class BestRun(_Item):
 
 
 class SweepStatus(Status):
-    """How far the Sweep is."""
+    """Status of a Sweep: phase, counts of its runs, and the best of them."""
 
     total: _Count | None = optional("Number of runs: total.")
     pending: _Count | None = optional("Number of runs: pending.")
@@ -250,7 +250,7 @@ class SweepStatus(Status):
     selected: list[AxisSelection] = Field(
         default_factory=list,
         max_length=32,
-        description="What each selector of the matrix chose when the Sweep began.",
+        description="Names that each selector of the matrix chose when the Sweep began.",
     )
     best: list[BestRun] = Field(
         default_factory=list,
@@ -267,7 +267,7 @@ class SweepStatus(Status):
 
 
 class EvaluationStatus(Status):
-    """How far the Evaluation is."""
+    """Status of an Evaluation: counts of its runs, and figures over all of them."""
 
     runs: _Count | None = optional("Runs that it selects.")
     evaluated: _Count | None = optional("Runs evaluated.")
@@ -276,7 +276,7 @@ class EvaluationStatus(Status):
 
 
 class VariantPhase(Choice):
-    """Whether a variant is ready."""
+    """Phases of a variant's preparation."""
 
     PENDING = "Pending"
     PREPARING = "Preparing"
@@ -299,7 +299,7 @@ class VariantEntry(_Item):
 
 
 class DatasetStatus(Status):
-    """What is prepared of the dataset."""
+    """Status of a Dataset: the variants that are prepared of it."""
 
     variants: list[VariantEntry] = Field(
         default_factory=list,

@@ -73,33 +73,33 @@ class Axis(Model):
 
 
 class SearchMethod(Choice):
-    """How points are chosen from the matrix."""
+    """Methods of choosing points from the matrix of a Sweep."""
 
     GRID = "Grid"
 
 
 class Search(Model):
-    """How points are chosen from the matrix."""
+    """Settings for choosing points from the matrix of a Sweep."""
 
     method: SearchMethod = Field(default=SearchMethod.GRID, description="Grid: every point.")
 
 
 class Budget(Model):
-    """When a Sweep stops starting runs."""
+    """Limits at which a Sweep stops starting runs."""
 
     wall_time: Duration | None = Field(default=None, description="Time since its start.")
     cpu_hours: float | None = Field(default=None, gt=0, description="CPU hours of its runs.")
 
 
 class CachePolicy(Choice):
-    """What to do about a run whose like has been done."""
+    """Policies for a run that equals a finished one: take that one's result, or run again."""
 
     REUSE = "Reuse"
     RERUN = "Rerun"
 
 
 class Retention(Model):
-    """What is kept of finished runs."""
+    """Rules for what is kept of a Sweep's finished runs: objects, and run folders."""
 
     runs: int = Field(default=1000, ge=0, description="MappingRun objects kept when there is an archive.")
     files: Literal["Keep", "Delete"] = Field(default="Keep", description="Run folders.")
@@ -113,7 +113,7 @@ class TemplateMeta(Model):
 
 
 class RunTemplate(Model):
-    """What every run starts from."""
+    """Template of a Sweep that every run starts from: metadata and spec."""
 
     metadata: TemplateMeta = Field(default_factory=TemplateMeta, description="Labels and annotations.")
     spec: dict[str, Any] = Field(
@@ -124,7 +124,9 @@ class RunTemplate(Model):
 class SweepSpec(Model):
     """Many runs: a template, and a matrix of what varies."""
 
-    template: RunTemplate = Field(default_factory=RunTemplate, description="What every run starts from.")
+    template: RunTemplate = Field(
+        default_factory=RunTemplate, description="Metadata and spec that every run starts from."
+    )
     matrix: list[Axis] = Field(
         default_factory=list, max_length=32, description="Axes, the first one slowest."
     )
@@ -137,16 +139,18 @@ class SweepSpec(Model):
     repetitions: int = Field(
         default=1, ge=1, le=10_000, description="Runs of each point, each with its seed."
     )
-    search: Search = Field(default_factory=Search, description="How points are chosen.")
+    search: Search = Field(default_factory=Search, description="Choice of points from the matrix.")
     parallelism: int | None = Field(default=None, ge=1, le=10_000, description="Runs at the same time.")
     max_failures: int | None = Field(default=None, ge=0, description="Failed runs after which it stops.")
-    budget: Budget = Field(default_factory=Budget, description="When it stops starting runs.")
+    budget: Budget = Field(default_factory=Budget, description="Limits at which it stops starting runs.")
     suspend: bool = Field(default=False, description="Whether to start no further runs.")
     cache_policy: CachePolicy = Field(default=CachePolicy.REUSE, description="Reuse of equal runs' results.")
     evaluation: EvaluationSettings = Field(
-        default_factory=EvaluationSettings, description="How the runs are measured."
+        default_factory=EvaluationSettings, description="Settings for measuring the runs."
     )
-    retention: Retention = Field(default_factory=Retention, description="What is kept.")
+    retention: Retention = Field(
+        default_factory=Retention, description="Finished runs and folders that are kept."
+    )
 
 
 IMMUTABLE = ("template", "matrix", "include", "exclude", "repetitions", "search")

@@ -24,7 +24,7 @@ DEFAULT_SPEED = 1.25
 
 
 class SyntheticSensor(Choice):
-    """What the platform carries. Each has its own pose, no right angles to the body."""
+    """Sensors that the platform can carry, each with its own pose, at no right angle to the body."""
 
     LIDAR = "Lidar"
     IMU = "Imu"
@@ -48,7 +48,7 @@ FIXED_RATES = {
 
 
 class SyntheticRig(Choice):
-    """How the sensors are mounted. Cameras and lidar are the same on all, the IMU isn't."""
+    """Mountings of the sensors. Cameras and lidar are the same on all, the IMU isn't."""
 
     ASKEW = "Askew"
     EUROC = "Euroc"
@@ -113,7 +113,7 @@ class SyntheticCamera(_Model):
 
 
 class SyntheticVibration(_Model):
-    """What engines, wheels or steps add to the path while the platform moves: in each coordinate sines."""
+    """Vibration of the moving platform, as by engines, wheels or steps: sines in each coordinate."""
 
     amplitude_metres: Annotated[float, Field(ge=0.0, le=0.02)] = 0.002
     """Standard deviation of the displacement along each axis of the world, m."""

@@ -75,7 +75,7 @@ class TemplateMistake(ValueError):  # noqa: N818 - what a user wrote, said in a 
 
 @dataclass(frozen=True)
 class Template:
-    """What a template takes of the run.
+    """Parameters of the run that a template of a settings file takes.
 
     Attributes:
         parameters: names of parameters that it names.

@@ -32,7 +32,7 @@ _EARLY_SAMPLES = (0.005, 0.02, 0.05)
 
 
 class SampleTimes:
-    """When to sample: on a grid from the start, and a few times before it begins."""
+    """Times at which usage is sampled: on a grid from the start, and a few before it begins."""
 
     def __init__(self, start: float, interval: float) -> None:
         """Begin at `start` (monotonic clock, s)."""
@@ -94,7 +94,7 @@ class MemoryUsage:
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What a run used.
+    """CPU, memory and time that a run took.
 
     Attributes:
         cpu: Processor use.
@@ -239,7 +239,7 @@ class Accounting:
 
 
 class Contention:
-    """Whether others took the processors a run was to have for itself.
+    """Meter of the processor time that others took from a run on the processors meant for it alone.
 
     In each window the smaller of two times counts: what others (and the hypervisor: steal) used on the run's
     processors, and what the run's threads waited in the queue for a processor. The first alone would blame a

@@ -93,7 +93,7 @@ def _state(found: os.stat_result) -> tuple[int, int, int]:
 
 
 class OutputPipe:
-    """What the algorithm prints to one stream, taken from a pipe so that its size can be bounded.
+    """Pipe from stdout or stderr of the algorithm into its log, so that the log's size can be bounded.
 
     Each stream has a pipe of its own, so that what stderr ends with is known; lines go into the log whole.
 

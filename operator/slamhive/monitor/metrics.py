@@ -38,7 +38,7 @@ class ReaderShare(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ReaderReport:
-    """What metrics.json says about reading the recording.
+    """Report of the algorithm in metrics.json on the CPU time of reading the recording.
 
     Attributes:
         cpu_seconds: CPU seconds of the reader, None if it doesn't say.

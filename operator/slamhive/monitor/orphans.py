@@ -37,7 +37,7 @@ _SIGTERM = 15
 
 @dataclass(frozen=True, slots=True)
 class ProcessRecord:
-    """What process.json holds.
+    """Contents of process.json: the supervisor, algorithm and cgroups of a run, to find what is left.
 
     Attributes:
         boot: The boot it belongs to; after another one nothing of it can be alive.
@@ -55,7 +55,7 @@ class ProcessRecord:
 
     @property
     def token(self) -> str:
-        """What the run's processes carry in their environment as SLAMHIVE_SUPERVISOR."""
+        """Value of SLAMHIVE_SUPERVISOR in the environment of the run's processes."""
         return f"{self.supervisor.pid}:{self.supervisor.start}"
 
     def write(self, path: str) -> None:

@@ -27,7 +27,7 @@ class Stop(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ending:
-    """What is known when a run has ended.
+    """Facts about a run's end that its outcome is judged by: wait status, stop decision, OOM kills.
 
     Attributes:
         status: Wait status of the algorithm's first process, None if it never ran.

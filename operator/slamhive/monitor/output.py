@@ -29,7 +29,7 @@ _MIB = 1 << 20
 
 
 class Extent(NamedTuple):
-    """What is below a folder.
+    """Size of what is below a folder: bytes, and number of files and folders.
 
     Attributes:
         size: Bytes of all files.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True, kw_only=True)
 class SidecarState:
-    """What is known of the algorithm.
+    """State of the algorithm as its sidecar has seen it: processes, figures measured, and end.
 
     Attributes:
         first: The container's first process, None while it wasn't seen.

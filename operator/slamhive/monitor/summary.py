@@ -14,7 +14,7 @@ from slamhive.monitor.accounting import Usage  # noqa: TC001 - the type of a pub
 
 
 class Reason(StrEnum):
-    """Why a run did not succeed."""
+    """Reasons for which a run did not succeed."""
 
     DEADLINE_EXCEEDED = "DeadlineExceeded"
     OUT_OF_MEMORY = "OutOfMemory"
@@ -26,7 +26,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """How a run ended.
+    """Summary of a finished run, written to summary.json: how it ended, what it used and left.
 
     Attributes:
         exit_code: The algorithm's exit code, None if a signal ended it or it never ended.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Catalog(Protocol):
-    """What a plan asks of a catalog, be it read from folders or from a cluster."""
+    """Interface of a catalog for plans: Algorithms and Datasets, from folders or from a cluster."""
 
     @property
     def algorithms(self) -> Mapping[str, Algorithm]:

@@ -28,7 +28,7 @@ _LIDAR = (("input", "lidar", "minRange"), ("input", "lidar", "maxRange"))
 
 @dataclass
 class _Use:
-    """What comes of one value of an input option.
+    """Findings on one value of an input option: who asks for it, and whether it has an effect.
 
     Attributes:
         row: the first combination that asks for it.

@@ -39,7 +39,7 @@ _CAMERAS = frozenset({SensorType.CAMERA, SensorType.DEPTH_CAMERA})
 
 @dataclass(frozen=True)
 class Recorded:
-    """What is known of a recording as one mode reads it.
+    """Properties of a recording as one mode reads it, as far as they are known.
 
     Attributes:
         dataset: name of the Dataset.

@@ -44,7 +44,7 @@ _MISSING = object()
 
 @dataclass(frozen=True)
 class Addition:
-    """What include adds to a combination, or a combination that it makes."""
+    """Fields that include adds to a combination, or a combination that it makes."""
 
     coordinates: Coordinates = field(default_factory=dict)
     settings: Settings = field(default_factory=dict)

@@ -26,7 +26,7 @@ _PORT = 11311
 
 @dataclass(frozen=True)
 class PlayerPod:
-    """What a pod needs for its player.
+    """Environment variables and startup probe that a run's pod needs for its player.
 
     Attributes:
         variables: Environment of the player.

@@ -22,7 +22,7 @@ REPORT_FILE = "playback.json"
 
 @dataclass(frozen=True)
 class PoseSource:
-    """Where poses come from.
+    """Source of the poses that a ROS 1 node publishes: topic, message type, frames, shift of stamps.
 
     Attributes:
         topic: The topic.
@@ -61,7 +61,7 @@ class FrameSource:
 
 @dataclass(frozen=True)
 class PlayRequest:
-    """What to play to whom.
+    """Request to the player: the recording, the algorithm's topics and poses, speed and time limits.
 
     Attributes:
         recording: Path of the bag.

@@ -57,7 +57,7 @@ _COMMANDS = re.compile(r"\\rotatebox\{60\}\{.*\}|\\[a-z]+\*?|[{}$]")
 
 
 class Rules(Choice):
-    """How a table's lines are drawn."""
+    """Styles of the lines in a LaTeX table."""
 
     BOOKTABS = "booktabs"
     IEEE = "ieee"

@@ -57,7 +57,7 @@ _COMMENT = re.compile(r"/\*.*?\*/\s*", re.DOTALL)
 
 @dataclass(frozen=True)
 class Contents:
-    """What a report shows.
+    """Choices of what a report shows: its title, metric, competitors, charts and notes.
 
     Attributes:
         title: its heading.

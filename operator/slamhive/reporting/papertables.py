@@ -35,14 +35,14 @@ _MOST_DIGITS = 6
 
 
 class Statistic(Choice):
-    """What stands for several runs."""
+    """Statistics that stand for several runs in a table or figure: mean or median."""
 
     MEAN = "mean"
     MEDIAN = "median"
 
 
 class Overall(Choice):
-    """What may stand for a row over all datasets: metres of one dataset say nothing about another."""
+    """Ranks or ratios of a row over all datasets, as metres of one dataset say nothing about another."""
 
     RANK = "rank"
     RATIO = "ratio"
@@ -58,7 +58,7 @@ class Best(Choice):
 
 @dataclass(frozen=True)
 class Layout:
-    """How a table is laid out.
+    """Layout of a table for a paper: its rows, columns, metrics and how runs are summarised.
 
     Attributes:
         rows, columns: names of columns whose values tell rows and columns apart.
@@ -136,7 +136,7 @@ class Place:
 
     @property
     def verdict(self) -> str:
-        """What became of most of the runs that weren't tracked."""
+        """Most frequent outcome among the runs that weren't tracked."""
         return max(self.untracked, key=lambda word: self.untracked[word], default="–")
 
 
@@ -172,12 +172,12 @@ class PaperTable:
 
     @property
     def has_failures(self) -> bool:
-        """Whether any run wasn't tracked."""
+        """True if any run wasn't tracked."""
         return any(place.untracked for line in self.places for place in line if place is not None)
 
     @property
     def shows_counts(self) -> bool:
-        """Whether n stands in the table: where it says more than a sentence could."""
+        """True if n is shown in the table: where it says more than a sentence could."""
         low, high = self.counts
         return low != high or any(
             place.n < place.runs for line in self.places for place in line if place is not None

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Preset:
-    """What a published table shows.
+    """Rows, columns, metrics and choice of runs of a published table, to make it again.
 
     Attributes:
         rows, columns: names of columns, joined by commas.

@@ -65,7 +65,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Study:
-    """What a question came to.
+    """Answer to a question about runs: panels of charts, groups of runs for the table, and notes.
 
     Attributes:
         question: what was asked.

@@ -195,7 +195,7 @@ def differences_of(found: Iterable[Published]) -> list[str]:
 
 @dataclass(frozen=True)
 class _Own:
-    """What own results on a dataset are like."""
+    """Alignments of own results on a dataset, compared with those of published ones."""
 
     alignments: frozenset[str]
 

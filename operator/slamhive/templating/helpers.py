@@ -28,7 +28,7 @@ _CAMERAS = (*_ALONE[:4], "camera2", "camera3", "camera4")
 
 
 class Helpers:
-    """What a template may ask of one run.
+    """Values and functions that a template can use, made from one run's configuration.
 
     Args:
         told: the run's configuration, as config.yaml has it.

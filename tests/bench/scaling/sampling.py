@@ -32,7 +32,7 @@ PLURALS = {
 
 @dataclass(frozen=True)
 class Sample:
-    """What is seen at one moment.
+    """Measurements of a running Sweep at one moment: objects, sizes, memory and CPU time.
 
     Attributes:
         seconds: since the Sweep was made, without the time of the loops of Jobs.

@@ -205,7 +205,7 @@ def metrics_server(instance: Instance) -> list[str]:
 
 
 def metrics_objects(instance: Instance) -> list[dict[str, Any]]:
-    """What makes the API server ask the metrics server."""
+    """Return the Service, endpoints and APIService by which the API server asks the metrics server."""
     name, namespace = "metrics-server", "kube-system"
     service = {"name": name, "namespace": namespace, "port": 443}
     return [

@@ -5,4 +5,4 @@ from __future__ import annotations
 
 
 class ClusterError(Exception):
-    """What is missing or went wrong, in a sentence."""
+    """Error of the test cluster: what is missing or went wrong, in a sentence."""

@@ -124,7 +124,7 @@ def description(roles: Mapping[str, Mapping[str, Any]] | None = None, **changes:
 
 @dataclass(frozen=True)
 class Play:
-    """How pods end.
+    """Script for played pods: how long they run, how they end and what their monitors say.
 
     Attributes:
         run: what the monitor of a run says; None leaves it silent.
@@ -145,7 +145,7 @@ class Play:
 
 @dataclass(frozen=True)
 class Moment:
-    """What the status of a played pod says from some moment on.
+    """Status of a played pod from some moment on: its phase and the states of its containers.
 
     Attributes:
         phase: the pod's phase.

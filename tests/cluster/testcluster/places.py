@@ -27,7 +27,7 @@ def home() -> Path:
 
 @dataclass(frozen=True)
 class Addresses:
-    """What an instance occupies of 198.18.0.0/16, a range set aside for tests of networks (RFC 2544)."""
+    """Addresses of an instance within 198.18.0.0/16, a range set aside for tests of networks (RFC 2544)."""
 
     number: int
 
@@ -95,7 +95,7 @@ class Instance:
 
     @property
     def changed_runtime(self) -> Path:
-        """Where a test may put a program that changes containers of the runtime ``changed``."""
+        """Path where a test may put a program that changes containers of the runtime ``changed``."""
         return self.folder / "changed-runc"
 
     def addresses(self) -> Addresses:

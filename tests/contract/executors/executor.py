@@ -31,7 +31,7 @@ REUSED = "reused"
 
 
 class Executor(Protocol):
-    """What runs algorithms: the process executor of a workstation, a cluster."""
+    """Interface of a system that runs algorithms: a workstation's processes or containers, or a cluster."""
 
     name: str
     """By which table.py names its differences."""

@@ -48,7 +48,7 @@ TIMEOUT_SECONDS = 3
 
 @dataclass(frozen=True)
 class Difference:
-    """How an outcome on one executor must differ.
+    """Difference that an outcome must have on one executor, with the reason for it.
 
     Attributes:
         why: the reason.
@@ -61,7 +61,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Behaviour:
-    """What must come of a behaviour.
+    """Expected outcome of a run whose algorithm shows one behaviour of the table.
 
     Attributes:
         phase: Failed or Succeeded.

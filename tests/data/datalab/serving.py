@@ -23,7 +23,7 @@ BLOCK = 1 << 18
 
 @dataclass
 class Site:
-    """What is served, how, and what was asked.
+    """Content and faults of a test's https server, with a record of what it was asked.
 
     Attributes:
         folder: Files by their paths.

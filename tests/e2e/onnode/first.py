@@ -31,7 +31,7 @@ GAUGES = ("slamhive_run_cpu_cores", "slamhive_run_memory_bytes")
 
 @dataclass
 class First:
-    """What came of the sweep.
+    """Results of the first sweep of docs/kubernetes.md, on the cluster and by `slamhive run`.
 
     Attributes:
         told: what the document's commands printed.

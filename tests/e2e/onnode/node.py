@@ -18,7 +18,7 @@ ROOT = Path("/sys/fs/cgroup")
 
 @dataclass
 class Account:
-    """What the kernel said of a container until its control group was gone.
+    """CPU time and memory of a container by the kernel's account, until its control group was gone.
 
     Attributes:
         cpu_seconds: CPU time.

@@ -38,7 +38,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 async def arena(
     crds: Cluster, plays: Callable[[Play], Pool], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> AsyncIterator[Arena]:
-    """Where instances of scenarios are played."""
+    """Arena in which instances of scenarios are played."""
     monkeypatch.setattr(Api, "logs", arenas.played_logs)
     gc.freeze()  # kopf collects garbage whenever it ends
     async with arenas.arena_on(crds, plays, tmp_path) as found:

@@ -25,7 +25,7 @@ WHY = "its trajectory has 2 poses"
 
 
 class Evaluators:
-    """What evaluators' pods say: an error of each run, or nothing."""
+    """Stand-in for evaluators' pods, whose logs tell an error of each run, or nothing."""
 
     def __init__(self) -> None:
         self.silent = False

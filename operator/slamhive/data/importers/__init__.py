@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class ImportOptions(NamedTuple):
-    """What an importer can't find in the folder itself.
+    """Options of an import that the folder itself doesn't tell: the sequence, a file of relations.
 
     Attributes:
         sequence: Which of several sequences in one folder.
@@ -34,7 +34,7 @@ class ImportOptions(NamedTuple):
 
 
 class LayoutModule(Protocol):
-    """What the module of a layout has."""
+    """Interface of a layout's module: it recognises a folder or file, and reads its contents."""
 
     TITLE: str
     """What is imported, for lists: "a folder in EuRoC's layout (mav0/)"."""

@@ -43,7 +43,7 @@ _NOISE = {
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a file says of one sensor.
+    """Calibration of one camera or IMU, read from a calibration file of a foreign recording.
 
     Attributes:
         source: The file.

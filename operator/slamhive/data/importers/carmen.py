@@ -61,7 +61,7 @@ class Scan:
 
 @dataclass
 class Log:
-    """What a log holds that is imported.
+    """Part of a CARMEN log that is imported: laser scans, odometry and the laser's offset.
 
     Attributes:
         scans: Laser scans of the front scanner, by time.

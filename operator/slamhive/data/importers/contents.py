@@ -72,7 +72,7 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What is found in a folder or file in a foreign layout.
+    """Contents of a folder or file in a foreign layout, as an importer reads them.
 
     Attributes:
         description: A sentence for the manifest.

@@ -44,7 +44,7 @@ _XYZ = [(axis, "<f4") for axis in "xyz"]
 
 
 class Device(NamedTuple):
-    """What is known of one of the LiDARs.
+    """Format of one LiDAR's scans in HeLiPR: fields of a point, unit of time, entry for the manifest.
 
     Attributes:
         dtype: Of a point in its files, without padding.

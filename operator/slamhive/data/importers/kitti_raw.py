@@ -49,7 +49,7 @@ _LONGEST = 10**9
 
 
 class Window(NamedTuple):
-    """Which frames of a drive a sequence of the odometry benchmark is."""
+    """Frames of a drive that make up a sequence of the odometry benchmark, first to last inclusive."""
 
     drive: str
     first: int

@@ -33,7 +33,7 @@ T_NED_OPTICAL = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 
 
 
 class Version(NamedTuple):
-    """How folders and files of a version are named, and its lens.
+    """Names of folders and files in one version of TartanAir, and the lens of its cameras.
 
     Attributes:
         left: Name of the left camera.

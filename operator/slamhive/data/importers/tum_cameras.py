@@ -50,7 +50,7 @@ _KNOWN: dict[str, tuple[str, tuple[float, ...], tuple[float, ...]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """What is known of one sensor.
+    """Calibration of one camera or IMU of a dataset in TUM RGB-D's layout.
 
     Attributes:
         source: The file that says it, for messages.

@@ -52,7 +52,7 @@ _MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
 class _Lists(NamedTuple):
-    """Where the lists of a folder are; None where there is no such camera."""
+    """Paths of a folder's lists of images; None where there is no such camera."""
 
     color: Path
     depth: Path | None

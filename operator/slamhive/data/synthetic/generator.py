@@ -39,7 +39,7 @@ RECORDING, GROUND_TRUTH, SENSORS = "recording.bag", "groundtruth.txt", "sensors.
 
 @dataclass(frozen=True)
 class SyntheticOutput:
-    """What was made.
+    """Result of generating a synthetic recording: its files, calibration and figures.
 
     Attributes:
         recording: The ROS 1 bag.

@@ -39,7 +39,7 @@ _V = np.array([2, 2, 1], dtype=np.intp)
 
 @dataclass(frozen=True)
 class View:
-    """What a camera sees from one pose.
+    """View of a camera from one pose: for each pixel the face that it sees, and its depth.
 
     Attributes:
         face: `(height, width)`, number of the face.

@@ -76,7 +76,7 @@ class Channel:
 
 
 class Vibration:
-    """What engines or steps add to the six coordinates: sines of time, from the rest to the rest.
+    """Vibration by engines or steps: sines of time, added to the six coordinates from rest to rest.
 
     Args:
         spec: The specification.

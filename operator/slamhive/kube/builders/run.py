@@ -74,7 +74,7 @@ done
 
 @dataclass(frozen=True)
 class Companion:
-    """What a player adds to a run's pod.
+    """Additions of a player to a run's pod: containers, volumes, mounts and variables.
 
     Attributes:
         containers: containers beside the algorithm.
@@ -122,7 +122,7 @@ def configuration(
 
 @dataclass(frozen=True)
 class _Plan:
-    """What an attempt's Job is made from."""
+    """Inputs for an attempt's Job: run, algorithm, configuration, variant, number and companion."""
 
     run: Mapping[str, Any]
     spec: Mapping[str, Any]

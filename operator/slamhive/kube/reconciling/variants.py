@@ -66,7 +66,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class VariantSeen:
-    """What is known of a variant.
+    """State of a variant, from the Dataset's status and its Job: ready, being made, failed or absent.
 
     Attributes:
         state: whether it is there.

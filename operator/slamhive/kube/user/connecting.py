@@ -32,7 +32,7 @@ class ClusterError(SlamHiveError):
 
 @dataclass(frozen=True)
 class Target:
-    """Where a command works.
+    """Cluster and namespace that a command works in, by kubeconfig and context.
 
     Attributes:
         kubeconfig: the kubeconfig, or several as in KUBECONFIG; None inside a pod.

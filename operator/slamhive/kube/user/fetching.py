@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fetched:
-    """What came of a Sweep or a run.
+    """Result of fetching a Sweep or a run from a cluster: numbers of runs copied and left out.
 
     Attributes:
         kind: its kind.

@@ -27,7 +27,7 @@ _WAITING = "waiting"
 
 
 class Part(Choice):
-    """What a piece of output is."""
+    """Kinds of output that reading a log yields: a line of the log, or a remark about it."""
 
     LINE = "line"
     REMARK = "remark"

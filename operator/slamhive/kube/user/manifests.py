@@ -130,7 +130,7 @@ def common_namespace(manifests: Sequence[Manifest], asked: str | None) -> str | 
 
 @dataclass(frozen=True)
 class Difference:
-    """What an object lacks to be equal to its manifest.
+    """Difference between an object in a cluster and its manifest, with the patch that makes them equal.
 
     Attributes:
         frozen: what differs and may not change, as sentences.

@@ -86,7 +86,7 @@ class Incoming:
 
 
 class RunFolder:
-    """Where a run's files go.
+    """Folder on this machine that a run's files are fetched into.
 
     Args:
         place: the folder of its sweep.
@@ -209,7 +209,7 @@ class Wanted:
 
 @dataclass
 class Filed:
-    """What came of fetching files.
+    """Result of fetching the files of runs: folders filled, bytes, problems and remarks.
 
     Attributes:
         runs: how many folders were filled.

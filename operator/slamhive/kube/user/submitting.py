@@ -35,7 +35,7 @@ _ORDER = (Kind.ALGORITHM, Kind.DATASET, Kind.SWEEP, Kind.MAPPING_RUN, Kind.EVALU
 
 
 class Deed(Choice):
-    """What was done about an object."""
+    """Outcomes for an object whose manifest is sent to a cluster."""
 
     CREATED = "created"
     CHANGED = "changed"
@@ -44,7 +44,7 @@ class Deed(Choice):
 
 @dataclass(frozen=True)
 class Sent:
-    """What became of a manifest.
+    """Result of sending a manifest to a cluster: what was done about its object, or would be in a trial.
 
     Attributes:
         manifest: the manifest.

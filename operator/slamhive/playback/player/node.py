@@ -69,12 +69,12 @@ class Ears:
 
     @property
     def linked(self) -> bool:
-        """Whether frames would be heard if the bag were played now."""
+        """True if a publisher of frames is connected: they would be heard if the bag were played now."""
         return bool(self._frames.get_num_connections())
 
     @property
     def has_poses(self) -> bool:
-        """Whether somebody publishes poses."""
+        """True if a publisher of poses is connected."""
         return bool(self._poses.get_num_connections())
 
     def _frame(self, message: Any) -> None:

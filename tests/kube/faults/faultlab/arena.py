@@ -214,7 +214,7 @@ class Instance:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a scenario.
+    """Outcome of a scenario: how its runs and its Sweep ended, and which objects there were.
 
     Attributes:
         ends: how each run ended with its point, live ones and archived ones, and where the Sweep stands, each
@@ -232,7 +232,7 @@ class Outcome:
 
 @dataclass
 class Arena:
-    """Where instances are played."""
+    """Control plane on which instances of scenarios are played, each in a namespace of its own."""
 
     cluster: Cluster
     plays: Callable[[Play], Pool]

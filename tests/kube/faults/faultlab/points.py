@@ -44,7 +44,7 @@ def chosen(points: Sequence[Point], seed: int) -> list[Point]:
 
 
 class Killed(BaseException):
-    """What `kill -9` does: nothing after it happens, and nobody may catch it."""
+    """Exception in the place of `kill -9`: nothing after it happens, and nobody may catch it."""
 
 
 class Faults:

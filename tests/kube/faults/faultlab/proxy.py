@@ -34,7 +34,7 @@ _DROPPED = {"Host", "Content-Length", "Accept-Encoding"}
 
 @dataclass(frozen=True)
 class Trouble:
-    """What happens to calls and watches.
+    """Faults that the proxy causes in an operator's calls and watches.
 
     Attributes:
         status: what is answered in the place of the truth.
@@ -62,7 +62,7 @@ class Trouble:
 
     @property
     def hits_calls(self) -> bool:
-        """Whether single calls go wrong."""
+        """True if single calls go wrong."""
         return self.status is not None or self.reset or self.taken
 
 
