@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import uuid
@@ -255,6 +256,21 @@ def _connections_end_at_once() -> None:
     the test's loop ends before, one is found open when garbage is collected, in whichever test that is.
     """
     ResponseHandler.close = ResponseHandler.abort  # type: ignore[method-assign]
+
+
+@pytest.fixture(autouse=True)
+def _process_as_it_was() -> Iterator[None]:
+    """Umask and SIGTERM's handler, put back behind a test that ran the program of a Job in this process.
+
+    Else a test that comes later by chance writes files that no other user can read.
+    """
+    mask = os.umask(0)
+    os.umask(mask)
+    handler = signal.getsignal(signal.SIGTERM)
+    yield
+    os.umask(mask)
+    if signal.getsignal(signal.SIGTERM) is not handler:
+        signal.signal(signal.SIGTERM, handler)
 
 
 def kept(name: str) -> Path:
