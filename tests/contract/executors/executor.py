@@ -26,6 +26,8 @@ OF_THE_MOMENT = (
 """Columns that are no outcome of a behaviour; those that end in a dot with all below."""
 FOLDER = "RUN"
 """Stands for the run's folder in a message."""
+STARVED = "UsageSuspect: the monitor took no sample for more than 5 s"
+"""Remark on a run whose node was too busy to measure it; as its figures, no outcome of a behaviour."""
 REUSED = "reused"
 """Whether the result is an earlier run's."""
 
@@ -69,8 +71,9 @@ def outcomes(archive: str, sweep: str, faults: Mapping[str, int] = MappingProxyT
             kept = {
                 name: value for name, value in row.items() if value is not None and not _of_the_moment(name)
             }
-            if "message" in kept and row["folder"]:
-                kept["message"] = kept["message"].replace(row["folder"], FOLDER)
+            message = kept.pop("message", "").replace(row["folder"] or FOLDER, FOLDER)
+            message = message.removeprefix(STARVED).removeprefix("; ")
+            kept |= {"message": message} if message else {}
             attempts = kept["attempts"]
             # A fault may have come before there was an attempt, as while the recording was prepared.
             kept["attempts"] = max(min(attempts, 1), attempts - faults.get(row[BEHAVIOUR], 0))
