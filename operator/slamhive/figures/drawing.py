@@ -452,20 +452,19 @@ class Drawing:
             style = Style(getattr(mark, "series", -1))
             marked = isinstance(mark, Dots | Box) or (isinstance(mark, Line) and mark.marked)
             for x, y, side in _beyond(mark, self._picture):
-                plain = (
-                    axes.get_xaxis_transform() if side in {"above", "below"} else axes.get_yaxis_transform()
-                )
-
-                def inwards(share: float, plain: Any = plain, side: str = side) -> dict[str, Any]:
-                    across, up = (share * part * self._points for part in _INWARDS[side])
-                    moved = library("transforms").offset_copy(plain, self.figure, across, up, "points")
-                    return {"transform": moved, "linestyle": "none", "clip_on": False, "zorder": 6}
-
                 arrow = {"marker": _ARROWS[side], "markersize": 0.55 * self._points, "color": style.colour}
-                axes.plot([x], [y], **inwards(0.3), **arrow)
+                axes.plot([x], [y], **self._at_edge(axes, side, 0.3), **arrow)
                 if marked:
                     hollow = isinstance(mark, Dots) and bool(mark.hollow) and all(mark.hollow)
-                    axes.plot([x], [y], **inwards(0.8), **self._look(style, hollow=hollow))
+                    axes.plot([x], [y], **self._at_edge(axes, side, 0.8), **self._look(style, hollow=hollow))
+
+    def _at_edge(self, axes: Any, side: str, share: float) -> dict[str, Any]:
+        """Return how a mark is placed inside an edge of the axes, by a share of the font's size."""
+        across = side in {"above", "below"}
+        edge = axes.get_xaxis_transform() if across else axes.get_yaxis_transform()
+        moves = (share * part * self._points for part in _INWARDS[side])
+        placed = library("transforms").offset_copy(edge, self.figure, *moves, units="points")
+        return {"transform": placed, "linestyle": "none", "clip_on": False, "zorder": 6}
 
     def _look(self, style: Style, *, hollow: bool = False) -> dict[str, Any]:
         """Return how a mark of a series is drawn."""
