@@ -6,8 +6,12 @@ from __future__ import annotations
 import ast
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("operator", "evaluator", "images", "helm", "tests")
@@ -15,26 +19,26 @@ RIDDLES = re.compile(r"(What|Whether|Where|Who|Whom|Whose|Which|How|When|Why|Tha
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
-def test_a_modules_docstring_begins_with_a_noun(folder: str) -> None:
-    wrong = []
-    for path in sorted((ROOT / folder).rglob("*.py")):
-        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
-        if text and RIDDLES.match(text):
-            wrong.append(f"{path.relative_to(ROOT)}: {text.splitlines()[0]}")
-    assert not wrong, "say what the module is, then what it does, as in 'Queue of objects to handle: …'"
+def test_a_docstring_begins_with_a_noun_or_a_verb(folder: str) -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line}: {text.splitlines()[0]}"
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        for line, text in docstrings(ast.parse(path.read_text(encoding="utf-8")))
+        if RIDDLES.match(text)
+    ]
+    assert not wrong, "say what it is, as in 'Queue of objects to handle: …', or what it does: 'Return …'"
 
 
-@pytest.mark.parametrize("folder", FOLDERS)
-def test_no_docstring_begins_with_a_riddle(folder: str) -> None:
-    wrong = []
-    for path in sorted((ROOT / folder).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-                continue
-            text = ast.get_docstring(node)
-            if text and RIDDLES.match(text):
-                wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}: {text.splitlines()[0]}")
-    assert not wrong, "name what it is, as in 'Figures of a run: …', or what it does, as in 'Return …'"
+def docstrings(module: ast.Module) -> Iterator[tuple[int, str]]:
+    """Yield the docstrings of a module, its constants, classes and functions, each with its line."""
+    for node in ast.walk(module):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and (
+            text := ast.get_docstring(node)
+        ):
+            yield node.lineno, text
+    for node in module.body:
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            yield node.lineno, str(node.value.value)
 
 
 @pytest.mark.parametrize("word", ["variant", "point", "slot", "attempt", "twin", "board", "common support"])

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from slamhive_eval.trajectory import Trajectory
 
 _TURN_RADIANS = float(np.deg2rad(15.0))
-"""How far a motion should turn: less says little, and an estimate drifts over more."""
+"""Least turn of a motion, rad: less says little, and an estimate drifts over more."""
 _LARGEST_RADIANS = float(np.deg2rad(150.0))
 _FEWEST_MOTIONS = 10
 _SMALLEST_SPREAD = 1e-3

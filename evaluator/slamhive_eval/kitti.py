@@ -27,13 +27,13 @@ KITTI_LENGTHS = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 """The benchmark's lengths in m."""
 KITTI_STEP = 10
 FRAME_SECONDS = 0.1
-"""What the devkit takes a frame for; used where poses have numbers instead of times."""
+"""Duration of a frame in the devkit, s; used where poses have numbers instead of times."""
 SPEEDS = tuple(float(speed) for speed in range(2, 25, 2))
 """Centres of the devkit's groups by speed in m/s."""
 SPEED_WIDTH = 2.0
 """A segment belongs to each group whose centre is nearer than this: the groups overlap, as the devkit's."""
 OVERSHOOT = 0.1
-"""Where the estimate lacks the frame that ends a segment, a later one serves within this share of it."""
+"""Share of a segment within which a later frame serves where the estimate lacks the one that ends it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,7 +73,7 @@ READERS: dict[str, Callable[[Any], list[Row]]] = {
     PATH: _of_path,
     FIX: _of_fix,
 }
-"""What makes rows of a message, by its type; of a NavSatFix degrees and metres above the ellipsoid."""
+"""Readers that make rows of a message, by its type; of a NavSatFix degrees and metres above the ellipsoid."""
 
 WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry")
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from adapter_support import Sensor
 
 BUFFER_BYTES = 1 << 24
-"""What is read of a connection at a time; less than a message would make rospy copy it again and again."""
+"""Bytes read of a connection at a time; less than a message would make rospy copy it again and again."""
 
 _WAIT_SECONDS = 0.2
 

@@ -47,7 +47,7 @@ FIELDS = [
 ]
 
 Instant = str
-"""Which instant of a scan a pipeline's pose belongs to: start, middle or end."""
+"""Instant of a scan that a pipeline's pose belongs to: start, middle or end."""
 
 
 @dataclass(frozen=True)

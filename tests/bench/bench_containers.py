@@ -44,7 +44,7 @@ while [ $i -lt 4000000 ]; do i=$((i + 1)); done
 read b after < $file
 echo "$a $before $b $after"
 """
-"""What its own control group says before and after some seconds of work: ns, or a name and us."""
+"""Program that prints its control group's account before and after seconds of work: ns, or a name and us."""
 
 
 def supervise(engine: Engine, script: str) -> dict[str, Any]:

@@ -75,7 +75,7 @@ PICTURES = (
     ("slices of one algorithm on one dataset", "analysis/slices?algorithm=dso&dataset=sequence-00", 1000),
     ("runs by words", "search?words=orb-slam3+parameters+2000", 1000),
 )
-"""What single pictures ask, measured one at a time; the crowd asks the above."""
+"""Questions of single pictures, measured one at a time; the crowd asks the above."""
 
 
 def make_record(number: int) -> RunRecord:

@@ -23,9 +23,9 @@ SHARED = Path(__file__).parents[3] / "shared" / "data" / "icra2023"
 COMMAND_POSES, LIBRARY_POSES, MANY_POSES = 3_000, 100_000, 1_000_000
 REPETITIONS, PEER_REPETITIONS = 5, 2
 NINE_DECIMALS = "%.9f"
-"""As most SLAM programs write them."""
+"""Format of most SLAM programs."""
 ALL_DIGITS = "%.17g"
-"""As many as float64 holds."""
+"""Format of all digits that float64 holds."""
 
 MAKE = """
 import sys

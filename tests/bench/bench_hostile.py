@@ -33,7 +33,7 @@ CLIENTS = 20
 MEMORY_MIB = 512
 CPUS = 2
 THINKING_SECONDS = (0.2, 1.5)
-"""How long an honest client looks at an answer before it asks again."""
+"""Time for which an honest client looks at an answer before it asks again."""
 
 GROUPS = Path("/sys/fs/cgroup")
 

@@ -119,7 +119,7 @@ CASES = {
     "Replica": replica,
     "TartanAir": tartanair,
 }
-"""What writes a folder, by its layout."""
+"""Writers of a folder, by its layout."""
 
 
 def measure(folder: Path, layout: str, rounds: int, *, with_copy: bool = True) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 ENOUGH = 80.0
 REASONS: dict[str, str] = {}
-"""Why modules are covered by less, by their path in the checkout."""
+"""Reasons why modules are covered by less, by their path in the checkout."""
 
 
 def table(covered: dict[str, float]) -> str:

@@ -52,7 +52,7 @@ ELSEWHERE = {
 }
 """Commands that are not run here, and why."""
 SMALLER = {"dim.yaml": ("rate: 5,", "rate: 1,")}
-"""What stands in files of the documents, and what makes them quicker to render."""
+"""Texts in files of the documents, and others that make them quicker to render."""
 BEFORE = {"home.md": "README.md", "results.md": "README.md"}
 """Documents whose commands ask for what those of another one made."""
 
@@ -239,7 +239,7 @@ def the_settings_are_read(_home: Path) -> None:
 
 
 AFTER = {"algorithms.md": the_example_is_right, "settings-files.md": the_settings_are_read}
-"""What else is to hold when a document's commands have been run."""
+"""Checks of what else is to hold when a document's commands have been run."""
 
 
 @pytest.mark.timeout(300)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from testcluster.access import Cluster
 
 NAMESPACE = "lab"
-"""As in docs/kubernetes.md."""
+"""Namespace of docs/kubernetes.md."""
 IMAGES = ("slamhive", "evaluator", "kiss-icp", "genz-icp", "shell-algorithm")
 """Those that the tests run, as images/build calls them."""
 

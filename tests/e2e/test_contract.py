@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 IMAGES = ROOT / "tests" / "images"
 FAILED, SUCCEEDED = "Failed", "Succeeded"
 LASTING = ("hang", "deaf", "forks", "memory", "log", "flood")
-"""What ends within milliseconds may leave no figures."""
+"""Behaviours that last: what ends within milliseconds may leave no figures."""
 
 
 def test_an_algorithm_in_shell_alone_gets_a_result(lab: Lab) -> None:

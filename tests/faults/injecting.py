@@ -35,7 +35,7 @@ _ALLOWED = {
     "utime": ("EIO", "EROFS"),
     "write": KINDS,
 }
-"""What calls fail with; all others with anything but a short write."""
+"""Errors that calls fail with; all others with anything but a short write."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 CHARTS = Path(__file__).parents[2] / "helm"
 NAMES = ["slamhive", "slamhive-crds"]
 FREE = {"operator.affinity", "runs.affinity", "dashboard.affinity", "global"}
-"""What is handed on as Kubernetes has it."""
+"""Values that are handed on as Kubernetes has them."""
 
 
 def schema(chart: str) -> dict[str, Any]:

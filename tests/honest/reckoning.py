@@ -59,10 +59,10 @@ FACETS_OF_MEMORY = ("usage.memory.kind",)
 """Columns that are never pooled where a figure of memory is shown."""
 
 SETTINGS = ("parameters.", "input.", "dataset.attributes.", "resources.")
-"""What the names of settings begin with."""
+"""Beginnings of the names of settings."""
 
 ERRORS = ("ate.", "rpe[", "relations.", "ateRotationDeg.")
-"""What the names of errors begin with."""
+"""Beginnings of the names of errors."""
 
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
 """Columns that say nothing where a run shared its cores with other work or was throttled."""

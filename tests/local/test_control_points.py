@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from slamhive.local.home import Home
 
 POLE = [0.2, -0.1, 1.4]
-"""Where what was surveyed is in the body, m."""
+"""Position of the surveyed pole in the body, m."""
 
 
 @pytest.fixture(name="surveyed")

@@ -27,7 +27,7 @@ ROOT = TESTS.parent
 HOMES = Path(__file__).parent / "homes"
 KEPT = ("archive.sqlite", "algorithms", "runs", "journal", "tiny.yaml", "sweep.yaml")
 PLACE = "@HOME@"
-"""What stands in all texts for the folder that the home was in."""
+"""Placeholder in all texts for the folder that the home was in."""
 HELD = 1500
 """Number of the point at which slamhive is killed; also for how many milliseconds it runs."""
 DEADLINE_SECONDS = 300

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 VERSION = "algorithm.version"
 
 COMPETITORS = ("algorithm", "sensors")
-"""What is compared unless told."""
+"""Columns that tell competitors apart unless others are named."""
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ LEFT_OUT = frozenset({"transform", "notes", "pointErrors"})
 """Names of results that are no figures."""
 
 _KEPT = frozenset({"id", "uid", "name", "evaluation", "outcome", "coverage"})
-"""What an evaluator's own names never replace."""
+"""Columns that an evaluator's own names never replace."""
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _EMPTY: dict[str, Any] = {}

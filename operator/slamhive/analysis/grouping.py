@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
 
 SUBJECT = ("algorithm", "sensors", "dataset")
-"""What a setting is compared within."""
+"""Columns whose values are equal where a setting is compared."""
 
 FACETS = (
     *SUBJECT,
@@ -60,13 +60,13 @@ OWNERS = {
 
 LOAD = "usage."
 MEMORY = "usage.memory."
-"""What the names of figures of load, and of memory, begin with."""
+"""Beginnings of the names of figures of load, and of memory."""
 
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
 """Columns that say nothing where a run shared its cores with other work or was throttled."""
 
 CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
-"""What the names of settings begin with."""
+"""Beginnings of the names of settings."""
 
 ERRORS = ("ate.", "rpe[", "relations.", "ateRotationDeg.")
 """Beginnings of the names of errors that follow from a run's trajectory: equal ones have equal errors."""

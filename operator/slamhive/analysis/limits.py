@@ -27,7 +27,7 @@ MOST = 0.2
 """Share of the numbers that may be left outside; more of them are a second group, not exceptions."""
 
 GAIN = 2.0
-"""How many times as long the axis must be with them as without."""
+"""Least ratio of the axis' length with them to that without."""
 
 STEEP = 50.0
 """Ratio of the largest to the smallest number from which on an axis had better be logarithmic."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 UNIQUE = ("id", "evaluation")
-"""What every order ends with, so that no two rows are equal in it."""
+"""Columns that every order ends with, so that no two rows are equal in it."""
 
 
 def order_by(items: Iterable[T], columns: Iterable[str], get: Callable[[T, str], Any]) -> list[T]:

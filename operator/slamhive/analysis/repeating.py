@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
 
 LEAST_OFF = 0.01
-"""How far from 1 a scale must be to be suspect."""
+"""Least distance of a suspect scale from 1."""
 
 MOST_SPREAD = 0.25
 """Spread over deviation up to which scales count as equal: noise would scatter around 1."""

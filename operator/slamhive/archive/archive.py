@@ -50,7 +50,7 @@ FILTERS = (
     "reason",
     "outcome",
 )
-"""What ``runs`` and ``count`` can select by; everything else is the analysis' business."""
+"""Columns that ``runs`` and ``count`` can select by; everything else is the analysis' business."""
 
 ORIGIN = ("specHash", "algorithmHash", "environment", "imageID", "datasetSha256", "preparation")
 """Fields of a run's provenance that its content hash is made from."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 BUSY_SECONDS = 30
-"""How long a writer waits for another one's transaction."""
+"""Longest wait of a writer for another one's transaction."""
 
 _BUSY = f"busy_timeout = {BUSY_SECONDS * 1000}"
 _PAGE_BYTES = 16384

@@ -40,7 +40,7 @@ _ESTIMATED_SECONDS = 1.0
 """For so long an estimate is shown."""
 
 _AWAITED = (Step.CORES, Step.DATASET, Step.PROGRAM)
-"""What a run waits for before anything is done for itself alone: datasets and programs are made once."""
+"""Steps that a run waits for before anything is done for it alone: datasets and programs are made once."""
 
 _MADE_AFTER_SECONDS = 15.0
 _MADE_APART = 0.25

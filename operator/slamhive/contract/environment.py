@@ -16,7 +16,7 @@ THREAD_VARIABLES = (
     "NUMEXPR_NUM_THREADS",
     "TBB_NUM_THREADS",
 )
-"""What numerical libraries ask for the number of their threads."""
+"""Variables that tell numerical libraries the number of their threads."""
 
 SETTINGS_FOLDER = "files"
 """Folder of the run folder with the settings files that were rendered for an algorithm."""

@@ -18,7 +18,7 @@ FRAMES = "frames.txt"
 """In the folder of a prepared recording: stamps of the frames that indices count, ns of sensor time, a line
 a frame."""
 COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
-"""What a table of poses has to hold."""
+"""Columns that a table of poses has to hold."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
 
 TOLERANCE = 0.01
-"""What the products of a rotation matrix's rows may be off by, and a quaternion's norm by five times."""
+"""Tolerance of the products of a rotation matrix's rows, and a quaternion's norm by five times."""
 
 
 def is_rotation(m: list[float]) -> bool:

@@ -44,7 +44,7 @@ SURFACE_RESERVED = ("x", "y", "metric", "outcomes", "format")
 SLICES_RESERVED = ("metric", "outcomes", "format")
 MOST_CURVES = 200
 MOST_BOARDS = 24
-"""What must not be pooled tells boards apart; more pictures than these say nothing."""
+"""Most boards, told apart by what must not be pooled; more pictures than these say nothing."""
 
 MOST_PLACES = 24
 """Values of a setting along an axis; of more, neighbours are taken together."""

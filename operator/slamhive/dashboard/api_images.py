@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _VARIANT = re.compile(r"[0-9a-f]{32}")
 _NEAR_NS = 1_000_000_000
-"""How far from the moment an image may be."""
+"""Longest distance of an image from the moment."""
 
 _MOST_CAMERAS = 2
 _MOST_JSON = 2**20

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from uvicorn.config import Config
 
 REQUEST_SECONDS = 10.0
-"""How long a connection may go without a whole request, from its beginning or from its first byte on."""
+"""Longest time of a connection without a whole request, from its beginning or from its first byte on."""
 
 SENDING_SECONDS = 60.0
-"""How long a client may take nothing of an answer."""
+"""Longest time in which a client takes nothing of an answer."""
 
 _FULL = (
     b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nContent-Type: application/json\r\n"

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Callable, Iterable, Sequence
 
 HEAD = struct.Struct("!cQ")
-"""What stands before each block in the pipe: what it is, and its length."""
+"""Head of each block in the pipe: its kind, and its length."""
 
 BLOCK, END, REFUSED, MISTAKE, MEMORY = b"B", b"E", b"R", b"X", b"M"
 _NICE = 5
-"""What the dashboard computes itself, and sends, comes first."""
+"""Priority of workers: computing and sending by the dashboard itself come first."""
 
 _PIPE_BYTES = 2**20
 

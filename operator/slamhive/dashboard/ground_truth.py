@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _KEPT = 8
 _KEPT_SECONDS = 60.0
 _DIGITS = re.compile(r"-[0-9a-f]{16}")
-"""What stands behind a dataset's name in the name of the folder that was generated of it."""
+"""Suffix behind a dataset's name in the name of the folder that was generated of it."""
 
 
 @dataclass(frozen=True, eq=False)

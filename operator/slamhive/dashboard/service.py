@@ -37,7 +37,7 @@ T = TypeVar("T")
 G = TypeVar("G")
 
 REMEMBERED_BYTES = 24 * 2**20
-"""What answers are kept for those who ask the same."""
+"""Bytes of answers that are kept for those who ask the same."""
 
 _FAIR = frozenset({"Grid", "Random", "Sobol"})
 """Ways of searching that don't look at results."""

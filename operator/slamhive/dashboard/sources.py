@@ -41,16 +41,16 @@ if TYPE_CHECKING:
     from slamhive.model.results import RunRecord
 
 _OF_IMPORTS = frozenset({"traj.txt", "profiling.csv", "config.yaml"})
-"""What may be read of a folder that was imported from elsewhere."""
+"""Files that may be read of a folder that was imported from elsewhere."""
 
 LOOK_SECONDS = 0.5
-"""How often the database is asked at most whether anything was written."""
+"""Least time between questions to the database whether anything was written."""
 
 PATIENCE_SECONDS = 5.0
-"""How long answers wait for a look at the database before they show its last state."""
+"""Longest wait of answers for a look at the database before they show its last state."""
 
 KEEP_SECONDS = (3.0, 600.0)
-"""When the table is kept for the next start: once the first answers are out, and how often after that."""
+"""Times after which the table is kept for the next start: once the first answers are out, and again, s."""
 
 _REST = 4.0
 """After a look that found changes, the next one waits so many times its duration."""

@@ -228,4 +228,4 @@ _CONTENTS: dict[str, Callable[[Look], str]] = {
     kinds.MAGNETIC_FIELD: samples.fields,
     kinds.FLUID_PRESSURE: samples.pressures,
 }
-"""What is looked at in messages, by their type; says in words what they are like."""
+"""Descriptions of messages in words, by their type."""

@@ -46,7 +46,7 @@ _READ = 1 << 14
 _BLOCKS = 8
 """Blocks that are filled, written and summed up, or wait for that."""
 _Blocks = queue.SimpleQueue[tuple[int, bytearray, int] | None]
-"""Where in the file, the bytes, how many of them count; None at the end."""
+"""Place in the file, the bytes, and how many of them count; None at the end."""
 
 
 @dataclass(frozen=True)

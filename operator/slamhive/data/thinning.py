@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _GAP = 3.0
 """Steps longer than this many typical ones are gaps and say nothing about the rate."""
 _EARLY = 0.3
-"""How many wanted periods a frame may come before its time."""
+"""Wanted periods by which a frame may come before its time."""
 _RARE = 0.1
 """More gaps than this share of all steps are no gaps: the stream is irregular."""
 

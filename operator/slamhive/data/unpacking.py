@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 MOST_FILES = 2_000_000
 """Files of the largest sequence that is unpacked."""
 MOST_RATIO = 200
-"""How many times its size an archive may grow to; images and clouds grow to a few times theirs."""
+"""Most times its size that an archive may grow to; images and clouds grow to a few times theirs."""
 FREE_BYTES = 64 << 20
 """Bytes that any archive may grow to."""
 _BLOCK = 1 << 20

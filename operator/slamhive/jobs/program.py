@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MOUNT = Path("/slamhive")
-"""Where a pod's volumes and its request are."""
+"""Folder of a pod's volumes and its request."""
 
 TERMINATION_LOG = "/dev/termination-log"
 _UMASK = 0o027
@@ -33,7 +33,7 @@ _UMASK = 0o027
 M = TypeVar("M", bound=BaseModel)
 
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
-"""What a disk says of itself, not of what it was asked for."""
+"""Errors by which a disk speaks of itself, not of what it was asked for."""
 
 
 class Refused(SlamHiveError):  # noqa: N818 - says what a Job answers

@@ -116,7 +116,7 @@ def means_quota(sentence: str) -> bool:
 
 
 REFUSALS = (Invalid, Forbidden)
-"""What the API server answers where trying again need not help, a used-up quota aside."""
+"""Answers of the API server where trying again need not help, a used-up quota aside."""
 
 
 class TooManyRequests(ApiError):  # noqa: N818

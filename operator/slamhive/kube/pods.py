@@ -28,7 +28,7 @@ _PULLS = frozenset(
     }
 )
 NO_CONTAINER_CONFIG = "CreateContainerConfigError"
-"""What the kubelet says where it can't put together what a container mounts and is told."""
+"""Reason that the kubelet gives where it can't put together what a container mounts and is told."""
 _STARTS = frozenset({NO_CONTAINER_CONFIG, "CreateContainerError", "PostStartHookError", "RunContainerError"})
 # Texts of container runtimes: nothing else in a pod's status tells these causes apart.
 _MOUNTING = re.compile(r'error mounting "[^"]*" to rootfs at "([^"]*)"')

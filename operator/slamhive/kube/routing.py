@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 OWN_EVALUATIONS = {"sweep:": Label.SWEEP, "run:": Label.RUN}
-"""What the names begin with under which Sweeps and runs are evaluated as they ask themselves, and the label
+"""Beginnings of the names under which Sweeps and runs are evaluated as they ask themselves, and the label
 that such Jobs carry instead of an Evaluation's name. No object can have such a name."""
 
 _FINISHED = frozenset(str(phase) for phase in Phase if phase.is_finished)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 WATCH_SECONDS = 240
-"""How long one watch lasts; the server would end it after 30 to 60 min."""
+"""Duration of one watch; the server would end it after 30 to 60 min."""
 
 _SILENCE_SECONDS = 90.0  # longer than the minute between the server's bookmarks: such a watch is dead
 _FIRST_PAUSE = 0.5

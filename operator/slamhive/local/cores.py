@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from slamhive.local.leases import Lease, Leases
 
 _LOOK_SECONDS = 0.1
-"""How often a runner looks whether another one has given back a core."""
+"""Time between two looks of a runner whether another one has given back a core."""
 
 
 def whole_cores() -> list[tuple[int, ...]]:

@@ -29,7 +29,7 @@ _SPARE = ("input.pace", "input.rate", "resources.memory", "resources.gpu")
 """Options that are told otherwise, or that change no cost."""
 
 NOW = "now"
-"""What runs together from now on."""
+"""Name of what runs together from now on."""
 
 MOST_FOLDERS = 20
 """Folders of runs of an algorithm on a dataset whose size is looked at."""

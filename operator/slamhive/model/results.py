@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, model_validator
 from slamhive.model.base import Choice, Model, Scalar, optional
 
 NOT_EVALUATED = "not evaluated: "
-"""How the sentence begins in a run's message that says why it could not be measured; no other follows it."""
+"""Beginning of the sentence in a run's message on why it could not be measured; no other follows it."""
 
 IMPORTED = "slam-hive"
 """Label `source` of runs of the original SLAM Hive, whose files stay where they were."""

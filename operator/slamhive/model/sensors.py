@@ -102,7 +102,7 @@ FrameOwner = Literal[
     "magnetometer",
     "barometer",
 ]
-"""Whose pose an algorithm may write: the body's, or that of the sensor of a role."""
+"""Owner of the pose that an algorithm writes: the body's, or that of the sensor of a role."""
 
 ROLES: dict[SensorMode, tuple[Role, ...]] = {
     SensorMode.MONO: (Role.CAMERA,),

@@ -15,7 +15,7 @@ FolderName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-
 """A folder's own name: no path, so that it leads nowhere else."""
 
 TruthKind = Literal["poses", "positions", "points", "relations"]
-"""What ground truth is: poses, positions without orientation, control points, or relations between times."""
+"""Kinds of ground truth: poses, positions without orientation, control points, or relations between times."""
 
 
 class VariantDescription(PreparedRecording):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
 
 SMALL_IS_GOOD = ("usage.", "frames.dropped")
-"""What the names of columns begin with whose smallest number is the best."""
+"""Beginnings of the names of columns whose smallest number is the best."""
 
 LEAST_FOR_SECOND = 3
 """Rows from which on the second best is marked too."""

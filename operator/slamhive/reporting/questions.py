@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
 
 KINDS = {"scatter": "points", "line": "groups", "box": "groups", "points": "points", "groups": "groups"}
-"""What the explore page calls them, and what is drawn here."""
+"""Names of pictures on the explore page, and what is drawn here."""
 
 RANKED_BY = ("ate.rmse", "relations.translation.rmse")
 """Errors, the first of which that there is is meant where none is named."""

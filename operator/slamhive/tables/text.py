@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.statistics import Interval, Summary
 
 PARTS = ("n", "mean", "std", "median", "min", "max")
-"""What a summary is made of, in flat records."""
+"""Parts of a summary, in flat records."""
 
 COVERAGE = Metric("coverage", "", 1.0, ".3f")
 _AS_STORED = Metric("", "", 1.0, "")

@@ -27,7 +27,7 @@ PLURALS = {
     "jobs": "/apis/batch/v1/namespaces/{}/jobs",
     "pods": "/api/v1/namespaces/{}/pods",
 }
-"""What is counted, with its address in a namespace."""
+"""Kinds that are counted, each with its address in a namespace."""
 
 
 @dataclass(frozen=True)

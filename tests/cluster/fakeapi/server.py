@@ -28,7 +28,7 @@ Refusing = Callable[[str, str, Object], Refusal | None]
 LONGEST_WATCH_SECONDS = 1800.0
 BOOKMARK_SECONDS = 60.0
 LAST_BOOKMARK_SECONDS = 2.0
-"""How long before the end of a watch its last bookmark comes, as on a real server."""
+"""Time between the last bookmark of a watch and its end, as on a real server."""
 _METHODS = {"POST": "create", "PATCH": "patch", "DELETE": "delete"}
 _METRICS = "/apis/metrics.k8s.io/"
 _VERSION = {"major": "1", "minor": "34", "gitVersion": "v1.34.0-fake"}

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 MODULES = Path(__file__).resolve().parents[1] / "modules"
 DEFAULT = "default"
 INSTANCES = 60
-"""As many instances as the address range has room for."""
+"""Number of instances that the address range has room for."""
 
 
 def home() -> Path:

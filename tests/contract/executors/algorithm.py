@@ -15,13 +15,13 @@ from contextlib import suppress
 
 MIB = 1 << 20
 START_SECONDS = 1600000000
-"""When the recording begins."""
+"""Beginning of the recording."""
 POSES = 100
 WAYPOINTS = (
     *((5.8, 0.1), (5.8, 0.1), (5.8, 0.1), (5.8, 0.1), (5.8, 0.4), (4.9, 2.0)),
     *((2.2, 3.4), (1.7, 3.5), (1.7, 3.5), (1.7, 3.5), (1.7, 3.5)),
 )
-"""Where the sensor is at each full second, m."""
+"""Positions of the sensor at each full second, m."""
 NO_POSE = "# nothing was tracked\n"
 BEFORE_CONFIGURATION = "404"
 """The seed, a variable of its environment, by which it ends before it has read anything."""
@@ -51,7 +51,7 @@ METRICS = {
     "metrics-brackets": "[" * (4 * MIB),
     "metrics-too-large": f'{{"a": "{"b" * (4 * MIB)}"}}',
 }
-"""What stands in metrics.json beside a sound trajectory."""
+"""Content of metrics.json beside a sound trajectory."""
 
 
 def lines(count: int = POSES) -> list[str]:

@@ -29,7 +29,7 @@ FOLDER = "RUN"
 STARVED = "UsageSuspect: the monitor took no sample for more than 5 s"
 """Remark on a run whose node was too busy to measure it; as its figures, no outcome of a behaviour."""
 REUSED = "reused"
-"""Whether the result is an earlier run's."""
+"""Column that tells whether the result is an earlier run's."""
 
 
 class Executor(Protocol):

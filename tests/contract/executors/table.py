@@ -180,7 +180,7 @@ EUROC_POSES = "".join(
 TABLE_POSES = "".join(
     f"{tenths // 10}.{tenths % 10}00000000 {x} {y} 0 0 0 0 1\n" for tenths, (x, y) in EVERY_FRAME
 )
-"""What the contract's file holds when the poses of a program's own file were converted."""
+"""Content of the contract's file when the poses of a program's own file were converted."""
 KITTI_MODE, EUROC_MODE, TABLE_MODE = ({"sensors": mode} for mode in ("stereo", "stereo-inertial", "rgbd"))
 OWN_FILES = {
     "stereo": {"trajectory": {"path": algorithm.KITTI_FILE, "format": "Kitti"}},
@@ -254,7 +254,7 @@ ENDING = {
         differs={"process": Difference(RIGHTS, {"message": "exit code 6: wrote to neighbour"})},
     ),
 }
-"""How programs end, and what is too much."""
+"""Ends of programs, and what is too much."""
 
 LEAVING = {
     "not-a-number": invalid(
@@ -312,7 +312,7 @@ LEAVING = {
     "metrics-brackets": measured(IGNORED),
     "metrics-too-large": measured(IGNORED),
 }
-"""What programs that end well leave as trajectory and metrics: reading it needs no executor."""
+"""Files that programs which end well leave as trajectory and metrics: reading it needs no executor."""
 
 WRITING = {
     "kitti": measured(trajectory=KITTI_POSES, asked=KITTI_MODE),
@@ -445,7 +445,7 @@ SAMPLE = [
 ]
 """Behaviours that tests run in containers."""
 AGAIN = ("well", "metrics-nested", "elsewhere", "crash-between-poses")
-"""What a second sweep asks for too: a run that succeeded is taken over, one that failed is done again."""
+"""Behaviours of a second sweep, too: a run that succeeded is taken over, one that failed is done again."""
 
 
 def study(

@@ -27,7 +27,7 @@ OUSTER = [
 HESAI = [*((name, "<f4") for name in ("x", "y", "z", "intensity")), ("timestamp", "<f8"), ("ring", "<u2")]
 VELODYNE = [*((name, "<f4") for name in ("x", "y", "z", "intensity")), ("ring", "<u2"), ("time", "<f4")]
 IMU, GREY, COLOR, FIX = "imu", "grey", "color", "fix"
-"""What a topic carries: the fields of a scan's points, or one of these."""
+"""Contents of a topic: the fields of a scan's points, or one of these."""
 
 
 def drive() -> Trajectory:

@@ -78,7 +78,7 @@ SUSPECT = {
     "limit": "the monitor's limits were changed",
     "renice": "the monitor's priority was changed",
 }
-"""What each try is told of its figures."""
+"""Remarks on the figures of each try."""
 
 ACTS = ["look", *SUSPECT, "kill"]
 

@@ -44,7 +44,7 @@ STANDING = """
 kubectl get pods,persistentvolumeclaims --all-namespaces --output wide || true
 kubectl get events --all-namespaces --field-selector type=Warning --sort-by .lastTimestamp | tail -n 30
 """
-"""What is printed where a block fails: why a cluster doesn't go on stands at its objects."""
+"""Commands whose output is printed where a block fails: why a cluster doesn't go on stands at its objects."""
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ CLASS = {
     "metadata": {"name": "disk", "annotations": {"storageclass.kubernetes.io/is-default-class": "true"}},
     "provisioner": "kubernetes.io/no-provisioner",
 }
-"""What the documents take for granted: claims that name no class get a volume."""
+"""Storage class that the documents take for granted: claims that name no class get a volume."""
 
 
 def manifest(kind: str, name: str, **spec: Any) -> dict[str, Any]:

@@ -33,7 +33,7 @@ POINT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "intensity", "ring",
 _LIDAR_POSES, _APPLANIX_POSES = "lidar_poses.csv", "gps_post_process.csv"
 _EXTRINSIC = "T_applanix_lidar.txt"
 _FIRST_MICROSECONDS = 1e12
-"""As seconds 30,000 years, as µs the second week of 1970."""
+"""Least stamp in µs, in the second week of 1970; in seconds it would be 30,000 years."""
 
 
 def recognises(source: Path) -> bool:

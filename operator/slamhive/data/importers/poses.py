@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     Stamps = npt.NDArray[np.int64]
 
 SKEWED = 1e-3
-"""How far the rows of a rotation may be from orthonormal: files round."""
+"""Longest distance of a rotation's rows from orthonormal ones: files round."""
 
 
 def trajectory(path: Path, stamps: Stamps, positions: Array, rotations: Array) -> Trajectory:

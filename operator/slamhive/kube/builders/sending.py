@@ -35,7 +35,7 @@ _TAKEN = (
     "affinity",
     "imagePullSecrets",
 )
-"""What one of the operator's pods tells of how pods have to be in this namespace."""
+"""Fields of one of the operator's pods that tell how pods have to be in this namespace."""
 
 
 def sender_job(namespace: str, name: str, like: Mapping[str, Any]) -> Manifest:

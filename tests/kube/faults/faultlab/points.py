@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 WRITES = frozenset({"create", "patch", "delete"})
 ARCHIVE = "archive"
 THOROUGH = os.environ.get("SLAMHIVE_EXAMPLES") == "thorough"
-"""Whether all moments are played; otherwise some of each kind."""
+"""True if all moments are played; otherwise some of each kind."""
 _ARCHIVE_WRITES = frozenset({"put_run", "put_used", "put_runs", "put_result", "put_sweep", "put_catalog"})
 
 
