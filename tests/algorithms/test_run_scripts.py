@@ -80,7 +80,7 @@ def start(name: str, folder: Path, failing: str = "", **variables: str) -> subpr
 
 
 def notes(folder: Path, word: str) -> list[str]:
-    """Return the nodes that noted a word, each once: a node may be told to end a second time while it notes that."""
+    """Return the nodes that noted a word, each once: one may be told to end again while it notes that."""
     lines = (folder / "log").read_text().splitlines()
     return sorted({line.split()[1] for line in lines if line.startswith(f"{word} ")})
 
