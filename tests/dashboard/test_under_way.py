@@ -25,7 +25,10 @@ def supervised(folder: Path, *, spec: str = "supervisor.json") -> Iterator[None]
     """Have a process that looks like a supervisor of a run."""
     folder.mkdir(parents=True, exist_ok=True)
     words = ["slamhive.monitor", "--spec", str(folder / spec)]
-    with subprocess.Popen([sys.executable, "-c", "input()", *words], stdin=subprocess.PIPE) as process:
+    code = [sys.executable, "-c", "print(flush=True); input()", *words]
+    with subprocess.Popen(code, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()  # before it runs, /proc may have no words of it
         try:
             yield
         finally:

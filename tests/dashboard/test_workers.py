@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -247,14 +248,22 @@ async def test_it_holds_no_connection_open(workers: Workers) -> None:
         task.cancel()
 
 
-async def test_one_that_is_gone_takes_no_other_with_it(workers: Workers) -> None:
+async def test_one_that_is_gone_takes_no_other_with_it(workers: Workers, tmp_path: Path) -> None:
+    go_on = tmp_path / "go on"
+
+    def wait() -> str:
+        while not go_on.exists():
+            time.sleep(0.01)
+        return "second"
+
     await workers.compute(lambda: 1)
     first = asyncio.create_task(workers.compute(sleep))
     await process_of(workers)
     (gone,) = workers._running
     first.cancel()
     await until(lambda: not workers._running)
-    second = asyncio.create_task(workers.compute(lambda: threading.Event().wait(0.2)))
+    second = asyncio.create_task(workers.compute(wait))
     await process_of(workers)
     gone.end()
-    assert await second is False
+    go_on.touch()
+    assert await second == "second"
