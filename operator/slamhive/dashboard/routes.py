@@ -4,7 +4,7 @@
 # FastAPI reads the annotations of these functions, so they are no mere texts here.
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.dashboard import api_analysis, api_runs
@@ -36,6 +36,20 @@ def pairs(request: Request) -> list[tuple[str, str]]:
     return request.query_params.multi_items()
 
 
+async def filters_of(
+    request: Request,
+    *,
+    where: Where = None,  # noqa: ARG001 - declared for the API's description, read with all other filters
+    superseded: Superseded = None,  # noqa: ARG001
+    format: FormatName = None,  # noqa: A002, ARG001
+) -> list[tuple[str, str]]:
+    """Return the query string of a table or analysis; all of them take these parameters beside columns."""
+    return pairs(request)
+
+
+Filters = Annotated[list[tuple[str, str]], Depends(filters_of)]
+
+
 def router(service: Service) -> APIRouter:
     """Return the routes of the tables and analyses."""
     routes = APIRouter(prefix="/api/v1")
@@ -58,16 +72,16 @@ def router(service: Service) -> APIRouter:
         without a limit hold all rows.
         """
         form = choose_format(format, request.headers.get("accept", ""))
-        asked = pairs(request)
+        filters = pairs(request)
         if form is not Format.JSON and limit is None and after is None:
             return await service.stream(
-                request, lambda data: api_runs.whole_table(data, asked, sort=sort, wanted=columns)
+                request, lambda data: api_runs.whole_table(data, filters, sort=sort, wanted=columns)
             )
         return await service.answer(
             request,
             lambda data: api_runs.runs_page(
                 data,
-                asked,
+                filters,
                 path=request.url.path,
                 sort=sort,
                 wanted=columns,
@@ -80,19 +94,17 @@ def router(service: Service) -> APIRouter:
     @routes.get("/columns", summary="Columns that there are, with their ranges and values")
     async def columns_(
         request: Request,
+        filters: Filters,
         *,
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
         columns: Names = None,
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Describe columns over the rows that the filters mean."""
-        asked = pairs(request)
-        return await service.answer(request, lambda data: api_runs.columns_list(data, asked, columns))
+        return await service.answer(request, lambda data: api_runs.columns_list(data, filters, columns))
 
     @routes.get("/analysis/points", summary="One point a run for a chart, as columns")
     async def points(
         request: Request,
+        filters: Filters,
         *,
         x: Annotated[str, Query(max_length=10_000, description="A column.")],
         y: Annotated[str, Query(max_length=10_000, description="A column.")],
@@ -100,54 +112,44 @@ def router(service: Service) -> APIRouter:
         size: ColumnName = None,
         facet: ColumnName = None,
         digits: Annotated[int | None, Query(ge=2, le=17, description="Significant digits.")] = None,
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Runs without a value stay in: they are drawn as failed."""
         axes = {"x": x, "y": y, "colour": colour, "size": size, "facet": facet}
-        asked = pairs(request)
         return await service.answer(
             request,
-            lambda data: api_analysis.points(data, asked, axes, digits),
+            lambda data: api_analysis.points(data, filters, axes, digits),
             lambda data: costs_little(data, request.url.query),
         )
 
     @routes.get("/analysis/aggregate", summary="Figures over groups of runs")
     async def aggregate(
         request: Request,
+        filters: Filters,
         *,
         by: Names = None,
         metrics: Names = None,
         outcomes: Which = "tracked",
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Return figures over groups of runs; columns that must not be pooled become keys where they vary."""
-        asked = pairs(request)
         return await service.answer(
             request,
-            lambda data: api_analysis.aggregated(data, asked, by, metrics, outcomes),
+            lambda data: api_analysis.aggregated(data, filters, by, metrics, outcomes),
             lambda data: by is not None and costs_little(data, request.url.query, by),
         )
 
     @routes.get("/analysis/leaderboard", summary="Ranks over datasets, with their uncertainty")
     async def leaderboard(
         request: Request,
+        filters: Filters,
         *,
         metric: Annotated[str, Query(max_length=10_000)] = "ate.rmse",
         by: Names = None,
         outcomes: Which = "tracked",
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """One board for each combination of evaluation, alignment and pace."""
-        asked = pairs(request)
         return await service.answer(
             request,
-            lambda data: api_analysis.ranked(data, asked, metric, by, outcomes),
+            lambda data: api_analysis.ranked(data, filters, metric, by, outcomes),
             lambda data: costs_little(data, request.url.query, by, COMPETITORS, MOST_COMPETITORS),
         )
 

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from slamhive.dashboard import api_common, api_figures, api_images, api_paths, api_search, api_timeline
 from slamhive.dashboard.costs import costs_little
-from slamhive.dashboard.routes import FormatName, Names, Superseded, Where, Which, pairs
+from slamhive.dashboard.routes import Filters, Names, Which
 from slamhive.dashboard.routes_studies import ERROR, Metric
 from slamhive.dashboard.service import Service, client_of
 from slamhive.dashboard.sources import Snapshot
@@ -23,73 +23,61 @@ def router(service: Service) -> APIRouter:
     @routes.get("/analysis/ecdf", summary="Share of the runs whose figure is at most so much")
     async def ecdf(
         request: Request,
+        filters: Filters,
         *,
         metric: Metric = ERROR,
         by: Names = None,
         over: Names = None,
         outcomes: Which = "tracked",
-        where: Where = None,  # noqa: ARG001 - read with all other filters
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Runs that failed of themselves are among those that the share is of, and never reach a value."""
-        asked = pairs(request)
         return await service.answer(
             request,
-            lambda data: api_figures.ecdf(data, asked, metric, (by, over), outcomes),
+            lambda data: api_figures.ecdf(data, filters, metric, (by, over), outcomes),
             lambda data: costs_little(data, request.url.query, by, ("algorithm",)),
         )
 
     @routes.get("/analysis/surface", summary="A figure over two settings")
     async def surface(
         request: Request,
+        filters: Filters,
         *,
         x: Annotated[str, Query(max_length=10_000, description="A column.")],
         y: Annotated[str, Query(max_length=10_000, description="Another column.")],
         metric: Metric = ERROR,
         outcomes: Which = "tracked",
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Medians, failed runs last; of more than 24 values of a setting, neighbours are taken together."""
-        asked = pairs(request)
         return await service.answer(
-            request, lambda data: api_figures.surface(data, asked, (x, y), metric, outcomes)
+            request, lambda data: api_figures.surface(data, filters, (x, y), metric, outcomes)
         )
 
     @routes.get("/analysis/slices", summary="A figure over each setting that varies")
     async def slices(
         request: Request,
+        filters: Filters,
         *,
         metric: Metric = ERROR,
         outcomes: Which = "tracked",
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Quartiles for each value, whatever the other settings are, failed runs last."""
-        asked = pairs(request)
-        return await service.answer(request, lambda data: api_figures.slices(data, asked, metric, outcomes))
+        return await service.answer(request, lambda data: api_figures.slices(data, filters, metric, outcomes))
 
     @routes.get("/analysis/paths", summary="Paths of several runs over their ground truth")
     async def paths(
         request: Request,
+        filters: Filters,
         *,
         of: Annotated[
             str | None, Query(max_length=1000, description="A run whose repetitions are meant.")
         ] = None,
         points: Annotated[int, Query(ge=3, le=1000, description="Poses of each path at most.")] = 400,
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Runs without a path stay in the list, with the reason."""
-        asked = pairs(request)
         client = client_of(request)
 
         async def material(data: Snapshot) -> api_common.Material:
-            meant = await service.workers.compute(lambda: api_paths.meant(data, asked, of), client)
+            meant = await service.workers.compute(lambda: api_paths.meant(data, filters, of), client)
             return await service.run(lambda: api_common.material(service.source, meant))
 
         return await service.answer_with(
@@ -99,18 +87,15 @@ def router(service: Service) -> APIRouter:
     @routes.get("/analysis/timeline", summary="Which node and core did what, and when")
     async def timeline(
         request: Request,
+        filters: Filters,
         *,
         low: Annotated[Moment, Query(alias="from", description="Begin, in s since 1970.")] = None,
         high: Annotated[Moment, Query(alias="to", description="End, in s since 1970.")] = None,
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Up to 1,500 runs one by one; of more, shares of time, ends and failures in 240 parts of it."""
-        asked = pairs(request)
         return await service.answer(
             request,
-            lambda data: api_timeline.timeline(data, asked, (low, high)),
+            lambda data: api_timeline.timeline(data, filters, (low, high)),
             lambda data: costs_little(data, request.url.query),
         )
 
@@ -132,18 +117,15 @@ def router(service: Service) -> APIRouter:
     @routes.get("/search", summary="Runs by words: of their names, their settings, their numbers")
     async def search(
         request: Request,
+        filters: Filters,
         *,
         words: Annotated[str, Query(max_length=300, description="Words that must all fit a run.")] = "",
         limit: Annotated[int, Query(ge=1, le=api_search.MOST_FOUND)] = 20,
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """`nFeatures=1000` fits that setting alone; the latest run is the first."""
-        asked = pairs(request)
         return await service.answer(
             request,
-            lambda data: api_search.search(data, asked, words, limit),
+            lambda data: api_search.search(data, filters, words, limit),
             lambda data: costs_little(data, request.url.query),
         )
 

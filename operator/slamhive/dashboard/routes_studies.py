@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from slamhive.dashboard import api_common, api_studies, api_versions
-from slamhive.dashboard.routes import FormatName, Names, Superseded, Where, Which, pairs
+from slamhive.dashboard.routes import Filters, FormatName, Names, Where, Which, pairs
 from slamhive.dashboard.service import Service, client_of
 from slamhive.dashboard.sources import Snapshot
 
@@ -22,67 +22,55 @@ def router(service: Service) -> APIRouter:
     @routes.get("/compare", summary="Competitors two by two, with a paired test over datasets")
     async def compare(
         request: Request,
+        filters: Filters,
         *,
         metric: Metric = ERROR,
         by: Names = None,
         outcomes: Which = "tracked",
-        where: Where = None,  # noqa: ARG001 - read with all other filters
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """The p values are exact up to 14 datasets and corrected after Holm."""
-        asked = pairs(request)
         return await service.answer(
-            request, lambda data: api_studies.compared(data, asked, metric, by, outcomes)
+            request, lambda data: api_studies.compared(data, filters, metric, by, outcomes)
         )
 
     @routes.get("/pareto", summary="Error against cost: who is beaten by nobody in both")
     async def pareto(
         request: Request,
+        filters: Filters,
         *,
         x: Metric = "usage.cpu.secondsPerDataSecond",
         y: Metric = ERROR,
         by: Names = None,
         outcomes: Which = "tracked",
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """One front a dataset, evaluation, pace and processor."""
-        asked = pairs(request)
         return await service.answer(
-            request, lambda data: api_studies.fronts(data, asked, (x, y), by, outcomes)
+            request, lambda data: api_studies.fronts(data, filters, (x, y), by, outcomes)
         )
 
     @routes.get("/importance", summary="Which settings matter")
     async def importance(
         request: Request,
+        filters: Filters,
         *,
         metric: Metric = ERROR,
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Share of the variance of the logarithm that each setting explains; adaptive searches left out."""
-        asked = pairs(request)
         return await service.answer_with(
             request,
             service.adaptive_sweeps,
-            lambda data, adaptive: api_studies.influences(data, asked, metric, adaptive),
+            lambda data, adaptive: api_studies.influences(data, filters, metric, adaptive),
         )
 
     @routes.get("/repeatability", summary="Repetitions of each configuration")
     async def repeatability(
         request: Request,
+        filters: Filters,
         *,
         metric: Metric = ERROR,
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Equal trajectories count once."""
-        asked = pairs(request)
-        return await service.answer(request, lambda data: api_studies.repeated(data, asked, metric))
+        return await service.answer(request, lambda data: api_studies.repeated(data, filters, metric))
 
     @routes.get("/versions", summary="Before and after: an edited algorithm or dataset, setting by setting")
     async def versions(
@@ -94,25 +82,26 @@ def router(service: Service) -> APIRouter:
         format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """The latest version against each earlier one, with a test; results of earlier versions are meant."""
-        asked = pairs(request)
-        return await service.answer(request, lambda data: api_versions.changed(data, asked, metric, outcomes))
+        filters = pairs(request)
+        return await service.answer(
+            request, lambda data: api_versions.changed(data, filters, metric, outcomes)
+        )
 
     @routes.get("/common", summary="Runs of a dataset measured again where all of them have poses")
     async def common(
         request: Request,
+        filters: Filters,
         *,
         by: Names = None,
         outcomes: Which = "all",
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Errors over the runs' own and over their common support, from their trajectories."""
-        asked = pairs(request)
         client = client_of(request)
 
         async def material(data: Snapshot) -> api_common.Material:
-            meant = await service.workers.compute(lambda: api_common.meant(data, asked, by, outcomes), client)
+            meant = await service.workers.compute(
+                lambda: api_common.meant(data, filters, by, outcomes), client
+            )
             return await service.run(lambda: api_common.material(service.source, meant))
 
         return await service.answer_with(request, material, api_common.common)
@@ -120,26 +109,18 @@ def router(service: Service) -> APIRouter:
     @routes.get("/suspects", summary="Scales that are off by the same factor in all runs")
     async def suspects(
         request: Request,
-        *,
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
+        filters: Filters,
     ) -> Response:
         """Such a scale is the calibration's, not the algorithm's."""
-        asked = pairs(request)
-        return await service.answer(request, lambda data: api_studies.suspicions(data, asked))
+        return await service.answer(request, lambda data: api_studies.suspicions(data, filters))
 
     @routes.get("/published", summary="Published numbers on the datasets of runs")
     async def published(
         request: Request,
-        *,
-        where: Where = None,  # noqa: ARG001
-        superseded: Superseded = None,  # noqa: ARG001
-        format: FormatName = None,  # noqa: A002, ARG001
+        filters: Filters,
     ) -> Response:
         """Shown beside own runs, never averaged with them; with why own numbers may differ."""
-        asked = pairs(request)
         home = service.source.home()
-        return await service.answer(request, lambda data: api_studies.published(data, asked, home))
+        return await service.answer(request, lambda data: api_studies.published(data, filters, home))
 
     return routes
