@@ -11,7 +11,7 @@ from slamhive.archive import Archive
 from slamhive.engine import PointState
 from slamhive.local.catalog import Workshop
 from slamhive.local.choosing import Wish
-from slamhive.local.runner import Job, Runner
+from slamhive.local.runner import Job, Runner, Watcher
 from slamhive.local.workbench import Workbench
 from slamhive.model.loading import load_file
 from slamhive.model.sweep import Sweep
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from slamhive.local.home import Home
-    from slamhive.local.run import Step
     from slamhive.model.results import Phase, RunRecord
 
 
@@ -41,7 +40,7 @@ def bench(home: Home, workshop: Workshop) -> Iterator[Workbench]:
         yield Workbench(home, workshop, archive)
 
 
-class Notes:
+class Notes(Watcher):
     """A watcher that remembers what it was told."""
 
     def __init__(self) -> None:
@@ -53,14 +52,8 @@ class Notes:
         self.phases.append((index, phase))
         self.active.append({point for point, state in enumerate(job.states) if state == PointState.ACTIVE})
 
-    def step(self, job: Job, index: int, step: Step) -> None:
-        pass
-
     def finished(self, job: Job, record: RunRecord) -> None:
         self.records.append(record)
-
-    def tick(self, jobs: Sequence[Job]) -> None:
-        pass
 
 
 def sweep_of(acts: Sequence[str], name: str = "acts", **fields: object) -> Sweep:

@@ -18,7 +18,7 @@ from slamhive.local.catalog import Workshop
 from slamhive.local.choosing import Wish
 from slamhive.local.containers import Containers
 from slamhive.local.engines import ContainerChoice
-from slamhive.local.runner import Job, Runner
+from slamhive.local.runner import Job, Runner, Watcher
 from slamhive.local.workbench import Workbench
 from slamhive.model.loading import load_file
 from slamhive.model.results import Phase, Reason
@@ -30,11 +30,10 @@ sys.path.append(str(Path(__file__).parent))
 from registry import Registry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from slamhive.local.engines import Engine
     from slamhive.local.home import Home
-    from slamhive.local.run import Step
     from slamhive.model.results import RunRecord
 
 pytestmark = pytest.mark.usefixtures("podman")
@@ -48,20 +47,8 @@ done > /slamhive/output/trajectory.txt
 """
 
 
-class Silent:
+class Silent(Watcher):
     """A watcher that shows nothing."""
-
-    def phase(self, job: Job, index: int, phase: Phase) -> None:
-        pass
-
-    def step(self, job: Job, index: int, step: Step) -> None:
-        pass
-
-    def finished(self, job: Job, record: RunRecord) -> None:
-        pass
-
-    def tick(self, jobs: Sequence[Job]) -> None:
-        pass
 
 
 class Boxes:

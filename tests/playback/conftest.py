@@ -13,7 +13,7 @@ import pytest
 from slamhive.archive import Archive
 from slamhive.local.catalog import Workshop
 from slamhive.local.home import Home
-from slamhive.local.runner import Job, Runner
+from slamhive.local.runner import Job, Runner, Watcher
 from slamhive.local.workbench import Workbench
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.loading import load_file
@@ -22,10 +22,9 @@ from slamhive.plan import Plan, local_uid
 from slamhive.playback.ros import PACKAGES, find_ros
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
-    from slamhive.local.run import Step
-    from slamhive.model.results import Phase, RunRecord
+    from slamhive.model.results import RunRecord
 
 NODE = Path(__file__).parent / "node.py"
 KEYFRAMES = {"topic": "/actor/keyframes", "type": "Path"}
@@ -60,23 +59,14 @@ def node_spec(act: str, **ros1: Any) -> dict[str, Any]:
     }
 
 
-class Notes:
+class Notes(Watcher):
     """A watcher that remembers the records."""
 
     def __init__(self) -> None:
         self.records: list[RunRecord] = []
 
-    def phase(self, job: Job, index: int, phase: Phase) -> None:
-        pass
-
-    def step(self, job: Job, index: int, step: Step) -> None:
-        pass
-
     def finished(self, job: Job, record: RunRecord) -> None:
         self.records.append(record)
-
-    def tick(self, jobs: Sequence[Job]) -> None:
-        pass
 
 
 @pytest.fixture

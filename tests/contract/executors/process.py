@@ -13,18 +13,16 @@ from slamhive.archive import Archive
 from slamhive.local.catalog import Workshop
 from slamhive.local.choosing import Wish
 from slamhive.local.home import Home
-from slamhive.local.runner import Job, Runner
+from slamhive.local.runner import Job, Runner, Watcher
 from slamhive.local.workbench import Workbench
 from slamhive.model.loading import load_file
 from slamhive.model.sweep import Sweep
 from slamhive.plan import Plan, local_uid
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from slamhive.local.engines import ContainerChoice
-    from slamhive.local.run import Step
-    from slamhive.model.results import Phase, RunRecord
 
 TINY = Path(__file__).parents[2] / "actor" / "tiny.yaml"
 
@@ -91,17 +89,5 @@ class Process:
         return {}  # where it does, something is wrong
 
 
-class Silent:
+class Silent(Watcher):
     """A watcher that shows nothing."""
-
-    def phase(self, job: Job, index: int, phase: Phase) -> None:
-        pass
-
-    def step(self, job: Job, index: int, step: Step) -> None:
-        pass
-
-    def finished(self, job: Job, record: RunRecord) -> None:
-        pass
-
-    def tick(self, jobs: Sequence[Job]) -> None:
-        pass
