@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from slamhive.analysis.predicting import Interval, Known, Nearness, Quantity, Setting, design, predict
+from slamhive.analysis.design import Known, Nearness, Quantity, Setting, design
+from slamhive.analysis.predicting import Interval, predict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -26,16 +26,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import yaml
 
-from slamhive.analysis.predicting import (
-    COVERED,
-    Interval,
-    Known,
-    Nearness,
-    Quantity,
-    Setting,
-    design,
-    predict,
-)
+from slamhive.analysis.design import Known, Nearness, Quantity, Setting, design
+from slamhive.analysis.predicting import COVERED, Interval, predict
 from slamhive.archive import Archive
 from slamhive.data.slamhive1 import find_runs, read_run
 from slamhive.local.costs import NOW, Knowledge

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.predicting import COVERED, Nearness, Quantity
+from slamhive.analysis.design import Nearness, Quantity
+from slamhive.analysis.predicting import COVERED
 from slamhive.archive import Archive
 from slamhive.archive.connection import file_of
 from slamhive.cli import tables

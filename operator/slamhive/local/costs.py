@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from slamhive.analysis.predicting import Known, Quantity, Setting
+from slamhive.analysis.design import Known, Quantity, Setting
 from slamhive.local.extent import Tally
 from slamhive.local.outlook import Points
 from slamhive.model.base import seconds

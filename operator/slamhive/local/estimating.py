@@ -10,14 +10,15 @@ from __future__ import annotations
 from statistics import fmean, median
 from typing import TYPE_CHECKING, Protocol
 
-from slamhive.analysis.predicting import Known, Nearness, Quantity, design, predict
+from slamhive.analysis.design import Known, Nearness, Quantity, design
+from slamhive.analysis.predicting import predict
 from slamhive.local.costs import Knowledge, planned_settings
 from slamhive.monitor.machine import cpu_model
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from slamhive.analysis.predicting import Setting
+    from slamhive.analysis.design import Setting
     from slamhive.archive import Cost
     from slamhive.local.costs import Combinations
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.predicting import Interval, Nearness, Prediction, Quantity, design, predict
+from slamhive.analysis.design import Nearness, Quantity, design
+from slamhive.analysis.predicting import Interval, Prediction, predict
 from slamhive.data.store import is_made
 from slamhive.local.costs import planned_settings
 from slamhive.local.extent import Tally
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from slamhive.analysis.predicting import Design, Floats, Integers, Known
+    from slamhive.analysis.design import Design, Floats, Integers, Known
     from slamhive.local.costs import Combinations, Knowledge, Planned
     from slamhive.local.workbench import Workbench
 
