@@ -65,7 +65,7 @@ class Served:
 
     def __exit__(self, *_: object) -> None:
         self._server.should_exit = True
-        self._thread.join(30)
+        self._thread.join(50)
 
     async def _serve(self, listening: socket.socket) -> None:
         await self._server.serve(sockets=[listening])

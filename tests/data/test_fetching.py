@@ -299,7 +299,7 @@ def test_two_at_once_fetch_once(large: Any, tmp_path: Path) -> None:
     start = threading.Barrier(3)
 
     def one() -> None:
-        start.wait(30)
+        start.wait(50)
         progress = fetching.Progress(notify=said.append)
         results.append(fetching.fetch_file(wanted(large), tmp_path / "large.bag", progress))
 

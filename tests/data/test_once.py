@@ -27,7 +27,7 @@ def _want(folder: Path, log: Path, start: Any) -> None:
             file.write("made\n")
         fill(aside)
 
-    start.wait(30)
+    start.wait(50)
     make_once(folder, make)
     assert (folder / "sub" / "two").read_bytes() == b"2" * 1000
 
@@ -58,9 +58,9 @@ def test_killed_halfway_leaves_nothing_usable(tmp_path: Path) -> None:
     folder, reached = tmp_path / "it", FORK.Event()
     process = FORK.Process(target=_die_halfway, args=(folder, reached))
     process.start()
-    assert reached.wait(30)
+    assert reached.wait(50)
     os.kill(process.pid or 0, signal.SIGKILL)
-    process.join(30)
+    process.join(50)
     assert not folder.exists()
     assert list(tmp_path.glob(".it.making"))
     assert make_once(folder, fill)

@@ -371,7 +371,7 @@ def test_a_writable_recording_is_copied(tmp_path: Path, bag_with_truth: Any) -> 
 
 
 def _prepare(entry: Any, cache: Path, start: Any, times: Any) -> None:
-    start.wait(30)
+    start.wait(50)
     variant = make(entry, [Role.LIDAR], cache, frameRate=5)
     with variant.in_use():
         times.put((variant.frames, variant.path.stat().st_mtime_ns, len(read(variant.path)["/points"])))
@@ -406,9 +406,9 @@ def test_killed_while_writing_and_prepared_again(lidar_entry: Any, tmp_path: Pat
     reached = context.Event()
     process = context.Process(target=_prepare_slowly, args=(lidar_entry, tmp_path, reached))
     process.start()
-    assert reached.wait(30)
+    assert reached.wait(50)
     os.kill(process.pid or 0, signal.SIGKILL)
-    process.join(30)
+    process.join(50)
     assert not [path for path in tmp_path.iterdir() if path.is_dir() and not path.name.startswith(".")]
     variant = make(lidar_entry, [Role.LIDAR], tmp_path, frameRate=5)
     assert len(read(variant.path)["/points"]) == 40

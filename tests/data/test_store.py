@@ -30,7 +30,7 @@ def test_a_synthetic_dataset_becomes_one_of_files(lidar_entry: Any) -> None:
 
 
 def _materialise(folder: Path, start: Any) -> None:
-    start.wait(30)
+    start.wait(50)
     materialise(synthetic(), folder, folder)
 
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -118,13 +119,17 @@ class Injector:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.library = build_library(folder / "shim.so")
-        self._forks = Forks(IMPORTED, os.environ | {"LD_PRELOAD": str(self.library)})
+
+    @cached_property
+    def _forks(self) -> Forks:
+        return Forks(IMPORTED, os.environ | {"LD_PRELOAD": str(self.library)})
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._forks.close()
+        if "_forks" in vars(self):  # who only wants the variables has started none
+            self._forks.close()
 
     def run(self, command: Command, root: Path, fault: Fault | None) -> Done:
         """Run a command with a fault, or with none: then all calls are told of."""

@@ -116,7 +116,7 @@ async def watching(server: Server) -> AsyncIterator[Operator]:
 
 
 async def eventually(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(50):
         while not condition():  # noqa: ASYNC110 - what happens is behind a connection
             await asyncio.sleep(0.01)
 

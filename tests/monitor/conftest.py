@@ -190,7 +190,7 @@ class Pod:
     def end(self, sidecar: subprocess.Popen[bytes]) -> dict[str, Any]:
         """Do as the kubelet does after the algorithm; return the summary."""
         self.send(sidecar, signal.SIGTERM)
-        assert sidecar.wait(30) == 0
+        assert sidecar.wait(50) == 0
         return self.summary()
 
     def summary(self) -> dict[str, Any]:
@@ -221,7 +221,7 @@ class Pod:
         self._holder.kill()
         self._holder.wait()
         for process in self._entered:
-            process.wait(30)
+            process.wait(50)
         assert self.group is None or self.group.remove()
 
 

@@ -115,10 +115,10 @@ def watched(pod: Pod, injector: Any, fault: Any, message: Path, wait_for: Callab
     wait_for((pod.output / "up").exists)
     wait_for(lambda: any("usage.csv" in call.path for call in injector.calls(pod.folder)))
     pod.send(algorithm, signal.SIGKILL)
-    algorithm.wait(30)
+    algorithm.wait(50)
     wait_for(lambda: message.exists() and message.stat().st_size)
     pod.send(sidecar, signal.SIGTERM)
-    return sidecar.wait(30)
+    return sidecar.wait(50)
 
 
 def test_figures_reach_the_cluster_though_the_results_volume_is_full(

@@ -70,7 +70,7 @@ def test_a_run_from_start_to_summary(pod: Pod) -> None:
 
 def test_an_algorithm_of_50_ms_is_seen(pod: Pod) -> None:
     sidecar = pod.sidecar()
-    assert pod.algorithm("sleep", "0.05").wait(30) == 0
+    assert pod.algorithm("sleep", "0.05").wait(50) == 0
     usage = pod.end(sidecar)["usage"]
     assert usage["wallSeconds"] > 0
     assert usage["samples"] >= 2
@@ -101,7 +101,7 @@ def test_figures_are_the_kernels_own(pod: Pod, sampled: str) -> None:
 def test_timeout_ends_all_of_the_container_and_nobody_else(pod: Pod) -> None:
     sidecar = pod.sidecar(timeoutSeconds=1.0, killGraceSeconds=0.3)
     algorithm = pod.python(STUBBORN)
-    assert algorithm.wait(30) != 0
+    assert algorithm.wait(50) != 0
     summary = pod.finished()
     assert (summary["reason"], summary["message"]) == ("DeadlineExceeded", "it took more than 1 s")
     assert [b"sidecar" in line for line in pod.others()] == [True]
@@ -111,7 +111,7 @@ def test_timeout_ends_all_of_the_container_and_nobody_else(pod: Pod) -> None:
 def test_timeout_asks_first(pod: Pod) -> None:
     sidecar = pod.sidecar(timeoutSeconds=0.7, killGraceSeconds=60)
     stopped = "import os, signal, sys, time\nsignal.signal(15, lambda *_: sys.exit(7))\n"
-    assert pod.python(f"{stopped}os.kill(os.getpid(), 19)\ntime.sleep(600)").wait(30) == 7
+    assert pod.python(f"{stopped}os.kill(os.getpid(), 19)\ntime.sleep(600)").wait(50) == 7
     assert pod.end(sidecar)["reason"] == "DeadlineExceeded"
 
 
@@ -175,10 +175,10 @@ def test_once_killed_it_believes_nothing_and_ends_the_algorithm(
     algorithm = pod.algorithm("sleep", "600")
     wait_for((pod.folder / "usage.csv").exists)
     pod.send(sidecar, signal.SIGKILL)
-    sidecar.wait(30)
+    sidecar.wait(50)
     (pod.folder / "summary.json").write_text('{"reason": null, "usage": {"cpu": {"seconds": 0.001}}}')
     again = pod.sidecar(at_once=True)
-    algorithm.wait(30)
+    algorithm.wait(50)
     wait_for(lambda: (pod.folder / "message").exists() and pod.message()["reason"] == "SystemFault")
     summary = pod.end(again)
     assert (summary["reason"], summary["usage"]) == ("SystemFault", None)
@@ -190,7 +190,7 @@ def test_started_again_before_the_algorithm_it_is_as_if_it_never_died(
 ) -> None:
     first = pod.sidecar()
     pod.send(first, signal.SIGKILL)
-    first.wait(30)
+    first.wait(50)
     (pod.folder / "config.yaml").unlink()
     sidecar = pod.sidecar()
     pod.algorithm("sleep", "0.3")
@@ -232,7 +232,7 @@ pid = next(int(p) for p in os.listdir('/proc') if p.isdigit() and b'slamhive.mon
 def test_who_meddles_with_the_monitor_is_seen(pod: Pod, what: str, sampled: str) -> None:
     code, told = TRICKS[what]
     sidecar = pod.sidecar()
-    assert pod.python(TRY % (sampled, code)).wait(30) == 0
+    assert pod.python(TRY % (sampled, code)).wait(50) == 0
     pod.finished()
     assert told in pod.end(sidecar)["usage"]["suspect"]
 
@@ -240,7 +240,7 @@ def test_who_meddles_with_the_monitor_is_seen(pod: Pod, what: str, sampled: str)
 @pytest.mark.parametrize("pod", ["proc"], indirect=True)
 def test_nobody_is_suspected_of_nothing(pod: Pod, sampled: str) -> None:
     sidecar = pod.sidecar()
-    pod.python(TRY % (sampled, "pass")).wait(30)
+    pod.python(TRY % (sampled, "pass")).wait(50)
     pod.finished()
     assert pod.end(sidecar)["usage"]["suspect"] is None
 
@@ -261,7 +261,7 @@ HOSTILE = [
 def test_odd_output_is_said_and_never_followed(pod: Pod, script: str) -> None:
     sidecar = pod.sidecar()
     # A program of a millisecond may end before it is seen.
-    pod.algorithm("sh", "-c", f"{script}\nsleep 0.3").wait(30)
+    pod.algorithm("sh", "-c", f"{script}\nsleep 0.3").wait(50)
     pod.finished()
     status = Path(f"/proc/{children(sidecar.pid)[0]}/status").read_text()
     peak = int(status.partition("VmHWM:")[2].split()[0]) / 1024
