@@ -241,16 +241,12 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data under the project's field names; a number that isn't finite becomes null."""
-        transform = self.alignment.transform if self.alignment else None
-        finite = transform is not None and bool(np.isfinite(transform).all())
         return {
             "outcome": self.outcome.value,
             "message": self.message,
             "coverage": self.coverage.share,
             "keyframes": self.coverage.keyframes,
-            "scale": self.scale if self.scale is not None and np.isfinite(self.scale) else None,
-            "alignment": self.alignment_method,
-            "transform": transform.tolist() if transform is not None and finite else None,
+            **alignment_fields(self.alignment_method, self.alignment, self.scale),
             "poses": self.matched,
             "referencePoses": self.reference_poses,
             "estimatePoses": self.estimate_poses,
@@ -262,6 +258,17 @@ class Evaluation:
             "notes": list(self.notes),
             **({} if self.clock is None else {"clock": self.clock.as_dict()}),
         }
+
+
+def alignment_fields(method: Method, alignment: Alignment | None, scale: float | None) -> dict[str, Any]:
+    """Scale, method and transform as plain JSON data; a number that isn't finite becomes null."""
+    transform = alignment.transform if alignment else None
+    finite = transform is not None and bool(np.isfinite(transform).all())
+    return {
+        "scale": scale if scale is not None and np.isfinite(scale) else None,
+        "alignment": method,
+        "transform": transform.tolist() if transform is not None and finite else None,
+    }
 
 
 def evaluate(

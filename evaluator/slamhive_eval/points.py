@@ -28,6 +28,7 @@ from slamhive_eval.evaluation import (
     PARTIAL_COVERAGE,
     Options,
     Outcome,
+    alignment_fields,
 )
 from slamhive_eval.metrics import Statistics
 from slamhive_eval.preparing import lay
@@ -137,15 +138,12 @@ class PointErrors:
 
         ``pathLength`` is that of the straight lines from point to point.
         """
-        transform = self.alignment.transform.tolist() if self.alignment else None
         steps = np.diff(self.points.stamps)
         return {
             "outcome": self.outcome.value,
             "message": self.message,
             "coverage": self.share,
-            "scale": self.scale,
-            "alignment": self.method,
-            "transform": transform,
+            **alignment_fields(self.method, self.alignment, self.scale),
             "estimatePoses": self.estimate_poses,
             "pathLength": float(rotation.vector_norm(np.diff(self.points.positions, axis=0)).sum()),
             "ate": self.ate.as_dict() if self.ate else None,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive_eval import alignment
+from slamhive_eval import alignment, evaluation
 from slamhive_eval.commands import measuring, output
 
 if TYPE_CHECKING:
@@ -21,13 +21,7 @@ def add_inputs(parser: argparse.ArgumentParser, estimates: str = "estimated traj
     parser.add_argument("estimates", metavar="EST", nargs="+", help=estimates)
     measuring.add_reading(parser)
     group = parser.add_argument_group("matching")
-    group.add_argument(
-        "--max-diff",
-        type=float,
-        default=0.01,
-        metavar="S",
-        help="largest time difference [s] (default: 0.01)",
-    )
+    measuring.add_max_diff(group)
     group.add_argument("--offset", type=float, default=0.0, metavar="S", help="added to EST's stamps [s]")
     output.add_json(parser)
 
@@ -35,3 +29,13 @@ def add_inputs(parser: argparse.ArgumentParser, estimates: str = "estimated traj
 def add_alignment(parser: argparse.ArgumentParser) -> None:
     """Add ``--align``, SE(3) by default."""
     parser.add_argument("--align", choices=alignment.METHODS, default="se3", help="default: se3")
+
+
+def options(asked: argparse.Namespace) -> evaluation.Options:
+    """Return how to measure; an alignment that scales leaves no scale to judge."""
+    return evaluation.Options(
+        alignment=asked.align,
+        max_difference_seconds=asked.max_diff,
+        offset_seconds=asked.offset,
+        has_scale=asked.align not in ("sim3", "scale"),
+    )

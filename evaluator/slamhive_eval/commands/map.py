@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive_eval import alignment, association, clouds, files, maps
-from slamhive_eval.commands import output
+from slamhive_eval.commands import measuring, output
 
 if TYPE_CHECKING:
     import argparse
@@ -42,13 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="lay the map onto the reference as these trajectories are laid onto one another",
     )
     parser.add_argument("--align", choices=alignment.METHODS, default="se3", help="default: se3")
-    parser.add_argument(
-        "--max-diff",
-        type=float,
-        default=0.01,
-        metavar="S",
-        help="largest time difference [s] (default: 0.01)",
-    )
+    measuring.add_max_diff(parser)
     output.add_json(parser)
 
 

@@ -87,7 +87,7 @@ def add_preparation(parser: argparse.ArgumentParser, *, several: bool = False) -
         help="by time: nearest as evo, unique as TUM and rpg, forward as OpenVINS, or interpolate the ground "
         "truth (default: nearest)",
     )
-    _add_max_diff(matching)
+    add_max_diff(matching)
     matching.add_argument(
         "--max-gap",
         type=float,
@@ -144,13 +144,14 @@ def add_support(parser: argparse.ArgumentParser) -> None:
 
 def add_matching(parser: argparse.ArgumentParser) -> None:
     """Add what decides which poses are nearest in time."""
-    _add_max_diff(parser)
+    add_max_diff(parser)
     parser.add_argument(
         "--sort", action="store_true", help="sort the poses of EST by time instead of refusing"
     )
 
 
-def _add_max_diff(parser: Any) -> None:
+def add_max_diff(parser: Any) -> None:
+    """Add how far apart in time two poses may be that are compared."""
     parser.add_argument(
         "--max-diff",
         type=float,

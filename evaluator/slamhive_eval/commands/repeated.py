@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive_eval import evaluation, repeated
@@ -35,13 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Measure and print."""
-    options = evaluation.Options(
-        alignment=asked.align,
-        max_difference_seconds=asked.max_diff,
-        offset_seconds=asked.offset,
-        rpe=(),
-        has_scale=asked.align not in ("sim3", "scale"),
-    )
+    options = replace(inputs.options(asked), rpe=())
     reference = measuring.read_reference(asked)
     runs: list[dict[str, Any]] = []
     for name in asked.estimates:

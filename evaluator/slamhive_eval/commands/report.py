@@ -32,12 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Measure, write and say where to."""
-    options = evaluation.Options(
-        alignment=asked.align,
-        max_difference_seconds=asked.max_diff,
-        offset_seconds=asked.offset,
-        has_scale=asked.align not in ("sim3", "scale"),
-    )
+    options = inputs.options(asked)
     reference = measuring.read_reference(asked)
     estimates = [estimate for _, estimate in measuring.read_estimates(asked, reference)]
     names = _names(asked.estimates)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive_eval import evaluation, segments
+from slamhive_eval import segments
 from slamhive_eval.commands import inputs, measuring, output
 from slamhive_eval.errors import OptionError
 
@@ -37,12 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Measure and print."""
-    options = evaluation.Options(
-        alignment=asked.align,
-        max_difference_seconds=asked.max_diff,
-        offset_seconds=asked.offset,
-        has_scale=asked.align not in ("sim3", "scale"),
-    )
+    options = inputs.options(asked)
     reference = measuring.read_reference(asked)
     results = []
     for name in asked.estimates:
