@@ -182,10 +182,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Draw the seed; workers are told it, as all must agree on the order."""
+    """Draw the seed, which workers are told as all must agree on the order, and have Ctrl-C work."""
     told = getattr(config, "workerinput", {}).get("order_seed", config.option.order_seed)
     config.option.order_seed = SystemRandom().randrange(2**32) if told is None else told
     config.option.loadscopereorder = False  # the order is ours
+    # A shell has what it puts into the background ignore SIGINT, and programs of tests would inherit that.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(optionalhook=True)
