@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.local.containers import limits
+from slamhive.local.containerwords import limits
 from slamhive.local.engines import ContainerChoice, find_engine
 from slamhive.local.unavailable import Unavailable
 from slamhive.monitor import SupervisorSpec

@@ -9,7 +9,8 @@ import pytest
 
 from slamhive.conformance.checking import Asked, check_algorithm
 from slamhive.conformance.workstation import OnWorkstation, bench_for_checks
-from slamhive.local.containers import HOME_LABEL, Containers
+from slamhive.local.containers import Containers
+from slamhive.local.containerwords import HOME_LABEL
 from slamhive.local.unavailable import ImageMissing, Unavailable
 
 from .conftest import HERE, NAME, Notes, behaving

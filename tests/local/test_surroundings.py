@@ -20,8 +20,10 @@ import yaml
 
 from slamhive.local import cores
 from slamhive.local import environments as environments_module
-from slamhive.local.environments import Unavailable, _anything_in, _explained
+from slamhive.local.environments import _anything_in
 from slamhive.local.home import lock
+from slamhive.local.pipcommands import explained, run_command
+from slamhive.local.unavailable import Unavailable
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Phase, Reason
 from slamhive.monitor import hierarchy
@@ -52,7 +54,7 @@ def empty_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def _copied_environments(empty_environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Copies that environment where another one would be made."""
-    command = environments_module._command
+    command = environments_module.run_command
 
     def call(argv: list[str], *rest: object) -> None:
         if argv[1:3] == ["-m", "venv"]:
@@ -60,7 +62,7 @@ def _copied_environments(empty_environment: Path, monkeypatch: pytest.MonkeyPatc
         else:
             command(argv, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(environments_module, "_command", call)
+    monkeypatch.setattr(environments_module, "run_command", call)
 
 
 def test_modules_in_the_working_folder_are_not_ours(
@@ -106,11 +108,11 @@ def test_no_run_looks_for_libraries_where_ours_are_or_in_its_own_folder(
 _KILLED = """
 import sys
 from pathlib import Path
-from slamhive.local.environments import _command
+from slamhive.local.pipcommands import run_command
 from slamhive.local.home import lock
 folder = Path(sys.argv[1])
 with lock(folder / "lock") as held:
-    _command(["sh", "-c", "echo $$ > new && mv new pid && exec sleep 600"], "it", folder, held)
+    run_command(["sh", "-c", "echo $$ > new && mv new pid && exec sleep 600"], "it", folder, held)
 """
 
 
@@ -181,9 +183,7 @@ def test_pip_is_followed_while_it_works(tmp_path: Path) -> None:
     told: list[str] = []
     program = "import sys; print('Collecting x'); print('ERROR: No such x', file=sys.stderr); sys.exit(1)"
     with pytest.raises(Unavailable, match="packages of x can't be installed: No such x"):
-        environments_module._command(
-            [sys.executable, "-c", program], "packages of x", tmp_path, None, told.append
-        )
+        run_command([sys.executable, "-c", program], "packages of x", tmp_path, None, told.append)
     assert told == ["Collecting x"]
 
 
@@ -277,7 +277,7 @@ def test_setup_programs_that_are_allowed_see_no_secret(
 def test_only_what_another_try_may_mend_is_a_fault_of_the_machine(
     told: str, kind: type[Exception], why: str
 ) -> None:
-    error = _explained("packages of x", told, by_itself=True)
+    error = explained("packages of x", told, by_itself=True)
     assert type(error) is kind
     assert why in str(error)
 

@@ -9,7 +9,8 @@ import pytest
 
 from slamhive.archive import Archive
 from slamhive.local.catalog import load_workshop
-from slamhive.local.containers import HOME_LABEL, Containers
+from slamhive.local.containers import Containers
+from slamhive.local.containerwords import HOME_LABEL
 from slamhive.local.engines import ContainerChoice
 from slamhive.local.runner import Job, Runner
 from slamhive.local.workbench import Workbench

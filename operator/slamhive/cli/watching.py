@@ -12,7 +12,8 @@ import warnings
 from typing import TYPE_CHECKING
 
 from slamhive.data.store import MANIFEST
-from slamhive.local.environments import interpreter, source_files
+from slamhive.local.environments import source_files
+from slamhive.local.interpreters import interpreter
 from slamhive.local.unavailable import Unavailable
 
 if TYPE_CHECKING:

@@ -11,32 +11,43 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
-import resource
 import stat
-import subprocess
-import sys
 import threading
 import uuid
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from slamhive import __version__
-from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
+from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.local.assets import place_assets
+from slamhive.local.containerwords import (
+    ALGORITHM,
+    HOME_LABEL,
+    PID_FILE,
+    RUN,
+    RUN_LABEL,
+    USER,
+    ImageProgram,
+    create_words,
+    player_words,
+)
 from slamhive.local.engines import engine_named, find_engine
-from slamhive.local.playing import MEMORY_LIMIT, other_processors
+from slamhive.local.images import (
+    OF_THIS_MACHINE,
+    Image,
+    images_of_this_machine,
+    inspect,
+    player_image,
+    pull,
+    qualified,
+)
 from slamhive.local.prepared import PreparedPlayer
 from slamhive.local.unavailable import ImageMissing, Unavailable
-from slamhive.model.base import quantity
 from slamhive.model.errors import DataError, SystemFault
 from slamhive.monitor.engine import EngineError
-from slamhive.monitor.spec import TASK_LIMIT, ContainedSpec
+from slamhive.monitor.spec import ContainedSpec
 from slamhive.plan import image_digest, pinned_digest
 from slamhive.playback.pod import COMMAND as PLAYER
-from slamhive.playback.pod import FOLDER as PLAYER_FOLDER
 from slamhive.playback.pod import player_pod
 from slamhive.playback.protocol import READY_FILE
 
@@ -48,36 +59,8 @@ if TYPE_CHECKING:
     from slamhive.local.engines import ContainerChoice, Engine
     from slamhive.local.home import Home
     from slamhive.local.prepared import AttemptOrder
-    from slamhive.model.algorithm import AlgorithmSpec
-    from slamhive.playback.pod import PlayerPod
 
-RUN = "/slamhive"
-USER = 65532
-HOME_LABEL = "io.slamhive.home"
-RUN_LABEL = "io.slamhive.run"
-_ALGORITHM = "algorithm"
-_CREATED, _PID = "container.json", "container.pid"
-_OF_THIS_MACHINE = "localhost/"
-_ALONE = ("--network", "none", "--init")
-_SCRATCH_BYTES = 2 * 2**30
-_MOST_FILES = 1 << 20
-# podman itself takes no more for its own user, and refuses to give what it hasn't.
-_MOST_TASKS = 1 << 15
-_UNKNOWN_IMAGE = re.compile(r"no such image|image not known|not known|not found", re.IGNORECASE)
-_VARIABLE = re.compile(r"\$\$|\$\(([A-Za-z_][A-Za-z0-9_.-]*)\)")
-
-
-@dataclass(frozen=True)
-class Image:
-    """An image that the engine has.
-
-    Attributes:
-        identity: digest of its configuration, which names its content: ``sha256:…``.
-        program: the words of its own program.
-    """
-
-    identity: str
-    program: tuple[str, ...]
+_CREATED = "container.json"
 
 
 class Containers:
@@ -113,7 +96,7 @@ class Containers:
         if image is None:
             raise Unavailable("has no image")
         known = (
-            "@" in image or not image.startswith(_OF_THIS_MACHINE) or image in images_of_this_machine(engine)
+            "@" in image or not image.startswith(OF_THIS_MACHINE) or image in images_of_this_machine(engine)
         )
         if not known:
             raise Unavailable(
@@ -213,7 +196,7 @@ class Containers:
             if name in self._missing:
                 raise ImageMissing(self._missing[name])
             if name not in self._images:
-                found = _inspect(engine, name)
+                found = inspect(engine, name)
                 if found is None and not pull:
                     raise ImageMissing(f"image {name!r} is not there yet")
                 if found is None:
@@ -225,7 +208,7 @@ class Containers:
         self._notify(f"pulling the image {name} (once)")
         try:
             pull(engine, qualified(name))
-            found, why = _inspect(engine, qualified(name)), "it was pulled and is not there"
+            found, why = inspect(engine, qualified(name)), "it was pulled and is not there"
         except EngineError as error:
             found, why = None, str(error)
         if found is None:
@@ -234,87 +217,14 @@ class Containers:
         return found
 
 
-@cache
-def images_of_this_machine(engine: Engine) -> frozenset[str]:
-    """Return the names of images that no registry has; asked once a program."""
-    try:
-        listed = engine.call("images", "--format", "{{.Repository}}:{{.Tag}}")
-    except EngineError:
-        return frozenset()
-    return frozenset(name for name in listed.split() if name.startswith(_OF_THIS_MACHINE))
-
-
-def player_image() -> str:
-    """Return the image that plays recordings to ROS 1 nodes; $SLAMHIVE_PLAYER_IMAGE names another."""
-    return os.environ.get("SLAMHIVE_PLAYER_IMAGE") or f"slamhive/ros1-player:{__version__}"
-
-
-def pull(engine: Engine, name: str) -> None:
-    """Pull an image, with the engine's own progress on a terminal and quietly without one.
-
-    Raises:
-        EngineError: it can't be had.
-    """
-    if not sys.stderr.isatty():
-        engine.follow("pull", name, tell=lambda _line: None)
-        return
-    # Both draw their progress on a terminal alone: podman on standard error, docker on standard output.
-    quiet = subprocess.DEVNULL if engine.is_podman else sys.stderr
-    done = subprocess.run(
-        [*engine.command, "pull", name], stdin=subprocess.DEVNULL, stdout=quiet, check=False
-    )
-    if done.returncode != 0:
-        raise EngineError(f"{engine.name} pull {name} failed; what it said stands above")
-
-
-def qualified(name: str) -> str:
-    """Return an image's name with the registry that a cluster would take.
-
-    >>> qualified("slamhive/kiss-icp:1.3.0"), qualified("debian:12")
-    ('docker.io/slamhive/kiss-icp:1.3.0', 'docker.io/library/debian:12')
-    >>> qualified("localhost/a"), qualified("lab:5000/a")
-    ('localhost/a', 'lab:5000/a')
-    """
-    first, slash, _ = name.partition("/")
-    if slash and ("." in first or ":" in first or first == "localhost"):
-        return name
-    return f"docker.io/{name}" if slash else f"docker.io/library/{name}"
-
-
-def _inspect(engine: Engine, name: str) -> Image | None:
-    """Return what an engine knows of an image, None where it has none of that name.
-
-    Raises:
-        ImageMissing: it doesn't say.
-    """
-    try:
-        (told,) = json.loads(engine.call("image", "inspect", name))
-        configuration = told.get("Config") or {}
-        words = [*(configuration.get("Entrypoint") or ()), *(configuration.get("Cmd") or ())]
-        identity = str(told["Id"]).removeprefix("sha256:")
-    except EngineError as error:
-        if _UNKNOWN_IMAGE.search(str(error)):
-            return None
-        raise ImageMissing(f"image {name!r}: {error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise ImageMissing(f"image {name!r}: {engine.name} doesn't say what it is") from None
-    return Image(f"sha256:{identity}", tuple(map(str, words)))
-
-
 @dataclass(frozen=True)
-class ContainerProgram:
-    """An algorithm's image, with the engine that runs it.
+class ContainerProgram(ImageProgram):
+    """An algorithm's image that is run: its containers, made and removed.
 
     Attributes:
-        engine: the engine.
-        image: the image.
-        home: the home's identity, for the label.
         player_image: the image of what plays to it, where something does.
     """
 
-    engine: Engine
-    image: Image
-    home: str
     player_image: Image | None = None
 
     def run_folder(self, run: Path) -> str:  # noqa: ARG002
@@ -349,7 +259,7 @@ class ContainerProgram:
         Raises:
             SystemFault: the engine doesn't.
         """
-        pod = player_pod(order.entry.algorithm.spec, order.configuration, _ALGORITHM)
+        pod = player_pod(order.entry.algorithm.spec, order.configuration, ALGORITHM)
         if pod is None:
             return None
         if self.player_image is None:
@@ -370,7 +280,7 @@ class ContainerProgram:
         Raises:
             SystemFault: the engine doesn't.
         """
-        words = create_words(self, order, folder, variables)
+        words = create_words(self, order, folder, variables, _created(folder / "player"))
         program = order.entry.algorithm.spec.command or self.image.program
         return self._create(words, folder) | {"argv": tuple(program), "cwd": RUN, "env": {}}
 
@@ -385,7 +295,7 @@ class ContainerProgram:
             engine=self.engine.command,
             identity=identity,
             removal=self.engine.removal,
-            pid_path=str(folder / _PID) if self.engine.is_podman else None,
+            pid_path=str(folder / PID_FILE) if self.engine.is_podman else None,
         )
         return {"contained": contained.as_json()}
 
@@ -410,180 +320,6 @@ def _give(folder: Path) -> None:
         os.chown(folder, USER, USER)
     else:
         folder.chmod(0o777)
-
-
-def create_words(
-    program: ContainerProgram,
-    order: AttemptOrder,
-    folder: Path,
-    variables: Mapping[str, str],
-) -> list[str]:
-    """Return what an engine's `create` is told: what the pod of a run has, in its words.
-
-    Raises:
-        SystemFault: a path can't be said to it.
-    """
-    spec = order.entry.algorithm.spec
-    memory = int(quantity(order.spec["resources"]["memory"]))
-    told = algorithm_variables(order, spec) | dict(variables)
-    command = expanded(spec.command, told)
-    player = _created(folder / "player")
-    return [
-        *_confined(program, order.uid, order.cpus, memory),
-        # As in a pod, the algorithm isn't the first process, to which the kernel passes on few signals; it
-        # shares network and processes with its player.
-        *(_of_player(player) if player is not None else _ALONE),
-        *_of_podman(program.engine, folder, player),
-        *("--shm-size", str(memory // 2)),
-        *(word for mounted in mounts(order, folder) for word in ("--mount", mounted)),
-        *_environment(told),
-        *(("--entrypoint", command[0]) if command else ()),
-        program.image.identity,
-        *command[1:],
-    ]
-
-
-def player_words(
-    program: ContainerProgram, image: Image, order: AttemptOrder, folder: Path, pod: PlayerPod
-) -> list[str]:
-    """Return what an engine's `create` is told of a player.
-
-    Raises:
-        SystemFault: a path can't be said to it.
-    """
-    run = folder.parent / "run"
-    # It must take no CPU time from the cores on which the algorithm is measured, if there are others.
-    cpus = sorted(other_processors(order.cpus))
-    seen = [
-        (order.dataset.resolve(), f"{RUN}/dataset", True),
-        (run / "output", f"{RUN}/output", False),
-        (folder / "own", PLAYER_FOLDER, False),
-    ]
-    return [
-        *_confined(program, order.uid, cpus, MEMORY_LIMIT),
-        *_ALONE,
-        *_of_podman(program.engine, folder),
-        *(word for mounted in map(_mount, *zip(*seen, strict=True)) for word in ("--mount", mounted)),
-        *_environment(pod.variables),
-        *("--entrypoint", PLAYER[0]),
-        image.identity,
-        *PLAYER[1:],
-    ]
-
-
-def _confined(program: ContainerProgram, run: str, cpus: Sequence[int], memory: int) -> list[str]:
-    """Return the bounds of a container.
-
-    Args:
-        program: whose it is.
-        run: identity of the run.
-        cpus: logical processors it is pinned to.
-        memory: what it may use, bytes.
-    """
-    return [
-        # Nothing but this machine: it was pulled before, and what a tag means may change meanwhile.
-        *("--pull", "never"),
-        *("--label", f"{HOME_LABEL}={program.home}", "--label", f"{RUN_LABEL}={run}"),
-        *("--user", f"{USER}:{USER}", "--workdir", RUN),
-        *("--read-only", "--ipc", "private"),
-        *("--cap-drop", "all", "--security-opt", "no-new-privileges", "--security-opt", "label=disable"),
-        *("--memory", str(memory), "--memory-swap", str(memory)),
-        *("--pids-limit", str(TASK_LIMIT)),
-        *(("--cpuset-cpus", ",".join(map(str, cpus))) if cpus else ()),
-        *limits(),
-        *("--tmpfs", f"/tmp:rw,nosuid,nodev,exec,size={_SCRATCH_BYTES},mode=1777"),  # noqa: S108
-        # The supervisor keeps the log, within bounds.
-        *("--log-driver", "none"),
-        # What is removed while it runs is to be gone at once.
-        *("--stop-timeout", "0"),
-    ]
-
-
-def _of_player(identity: str) -> tuple[str, ...]:
-    return ("--network", f"container:{identity}", "--pid", f"container:{identity}")
-
-
-def _environment(variables: Mapping[str, str]) -> list[str]:
-    return [word for name, value in sorted(variables.items()) for word in ("--env", f"{name}={value}")]
-
-
-def algorithm_variables(order: AttemptOrder, spec: AlgorithmSpec) -> dict[str, str]:
-    """Return the variables that an algorithm has in a container here, as in a pod."""
-    scratch = "/tmp"  # noqa: S108 - the container's own
-    values = program_variables(
-        run=RUN,
-        seed=order.configuration.seed,
-        cores=len(order.cpus),
-        home=scratch,
-        scratch=scratch,
-        settings_files=bool(spec.files),
-    )
-    return values | {"SLAMHIVE_CONTAINER": _ALGORITHM}
-
-
-def expanded(command: Sequence[str], variables: Mapping[str, str]) -> list[str]:
-    """Return a command with $(NAME) replaced, as Kubernetes does it; $$ is a dollar.
-
-    >>> expanded(["$(A)/x", "$$(A)", "$(B)"], {"A": "1"})
-    ['1/x', '$(A)', '$(B)']
-    """
-
-    def value(match: re.Match[str]) -> str:
-        return "$" if match[1] is None else variables.get(match[1], match[0])
-
-    return [_VARIABLE.sub(value, word) for word in command]
-
-
-def limits() -> list[str]:
-    """Return bounds of open files, tasks and core dumps: engines ask for more than a user may give."""
-    files = min(resource.getrlimit(resource.RLIMIT_NOFILE)[1] % (1 << 63), _MOST_FILES)
-    tasks = min(resource.getrlimit(resource.RLIMIT_NPROC)[1] % (1 << 63), _MOST_TASKS)
-    found = {"nofile": files, "nproc": tasks, "core": 0}
-    return [word for name, most in found.items() for word in ("--ulimit", f"{name}={most}:{most}")]
-
-
-def mounts(order: AttemptOrder, folder: Path) -> list[str]:
-    """Return what of this machine the algorithm sees: the run folder's parts, each by itself.
-
-    Raises:
-        SystemFault: a path can't be said to an engine.
-    """
-    run = folder / "run"
-    assets = [asset.name for asset in order.entry.algorithm.spec.assets if asset.url is not None]
-    seen = [
-        (run / "config.yaml", "config.yaml", True),
-        (order.dataset.resolve(), "dataset", True),
-        (run / "output", "output", False),
-        *(((run / "assets" / name).resolve(), f"assets/{name}", True) for name in assets),
-        *([(run / SETTINGS_FOLDER, SETTINGS_FOLDER, True)] if order.entry.algorithm.spec.files else []),
-    ]
-    return [_mount(source, f"{RUN}/{target}", read_only) for source, target, read_only in seen]
-
-
-def _mount(source: Path, target: str, read_only: bool) -> str:
-    text = str(source.absolute())
-    if any(letter in text for letter in ',"\n'):
-        raise SystemFault(f"{text}: a container can't be shown a path with a comma, quote or line break")
-    mounted = f"type=bind,source={text},target={target}"
-    return f"{mounted},readonly" if read_only else mounted
-
-
-def _of_podman(engine: Engine, folder: Path, player: str | None = None) -> list[str]:
-    if not engine.is_podman:
-        return []
-    own = [
-        # Only what is named above may be written: podman would add /run and /var/tmp.
-        "--read-only-tmpfs=false",
-        # Proxies of this machine are none of the algorithm's.
-        "--http-proxy=false",
-        *("--cgroups", "no-conmon"),
-        *("--pidfile", str(folder / _PID)),
-    ]
-    if not engine.rootless:
-        return own
-    # What shares processes has to have the same users.
-    users = f"container:{player}" if player is not None else f"keep-id:uid={USER},gid={USER}"
-    return [*own, f"--userns={users}"]
 
 
 def _closed_to_others(folder: Path) -> Path | None:

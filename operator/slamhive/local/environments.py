@@ -11,7 +11,6 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -20,37 +19,23 @@ from slamhive.local.assets import place_assets
 from slamhive.local.catalog import bundled
 from slamhive.local.home import lock
 from slamhive.local.installing import PipSteps
+from slamhive.local.interpreters import interpreter
+from slamhive.local.pipcommands import run_command
 from slamhive.local.playing import own_player
 from slamhive.local.unavailable import Unavailable
-from slamhive.local.words import Words
 from slamhive.model.base import RELATIVE_PATH
-from slamhive.model.errors import SlamHiveError, SystemFault
-from slamhive.playback.ros import find_ros, what_it_takes
+from slamhive.playback.ros import find_ros
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from slamhive.local.catalog import AlgorithmEntry
+    from slamhive.local.interpreters import Interpreter
     from slamhive.local.prepared import AttemptOrder, PreparedPlayer
     from slamhive.model.algorithm import LocalProgram
 
 _MARKER = ".complete"
-_FALLBACKS = ("python3.11", "python3.12", "python3.13", "python3.14", "python3.10")
-_NOT_THERE = ("ERROR: No matching distribution found", "ERROR: Could not find a version")
-_PASSING = re.compile(
-    r"Retrying|[Cc]onnection|[Tt]imed out|[Tt]imeout|[Tt]emporary failure|SSL|Proxy|HTTP error|unreachable"
-    r"|No space left|quota|Read-only|OSError|Permission denied|Input/output|MemoryError|Killed"
-    r"|ERROR: Exception"
-)
-"""Words of pip about what another try may mend; without any, another try ends as the first did."""
-_BROKEN = re.compile(r"after connection broken by '(\w+)")
-_NO_WHEEL = re.compile(r"No matching distribution found for ([\w.-]+).*")
-_PASSED_ON = re.compile(
-    r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TZ|TMPDIR|LD_LIBRARY_PATH|XDG_(CONFIG|CACHE)_(HOME|DIRS)|PIP_\w+"
-    r"|(HTTPS?|ALL|NO)_PROXY|(https?|all|no)_proxy|SSL_CERT_(FILE|DIR)|(REQUESTS|CURL)_CA_BUNDLE"
-)
 _TO_PROGRAMS = ("LD_LIBRARY_PATH", "SSL_CERT_FILE", "TZ")
-_CLAUSE = re.compile(r"^\s*(>=|<=|==|!=|<|>)\s*([0-9]+)\.([0-9]+)\s*$")
 
 
 class Part(NamedTuple):
@@ -238,7 +223,7 @@ class Environments:
         needed = _anything_in(requirements)
         # pip alone takes seconds to be installed, and nobody needs it where there is nothing to install.
         make = [python.path, "-m", "venv", *seeing, *([] if needed else ["--without-pip"]), str(path)]
-        _command(make, f"environment of {name}", requirements.parent, held)
+        run_command(make, f"environment of {name}", requirements.parent, held)
         if needed:
             Environments._install(name, path, requirements, held, made)
         (path / _MARKER).touch()
@@ -249,22 +234,7 @@ class Environments:
         # Wheels alone: a source package runs a program of its own to install itself.
         install = [*pip, "install", "--progress-bar", "off", "--only-binary", ":all:"]
         wanted = ["-r", str(requirements)]
-        _command([*install, *wanted], f"packages of {name}", requirements.parent, held, made.tell)
-
-
-@dataclass(frozen=True)
-class Interpreter:
-    """A Python interpreter on this machine.
-
-    Attributes:
-        path: Where it is.
-        version: Its version.
-        beside: What an algorithm takes of the machine beside its own packages: ROS.
-    """
-
-    path: str
-    version: tuple[int, int]
-    beside: tuple[str, ...] = ()
+        run_command([*install, *wanted], f"packages of {name}", requirements.parent, held, made.tell)
 
 
 def is_whole(path: Path) -> bool:
@@ -301,78 +271,6 @@ def availability(entry: AlgorithmEntry) -> str | None:
     except Unavailable as error:
         return str(error)
     return None
-
-
-def interpreter(program: LocalProgram, *, ros: bool = False) -> Interpreter:
-    """Return an interpreter that an algorithm has packages for.
-
-    Args:
-        program: The algorithm's program.
-        ros: Whether it must be the one that this machine's ROS 1 is for.
-
-    Raises:
-        Unavailable: there is none, or not for this machine.
-    """
-    machine = platform.machine()
-    if program.machines and machine not in program.machines:
-        raise Unavailable(f"has no packages for {machine}, only for {', '.join(program.machines)}")
-    if ros:
-        return _of_ros(program)
-    own = Interpreter(getattr(sys, "_base_executable", None) or sys.executable, sys.version_info[:2])
-    if _accepts(program.python, own.version):
-        return own
-    for name in _FALLBACKS:
-        other = _probe(name)
-        if other is not None and _accepts(program.python, other.version):
-            return other
-    raise Unavailable(
-        f"needs Python {program.python}, here is {own.version[0]}.{own.version[1]}; "
-        "install another python3.x with its venv module and it will be found on the PATH"
-    )
-
-
-def _of_ros(program: LocalProgram) -> Interpreter:
-    found = find_ros()
-    if found is None:
-        raise Unavailable(what_it_takes())
-    if not _accepts(program.python, found.version):
-        version = ".".join(map(str, found.version))
-        raise Unavailable(f"needs Python {program.python}, and ROS 1 is here for Python {version}")
-    return Interpreter(found.python, found.version, (f"ros1 {found.release}",))
-
-
-@cache
-def _probe(name: str) -> Interpreter | None:
-    path = shutil.which(name)
-    if path is None:
-        return None
-    code = "import sys, venv, ensurepip; print(*sys.version_info[:2])"
-    # Debian's Python comes without venv and ensurepip: an interpreter that lacks them can't make
-    # environments.
-    result = subprocess.run([path, "-I", "-c", code], capture_output=True, text=True, check=False, timeout=30)
-    if result.returncode != 0:
-        return None
-    major, minor = result.stdout.split()
-    return Interpreter(path, (int(major), int(minor)))
-
-
-def _accepts(clauses: str, version: tuple[int, int]) -> bool:
-    for clause in filter(None, clauses.split(",")):
-        match = _CLAUSE.match(clause)
-        if match is None:
-            raise Unavailable(f"local.python: {clause!r} is not a clause such as >=3.11")
-        bound = (int(match.group(2)), int(match.group(3)))
-        holds = {
-            ">=": version >= bound,
-            "<=": version <= bound,
-            "==": version == bound,
-            "!=": version != bound,
-            "<": version < bound,
-            ">": version > bound,
-        }[match.group(1)]
-        if not holds:
-            return False
-    return True
 
 
 def _program(entry: AlgorithmEntry) -> LocalProgram:
@@ -474,91 +372,6 @@ class _Made:
             self._making.pop(self._said, None)
             self._said = f"{self._what}: {step.what}"
             self._making[self._said] = step.share
-
-
-def _command(
-    argv: list[str],
-    what: str,
-    folder: Path,
-    held: int | None = None,
-    tell: Callable[[str], None] | None = None,
-) -> None:
-    """Run a command in a folder.
-
-    Args:
-        argv: the command.
-        what: what it makes, for the message.
-        folder: where it runs.
-        held: descriptor of a lock that it shall hold as long as it runs: it may outlive a slamhive that is
-            killed, and another one must not begin to make the same meanwhile.
-        tell: given each line of its standard output, which then says nothing of errors.
-    """
-    words, printed = Words(), []
-    try:
-        process = subprocess.Popen(
-            argv,
-            text=True,
-            errors="replace",
-            cwd=folder,
-            env=_surroundings(),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=words.descriptor,
-            pass_fds=() if held is None else (held,),
-        )
-    except OSError as error:
-        raise SystemFault(f"{what}: {error}") from None
-    with process:
-        try:
-            for line in process.stdout or ():
-                if tell is None:
-                    printed.append(line)
-                else:
-                    tell(line.rstrip())
-        except BaseException:
-            process.kill()
-            raise
-    if process.returncode != 0:
-        raise _explained(what, words.text() + "".join(printed), by_itself=process.returncode > 0)
-
-
-def _explained(what: str, told: str, *, by_itself: bool) -> SlamHiveError:
-    """Return why a command failed: `Unavailable` where pip says what no other try would change.
-
-    Args:
-        what: what it was to make.
-        told: all that it printed.
-        by_itself: whether it ended by itself.
-    """
-    lines = [line.strip() for line in told.splitlines() if line.strip()]
-    errors = [line for line in lines if line.startswith("ERROR: ")]
-    passing = [line for line in lines if _PASSING.search(line) and not line.startswith(_NOT_THERE)]
-    if by_itself and errors and not passing:
-        why = errors[-1].removeprefix("ERROR: ")
-        return Unavailable(f"{what} can't be installed: {why}{_of_source(why)}")
-    last = (passing or errors or lines or ["no message"])[-1].removeprefix("ERROR: ")
-    broken = _BROKEN.search(last)
-    why = f"the package index can't be reached ({broken.group(1)})" if broken else last
-    return SystemFault(f"{what} could not be made: {why}")
-
-
-def _of_source(why: str) -> str:
-    found = _NO_WHEEL.fullmatch(why)
-    if found is None:
-        return ""
-    return (
-        f" among the wheels; if there is only source, a line --no-binary {found.group(1)} among the "
-        "requirements lets its own setup program run"
-    )
-
-
-def _surroundings() -> dict[str, str]:
-    """Return the variables that programs and pip need: paths, package index, proxies, certificates.
-
-    Packages may bring programs of their own for their setup: tokens and keys that are ours are not for them,
-    nor what makes Python import what merely lies about.
-    """
-    return own_variables(filter(_PASSED_ON.fullmatch, os.environ)) | {"PYTHONSAFEPATH": "1"}
 
 
 def _anything_in(requirements: Path) -> bool:
