@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Cumulative shares: which share of the runs has at most a figure; failed runs never reach one. */
-import { COLOURS } from '../core/chart.js';
+import { COLOURS, legendOfLines } from '../core/chart.js';
 import { axisName, clip, keysText, number } from '../core/format.js';
 import { outsideText, robustLimits, roundEnds } from './limits.js';
 
@@ -76,10 +76,7 @@ export function ecdfChart(metric, curves, limits, xlog) {
   const [low, high] = [ends.min ?? 0, ends.max ?? 1];
   return {
     grid: { left: 60, right: 26, top: curves.length > 1 ? 40 : 16, bottom: 48 },
-    legend:
-      curves.length > 1
-        ? { icon: 'roundRect', itemHeight: 4, itemWidth: 18, data: curves.map((one) => clip(one.name, 50)) }
-        : undefined,
+    legend: curves.length > 1 ? legendOfLines(curves.map((one) => one.name)) : undefined,
     tooltip: {
       trigger: 'axis',
       axisPointer: { type: 'line' },

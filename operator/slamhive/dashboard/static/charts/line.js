@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Lines over the groups of /api/v1/analysis/aggregate, with the interval or the range around them. */
-import { COLOURS } from '../core/chart.js';
+import { COLOURS, legendOfLines } from '../core/chart.js';
 import { axisName, cell, clip, headingOf, keysText, number } from '../core/format.js';
 
 /**
@@ -83,10 +83,7 @@ export function line(data, settings) {
   });
   return {
     grid: { left: 72, right: 24, top: all.length > 1 ? 40 : 16, bottom: 46 },
-    legend:
-      all.length > 1
-        ? { icon: 'roundRect', itemHeight: 4, itemWidth: 18, data: all.map((one) => clip(one.name, 50)) }
-        : undefined,
+    legend: all.length > 1 ? legendOfLines(all.map((one) => one.name)) : undefined,
     tooltip: {
       trigger: 'item',
       formatter: (item) => tell(item.data?.point, item.seriesName, heading, settings.figure),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Small multiples: rows and columns of charts by two settings, with one pair of axes for all of them. */
-import { COLOURS } from '../core/chart.js';
+import { COLOURS, legendOfLines } from '../core/chart.js';
 import { axisName, cell, clip, headingOf, namedValue } from '../core/format.js';
 import { band, linesOf, reach, tell } from './line.js';
 import { outsideText, robustLimits, roundEnds } from './limits.js';
@@ -176,9 +176,7 @@ export function multiples(data, set, found) {
           show: true,
           borderWidth: 0,
         })),
-        legend: legend
-          ? { icon: 'roundRect', itemHeight: 4, itemWidth: 18, data: names.map((name) => clip(name, 50)) }
-          : undefined,
+        legend: legend ? legendOfLines(names) : undefined,
         // A hover in one chart marks its x in all.
         axisPointer: { link: [{ xAxisIndex: 'all' }], triggerOn: 'mousemove' },
         tooltip: {

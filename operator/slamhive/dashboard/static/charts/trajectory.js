@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Trajectories from above and from the sides, and what happened over time. */
-import { COLOURS } from '../core/chart.js';
+import { COLOURS, legendOfLines } from '../core/chart.js';
 import { clip, number } from '../core/format.js';
 
 /** The three planes: name and the two axes. */
@@ -32,9 +32,6 @@ export function ramp(share) {
   const mixed = RAMP[low].map((value, at) => Math.round(value + (RAMP[low + 1][at] - value) * (place - low)));
   return `rgb(${mixed.join(',')})`;
 }
-
-/** Lines have a short line in the legend. */
-const BARS = { icon: 'roundRect', itemHeight: 4, itemWidth: 18 };
 
 const MARGIN = { left: 64, right: 20, top: 40, bottom: 52 };
 const GAP = 8;
@@ -110,7 +107,7 @@ export function plane(estimates, reference, a, b, range, surveyed = null) {
     const points = (track) => broken(track, (index) => [track[a][index], track[b][index]]);
     return {
       grid: { ...MARGIN, right },
-      legend: BARS,
+      legend: legendOfLines(),
       tooltip: { trigger: 'item', formatter: (item) => `${item.seriesName}\n${tell(item.value, a, b)}` },
       xAxis: { type: 'value', name: `${a} [m]`, nameGap: 26, ...spanA, ...EDGES },
       yAxis: { type: 'value', name: `${b} [m]`, nameGap: 44, ...spanB, ...EDGES },
@@ -263,7 +260,7 @@ export function overTime(
 ) {
   return {
     grid: { left: 72, right: 20, top: legend ? 40 : 14, bottom: 48 },
-    legend: legend ? BARS : undefined,
+    legend: legend ? legendOfLines() : undefined,
     tooltip: {
       trigger: 'axis',
       axisPointer: { type: 'line' },

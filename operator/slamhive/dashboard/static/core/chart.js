@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** A chart with what belongs to it: its table, its CSV, its picture. */
 import { fileName, Framed, inks, isDark, save, saveSvg } from './figure.js';
+import { clip } from './format.js';
 import { html, useEffect, useLayoutEffect, useRef, useState } from './ui.js';
 
 /** Okabe and Ito's colours, distinguishable to the colour-blind; black is left out for the dark theme. */
@@ -18,6 +19,16 @@ export const COLOURS = [
   '#1b9e77',
   '#7570b3',
 ];
+
+/** Lines have a short line in the legend. */
+const LINES = { icon: 'roundRect', itemHeight: 4, itemWidth: 18 };
+
+/**
+ * Return the legend of lines: of those that have names in it, or of all.
+ * @param {string[]} [names]
+ */
+export const legendOfLines = (names) =>
+  names ? { ...LINES, data: names.map((name) => clip(name, 50)) } : LINES;
 
 /** @type {Promise<typeof import('/vendor/echarts.mjs')>|undefined} */
 let loading;
