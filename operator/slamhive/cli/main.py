@@ -36,12 +36,12 @@ COMMANDS = {
         "running", "run", "Run sweeps on this machine, or on a cluster as if it were this machine."
     ),
     "plan": _Command(
-        "running",
+        "plans",
         "plan",
         "Show the runs that sweeps expand to, without running them, or what they will cost.",
     ),
     "validate": _Command(
-        "running",
+        "plans",
         "validate",
         "Check manifests: everything that run would refuse, and what is missing here.",
     ),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``slamhive run``, ``plan``, ``validate`` and ``demo``.
+"""``slamhive run`` and ``demo``.
 
 ``run`` ends with 0 where all went well; with 1 where a run failed, could not be measured, or the sweep
 stopped before its end; with 2 on wrong input; with 130 when it was interrupted.
@@ -7,7 +7,6 @@ stopped before its end; with 2 on wrong input; with 130 when it was interrupted.
 
 from __future__ import annotations
 
-import json
 import signal
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,11 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.markup import escape
 
-from slamhive.archive import Archive
-from slamhive.archive.connection import file_of
-from slamhive.cli import tables
 from slamhive.cli.checked import check_files
-from slamhive.cli.choosing import Also
 from slamhive.cli.cluster import Context, Namespace, cluster_client
 from slamhive.cli.console import (
     command_name,
@@ -36,6 +31,7 @@ from slamhive.cli.console import (
 )
 from slamhive.cli.daily import errors_before, show_edits, to_do_again
 from slamhive.cli.exits import FAILED, INTERRUPTED, WRONG_INPUT
+from slamhive.cli.plans import Files, remark_without_effect
 from slamhive.cli.progress import Display
 from slamhive.cli.results import show_table
 from slamhive.cli.watching import Watched, half_saved
@@ -45,20 +41,17 @@ from slamhive.local.choosing import Wish, ask
 from slamhive.local.engines import ContainerChoice, find_engine
 from slamhive.local.evaluations import bring_up_to_date, evaluate_again
 from slamhive.local.home import Home
-from slamhive.local.outlook import Looking, sentences
 from slamhive.local.programs import unavailable
 from slamhive.local.runner import Job, Runner
 from slamhive.local.sweeping import require_own_name
 from slamhive.local.unavailable import Unavailable
 from slamhive.local.workbench import Workbench
 from slamhive.model.base import Choice
-from slamhive.model.errors import InputError, SlamHiveError, sentence
+from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluation
-from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep
 from slamhive.monitor.processes import forbid_inspection
 from slamhive.plan import local_uid
-from slamhive.tables.text import short_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,7 +59,6 @@ if TYPE_CHECKING:
     from slamhive.local.catalog import Workshop
     from slamhive.plan import Plan
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]
 _SAVED = -1
 """Exit code of a round that a save ended; never a command's."""
 
@@ -222,94 +214,6 @@ def _watch(files: Sequence[Path], home: Home, how: _How, *, bell: bool) -> int:
             watched.wait()
         except KeyboardInterrupt:
             return code
-
-
-def plan(
-    files: Files,
-    *,
-    count: Annotated[bool, typer.Option("--count", help="Print the number of runs alone.")] = False,
-    head: Annotated[int | None, typer.Option("--head", min=1, help="Print the first N runs.")] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print every run as a line of JSON, or the estimate as JSON.")
-    ] = False,
-    estimate: Annotated[
-        bool,
-        typer.Option("--estimate", help="Print what they will cost: CPU and wall time, memory, disk."),
-    ] = False,
-    parallelism: Annotated[
-        int | None,
-        typer.Option(
-            "-j", "--parallelism", min=1, help="With --estimate: runs at the same time, here or elsewhere."
-        ),
-    ] = None,
-    also: Also = None,
-) -> None:
-    """Show the runs that sweeps expand to, without running them, or what they will cost.
-
-    Names that are not in the catalog are allowed here; validate tells of them. An estimate comes from
-    finished runs of the same algorithms, of this home and of those that --also names.
-
-    Example: slamhive plan sweep.yaml --estimate
-    """
-    if estimate and (count or head is not None):
-        raise InputError("--estimate: without --count and --head, which say something else")
-    if not estimate and (parallelism is not None or also is not None):
-        raise InputError("--parallelism and --also: of a plan they say something with --estimate alone")
-    workshop = load_workshop(Home.from_environment())
-    checked = check_files(files, workshop, strict=False)
-    checked.refuse()
-    plans = checked.plans
-    if not plans:
-        raise InputError(f"{files[0]}: no Sweep or MappingRun in it")
-    if count:
-        out.print(sum(len(points) for _, points in plans))
-        return
-    if estimate:
-        from slamhive.cli import forecasting  # numbers, which nothing else of a plan needs
-
-        home = Home.from_environment()
-        forecasting.estimate(plans, workshop, home, parallelism=parallelism, also=also, as_json=as_json)
-        return
-    for sweep, points in plans:
-        shown = len(points) if as_json else min(len(points), head or 10)
-        if as_json:
-            _print_json(points, min(shown, head or shown))
-        else:
-            _print_points(sweep, points, shown)
-    if not as_json:
-        _print_outlooks(plans, workshop)
-
-
-def _print_outlooks(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> None:
-    """Print what an edit made stale and why, and what is new, where there are results."""
-    home = Home.from_environment()
-    file = file_of(home.archive_url)
-    if file is not None and not file.exists():
-        return
-    try:
-        with Archive.open(home.archive_url, read_only=True) as archive:
-            looking = Looking(Workbench(home, workshop, archive), making=False)
-            for sweep, points in plans:
-                job = Job(sweep, local_uid(sweep), points)
-                told = sentences(looking.look(sweep.name, job.uid, points, job.run_uid), points)
-                out.print(f"{sweep.name}: {'; '.join(told)}", markup=False)
-    except SlamHiveError as error:
-        remark(f"what is stale can't be told: {sentence(error)}")
-
-
-def validate(files: Files) -> None:
-    """Check manifests: everything that run would refuse, and what is missing here.
-
-    Example: slamhive validate sweep.yaml
-    """
-    checked = check_files(files, load_workshop(Home.from_environment()))
-    for sweep, points in checked.plans:
-        out.print(f"{sweep.kind} {escape(sweep.name)}: {plural(len(points), 'run')}")
-        _tell_of_idle(sweep, points)
-    for item in checked.objects:
-        if not isinstance(item, Sweep | MappingRun):
-            out.print(f"{item.kind} {escape(item.name)}: valid")
-    checked.refuse()
 
 
 def demo(
@@ -491,13 +395,7 @@ def _tell_of(sweep: Sweep, points: Plan, workshop: Workshop, container: Containe
                 remark(f"{name} can't run here: {reason}")
             else:
                 err.print(f"[yellow]{escape(name)} can't run here: {escape(reason)}[/]")
-    _tell_of_idle(sweep, points)
-
-
-def _tell_of_idle(sweep: Sweep, points: Plan) -> None:
-    """Say which settings have no effect on some of the recordings."""
-    for told in points.remarks():
-        remark(f"{sweep.name}: {told}")
+    remark_without_effect(sweep, points)
 
 
 def _report(job: Job, bench: Workbench) -> None:
@@ -538,31 +436,3 @@ def _report(job: Job, bench: Workbench) -> None:
     out.print(f"Files:      {bench.home.path / 'runs' / job.sweep.name}", soft_wrap=True)
     more = f"{command_name()} results table --sweep {job.sweep.name}   (list, show, export)"
     out.print(f"More:       {more}", soft_wrap=True)
-
-
-def _print_json(points: Plan, count: int) -> None:
-    for index in range(count):
-        point = points.point(index)
-        line = {"index": index, "name": point.name, "specHash": point.spec_hash, "spec": point.spec}
-        if point.asked:
-            line["asked"] = point.asked
-        typer.echo(json.dumps(line, separators=(",", ":")))
-
-
-def _print_points(sweep: Sweep, points: Plan, count: int) -> None:
-    first = [points.point(index) for index in range(count)]
-    labels = list(dict.fromkeys(label for point in first for label in point.coordinates))
-    out.print(f"{sweep.name}: {plural(len(points), 'run')}", markup=False)
-    headings = ["index", "name", *(short_name(label, labels) for label in labels), "repetition", "seed"]
-    lines = [
-        [
-            *(str(point.index), point.name),
-            *(str(point.coordinates.get(label, "")) for label in labels),
-            *(str(point.repetition), str(point.seed)),
-        ]
-        for point in first
-    ]
-    tables.show(out, headings, lines)
-    _tell_of_idle(sweep, points)
-    if count < len(points):
-        out.print(f"… and {plural(len(points) - count, 'more run')} (--head N, --json)")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from slamhive.cli.console import out, remark
-from slamhive.cli.results import find_runs
+from slamhive.cli.onerun import find_runs
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
 

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``slamhive plan`` and ``validate``: what sweeps expand to, and what is wrong with manifests."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.markup import escape
+
+from slamhive.archive import Archive
+from slamhive.archive.connection import file_of
+from slamhive.cli import tables
+from slamhive.cli.checked import check_files
+from slamhive.cli.choosing import Also
+from slamhive.cli.console import out, plural, remark
+from slamhive.local.catalog import load_workshop
+from slamhive.local.home import Home
+from slamhive.local.outlook import Looking, sentences
+from slamhive.local.runner import Job
+from slamhive.local.workbench import Workbench
+from slamhive.model.errors import InputError, SlamHiveError, sentence
+from slamhive.model.run import MappingRun
+from slamhive.model.sweep import Sweep
+from slamhive.plan import local_uid
+from slamhive.tables.text import short_name
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.local.catalog import Workshop
+    from slamhive.plan import Plan
+
+Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]
+
+
+def plan(
+    files: Files,
+    *,
+    count: Annotated[bool, typer.Option("--count", help="Print the number of runs alone.")] = False,
+    head: Annotated[int | None, typer.Option("--head", min=1, help="Print the first N runs.")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print every run as a line of JSON, or the estimate as JSON.")
+    ] = False,
+    estimate: Annotated[
+        bool,
+        typer.Option("--estimate", help="Print what they will cost: CPU and wall time, memory, disk."),
+    ] = False,
+    parallelism: Annotated[
+        int | None,
+        typer.Option(
+            "-j", "--parallelism", min=1, help="With --estimate: runs at the same time, here or elsewhere."
+        ),
+    ] = None,
+    also: Also = None,
+) -> None:
+    """Show the runs that sweeps expand to, without running them, or what they will cost.
+
+    Names that are not in the catalog are allowed here; validate tells of them. An estimate comes from
+    finished runs of the same algorithms, of this home and of those that --also names.
+
+    Example: slamhive plan sweep.yaml --estimate
+    """
+    if estimate and (count or head is not None):
+        raise InputError("--estimate: without --count and --head, which say something else")
+    if not estimate and (parallelism is not None or also is not None):
+        raise InputError("--parallelism and --also: of a plan they say something with --estimate alone")
+    workshop = load_workshop(Home.from_environment())
+    checked = check_files(files, workshop, strict=False)
+    checked.refuse()
+    plans = checked.plans
+    if not plans:
+        raise InputError(f"{files[0]}: no Sweep or MappingRun in it")
+    if count:
+        out.print(sum(len(points) for _, points in plans))
+        return
+    if estimate:
+        from slamhive.cli import forecasting  # numbers, which nothing else of a plan needs
+
+        home = Home.from_environment()
+        forecasting.estimate(plans, workshop, home, parallelism=parallelism, also=also, as_json=as_json)
+        return
+    for sweep, points in plans:
+        shown = len(points) if as_json else min(len(points), head or 10)
+        if as_json:
+            _print_json(points, min(shown, head or shown))
+        else:
+            _print_points(sweep, points, shown)
+    if not as_json:
+        _print_outlooks(plans, workshop)
+
+
+def validate(files: Files) -> None:
+    """Check manifests: everything that run would refuse, and what is missing here.
+
+    Example: slamhive validate sweep.yaml
+    """
+    checked = check_files(files, load_workshop(Home.from_environment()))
+    for sweep, points in checked.plans:
+        out.print(f"{sweep.kind} {escape(sweep.name)}: {plural(len(points), 'run')}")
+        remark_without_effect(sweep, points)
+    for item in checked.objects:
+        if not isinstance(item, Sweep | MappingRun):
+            out.print(f"{item.kind} {escape(item.name)}: valid")
+    checked.refuse()
+
+
+def remark_without_effect(sweep: Sweep, points: Plan) -> None:
+    """Say which settings have no effect on some of the recordings."""
+    for told in points.remarks():
+        remark(f"{sweep.name}: {told}")
+
+
+def _print_outlooks(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> None:
+    """Print what an edit made stale and why, and what is new, where there are results."""
+    home = Home.from_environment()
+    file = file_of(home.archive_url)
+    if file is not None and not file.exists():
+        return
+    try:
+        with Archive.open(home.archive_url, read_only=True) as archive:
+            looking = Looking(Workbench(home, workshop, archive), making=False)
+            for sweep, points in plans:
+                job = Job(sweep, local_uid(sweep), points)
+                told = sentences(looking.look(sweep.name, job.uid, points, job.run_uid), points)
+                out.print(f"{sweep.name}: {'; '.join(told)}", markup=False)
+    except SlamHiveError as error:
+        remark(f"what is stale can't be told: {sentence(error)}")
+
+
+def _print_json(points: Plan, count: int) -> None:
+    for index in range(count):
+        point = points.point(index)
+        line = {"index": index, "name": point.name, "specHash": point.spec_hash, "spec": point.spec}
+        if point.asked:
+            line["asked"] = point.asked
+        typer.echo(json.dumps(line, separators=(",", ":")))
+
+
+def _print_points(sweep: Sweep, points: Plan, count: int) -> None:
+    first = [points.point(index) for index in range(count)]
+    labels = list(dict.fromkeys(label for point in first for label in point.coordinates))
+    out.print(f"{sweep.name}: {plural(len(points), 'run')}", markup=False)
+    headings = ["index", "name", *(short_name(label, labels) for label in labels), "repetition", "seed"]
+    lines = [
+        [
+            *(str(point.index), point.name),
+            *(str(point.coordinates.get(label, "")) for label in labels),
+            *(str(point.repetition), str(point.seed)),
+        ]
+        for point in first
+    ]
+    tables.show(out, headings, lines)
+    remark_without_effect(sweep, points)
+    if count < len(points):
+        out.print(f"… and {plural(len(points) - count, 'more run')} (--head N, --json)")
