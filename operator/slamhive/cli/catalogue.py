@@ -28,11 +28,14 @@ _LEAST = 24
 
 def search(
     words: Annotated[
-        list[str] | None, typer.Argument(metavar="WORD…", help="Words that all must be met; none: all.")
+        list[str] | None,
+        typer.Argument(
+            metavar="WORD…", help="Words that an entry must contain, all of them; without words, all entries."
+        ),
     ] = None,
     *,
     sensors: Annotated[
-        SensorMode | None, typer.Option("--sensors", help="Only what has the sensors of a mode.")
+        SensorMode | None, typer.Option("--sensors", help="Only entries with the sensors of this mode.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:

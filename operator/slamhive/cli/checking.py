@@ -77,14 +77,14 @@ def check(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")],
     *,
     image: Annotated[
-        str | None, typer.Option("--image", metavar="REF", help="Another image than the Algorithm names.")
+        str | None, typer.Option("--image", metavar="REF", help="Use this image instead of the Algorithm's.")
     ] = None,
     dataset: Annotated[
         str | None,
         typer.Option("--dataset", metavar="DATASET", help="Default: a short generated one for each mode."),
     ] = None,
     on: Annotated[
-        Place, typer.Option("--on", help="Where it is started; all: wherever that can be done here.")
+        Place, typer.Option("--on", help="Where to start it; all: everywhere that is possible here.")
     ] = Place.ALL,
     timeout: Annotated[
         str, typer.Option("--timeout", metavar="DURATION", help="How long one start may take.")

@@ -24,7 +24,7 @@ Where = Annotated[
     str | None, typer.Option(metavar="EXPR", help='Only rows that meet it, as in "coverage >= 0.9".')
 ]
 Sweeps = Annotated[
-    list[str] | None, typer.Option(metavar="NAME", help="Only runs of this sweep; several times.")
+    list[str] | None, typer.Option(metavar="NAME", help="Only runs of this sweep; may be repeated.")
 ]
 EvaluationName = Annotated[
     str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as se3 or sim3.")
@@ -35,7 +35,7 @@ Also = Annotated[
     typer.Option(
         "--also",
         metavar="[LABEL=]PATH",
-        help="Runs of another home beside one's own, told apart by its label; several times. Default: what "
+        help="Add the runs of another home, under its label; may be repeated. Default: what "
         "$SLAMHIVE_ALSO names.",
     ),
 ]

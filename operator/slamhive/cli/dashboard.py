@@ -23,15 +23,20 @@ def dashboard(
     host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets others in.")] = "127.0.0.1",
     allowed_host: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Another name that it may be called by; several times."),
+        typer.Option(
+            metavar="NAME", help="Another host name by which browsers may call it; may be repeated."
+        ),
     ] = None,
     health_port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Port of /healthz and /readyz alone; none unless given."),
+        typer.Option(min=0, max=65535, help="Separate port for /healthz and /readyz; default: none."),
     ] = None,
     ground_truth: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="DATASET.txt (TUM) or .csv (EuRoC) to draw paths over."),
+        typer.Option(
+            metavar="FOLDER",
+            help="Ground truth to draw under paths: DATASET.txt (TUM) or DATASET.csv (EuRoC).",
+        ),
     ] = None,
     also: Also = None,
 ) -> None:

@@ -61,7 +61,7 @@ _TRUTH_NOUNS = {
 def list_datasets(
     *,
     available: Annotated[
-        bool, typer.Option("--available", help="The sequences of the catalogue instead.")
+        bool, typer.Option("--available", help="List the sequences of the catalogue instead.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -108,11 +108,9 @@ def add(
     relations: Annotated[
         Path | None, typer.Option("--relations", help="Ground truth of a CARMEN log: a .relations file.")
     ] = None,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Take the place of a dataset of that name.")
-    ] = False,
+    replace: Annotated[bool, typer.Option("--replace", help="Replace a dataset of that name.")] = False,
     keep_archive: Annotated[
-        bool, typer.Option("--keep-archive", help="Keep what was fetched of the catalogue.")
+        bool, typer.Option("--keep-archive", help="Keep the downloaded archive of a sequence.")
     ] = False,
 ) -> None:
     """Make a dataset known: from its manifest, or from what is found in a recording.

@@ -38,7 +38,7 @@ def doctor(
     namespace: Namespace = None,
     context: Context = None,
 ) -> None:
-    """Look at what there is to work with: what is missing, what that costs, and what helps.
+    """Check this machine: what is missing, what does not work without it, and how to get it.
 
     Everything is looked at side by side and takes a few seconds. The exit code is 1 where something is
     missing without which nothing runs.

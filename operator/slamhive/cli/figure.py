@@ -42,10 +42,10 @@ def figure(
         typer.Option("--output", "-o", metavar="FILE", help="File to write: .pdf, .svg or .png [KIND.pdf]."),
     ] = None,
     x: Annotated[
-        str | None, typer.Option("--x", "-x", metavar="COLUMN[:UNIT]", help="What lies along x.")
+        str | None, typer.Option("--x", "-x", metavar="COLUMN[:UNIT]", help="Column along x.")
     ] = None,
     y: Annotated[
-        str | None, typer.Option("--y", "-y", metavar="COLUMN[:UNIT]", help="What lies along y.")
+        str | None, typer.Option("--y", "-y", metavar="COLUMN[:UNIT]", help="Column along y.")
     ] = None,
     by: Annotated[
         str | None,
@@ -63,13 +63,15 @@ def figure(
         str, typer.Option(metavar="WIDTH", help=f"{', '.join(WIDTHS)}, or a measure such as 88mm.")
     ] = "ieee-column",
     height: Annotated[
-        str | None, typer.Option(metavar="HEIGHT", help="Such as 60mm; default: what suits it.")
+        str | None, typer.Option(metavar="HEIGHT", help="Height, such as 60mm; default: by the content.")
     ] = None,
     font: Annotated[Face, typer.Option(help="Letters: sans, or serif as most papers have.")] = Face.SANS,
     log: Annotated[Log, typer.Option(help="Logarithmic axes; auto: where numbers span decades.")] = Log.AUTO,
     limits: Annotated[
         Hold,
-        typer.Option(help="robust leaves a few numbers far out outside, marked at the edge; all: none."),
+        typer.Option(
+            help="robust: a few extreme values lie outside, marked at the edge; all: every value lies inside."
+        ),
     ] = Hold.ROBUST,
     statistic: Annotated[
         Statistic, typer.Option(help="What stands for several runs: median and range, or mean ± std.")
@@ -81,7 +83,7 @@ def figure(
         bool, typer.Option("--each", help="Paths, errors and usage of every run, not one a series.")
     ] = False,
     published: Annotated[
-        bool, typer.Option("--published", help="Published numbers on the same datasets, as hollow marks.")
+        bool, typer.Option("--published", help="Add published numbers on the same datasets, as hollow marks.")
     ] = False,
     where: Where = None,
     sweep: Sweeps = None,

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 def home(
     *,
-    size: Annotated[bool, typer.Option("--size", help="What takes its room, the largest first.")] = False,
+    size: Annotated[bool, typer.Option("--size", help="Show what takes space, the largest first.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Say where everything is kept: $SLAMHIVE_HOME. With --size: what takes its room, and what frees it.
+    """Say where everything is kept: $SLAMHIVE_HOME. With --size: what takes space, and how to free it.
 
     Example: slamhive home --size
     """
@@ -66,16 +66,16 @@ def home(
 def gc(
     *,
     made_again: Annotated[
-        bool, typer.Option("--all", help="What is made again when it is needed, too: all that is not in use.")
+        bool, typer.Option("--all", help="Remove also what can be made again: everything that is not in use.")
     ] = False,
     unrecorded: Annotated[
         bool,
-        typer.Option("--unrecorded", help="Folders of runs that no record in the archive refers to, too."),
+        typer.Option("--unrecorded", help="Remove also folders of runs that have no record in the archive."),
     ] = False,
     yes: Yes = False,
     dry_run: DryRun = False,
 ) -> None:
-    """Remove what nothing refers to: variants, environments, assets, and what killed work left.
+    """Remove what nothing refers to: variants, environments, assets, and leftovers of killed commands.
 
     What is in use or referred to stays, and is said. Files of runs that have a record: results prune.
 

@@ -50,7 +50,7 @@ COMMANDS = {
         "schema",
         "Print the JSON Schema of a kind, by which an editor completes and checks manifests.",
     ),
-    "new": _Command("new", "app", "New manifests by questions: a sweep, a dataset, an algorithm."),
+    "new": _Command("new", "app", "Write a new sweep, dataset or algorithm by answering questions."),
     "dashboard": _Command(
         "dashboard",
         "dashboard",
@@ -60,7 +60,7 @@ COMMANDS = {
     "report": _Command(
         "report",
         "report",
-        "Write one HTML page that needs nothing else: leaderboard, comparison, charts, every run.",
+        "Write one self-contained HTML page: leaderboard, comparison, charts, every run.",
     ),
     "paper-table": _Command(
         "report",
@@ -75,7 +75,7 @@ COMMANDS = {
     "submission": _Command(
         "submission",
         "submission",
-        "Write the archive that a challenge wants: one run a sequence, checked, in its form.",
+        "Write the ZIP archive for a challenge: one run for each sequence, checked, in the right format.",
     ),
     "submit": _Command(
         "cluster", "submit", "Send sweeps, runs and what they need to a cluster, which runs them."
@@ -106,18 +106,18 @@ COMMANDS = {
     "home": _Command(
         "home",
         "home",
-        "Say where everything is kept: $SLAMHIVE_HOME. With --size: what takes its room, and what frees it.",
+        "Say where everything is kept: $SLAMHIVE_HOME. With --size: what takes space, and how to free it.",
     ),
     "gc": _Command(
         "home",
         "gc",
-        "Remove what nothing refers to: variants, environments, assets, and what killed work left.",
+        "Remove what nothing refers to: variants, environments, assets, and leftovers of killed commands.",
     ),
     "import": _Command("importing", "app", "Bring results of other systems into the archive."),
     "doctor": _Command(
         "doctor",
         "doctor",
-        "Look at what there is to work with: what is missing, what that costs, and what helps.",
+        "Check this machine: what is missing, what does not work without it, and how to get it.",
     ),
     "archive": _Command(
         "archive",

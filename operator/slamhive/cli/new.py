@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from slamhive.local.catalog import Workshop
     from slamhive.model.algorithm import Algorithm
 
-app = typer.Typer(no_args_is_help=True, help="New manifests by questions: a sweep, a dataset, an algorithm.")
+app = typer.Typer(
+    no_args_is_help=True, help="Write a new sweep, dataset or algorithm by answering questions."
+)
 
 Output = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FILE", help="File to write; default: NAME.yaml.")
@@ -99,16 +101,23 @@ def new_dataset(
     recording: Annotated[
         str | None,
         typer.Option(
-            "--recording", metavar="SOURCE", help="A recording that is there; none: one is generated."
+            "--recording",
+            metavar="SOURCE",
+            help="An existing recording; without one, a recording is generated.",
         ),
     ] = None,
     sensors: Annotated[
-        str | None, typer.Option("--sensors", metavar="SENSOR,…", help="Lidar, Imu, Stereo, Rgbd: generated.")
+        str | None,
+        typer.Option(
+            "--sensors", metavar="SENSOR,…", help="Sensors of a generated one: Lidar, Imu, Stereo, Rgbd."
+        ),
     ] = None,
     duration: Annotated[
         str | None, typer.Option("--duration", help="Length of a generated one, such as 30s.")
     ] = None,
-    seed: Annotated[int | None, typer.Option("--seed", min=0, help="Room, path and noise of it.")] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Seed of the generated room, path and noise.")
+    ] = None,
     output: Output = None,
 ) -> None:
     """Write a dataset: of a recording that you have (as dataset add does), or one to be generated.

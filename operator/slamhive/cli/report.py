@@ -71,7 +71,7 @@ def report(
     ] = None,
     cost: Annotated[
         list[str] | None,
-        typer.Option(metavar="COLUMN", help="What accuracy is drawn against [CPU, memory]; several times."),
+        typer.Option(metavar="COLUMN", help="What accuracy is drawn against [CPU, memory]; may be repeated."),
     ] = None,
     analysis: Annotated[
         list[str] | None,
@@ -90,7 +90,7 @@ def report(
     superseded: Superseded = False,
     also: Also = None,
 ) -> None:
-    """Write one HTML page that needs nothing else: leaderboard, comparison, charts, every run.
+    """Write one self-contained HTML page: leaderboard, comparison, charts, every run.
 
     Example: slamhive report --analysis input.frameRate:usage.cpu.meanCores -o report.html
     """
@@ -144,7 +144,7 @@ def paper_table(
     metric: Annotated[
         list[str] | None,
         typer.Option(
-            "--metric", "-m", metavar="COLUMN[:UNIT][:.3f]", help="What is shown [ate.rmse]; several times."
+            "--metric", "-m", metavar="COLUMN[:UNIT][:.3f]", help="What is shown [ate.rmse]; may be repeated."
         ),
     ] = None,
     named: Annotated[
@@ -177,7 +177,7 @@ def paper_table(
     evaluation: EvaluationName = None,
     superseded: Superseded = False,
     style: Annotated[
-        TableStyle, typer.Option(help="LaTeX with booktabs or as IEEE has it, Markdown, or CSV.")
+        TableStyle, typer.Option(help="LaTeX with booktabs or in IEEE style, Markdown, or CSV.")
     ] = TableStyle.BOOKTABS,
     form: Annotated[TableFormat | None, typer.Option("--format", hidden=True)] = None,
     output: Output = None,

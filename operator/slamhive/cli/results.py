@@ -144,7 +144,9 @@ def show_table(
     *,
     metric: Annotated[
         list[str] | None,
-        typer.Option("--metric", "-m", metavar="COLUMN[:UNIT][:.3f]", help="What to average; several times."),
+        typer.Option(
+            "--metric", "-m", metavar="COLUMN[:UNIT][:.3f]", help="What to average; may be repeated."
+        ),
     ] = None,
     rows: Annotated[
         str | None, typer.Option(metavar="COLUMN,…", help="What tells rows apart; default: what varies.")
@@ -162,7 +164,10 @@ def show_table(
     superseded: Superseded = False,
     also: Also = None,
     published: Annotated[
-        bool, typer.Option("--published", help="Published numbers on the same datasets, apart.")
+        bool,
+        typer.Option(
+            "--published", help="Add published numbers on the same datasets, in a table of their own."
+        ),
     ] = False,
     form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
 ) -> None:
@@ -215,7 +220,9 @@ def export(
     ] = None,
     to: Annotated[
         Target | None,
-        typer.Option(help="Runs for another program instead, offline, in the folder that -o names."),
+        typer.Option(
+            help="Write the runs for another program into the folder that -o names; nothing is sent."
+        ),
     ] = None,
     output: Output = None,
     where: Where = None,

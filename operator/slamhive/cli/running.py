@@ -89,10 +89,11 @@ def run(
     ] = None,
     dataset: Annotated[
         list[str] | None,
-        typer.Option("--dataset", metavar="NAME", help="Only runs on this dataset; several times."),
+        typer.Option("--dataset", metavar="NAME", help="Only runs on this dataset; may be repeated."),
     ] = None,
     first: Annotated[
-        int | None, typer.Option("--first", min=1, metavar="N", help="Do N runs, those that tell most.")
+        int | None,
+        typer.Option("--first", min=1, metavar="N", help="Do only N runs: one of each setting first."),
     ] = None,
     rerun: Annotated[bool, typer.Option("--rerun", help="Do finished runs again, reuse nothing.")] = False,
     rerun_where: Annotated[
@@ -116,8 +117,8 @@ def run(
         ContainerChoice | None,
         typer.Option(
             "--container",
-            help="Run all algorithms that have an image in containers of this engine, or none; default: "
-            "those that have nothing else, by the engine that answers.",
+            help="Engine in whose containers all algorithms with an image run; none: no containers. "
+            "Default: only algorithms that have nothing but an image, by the engine that is found.",
         ),
     ] = None,
     on: Annotated[

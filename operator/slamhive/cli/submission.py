@@ -42,14 +42,14 @@ def submission(
     ] = Pick.FIRST,
     name: Annotated[
         list[str] | None,
-        typer.Option(metavar="DATASET=SEQUENCE", help="What a dataset is called there; several times."),
+        typer.Option(metavar="DATASET=SEQUENCE", help="Name of a dataset in the challenge; may be repeated."),
     ] = None,
     partial: Annotated[
         bool, typer.Option("--partial", help="Write it although sequences are missing.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Write the archive that a challenge wants: one run a sequence, checked, in its form.
+    """Write the ZIP archive for a challenge: one run for each sequence, checked, in the right format.
 
     Example: slamhive submission kitti --sweep odometry --algorithm kiss-icp -o kiss-icp.zip
     """

@@ -37,7 +37,7 @@ Name = Annotated[
 @app.command("list")
 def list_sweeps(
     *,
-    size: Annotated[bool, typer.Option("--size", help="What the files of its runs take, too.")] = False,
+    size: Annotated[bool, typer.Option("--size", help="Show also the size of each sweep's files.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """List the sweeps that were asked for, the latest last.
@@ -67,11 +67,11 @@ def list_sweeps(
 @app.command("rename")
 def rename(
     name: Name,
-    new: Annotated[str, typer.Argument(metavar="NEW", help="Its name from now on.")],
+    new: Annotated[str, typer.Argument(metavar="NEW", help="New name.")],
 ) -> None:
     """Give a sweep another name. It keeps its identity, and its runs theirs, with names and folders.
 
-    Write the new name into its file, too: that with the earlier name is refused.
+    Change the name in its file too: a file with the old name is refused.
 
     Example: slamhive sweep rename test7 icra-final
     """

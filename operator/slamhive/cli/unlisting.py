@@ -52,9 +52,7 @@ def remove_algorithm(name: Name, *, yes: Yes = False, dry_run: DryRun = False) -
     _remove(home, entry, yes=yes, dry_run=dry_run)
 
 
-def rename(
-    name: Name, new: Annotated[str, typer.Argument(metavar="NEW", help="Its name from now on.")]
-) -> None:
+def rename(name: Name, new: Annotated[str, typer.Argument(metavar="NEW", help="New name.")]) -> None:
     """Give a dataset another name: in its manifest, and in the records of its runs on this machine.
 
     Results stay what they are, and serve sweeps over the new name. Files of sweeps are yours to change.
