@@ -435,7 +435,8 @@ def test_outcomes_all_draws_them_hollow(study: Path) -> None:
 
 
 def test_one_path_has_its_name_and_matplotlib_says_nothing(caplog: pytest.LogCaptureFixture) -> None:
-    from slamhive.figures.drawing import Drawing, rendered
+    from slamhive.figures.drawing import Drawing
+    from slamhive.figures.rendering import rendered
 
     path = np.linspace(0.0, 9.0, 20)
     axis = Axis("x [m]", log=False, robust=False)

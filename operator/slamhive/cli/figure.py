@@ -112,7 +112,7 @@ def figure(
     caption = " ".join(
         f"{note if note.startswith('n = ') else note[:1].upper() + note[1:]}." for note in notes
     )
-    from slamhive.figures.drawing import leave_out_documents
+    from slamhive.figures.rendering import leave_out_documents
 
     leave_out_documents()
     command = shlex.join(["slamhive", *sys.argv[1:]])

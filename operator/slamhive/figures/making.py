@@ -107,7 +107,7 @@ def save(made: Picture, path: Path, paper: Paper, *, command: str, revision: str
     Raises:
         InputError: a file can't be written, or matplotlib isn't installed.
     """
-    from slamhive.figures.drawing import rendered  # noqa: PLC0415 - half a second of matplotlib
+    from slamhive.figures.rendering import rendered  # noqa: PLC0415 - half a second of matplotlib
 
     form = form_of(path)
     content = rendered(made, paper, form, _told(form, command, revision, caption))
