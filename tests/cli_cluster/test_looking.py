@@ -118,7 +118,7 @@ async def test_the_log_of_a_run_without_a_pod_is_what_was_kept(lab: Lab, desk: D
         words = ("--subresource=status", "--type=merge", "-p", patch)
         lab.cluster.kubectl("patch", "mappingrun", "one", "-n", lab.namespace, *words)
         lab.delete("job", "one-1")
-        lab.cluster.kubectl("wait", "--for=delete", "pod", *RUNS, "-n", lab.namespace, "--timeout=30s")
+        lab.cluster.kubectl("wait", "--for=delete", "pod", *RUNS, "-n", lab.namespace, "--timeout=240s")
     said = await desk.types("logs", "one")
     assert said.out.splitlines() == ["first words", "last words"]
     assert "the pod is gone" in said.err

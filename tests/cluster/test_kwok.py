@@ -43,7 +43,7 @@ def _pod(cluster: Cluster, namespace: str, phase: str) -> dict[str, Any]:
         items = cluster.get("pods", "-n", namespace)["items"]
         return [pod for pod in items if pod["status"].get("phase") == phase]
 
-    return until(found, f"a pod that is {phase}", 60)[0]
+    return until(found, f"a pod that is {phase}")[0]
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_runs_end_with_the_monitors_word(
     with kwok.play(play) as pool:
         kwok.cluster.apply(_job("run", "run", pool), namespace=loose)
         pod = _pod(kwok.cluster, loose, phase)
-        kwok.cluster.kubectl("wait", f"--for=condition={condition}", "job/run", "-n", loose, "--timeout=60s")
+        kwok.cluster.kubectl("wait", f"--for=condition={condition}", "job/run", "-n", loose, "--timeout=240s")
     monitor = pod["status"]["initContainerStatuses"][0]["state"]["terminated"]
     assert len(monitor["message"].encode()) <= LIMIT_BYTES
     told = json.loads(monitor["message"])

@@ -57,7 +57,7 @@ def _pod(name: str, **more: Any) -> dict[str, Any]:
 
 def test_pods_run_restricted(node_cluster: Cluster, namespace: str) -> None:
     node_cluster.apply(_pod("x"), namespace=namespace)
-    node_cluster.kubectl("wait", "--for=condition=Ready", "pod/x", "-n", namespace, "--timeout=60s")
+    node_cluster.kubectl("wait", "--for=condition=Ready", "pod/x", "-n", namespace, "--timeout=240s")
     result = node_cluster.run(
         *("apply", "-n", namespace, "-f", "-"),
         stdin=json.dumps(_pod("y", securityContext={"privileged": True})),
@@ -75,7 +75,7 @@ def test_the_metrics_api_answers(node_cluster: Cluster) -> None:
 def test_the_node_has_control_groups_of_its_own(local_cluster: Local, namespace: str) -> None:
     access = local_cluster.access()
     access.apply(_pod("x"), namespace=namespace)
-    access.kubectl("wait", "--for=condition=Ready", "pod/x", "-n", namespace, "--timeout=60s")
+    access.kubectl("wait", "--for=condition=Ready", "pod/x", "-n", namespace, "--timeout=240s")
     uid = access.get("pod", "x", "-n", namespace)["metadata"]["uid"]
     name = local_cluster.instance.addresses().cgroup
     assert list(Path("/sys/fs/cgroup").glob(f"**/{name}/kubepods/*/pod{uid}"))
@@ -86,4 +86,4 @@ def test_programs_can_fail_and_come_back(local_cluster: Local, namespace: str) -
     local_cluster.stop("apiserver")
     assert access.run("get", "ns", "--request-timeout=2s").returncode != 0
     local_cluster.start("apiserver")
-    until(lambda: access.run("get", "ns", namespace).returncode == 0, "the API server", 60)
+    until(lambda: access.run("get", "ns", namespace).returncode == 0, "the API server")

@@ -40,7 +40,7 @@ FLAGS = (
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
 )
-PATIENCE = 30.0
+PATIENCE = 120.0
 AXE = Path(__file__).parent / "vendor" / "axe.min.js.txt"
 FAULTS = """axe.run(document, {resultTypes: ['violations']}).then((found) => found.violations
     .filter((one) => ['serious', 'critical'].includes(one.impact))
@@ -48,7 +48,7 @@ FAULTS = """axe.run(document, {resultTypes: ['violations']}).then((found) => fou
 
 
 def poll(probe: Callable[[], Any], what: str) -> Any:
-    """Return what a probe gives once that is true; fail with its last answer after a minute."""
+    """Return what a probe gives once that is true; fail after PATIENCE."""
     deadline = time.monotonic() + PATIENCE
     pause = threading.Event()
     while not (found := probe()):
@@ -216,7 +216,7 @@ class Browser:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
         self._process.terminate()
-        self._process.wait(30)
+        self._process.wait(50)
 
 
 @pytest.fixture(scope="session")
@@ -363,7 +363,7 @@ def serving(url: str, log: Path) -> Iterator[str]:
         yield found[0]
     finally:
         process.terminate()
-        process.wait(30)
+        process.wait(50)
 
 
 @pytest.fixture(scope="session")

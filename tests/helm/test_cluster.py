@@ -234,7 +234,7 @@ def test_helm_test_on_a_node(  # noqa: PLR0917 - fixtures
     assert "slamhive_queue_depth" in kinds.kubectl("get", "--raw", proxied)
 
     kinds.kubectl("create", "job", "collect", "--from=cronjob/slamhive-collector", "-n", namespace)
-    kinds.kubectl("wait", "job/collect", "--for=condition=Complete", "--timeout=120s", "-n", namespace)
+    kinds.kubectl("wait", "job/collect", "--for=condition=Complete", "--timeout=240s", "-n", namespace)
     run(helm, kinds, "uninstall", "slamhive", "-n", namespace, "--wait")
     until(
         lambda: (

@@ -127,7 +127,7 @@ async def goes_on(
     disks, claims = bound_volumes(NAMESPACE)
     cluster.apply(*disks)
     names = [f"pv/{body['metadata']['name']}" for body in disks]
-    cluster.kubectl("wait", "--for=jsonpath={.status.phase}=Available", "--timeout=60s", *names)
+    cluster.kubectl("wait", "--for=jsonpath={.status.phase}=Available", "--timeout=240s", *names)
     cluster.apply(*claims)
     with Kwok(cluster).play(Play()) as pool:
         lab = Lab(cluster, NAMESPACE, pool)

@@ -41,7 +41,7 @@ class Cluster:
         return os.environ | {"KUBECONFIG": str(self.kubeconfig)}
 
     def run(
-        self, *arguments: str, stdin: str | None = None, timeout: float = 120
+        self, *arguments: str, stdin: str | None = None, timeout: float = 300
     ) -> subprocess.CompletedProcess[str]:
         """Run kubectl and return what came of it, whatever that is."""
         return subprocess.run(
@@ -54,7 +54,7 @@ class Cluster:
             check=False,
         )
 
-    def kubectl(self, *arguments: str, stdin: str | None = None, timeout: float = 120) -> str:
+    def kubectl(self, *arguments: str, stdin: str | None = None, timeout: float = 300) -> str:
         """Run kubectl and return its output.
 
         Raises:
@@ -108,7 +108,7 @@ class Cluster:
         self.loader(image)
 
 
-def until(condition: Callable[[], Any], what: str, seconds: float = 60, pause: float = 0.2) -> Any:
+def until(condition: Callable[[], Any], what: str, seconds: float = 180, pause: float = 0.2) -> Any:
     """Return the condition's first true value.
 
     The longer it takes, the longer are the pauses: a kubectl needs a seventh of a second of processor time.

@@ -43,7 +43,7 @@ def make_lab(crds: Cluster, namespace: str, plays: Callable[[Play], Pool]) -> It
     disks, claims = bound_volumes(namespace)
     names = [f"pv/{body['metadata']['name']}" for body in disks]
     crds.apply(*disks)
-    crds.kubectl("wait", "--for=jsonpath={.status.phase}=Available", "--timeout=60s", *names)
+    crds.kubectl("wait", "--for=jsonpath={.status.phase}=Available", "--timeout=240s", *names)
     crds.apply(*claims)
 
     def make(*, catalog: bool = True, **play: Any) -> Lab:

@@ -93,7 +93,7 @@ def _up(name: str, *more: str) -> subprocess.Popen[bytes]:
 def _run(cluster: Local) -> None:
     access = cluster.up()
     access.apply(_POD)
-    access.kubectl("wait", "--for=condition=Ready", "pod/x", "--timeout=60s")
+    access.kubectl("wait", "--for=condition=Ready", "pod/x", "--timeout=240s")
 
 
 def play(mode: str, name: str) -> str:
