@@ -118,6 +118,7 @@ class Leases:
             InputError: the home can't be written.
         """
         with self._gate():
+            # Behind those of killed runners too: their tickets are passed over when it is their turn.
             last = max((int(name) for name in self._names(LeaseKind.QUEUE)), default=0)
             while True:
                 last += 1
@@ -196,8 +197,12 @@ class Leases:
         folder = self._folder / kind
         folder.mkdir(exist_ok=True)
         path = folder / _file_name(name)
+        # Closed on exec: else any program that is started meanwhile would hold the lease until it ends. A
+        # supervisor that is to hold it is given the descriptor.
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
+            # flock, as locks of POSIX belong to a process: no child could hold one, and closing any other
+            # descriptor of the file would let go of it.
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(descriptor)
@@ -209,6 +214,7 @@ class Leases:
 
     def _let_go(self, leases: Iterable[Lease]) -> None:
         for lease in leases:
+            # The name goes while the lock is held: if we are killed in between, the file is gone already.
             with suppress(OSError):  # an empty file that stays is nobody's lease
                 (self._folder / lease.kind / lease.name).unlink()
             with suppress(OSError):

@@ -235,13 +235,23 @@ class RunDriver:
         return self._record(state, created)
 
     def _broken(self, error: Exception, created: datetime) -> RunRecord:
-        order = self._order
         message = str(error)
         if not isinstance(error, SlamHiveError):
             message = f"{type(error).__name__}: {error}; see {self._attempt.folder / 'error.txt'}"
             with suppress(OSError):
                 self._attempt.folder.mkdir(parents=True, exist_ok=True)
                 (self._attempt.folder / "error.txt").write_text("".join(traceback.format_exception(error)))
+        return self._finished(
+            created,
+            phase=Phase.FAILED,
+            reason=Reason.SYSTEM_FAULT,
+            message=message,
+            provenance=self._progress.provenance,
+        )
+
+    def _finished(self, created: datetime, **fields: Any) -> RunRecord:
+        """Return a record that ends now, with what is known of a run however it ends."""
+        order = self._order
         return RunRecord(
             uid=order.uid,
             name=order.point.name,
@@ -251,12 +261,9 @@ class RunDriver:
             labels=order.labels,
             spec=self._spec,
             evaluations=self._intended(),
-            phase=Phase.FAILED,
-            reason=Reason.SYSTEM_FAULT,
-            message=message,
             created=created,
             finished=datetime.now(UTC),
-            provenance=self._progress.provenance,
+            **fields,
         )
 
     def _pause(self, decision: Decision) -> None:
@@ -287,6 +294,8 @@ class RunDriver:
         if order.take_up and self._attempt.finished(order.uid, hashed):
             progress.attempt_state = AttemptState.ENDED
         else:
+            # Claimed before an equal run is looked for: another runner might finish one in between, and both
+            # would have computed it.
             if order.reuse and not self._claim(hashed):
                 raise AtWorkElsewhere(hashed)
             twin = self._equal(hashed)
@@ -405,22 +414,13 @@ class RunDriver:
         kept = attempt.collect() if ended else None
         if ended:
             link_to_earlier(attempt.folder)
-        base = RunRecord(
-            uid=order.uid,
-            name=order.point.name,
-            sweep=order.sweep,
-            sweep_uid=order.sweep_uid,
-            index=order.point.index,
-            labels=order.labels,
-            spec=self._spec,
-            evaluations=self._intended(),
+        base = self._finished(
+            created,
             attributes=self._bench.attributes(self._spec["datasetRef"]["name"]),
             phase=state.phase,
             reason=state.reason,
             message=_joined(state.message, kept, progress.remark),
             attempts=max(state.attempts, int(ended)),
-            created=created,
-            finished=datetime.now(UTC),
             provenance=self._provenance(),
         )
         if progress.twin is not None and state.phase is Phase.SUCCEEDED:

@@ -288,6 +288,7 @@ class Runner:
         seen = SweepObserved(
             states=job.states,
             order=job.order,
+            # Runs that are at another runner count as active, and take none of our places.
             parallelism=job.at_a_time + len(job.elsewhere),
             started_at=job.started_at,
             cpu_seconds=job.cpu_seconds,
@@ -318,6 +319,7 @@ class Runner:
             job.states[index] = PointState.ACTIVE
             job.elsewhere[index] = (LeaseKind.RUNS, uid)
             return False
+        # Looked up only when it is claimed: before that, another runner may finish it at any moment.
         state = self._done_meanwhile(job, index, uid)
         if state is None:
             return True
@@ -459,6 +461,7 @@ class Runner:
         if record is None or record.phase is Phase.CANCELLED:
             job.states[ended.index] = PointState.PENDING
             return
+        # With the Algorithm and Dataset as they are now: it must stay known what ran when they have changed.
         self._bench.archive.put_run(record, *self._snapshots(record))
         good = record.phase is Phase.SUCCEEDED
         job.states[ended.index] = PointState.SUCCEEDED if good else PointState.FAILED

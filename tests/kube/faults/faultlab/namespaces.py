@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from slamhive.kube.client import Api
 
 
-SECONDS = 60.0
+SECONDS = 120.0
 _NUMBERS = itertools.count()
 
 
