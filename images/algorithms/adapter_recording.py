@@ -28,6 +28,8 @@ QUEUE_LENGTH = 4
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """sensor_msgs/PointField datatypes as numpy names them."""
 
+SHARES = {"ScanStart": 0.0, "ScanMid": 0.5, "ScanEnd": 1.0}
+"""Share of a scan that lies before its header stamp, by what the stamp means."""
 TIME_FIELDS = ("time", "t", "timestamp", "timestamps", "offset_time", "time_stamp")
 RING_FIELDS = ("ring", "line", "channel")
 
@@ -225,33 +227,52 @@ def decode_cloud(message: Any, sensor: Sensor) -> Cloud:
     def column(setting: str, usual: tuple[str, ...]) -> np.ndarray | None:
         wanted = sensor.details.get(setting)
         name = next((n for n in ((wanted,) if wanted else usual) if n in fields), None)
-        return None if name is None else records[name][finite]
+        return None if name is None else records[name]
 
     header = message.header.stamp
     times = column("timeField", TIME_FIELDS)
+    if times is not None:
+        times = _seconds_after(times, header.sec * NANOSECONDS + header.nanosec, sensor)[finite]
+    rings = column("ringField", RING_FIELDS)
+    intensities = column("intensityField", ("intensity", "i", "reflectivity"))
     return Cloud(
         points=points[finite],
-        times=None if times is None else _seconds_after(times, header.sec * NANOSECONDS + header.nanosec),
-        rings=column("ringField", RING_FIELDS),
-        intensities=column("intensityField", ("intensity", "i", "reflectivity")),
+        times=times,
+        rings=None if rings is None else rings[finite],
+        intensities=None if intensities is None else intensities[finite],
     )
 
 
-def _seconds_after(times: np.ndarray, header: int) -> np.ndarray:
+def _seconds_after(times: np.ndarray, header: int, sensor: Sensor) -> np.ndarray:
     """Times of points as seconds after the header stamp, from the conventions that drivers use.
 
     Integers are nanoseconds (Ouster), floating-point numbers seconds (Velodyne) or, beyond what a scan can
-    last, absolute seconds (Hesai) or nanoseconds (Livox).
+    last, absolute seconds (Hesai) or nanoseconds (Livox). Those that count from the start or end of a scan
+    that is stamped with another instant (`timesSince`) are moved by what lies between.
     """
+    largest = np.nanmax(np.abs(times.astype(float)), initial=0)
     if times.dtype.kind in "iu":
         after = times.astype(np.int64)
-        return np.asarray((after - header if after.max(initial=0) > 10**15 else after) / NANOSECONDS)
-    largest = np.abs(times).max(initial=0)
+        if largest > 1e15:
+            return np.asarray((after - header) / NANOSECONDS)
+        return _since_header(after / NANOSECONDS, sensor)
     if largest > 1e15:
         return np.asarray((times - float(header)) / NANOSECONDS)
     if largest > 1e6:
         return np.asarray((times - header // NANOSECONDS) - header % NANOSECONDS / NANOSECONDS)
-    return times.astype(float)
+    return _since_header(times.astype(float), sensor)
+
+
+def _since_header(times: np.ndarray, sensor: Sensor) -> np.ndarray:
+    share = SHARES.get(sensor.stamp)
+    if share is None or not times.size:
+        return times
+    match sensor.details.get("timesSince"):
+        case "ScanStart":
+            return np.asarray(times - share * np.nanmax(times))
+        case "ScanEnd":
+            return np.asarray(times + (share - 1) * np.nanmin(times))
+    return times
 
 
 def scan_window(item: Item, sensor: Sensor) -> tuple[int, int]:
@@ -271,10 +292,10 @@ def scan_window(item: Item, sensor: Sensor) -> tuple[int, int]:
             item.stamp + round(float(times.max()) * NANOSECONDS),
         )
     duration = round(NANOSECONDS / sensor.rate) if sensor.rate else 0
-    before = {"ScanStart": 0.0, "ScanMid": 0.5, "ScanEnd": 1.0}.get(sensor.stamp)
-    if before is None:
+    share = SHARES.get(sensor.stamp)
+    if share is None:
         return item.stamp, item.stamp
-    start = item.stamp - round(before * duration)
+    start = item.stamp - round(share * duration)
     return start, start + duration
 
 

@@ -78,6 +78,35 @@ def test_understands_what_drivers_write_as_time(
     )
 
 
+@pytest.mark.parametrize(
+    ("stamp", "since", "values", "expected"),
+    [
+        ("ScanEnd", "ScanStart", [0, 0.025, 0.05], [-0.05, -0.025, 0]),
+        ("ScanMid", "ScanStart", [0, 0.025, 0.05], [-0.025, 0, 0.025]),
+        ("ScanStart", "ScanStart", [0, 0.025, 0.05], [0, 0.025, 0.05]),
+        ("ScanStart", "ScanEnd", [-0.05, -0.025, 0], [0, 0.025, 0.05]),
+        ("ScanEnd", "Header", [-0.05, -0.025, 0], [-0.05, -0.025, 0]),
+        ("ScanEnd", "ScanStart", [START, START + 25e6, START + 50e6], [0, 0.025, 0.05]),
+    ],
+)
+def test_times_since_an_end_of_the_scan(
+    maker: Maker, stamp: str, since: str, values: list[float], expected: list[float]
+) -> None:
+    records = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<f8")])
+    records["t"] = values
+    sensor = replace(LIDAR, stamp=stamp, details={"timesSince": since})
+    times = decode_cloud(maker.cloud(START, records), sensor).times
+    np.testing.assert_allclose(times, expected, atol=1e-6)
+
+
+def test_a_point_without_a_return_still_tells_how_long_the_scan_lasted(maker: Maker) -> None:
+    records = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
+    records["t"] = [0, 25_000_000, 50_000_000]
+    records["x"][2] = np.nan
+    sensor = replace(LIDAR, stamp="ScanEnd", details={"timesSince": "ScanStart"})
+    np.testing.assert_allclose(decode_cloud(maker.cloud(START, records), sensor).times, [-0.05, -0.025])
+
+
 def test_takes_the_fields_that_the_calibration_names(maker: Maker) -> None:
     records = np.zeros(1, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4"), ("dt", "<f4")])
     records["dt"] = 0.5

@@ -23,7 +23,7 @@ from slamhive.data.inspection import inspect
 from slamhive.model import catalogue
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
-from slamhive.model.sensors import SensorType, Stamp
+from slamhive.model.sensors import SensorType, Stamp, TimesSince
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -94,7 +94,8 @@ class Sample:
         publish: Puts its files where they belong.
         sensors: Kinds of its sensors, by the topics that they come from.
         stamp: What the stamps of its LiDAR mean.
-        time_field: Field of the points' times, None where they have none or they aren't declared.
+        time_field: Field of the points' times, None where they have none.
+        since: What these count from, where it isn't the header stamp.
         lever: Where in the body what the ground truth has poses of is, m; None: not looked at.
         positions: Positions of the ground truth; None: those of the generated drive.
     """
@@ -104,6 +105,7 @@ class Sample:
     sensors: dict[str, str]
     stamp: Stamp | None = None
     time_field: str | None = None
+    since: TimesSince | None = None
     lever: tuple[float, float, float] | None = None
     positions: Any = field(default=None)
 
@@ -237,7 +239,8 @@ def enwide(to: Publisher) -> None:
 
 
 def botanic(to: Publisher) -> None:
-    to.give("1008_03.bag", write_bag(to.work / "a.bag", {"/velodyne_points": VELODYNE, "/imu/data": IMU}))
+    topics = {"/velodyne_points": VELODYNE, "/imu/data": IMU}
+    to.give("1008_03.bag", write_bag(to.work / "a.bag", topics, back=True))
     to.give("1008_03_gt_output.txt", tum(path_of("botanic-garden", "1008_03")))
 
 
@@ -429,6 +432,8 @@ SAMPLES = {
             "/right/image_raw": "right",
         },
         stamp=Stamp.SCAN_END,
+        time_field="t",
+        since=TimesSince.SCAN_START,
         lever=(-0.293656, -0.012288, -0.273095),
     ),
     "m2dgr": Sample(
@@ -465,6 +470,8 @@ SAMPLES = {
         mcd,
         {"/os_cloud_node/points": "lidar", "/vn100/imu": "imu"},
         stamp=Stamp.SCAN_END,
+        time_field="t",
+        since=TimesSince.SCAN_START,
         lever=(0, 0, 0),
     ),
     "enwide": Sample(
@@ -479,6 +486,7 @@ SAMPLES = {
         botanic,
         {"/velodyne_points": "lidar", "/imu/data": "imu"},
         stamp=Stamp.SCAN_END,
+        time_field="time",
         lever=(0.0584867782, 0.00840419967, 0.168915522),
     ),
     "euroc": Sample("MH_01_easy", euroc, STEREO_IMU, positions=[[k, 0, 0] for k in range(80)]),
@@ -602,11 +610,11 @@ def test_a_family_is_added_by_its_name(added: Callable[[str], DatasetEntry], tit
     for name in sensors:
         assert sensors[name].type is family.head.sensors.get(name, sensors[name].type)
     if "lidar" in sensors and sample.stamp is not None:
-        assert (sensors["lidar"].stamp, sensors["lidar"].lidar.time_field) == (
-            sample.stamp,
-            sample.time_field,
-        )
+        lidar = sensors["lidar"].lidar
+        meaning = (sensors["lidar"].stamp, lidar.time_field, lidar.times_since)
+        assert meaning == (sample.stamp, sample.time_field, sample.since)
     report, truth = inspect(entry), ground_truth(entry)
+    assert not [sentence for sentence in report.warnings if "the times of points" in sentence]
     assert truth is not None
     if sample.lever is not None:
         assert truth.T_body_frame[:3, 3].tolist() == pytest.approx(sample.lever)

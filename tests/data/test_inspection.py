@@ -8,7 +8,7 @@ import pytest
 
 from slamhive.data.importers.carmen import POINT
 from slamhive.data.inspection import inspect
-from slamhive.model.sensors import Imu, Lidar
+from slamhive.model.sensors import Imu, Lidar, Stamp, TimesSince
 
 
 def changed(entry: Any, name: str, **changes: Any) -> Any:
@@ -52,6 +52,27 @@ def test_what_a_manifest_says_wrongly(
 ) -> None:
     report = inspect(changed(lidar_entry, name, **change))
     assert [words in sentence for sentence in getattr(report, kind)] == [True]
+
+
+@pytest.mark.parametrize(
+    ("stamp", "since", "words"),
+    [
+        ("ScanStart", None, None),
+        ("ScanEnd", "ScanStart", None),
+        ("ScanMid", "ScanStart", None),
+        ("Sample", None, None),
+        ("ScanEnd", None, "after the header stamp, but stamp is ScanEnd and lidar.timesSince is Header"),
+        ("ScanMid", None, "but stamp is ScanMid and lidar.timesSince is Header"),
+        ("ScanStart", "ScanEnd", "s, but stamp is ScanStart and lidar.timesSince is ScanEnd"),
+    ],
+)
+def test_times_of_points_on_the_wrong_side_of_their_stamp(
+    lidar_entry: Any, stamp: str, since: str | None, words: str | None
+) -> None:
+    lidar = Lidar(time_field="time", times_since=None if since is None else TimesSince(since))
+    report = inspect(changed(lidar_entry, "lidar", stamp=Stamp(stamp), lidar=lidar))
+    said = [sentence for sentence in report.warnings if "the times of points run from 0 to 0.09" in sentence]
+    assert [words in sentence for sentence in said] == [True] * (words is not None)
 
 
 @pytest.mark.parametrize(

@@ -9,18 +9,25 @@ import cv2
 import numpy as np
 
 from slamhive.data import kinds, samples
+from slamhive.data.clouds import cloud_points, point_times
 from slamhive.data.samples import Look
 from slamhive.data.streams import camera_info_topic
 from slamhive.model.errors import DataError, suggestion
-from slamhive.model.sensors import SensorType
+from slamhive.model.sensors import SensorType, TimesSince
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    import numpy.typing as npt
+
     from slamhive.data.recordings import Recording, Scan
-    from slamhive.model.sensors import Sensor
+    from slamhive.model.sensors import Lidar, Sensor
 
 _DAY = 86_400 * 10**9
+_FAR = 0.3
+"""Share of a scan by which its points' times may lie elsewhere than they are said to."""
+_LEAST_SCAN = 1e-3
+"""Seconds below which points are all of one instant."""
 
 
 def check_stamps(scan: Scan, where: str) -> None:
@@ -184,8 +191,28 @@ def _cloud(look: Look) -> str:
         errors.append(
             f"{where}: points on {sensor.topic} have no field {missing[0]!r}{suggestion('', names)}"
         )
+    if not missing and lidar is not None and lidar.time_field in names:
+        _check_times(look, cloud_points(message, where), lidar)
     size = f"{message.width}×{message.height}" if message.height > 1 else f"{message.width}"
     return f"{size} points with {', '.join(names)}"
+
+
+def _check_times(look: Look, points: npt.NDArray[np.void], lidar: Lidar) -> None:
+    """Warn where the times of a scan's points lie elsewhere than its stamp, as declared, lets them."""
+    header = look.first().header.stamp
+    found = point_times(points, str(lidar.time_field), header.sec * 10**9 + header.nanosec)
+    if found is None or look.sensor.stamp.share is None:
+        return
+    times, is_absolute = found
+    low, high = float(times.min()), float(times.max())
+    since = TimesSince.HEADER if is_absolute else lidar.times_since or TimesSince.HEADER
+    zero = look.sensor.stamp.share if since is TimesSince.HEADER else float(since is TimesSince.SCAN_END)
+    if high - low > _LEAST_SCAN and abs(-low / (high - low) - zero) > _FAR:
+        look.warnings.append(
+            f"{look.where}: the times of points run from {low:.3g} to {high:.3g} s"
+            f"{' after the header stamp' if since is TimesSince.HEADER else ''}, but stamp is "
+            f"{look.sensor.stamp} and lidar.timesSince is {since}: correct the one that is wrong"
+        )
 
 
 _IMU_NUMBERS = 37

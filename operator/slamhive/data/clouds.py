@@ -16,8 +16,13 @@ if TYPE_CHECKING:
     from slamhive.model.run import LidarInput
     from slamhive.model.sensors import Lidar
 
+    Array = npt.NDArray[np.float64]
+
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """sensor_msgs/PointField datatype → numpy."""
+
+_ABSOLUTE_SECONDS, _ABSOLUTE_NANOSECONDS = 1e6, 1e15
+"""Times of points beyond which they can't be those within a scan."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +145,35 @@ def cloud_points(message: Any, where: str) -> npt.NDArray[np.void]:
     # A copy, as readers hand out views of what they read, and one of bytes, as numpy doesn't copy the
     # padding inside of structured types.
     return np.array(rows).reshape(-1, message.point_step).view(dtype)[:, 0]
+
+
+def point_times(points: npt.NDArray[np.void], field: str, header: int) -> tuple[Array, bool] | None:
+    """Return the times of a scan's points, s, and whether they are absolute ones, told after the header.
+
+    Whole numbers are ns; others are s, or ns where they are too large for that.
+
+    Args:
+        points: With the field.
+        field: Of the times.
+        header: The header stamp, ns.
+
+    Returns:
+        Times, shape (n,); None where there are none, or not finite ones.
+    """
+    times = points[field]
+    values = times.astype(np.float64)
+    if not values.size or not np.isfinite(values).all():
+        return None
+    largest = float(np.abs(values).max())
+    if times.dtype.kind in "iu" and largest > _ABSOLUTE_NANOSECONDS:
+        return (times.astype(np.int64) - header) / 1e9, True
+    if times.dtype.kind in "iu":
+        return values / 1e9, False
+    if largest > _ABSOLUTE_NANOSECONDS:
+        return (values - header) / 1e9, True
+    if largest > _ABSOLUTE_SECONDS:
+        return values - header / 1e9, True
+    return values, False
 
 
 def filter_cloud(message: Any, kept: CloudFilter, where: str) -> Any:

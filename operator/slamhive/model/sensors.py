@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from slamhive.model.base import Choice, Model
+from slamhive.model.base import Choice, Model, optional
 
 Matrix4 = list[list[float]]
 
@@ -214,6 +214,19 @@ class Stamp(Choice):
     SCAN_MID = "ScanMid"
     SCAN_END = "ScanEnd"
 
+    @property
+    def share(self) -> float | None:
+        """Return the share of a scan that lies before it; None where it is no instant of a scan."""
+        return {Stamp.SCAN_START: 0.0, Stamp.SCAN_MID: 0.5, Stamp.SCAN_END: 1.0}.get(self)
+
+
+class TimesSince(Choice):
+    """The instant that the times of a scan's points count from."""
+
+    HEADER = "Header"
+    SCAN_START = "ScanStart"
+    SCAN_END = "ScanEnd"
+
 
 class Camera(Model):
     """Intrinsics of a camera, in pixels of the image as recorded."""
@@ -248,7 +261,10 @@ class Lidar(Model):
     min_range: float = Field(default=0.0, ge=0, description="Shortest valid range in m.")
     max_range: float = Field(default=1000.0, gt=0, description="Longest valid range in m.")
     time_field: str | None = Field(
-        default=None, description="Point field with the time since the header stamp."
+        default=None, description="Point field with the time since the header stamp, or absolute."
+    )
+    times_since: TimesSince | None = optional(
+        "What relative times of points count from, where it isn't the header stamp."
     )
     ring_field: str | None = Field(default=None, description="Point field with the ring's number.")
 
@@ -301,4 +317,10 @@ class Sensor(Model):
         bottom = self.T_body_sensor[3]
         if bottom != [0, 0, 0, 1]:
             raise ValueError(f"T_body_sensor: the last row must be 0 0 0 1, not {bottom}")
+        since = self.lidar.times_since if self.lidar else None
+        if since not in {None, TimesSince.HEADER} and self.stamp is Stamp.SAMPLE:
+            raise ValueError(
+                f"lidar.timesSince: {since} needs to know what the header stamp means: give stamp as "
+                "ScanStart, ScanMid or ScanEnd"
+            )
         return self

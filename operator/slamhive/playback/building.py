@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.model.algorithm import Poses, PoseStamp
 from slamhive.model.base import seconds
-from slamhive.model.sensors import ROLE_TYPES, SensorType, Stamp
+from slamhive.model.sensors import ROLE_TYPES, SensorType
 from slamhive.playback.protocol import FrameSource, PlayRequest, PoseSource
 
 if TYPE_CHECKING:
@@ -15,11 +15,6 @@ if TYPE_CHECKING:
     from slamhive.model.configuration import RunConfiguration, SensorView
     from slamhive.model.ros1 import Ros1, Ros1Poses
 
-_WHEN = {
-    Stamp.SCAN_START: 0.0,
-    Stamp.SCAN_MID: 0.5,
-    Stamp.SCAN_END: 1.0,
-}
 _POSE_WHEN = {
     PoseStamp.SCAN_START: 0.0,
     PoseStamp.SCAN_MID: 0.5,
@@ -117,7 +112,7 @@ def _source(
 
 def _match(sensor: SensorView, stamp: str) -> str:
     """Return which frame a pose belongs to: poses may be stamped with another instant of a scan."""
-    frame = _WHEN.get(sensor.stamp) if sensor.type in {SensorType.LIDAR, SensorType.LASER_SCAN} else None
+    frame = sensor.stamp.share if sensor.type in {SensorType.LIDAR, SensorType.LASER_SCAN} else None
     pose = _POSE_WHEN.get(PoseStamp(stamp))
     if frame is None or pose is None or frame == pose:
         return "At"

@@ -39,14 +39,14 @@ def drive() -> Trajectory:
     return Trajectory(START / 1e9 + times, positions, from_roll_pitch_yaw(angles))
 
 
-def scan(fields: list[tuple[str, str]], stamp: int) -> Any:
-    """Return points of 16 rings over one turn, whose times are those of the scan."""
+def scan(fields: list[tuple[str, str]], stamp: int, *, back: bool = False) -> Any:
+    """Return points of 16 rings over one turn, whose times count from its start, or ``back`` from its end."""
     columns, rings = 36, 16
     points = np.zeros(columns * rings, dtype=fields)
     turn = np.repeat(np.arange(columns), rings)
     points["x"], points["y"] = 5 * np.cos(turn * np.pi / 18), 5 * np.sin(turn * np.pi / 18)
     points["z"] = points["ring"] = np.tile(np.arange(rings), columns)
-    since = turn * (PERIOD // columns)
+    since = turn * (PERIOD // columns) - back * PERIOD
     if "t" in points.dtype.names:
         points["t"] = since
     elif "timestamp" in points.dtype.names:
@@ -82,7 +82,9 @@ class SampleWriter(BagWriter):
         self._write(topic, kind, stamp, message)
 
 
-def write_bag(path: Path, topics: dict[str, Any], *, first: int = 0, count: int = SCANS) -> Path:
+def write_bag(
+    path: Path, topics: dict[str, Any], *, first: int = 0, count: int = SCANS, back: bool = False
+) -> Path:
     """Write a bag of some of the scans.
 
     Args:
@@ -90,6 +92,7 @@ def write_bag(path: Path, topics: dict[str, Any], *, first: int = 0, count: int 
         topics: What each topic carries; of images with their size, (kind, (height, width)).
         first: The first scan.
         count: How many.
+        back: Whether times of points count back from the end of their scan.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     events = [(START + k * PERIOD, topic) for k in range(first, first + count) for topic in topics]
@@ -114,7 +117,7 @@ def write_bag(path: Path, topics: dict[str, Any], *, first: int = 0, count: int 
                 else:
                     bag.compressed(topic, stamp, pixels)
             else:
-                bag.points(topic, stamp, "lidar", scan(kind, stamp))
+                bag.points(topic, stamp, "lidar", scan(kind, stamp, back=back))
     return path
 
 
