@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scores of public challenges, by the rules that they have published.
 
-Sources: KITTI odometry: Geiger et al. 2012 and its devkit. Hilti 2023: README of
+Sources: KITTI odometry: Geiger et al. 2012 and its devkit. Hilti 2022: ``evaluation-2022`` of
+Hilti-Research/hilti-slam-challenge-2022. Hilti 2023: README and ``evaluation-2023`` of
 Hilti-Research/hilti-slam-challenge-2023. LaMAria: ``lamaria/utils/metrics.py`` of cvg/lamaria.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from slamhive_eval.errors import OptionError, did_you_mean
-from slamhive_eval.evaluation import Options
+from slamhive_eval.evaluation import MIN_POSES, Options
 from slamhive_eval.kitti import kitti_errors
 from slamhive_eval.points import evaluate_points
 
@@ -37,6 +38,11 @@ class PointRule:
         alignment: Of the estimate onto the control points.
         horizontal: Whether heights don't count.
         recalls: Distances in m within which the share of the points is told.
+        nearest_seconds: A point is met by the pose nearest in time, at most so far away; None: the estimate
+            is interpolated.
+        tip: Where in the frame of the estimates the surveyed point is, m, if nothing else is said.
+        doubled: What the names of sequences begin with that count twice.
+        uncounted: Sequences that are in no sum, as their ground truth was public during the challenge.
         note: What differs from the challenge's own computation.
     """
 
@@ -46,6 +52,10 @@ class PointRule:
     alignment: Literal["se3", "sim3"]
     horizontal: bool = False
     recalls: tuple[float, ...] = ()
+    nearest_seconds: float | None = None
+    tip: tuple[float, float, float] | None = None
+    doubled: str | None = None
+    uncounted: tuple[str, ...] = ()
     note: str = ""
 
     def scores_of(self, errors: FloatArray) -> FloatArray:
@@ -55,15 +65,56 @@ class PointRule:
         band = np.searchsorted(self.limits, errors, side="right")
         return np.append(self.scores, 0.0)[band]
 
+    def weight(self, sequence: str) -> int:
+        """How often a sequence counts."""
+        if sequence in self.uncounted:
+            return 0
+        return 2 if self.doubled is not None and sequence.startswith(self.doubled) else 1
+
+    def extrinsic(self, points: str) -> FloatArray | None:
+        """Pose of the estimates' frame in the surveyed one, by the name of the points: (4, 4).
+
+        None where they are of one frame, as those are whose name ends in ``_imu``, and where the rule
+        doesn't know.
+        """
+        if self.tip is None or points.lower().endswith("_imu") or "robot" in points:
+            return None
+        pose = np.eye(4)
+        pose[:3, 3] = [-at for at in self.tip]
+        return pose
+
+
+_HILTI_TIP = (0.059, -0.00855, 0.1964)
+"""Tip of the pole of the handheld device of 2022 and 2023, in its IMU, m."""
+_HILTI_SECONDS = 2.0
 
 POINT_RULES: dict[str, PointRule] = {
+    "hilti2022": PointRule(
+        limits=(0.01, 0.03, 0.06, 0.1),
+        scores=(10, 6, 3, 1),
+        banded=True,
+        alignment="se3",
+        nearest_seconds=_HILTI_SECONDS,
+        tip=_HILTI_TIP,
+        uncounted=(
+            "exp04_construction_upper_level",
+            "exp05_construction_upper_level_2",
+            "exp06_construction_upper_level_3",
+        ),
+        note="as evaluation-2022 computes it: the pose nearest in time counts, at most 2 s from a point; "
+        "estimates are of the IMU and moved to the pole's tip",
+    ),
     "hilti2023": PointRule(
         limits=(0.005, 0.01, 0.03, 0.06, 0.1, 0.4),
         scores=(20, 10, 6, 5, 3, 1),
         banded=True,
         alignment="se3",
-        note="the challenge doesn't publish how near in time a pose must be to a control point; here the "
-        "estimate is interpolated to it over at most 1 s, aligned by least squares; missed points score 0",
+        nearest_seconds=_HILTI_SECONDS,
+        tip=_HILTI_TIP,
+        doubled="site3",
+        note="as evaluation-2023 computes it: the pose nearest in time counts, at most 2 s from a point; "
+        "estimates are of the IMU and moved to the pole's tip, those of the robot only by --extrinsic; "
+        "sequences of site 3 count twice",
     ),
     "lamaria": PointRule(
         limits=(0.0, 0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
@@ -77,20 +128,14 @@ POINT_RULES: dict[str, PointRule] = {
     ),
 }
 CHALLENGES = ("kitti", *POINT_RULES)
-NOT_PUBLIC = {
-    "hilti2022": "its FAQ says that 10 to 0 points are given by the error, but not which error gets how many",
-}
 
 
 def find_rule(name: str) -> PointRule | None:
     """The rule of a challenge, None for KITTI's, which isn't by points.
 
     Raises:
-        OptionError: A challenge that isn't known, or whose rule isn't public.
+        OptionError: A challenge that isn't known.
     """
-    if name in NOT_PUBLIC:
-        known = ", ".join(CHALLENGES)
-        raise OptionError(f"{name} can't be scored: {NOT_PUBLIC[name]}; known: {known}")
     if name not in CHALLENGES:
         known = ", ".join(CHALLENGES)
         raise OptionError(f"unknown challenge {name!r}{did_you_mean(name, CHALLENGES)}; known: {known}")
@@ -112,7 +157,12 @@ def score_points(
         Plain JSON data: ``score`` within 0 and 100, ``points``, ``met``, ``sum``, ``largest``, ``recall`` by
         distance, ``rmse`` in m and ``message``. Points that aren't met score 0 and are in no recall.
     """
-    found = evaluate_points(points, estimate, Options(alignment=rule.alignment, extrinsic=extrinsic))
+    options = Options(alignment=rule.alignment, extrinsic=extrinsic)
+    if rule.nearest_seconds is not None:
+        options = replace(
+            options, max_gap_seconds=0.0, max_difference_seconds=rule.nearest_seconds, keyframes=False
+        )
+    found = evaluate_points(points, estimate, options)
     errors = _errors(found, horizontal=rule.horizontal)
     total, largest = float(rule.scores_of(errors).sum()), max(rule.scores) * len(points)
     return {
@@ -123,8 +173,17 @@ def score_points(
         "met": len(errors),
         "recall": {f"{limit:g}m": float((errors <= limit).sum() / len(points)) for limit in rule.recalls},
         "rmse": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
-        "message": "" if found.errors is not None else found.message,
+        "message": "" if found.errors is not None else _missing(found, rule),
     }
+
+
+def _missing(found: PointErrors, rule: PointRule) -> str:
+    if rule.nearest_seconds is None or found.met.sum() >= MIN_POSES:
+        return found.message
+    return (
+        f"{found.met.sum()} of {len(found.points)} control points have a pose within "
+        f"{rule.nearest_seconds:g} s; an error needs at least {MIN_POSES}"
+    )
 
 
 def _errors(found: PointErrors, *, horizontal: bool) -> FloatArray:

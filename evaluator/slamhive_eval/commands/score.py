@@ -25,8 +25,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     parser.description = (
         "Score of estimates by the rule that a challenge has published. kitti: mean translation error in "
-        "percent and rotation error in deg/100 m over segments of 100 to 800 m. hilti2023, lamaria: scores "
-        "by the error at control points (t x y z), 0 to 100."
+        "percent and rotation error in deg/100 m over segments of 100 to 800 m. hilti2022, hilti2023, "
+        "lamaria: scores by the error at control points (t x y z), 0 to 100."
     )
     parser.epilog = "Example: slamhive-eval score kitti dataset/poses results/data"
     parser.add_argument("challenge", metavar="CHALLENGE", help=", ".join(challenges.CHALLENGES))
@@ -89,18 +89,22 @@ def _points(
     asked: argparse.Namespace, pairs: dict[str, tuple[Path, Path]], rule: PointRule
 ) -> dict[str, Any]:
     form = tables.form(asked) or parse_columns("t,x,y,z")
-    extrinsic = None if asked.extrinsic is None else files.read_transform(asked.extrinsic)
+    given = None if asked.extrinsic is None else files.read_transform(asked.extrinsic)
     found = {
         name: challenges.score_points(
-            rule, ControlPoints.of(read_columns(truth, form)), files.read_trajectory(estimate), extrinsic
+            rule,
+            ControlPoints.of(read_columns(truth, form)),
+            files.read_trajectory(estimate),
+            rule.extrinsic(truth.stem) if given is None else given,
         )
+        | {"weight": rule.weight(name)}
         for name, (truth, estimate) in pairs.items()
     }
-    scores = [one["score"] for one in found.values()]
+    counted = [(one["score"], one["weight"]) for one in found.values() if one["weight"]]
     return {
         "challenge": asked.challenge,
-        "score": sum(scores),
-        "meanScore": sum(scores) / len(scores),
+        "score": sum(score * weight for score, weight in counted),
+        "meanScore": sum(score for score, _ in counted) / len(counted) if counted else None,
         "sequences": found,
         "notes": [rule.note],
     }
@@ -123,7 +127,10 @@ def _show_points(result: dict[str, Any]) -> str:
     ]
     for name, one in result["sequences"].items():
         shares = "".join(f"  {one['recall'][key]:>7.1%}" for key in recalls)
-        lines.append(f"{name:>24}  {one['score']:>6.2f}  {one['met']:>4} of {one['points']:<3}{shares}")
+        counts = {0: "  not counted", 2: "  counts twice"}.get(one["weight"], "")
+        lines.append(
+            f"{name:>24}  {one['score']:>6.2f}  {one['met']:>4} of {one['points']:<3}{shares}{counts}"
+        )
         if one["message"]:
             lines.append(f"note: {name}: {one['message']}")
     lines.append(f"{'sum':>24}  {result['score']:>6.2f}")

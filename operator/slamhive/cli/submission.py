@@ -68,7 +68,7 @@ def submission(
             missing = _require_all(wanted, list(found), partial=partial)
             entries = [make_entry(bench, wanted, one, runs, repetition) for one, runs in found.items()]
     write_archive(output, entries)
-    _tell(entries, missing, wanted, output, as_json=as_json)
+    _tell(entries, missing, output, as_json=as_json)
 
 
 def _uids(sweep: list[str] | None, algorithm: str | None, where: str | None) -> list[str]:
@@ -108,9 +108,7 @@ def _require_all(challenge: Challenge, found: list[str], *, partial: bool) -> li
     return missing
 
 
-def _tell(
-    entries: list[Entry], missing: list[str], challenge: Challenge, output: Path, *, as_json: bool
-) -> None:
+def _tell(entries: list[Entry], missing: list[str], output: Path, *, as_json: bool) -> None:
     lines = [
         {
             "sequence": entry.sequence,
@@ -127,6 +125,4 @@ def _tell(
         show(out, list(lines[0]), [[str(value) for value in line.values()] for line in lines])
     if missing:
         remark(f"left out: {', '.join(missing)}")
-    if challenge.sequences is None:
-        remark("the challenge publishes no list of its sequences here: whether all are there was not checked")
     remark(f"{output}: {plural(len(entries), 'file')}")

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Submissions to public challenges: one run's trajectory a sequence, in the archive that a challenge wants.
 
-Forms: KITTI odometry: devkit, a file ``NN.txt`` with twelve numbers for each frame. Hilti 2022 and 2023:
-``documentation/submissions/Format.md`` of hilti-slam-challenge-2023, TUM lines of the IMU, named as the bag.
+Forms: KITTI odometry: devkit, a file ``NN.txt`` with twelve numbers for each frame. Hilti 2022 and 2023: TUM
+lines of the IMU, named as the bag; ``documentation/submissions/Format.md`` and ``evaluation-2023`` of
+hilti-slam-challenge-2023, ``evaluation-2022`` of hilti-slam-challenge-2022.
 """
 
 from __future__ import annotations
@@ -52,23 +53,37 @@ class Challenge:
     """Requirements of a SLAM challenge on a submission: its sequences, sensor of the poses and format.
 
     Attributes:
-        sequences: names that its files have; None where no full list of them is public.
+        sequences: names that its files have.
         role: sensor whose poses it wants.
         by_frames: whether it wants a 3×4 matrix for each frame, the first the identity; else TUM lines.
     """
 
-    sequences: tuple[str, ...] | None
+    sequences: tuple[str, ...]
     role: Role
     by_frames: bool
 
 
 CHALLENGES = {
     "kitti": Challenge(tuple(f"{number:02}" for number in range(11, 22)), Role.LEFT, by_frames=True),
-    "hilti2022": Challenge(None, Role.IMU, by_frames=False),
+    "hilti2022": Challenge(
+        (
+            "exp01_construction_ground_level",
+            "exp02_construction_multilevel",
+            "exp03_construction_stairs",
+            "exp07_long_corridor",
+            "exp09_cupola",
+            "exp11_lower_gallery",
+            "exp15_attic_to_upper_gallery",
+            "exp21_outside_building",
+        ),
+        Role.IMU,
+        by_frames=False,
+    ),
     "hilti2023": Challenge(
         (
             *(f"site1_handheld_{number}" for number in range(1, 6)),
             *(f"site2_robot_{number}" for number in range(1, 4)),
+            *(f"site3_handheld_{number}" for number in range(1, 5)),
         ),
         Role.IMU,
         by_frames=False,
@@ -133,8 +148,6 @@ def by_sequence(
 
 def _sequence_of(challenge: Challenge, dataset: str) -> str:
     """Return the sequence that ends a dataset's name: kitti-11, hilti2023-site1-handheld-1."""
-    if challenge.sequences is None:
-        raise InputError(f"what is the dataset {dataset!r} called there? Say it by --name {dataset}=SEQUENCE")
     plain = _plain(dataset)
     for sequence in challenge.sequences:
         if plain == _plain(sequence) or plain.endswith(f"-{_plain(sequence)}"):
@@ -282,7 +295,7 @@ def _text(poses: Trajectory, *, by_frames: bool) -> str:
 
 def missing_sequences(challenge: Challenge, found: Sequence[str]) -> list[str]:
     """Return the sequences that a challenge wants and nothing is there of."""
-    return [name for name in challenge.sequences or () if name not in found]
+    return [name for name in challenge.sequences if name not in found]
 
 
 def write_archive(path: Path, entries: Sequence[Entry]) -> None:
