@@ -151,6 +151,40 @@ def test_headers_with_spaces_and_stamps_in_scientific_notation(
     assert [message.linear_acceleration.z for _, message in found.messages("imu")] == list(range(10))
 
 
+@pytest.mark.parametrize(
+    ("separator", "head", "more"),
+    [
+        (",", "\ufeff", ""),
+        (";", "stamp;file\r\n", ""),
+        (",", "#timestamp,filename,exposure\n", ",0.012,7"),
+        (" ", "", " 0.012 7"),
+    ],
+)
+def test_lists_that_others_wrote(
+    euroc: Any, imported: Any, tmp_path: Path, separator: str, head: str, more: str
+) -> None:
+    folder = euroc(tmp_path / "mh")
+    for name in ("cam0", "imu0"):
+        path = folder / "mav0" / name / "data.csv"
+        rows = path.read_text().splitlines()[1:]
+        end = "\r\n" if "\r" in head else "\n"
+        lines = [row.replace(",", separator) + more for row in rows]
+        path.write_bytes((head + end.join(lines) + end).encode())
+    found = imported(folder, "Euroc")
+    assert found.first_pixels("left") == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert found.stamps("left") == [START + 50_000_000 * k for k in range(8)]
+    assert found.stamps("imu")[0] == START
+
+
+def test_names_of_images_with_spaces(euroc: Any, imported: Any, tmp_path: Path) -> None:
+    folder = euroc(tmp_path / "mh")
+    path = folder / "mav0" / "cam0" / "data.csv"
+    for image in path.with_name("data").iterdir():
+        image.rename(image.with_name(f"frame {image.name}"))
+    path.write_text(path.read_text().replace(",1", ",frame 1"))
+    assert imported(folder, "Euroc").first_pixels("left") == [1, 2, 3, 4, 5, 6, 7, 8]
+
+
 def test_rows_out_of_order_are_sorted(euroc: Any, imported: Any, tmp_path: Path) -> None:
     folder = euroc(tmp_path / "mh")
     path = folder / "mav0" / "cam0" / "data.csv"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lists of images in foreign layouts: a stamp and the name of a file in each line.
 
-They stand between commas or white space, comments begin with ``#``, and a first line without a number is a
-heading.
+They stand between commas, semicolons or white space, comments begin with ``#``, and a first line without a
+number is a heading. What follows a name in its line, such as an exposure time, is passed over.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ def read_images(path: Path, folder: Path, unit: Unit) -> Images:
             raise DataError(f"{path}, line {line}: {error}") from None
         if stamp < 0 or len(words) < 2:
             raise DataError(f"{path}, line {line}: a stamp and the name of an image are needed")
-        image = folder / " ".join(words[1:])
-        if image.is_file():
+        image = _image(folder, words[1:])
+        if image is not None:
             stamps.append(stamp)
             files.append(image)
         else:
-            missing.append((line, image))
+            missing.append((line, folder / " ".join(words[1:])))
     if not stamps and not missing:
         raise DataError(f"{path}: no rows in it")
     if len(missing) > len(files):
@@ -90,6 +90,12 @@ def read_images(path: Path, folder: Path, unit: Unit) -> Images:
         )
     times, order, unsorted = _in_order(np.frombuffer(stamps, dtype=np.int64), path)
     return Images(times, files if order is None else [files[k] for k in order.tolist()], notes + unsorted)
+
+
+def _image(folder: Path, words: list[str]) -> Path | None:
+    """Return the file that the words after a stamp begin with: names may have spaces, lines more columns."""
+    paths = (folder / " ".join(words[:count]) for count in range(len(words), 0, -1))
+    return next((path for path in paths if path.is_file()), None)
 
 
 def _in_order(stamps: Stamps, path: Path) -> tuple[Stamps, npt.NDArray[np.intp] | None, list[str]]:

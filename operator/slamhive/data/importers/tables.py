@@ -84,7 +84,7 @@ def read_table(
     stamp: Unit | None = None,
     unknown: list[str] | None = None,
 ) -> Table:
-    """Read a table: numbers between commas or white space.
+    """Read a table: numbers between commas, semicolons or white space.
 
     Empty lines and those that begin with # are skipped, and so is a first line of names. Further columns are
     left out.
@@ -140,9 +140,10 @@ def rows(path: Path) -> Iterator[tuple[int, list[str]]]:
         DataError: The file is missing, or is no text.
     """
     try:
-        with path.open(encoding="utf-8") as file:
+        # Programs of Windows begin files with a byte order mark.
+        with path.open(encoding="utf-8-sig") as file:
             for line, text in enumerate(file, start=1):
-                words = text.replace(",", " ").split()
+                words = text.replace(",", " ").replace(";", " ").split()
                 if words and not words[0].startswith("#"):
                     yield line, words
     except OSError as error:
