@@ -359,7 +359,9 @@ HOSTILE = {
     "symbolic link": (named("s/x", tarfile.SYMTYPE, "../../etc/passwd"), "link 's/x' leads outside"),
     "absolute link": (named("s/x", tarfile.SYMTYPE, "/etc/passwd"), "link 's/x' leads outside"),
     "hard link": (named("s/x", tarfile.LNKTYPE, "../x"), "link 's/x' leads outside"),
-    "dangling link": (named("s/x", tarfile.SYMTYPE, "y"), "no file in it"),
+    "dangling link": (named("s/x", tarfile.SYMTYPE, "y"), "which isn't in it"),
+    "link to itself": (named("s/x", tarfile.SYMTYPE, "x"), "in which it is itself"),
+    "link to its folder": (named("s/d/x", tarfile.SYMTYPE, ".."), "in which it is itself"),
     "device": (named("s/x", tarfile.CHRTYPE), "is a device: refused"),
     "pipe": (named("s/x", tarfile.FIFOTYPE), "is a device: refused"),
 }
@@ -395,6 +397,33 @@ def test_links_inside_become_copies(tmp_path: Path) -> None:
         assert not (tmp_path / "out" / name).is_symlink()
 
 
+def test_links_to_folders_and_to_links_become_copies_too(tmp_path: Path) -> None:
+    members = [
+        named("s/latest", tarfile.SYMTYPE, "first"),
+        named("s/again", tarfile.SYMTYPE, "latest/a"),
+        named("s/first/same", tarfile.SYMTYPE, "a"),
+        named("s/first/a"),
+    ]
+    unpack(tarred(tmp_path / "a.tgz", members, {"s/first/a": b"content"}), ["s"], tmp_path / "out")
+    for name in ("latest/a", "latest/same", "again", "first/same"):
+        assert (tmp_path / "out" / "s" / name).read_bytes() == b"content"
+        assert not (tmp_path / "out" / "s" / name).is_symlink()
+
+
+def test_links_that_lead_in_a_circle_are_refused(tmp_path: Path) -> None:
+    members = [named("s/a", tarfile.SYMTYPE, "b"), named("s/b", tarfile.SYMTYPE, "a")]
+    with pytest.raises(DataError, match=r"a.tgz: the link 's/a' leads to 'b', which isn't in it: refused"):
+        unpack(tarred(tmp_path / "a.tgz", members, {}), ["s"], tmp_path / "out")
+
+
+def test_links_to_folders_count_as_what_they_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unpacking, "FREE_BYTES", 1 << 20)
+    members = [named("s/d/a"), *(named(f"s/{k}", tarfile.SYMTYPE, "d") for k in range(2000))]
+    archive = tarred(tmp_path / "a.tgz", members, {"s/d/a": os.urandom(20_000)})
+    with pytest.raises(DataError, match="times its size: refused"):
+        unpack(archive, ["s"], tmp_path / "out")
+
+
 def test_a_bomb_is_refused_before_it_fills_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(unpacking, "FREE_BYTES", 1 << 20)
     bomb = zipped(tmp_path / "bomb.zip", {"s/zeros": bytes(32 << 20)})
@@ -415,6 +444,21 @@ def test_a_truncated_archive_is_damaged(tmp_path: Path) -> None:
     whole.write_bytes(whole.read_bytes()[:3000])
     with pytest.raises(DataError, match="is damaged"):
         unpack(whole, ["s"], tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"this is no archive" * 100, "is damaged, or no archive: none of zip, tar, tgz"),
+        (b"PK\x03\x04" + bytes(5000), "is a zip archive whose end is missing"),
+        (b"", "is damaged, or no archive"),
+    ],
+)
+def test_what_is_no_archive_is_said_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "a.zip").write_bytes(content)
+    with pytest.raises(DataError, match=f"^hall: {message}") as caught:
+        unpack(tmp_path / "a.zip", [""], tmp_path / "out", title="hall")
+    assert "\n" not in str(caught.value)
 
 
 def test_a_7z_says_which_package_reads_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

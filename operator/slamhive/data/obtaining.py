@@ -126,7 +126,7 @@ def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool
             shop.listener.share(min(done / held, 1.0))
 
         try:
-            unpack(path, part.members, work, share)
+            unpack(path, part.members, work, share, title=f"{shop.sequence.title}: {part.name}")
         except DamagedArchiveError as error:
             if again or part.manual is not None:
                 raise
@@ -135,7 +135,8 @@ def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool
         else:
             break
     if part.manual is None and title in shop.sequence.shared and path.suffix != ".part" and not keep_archive:
-        size = f"{path.stat().st_size / 1e9:.1f} GB"
+        megabytes = path.stat().st_size / 1e6
+        size = f"{megabytes / 1e3:.1f} GB" if megabytes > 1e3 else f"{megabytes:.0f} MB"
         shop.listener.notify(
             f"{part.name}, {size}, stays, as other sequences come from it; slamhive gc --all removes it"
         )

@@ -35,6 +35,7 @@ MOST_RATIO = 200
 FREE_BYTES = 64 << 20
 """Bytes that any archive may grow to."""
 _BLOCK = 1 << 20
+_MAGIC_ZIP = b"PK\x03\x04"
 _MAGIC_7Z = b"7z\xbc\xaf\x27\x1c"
 _PASSED_OVER = ("__MACOSX", ".DS_Store")
 
@@ -44,7 +45,7 @@ class DamagedArchiveError(DataError):
 
 
 class _Link(NamedTuple):
-    target: str
+    name: str
     linked: str
 
 
@@ -67,7 +68,12 @@ class _Unpacking:
 
 
 def unpack(
-    archive: Path, wanted: Sequence[str], out: Path, progress: Callable[[int], None] = lambda _: None
+    archive: Path,
+    wanted: Sequence[str],
+    out: Path,
+    progress: Callable[[int], None] = lambda _: None,
+    *,
+    title: str | None = None,
 ) -> None:
     """Unpack what is wanted of an archive.
 
@@ -77,6 +83,7 @@ def unpack(
             a/b.zip inside. An empty name is all of an archive.
         out: The folder that they go to, under the names that they have in the innermost archive.
         progress: Called with the bytes that are unpacked so far, now and then.
+        title: What it is, for messages; None: its name.
 
     Raises:
         DataError: It is damaged, holds not what is wanted, or what no archive of data holds: names outside of
@@ -87,9 +94,10 @@ def unpack(
     room = shutil.disk_usage(out).free - LEFT_BYTES
     limit = min(max(FREE_BYTES, MOST_RATIO * _held(archive)), max(room, 0))
     work = _Unpacking(out, limit, progress)
-    with disk_words(str(archive), out):
-        _unpack(archive, archive.name, [name.split("!") for name in wanted], work)
-        _follow_links(archive, work)
+    title = title or archive.name
+    with disk_words(title, out):
+        _unpack(archive, title, [name.split("!") for name in wanted], work)
+        _follow_links(title, work)
 
 
 def _held(archive: Path) -> int:
@@ -123,10 +131,21 @@ def _unpack(archive: Path, title: str, wanted: Iterable[Sequence[str]], work: _U
                     missing.discard(matching)
                     _place(member, name, title, work)
     except (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, NotImplementedError) as error:
-        raise DamagedArchiveError(f"{title}: is damaged, or no archive that can be read: {error}") from None
+        raise DamagedArchiveError(f"{title}: {_damage(archive, error)}") from None
     if missing:
         some = ", ".join(list(seen)[:5]) + (", …" if len(seen) > 5 else "")
         raise DataError(f"{title}: has no {', '.join(sorted(missing))}; it has: {some or 'nothing'}")
+
+
+def _damage(archive: Path, error: Exception) -> str:
+    """Say in one line what is wrong with an archive that can't be read."""
+    with archive.open("rb") as file:
+        begin = file.read(len(_MAGIC_ZIP))
+    if begin == _MAGIC_ZIP and not zipfile.is_zipfile(archive):
+        return "is a zip archive whose end is missing"
+    if isinstance(error, tarfile.ReadError) and "\n" in str(error):
+        return "is damaged, or no archive: none of zip, tar, tgz, tar.bz2, tar.xz, 7z"
+    return f"is damaged, or no archive that can be read: {error}"
 
 
 class Member(NamedTuple):
@@ -260,18 +279,42 @@ def _refuse_size(title: str, work: _Unpacking) -> None:
     )
 
 
-def _follow_links(archive: Path, work: _Unpacking) -> None:
-    """Put copies in the place of links; what leads outside, or to nothing, is refused."""
-    for name, linked in work.links:
-        # Names alone decide: no link is ever made that a later one could lead through.
-        path = os.path.normpath(PurePosixPath(name).parent / linked)
-        if path.startswith(("/", "..")):
-            raise DataError(f"{archive.name}: the link {name!r} leads outside of its folder: refused")
-        source, target = work.out / path, work.out / name
-        if not source.is_file():
-            raise DataError(f"{archive.name}: the link {name!r} leads to {linked!r}, no file in it: refused")
-        work.written += source.stat().st_size
-        if work.written > work.limit:
-            _refuse_size(archive.name, work)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, target)
+def _follow_links(title: str, work: _Unpacking) -> None:
+    """Put copies in the place of links; what leads outside, to itself, or to nothing, is refused."""
+    waiting = work.links
+    while waiting:
+        names = [PurePosixPath(link.name) for link in waiting]
+        left = [link for link in waiting if not _copied(link, names, title, work)]
+        if len(left) == len(waiting):
+            name, linked = left[0]
+            raise DataError(f"{title}: the link {name!r} leads to {linked!r}, which isn't in it: refused")
+        waiting = left
+
+
+def _copied(link: _Link, links: Sequence[PurePosixPath], title: str, work: _Unpacking) -> bool:
+    """Put a copy in the place of a link; False where what it leads to isn't there, or has links in it."""
+    name, linked = link
+    # Names alone decide: no link is ever made that a later one could lead through.
+    path = os.path.normpath(PurePosixPath(name).parent / linked)
+    if path.startswith(("/", "..")):
+        raise DataError(f"{title}: the link {name!r} leads outside of its folder: refused")
+    source, target = work.out / path, work.out / name
+    if target.is_relative_to(source):
+        raise DataError(f"{title}: the link {name!r} leads to {linked!r}, in which it is itself: refused")
+    if any(other.is_relative_to(path) for other in links):
+        return False
+    if source.is_dir():
+        files = [file for file in sorted(source.rglob("*")) if file.is_file()]
+    elif source.is_file():
+        files = [source]
+    else:
+        return False
+    work.files += len(files)
+    work.written += sum(file.stat().st_size for file in files)
+    if work.written > work.limit or work.files > MOST_FILES:
+        _refuse_size(title, work)
+    for file in files:
+        place = target / file.relative_to(source) if source.is_dir() else target
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, place)
+    return True

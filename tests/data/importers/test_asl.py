@@ -161,7 +161,7 @@ def test_headers_with_spaces_and_stamps_in_scientific_notation(
     ],
 )
 def test_lists_that_others_wrote(
-    euroc: Any, imported: Any, tmp_path: Path, separator: str, head: str, more: str
+    euroc: Any, imported: Any, tmp_path: Path, *, separator: str, head: str, more: str
 ) -> None:
     folder = euroc(tmp_path / "mh")
     for name in ("cam0", "imu0"):
