@@ -89,7 +89,7 @@ def test_a_redirect_away_from_https_is_refused(server: str, tmp_path: Path, wher
     ("limit", "expected"),
     [
         ({"MOST_BYTES": 5000}, (DataError, "the most that is fetched")),
-        ({"LEFT_BYTES": 1 << 60}, (SystemFault, "more than the disk has room for, 0 MiB")),
+        ({"LEFT_BYTES": 1 << 60}, (SystemFault, "MiB more, but the disk of .* has room for 0 MiB, as ")),
     ],
 )
 def test_a_file_without_end_is_not_kept(  # noqa: PLR0917
@@ -106,6 +106,21 @@ def test_a_file_without_end_is_not_kept(  # noqa: PLR0917
         materialise(dataset(f"{server}/{name}.bag"), tmp_path / "root", tmp_path / "home")
     kept = [path for path in (tmp_path / "home").rglob("*") if path.is_file()]
     assert [path for path in kept if path.suffix != ".lock"] == []
+
+
+def test_a_full_disk_is_no_reason_to_ask_a_mirror(
+    site: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (site.folder / "a.bin").write_bytes(CONTENT)
+    wanted = fetching.Wanted([f"{site.url}/a.bin", f"{site.url}/a.bin?again"], "hall: a.bin")
+
+    def write(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(fetching.Partial, "write", write)
+    with pytest.raises(SystemFault, match=r"^hall: a.bin: the disk of .* is full; what was fetched stays"):
+        fetching.fetch_file(wanted, tmp_path / "a.bin")
+    assert [path for path, _ in site.asked] == ["/a.bin"]
 
 
 def test_a_server_that_hardly_sends_is_given_up(

@@ -181,6 +181,30 @@ def test_a_broken_member_is_fetched_again_once(halls: Any, tmp_path: Path) -> No
     assert not (tmp_path / "c").exists()
 
 
+def test_two_datasets_of_one_sequence_at_once_fetch_it_once(
+    site: Any, catalogue: Any, euroc: tuple[Path, Any], tmp_path: Path
+) -> None:
+    members = {
+        str(path.relative_to(euroc[0])): path.read_bytes()
+        for path in euroc[0].rglob("*")
+        if path.is_file() and path.name != "sensors.yaml"
+    }
+    zipped(site.folder / "A.zip", members)
+    parts = f'{{a: {{url: "{site.url}/{{sequence}}.zip", members: [mav0]}}}}'
+    catalogue(f"parts: {parts}\nsequences: {{A: }}\n")
+    sequence, downloads = find_sequence("test/A"), tmp_path / "downloads"
+
+    def step(text: str) -> None:
+        if text.startswith("unpacking"):  # the other one begins and ends meanwhile
+            obtain(sequence, tmp_path / "other", "other", downloads)
+            assert [path.name for path in downloads.glob("*A.zip")]
+
+    obtain(sequence, tmp_path / "one", "one", downloads, listener=Listener(step=step))
+    assert [path for path, _ in site.asked] == ["/A.zip"]
+    assert list(downloads.glob("*A.zip")) == []
+    assert (tmp_path / "one" / "recording.bag").stat().st_size > 0
+
+
 def test_a_file_that_changed_since_its_first_fetch_is_refused(
     site: Any, catalogue: Any, tmp_path: Path, euroc: tuple[Path, Any]
 ) -> None:

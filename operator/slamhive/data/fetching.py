@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 from slamhive.data.https import TIMEOUT_SECONDS, Answer, Interrupted, open_url
-from slamhive.data.partial import Partial, disk_words
+from slamhive.data.partial import DiskFault, Partial, disk_words
 from slamhive.model.canonical import digest
 from slamhive.model.errors import DataError, SlamHiveError, SystemFault
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 MOST_BYTES = 1 << 38
 """Bytes of the largest file that is fetched, 256 GiB."""
+MEBIBYTE = 1 << 20
 LEFT_BYTES = 1 << 30
 """Bytes that stay free on the disk."""
 STALL_SECONDS = TIMEOUT_SECONDS
@@ -235,6 +236,8 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
             before = partial.held
             try:
                 _attempt(_Order(wanted, url, partial, progress, running), span)
+            except DiskFault:
+                raise
             except SystemFault as error:
                 if partial.held > before:
                     tries = list(PAUSES)
@@ -337,7 +340,7 @@ def _is_same(order: _Order, answer: Answer, start: int) -> bool:
             f"{order.where}: comes from its start again: the server sends no parts, or another file now"
         )
         partial.forget()
-    _require_room((answer.total or 0) - partial.held, order.room, order.where)
+    _require_room((answer.total or 0) - partial.held, order.room, order)
     partial.begin(order.url, answer.validator, answer.total)
     return is_same
 
@@ -359,7 +362,7 @@ def _copy(order: _Order, answer: Answer, until: int | None) -> None:
             at += len(data)
             counted += len(data)
             if answer.total is None:
-                _require_room(at - answer.start, room, order.where)
+                _require_room(at - answer.start, room, order)
             writer.put(data)
             if counted >= STALL_BYTES:
                 counted, since = 0, time.monotonic()
@@ -450,11 +453,15 @@ class _Writer:
             self._free.put(block)
 
 
-def _require_room(size: int, room: int, what: str) -> None:
+def _require_room(size: int, room: int, order: _Order) -> None:
     if size > MOST_BYTES:
-        raise DataError(f"{what}: has more than {MOST_BYTES >> 30} GiB, the most that is fetched")
+        raise DataError(f"{order.where}: has more than {MOST_BYTES >> 30} GiB, the most that is fetched")
     if size > room:
-        raise SystemFault(f"{what}: has more than the disk has room for, {max(room, 0) >> 20} MiB")
+        raise DiskFault(
+            f"{order.wanted.what}: needs {size / MEBIBYTE:,.0f} MiB more, but the disk of "
+            f"{order.partial.path.parent} has room for {max(room, 0) / MEBIBYTE:,.0f} MiB, as "
+            f"{LEFT_BYTES / MEBIBYTE:,.0f} MiB stay free"
+        )
 
 
 def _sha256(path: Path) -> str:

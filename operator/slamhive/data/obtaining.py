@@ -12,9 +12,9 @@ import json
 import os
 import shutil
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from slamhive.data.fetching import Progress, Wanted, fetch_file, one_at_a_time, require_sha256
 from slamhive.data.importing import publish
@@ -24,7 +24,7 @@ from slamhive.data.unpacking import DamagedArchiveError, unpack
 from slamhive.model.canonical import digest
 from slamhive.model.catalogue import BAG
 from slamhive.model.dataset import Dataset
-from slamhive.model.errors import DataError, InputError
+from slamhive.model.errors import DataError, InputError, SystemFault
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
@@ -85,18 +85,47 @@ def obtain(
             shutil.rmtree(work, ignore_errors=True)  # what a killed one left
             shop = _Shop(sequence, downloads, listener)
             shop.require_manual()
-            try:
-                taken = [
-                    _take(shop, title, part, work, keep_archive=keep_archive)
+            with ExitStack() as stack:
+                uses = {
+                    title: stack.enter_context(_Use(shop.place(part)))
                     for title, part in sequence.parts.items()
-                ]
-                _publish(sequence, work, out, name, listener)
-            finally:
-                shutil.rmtree(work, ignore_errors=True)
-            for path in taken:
-                if path is not None and not keep_archive:
-                    Partial(path).forget()
+                }
+                try:
+                    taken = {
+                        title: _take(shop, title, part, work, keep_archive=keep_archive)
+                        for title, part in sequence.parts.items()
+                    }
+                    _publish(sequence, work, out, name, listener)
+                finally:
+                    shutil.rmtree(work, ignore_errors=True)
+                for title, path in taken.items():
+                    if path is not None and not keep_archive and uses[title].is_last():
+                        Partial(path).forget()
         return _described(out)
+
+
+class _Use:
+    """Use of a fetched file, which several processes may have at a time: the last one removes it."""
+
+    def __init__(self, place: Path) -> None:
+        self._path = place.with_name(f".using-{place.name}.lock")
+
+    def __enter__(self) -> Self:
+        with disk_words(self._path.name, self._path):
+            self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            fcntl.flock(self._descriptor, fcntl.LOCK_SH)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._descriptor)
+
+    def is_last(self) -> bool:
+        """Give it up, and tell whether nobody else has it; then nobody gets it until the end of the block."""
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
 
 
 def _described(out: Path) -> Dataset:
@@ -132,6 +161,10 @@ def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool
                 raise
             shop.listener.notify(f"{error}: fetched again")
             Partial(path).forget()
+        except SystemFault:
+            # Another process, which found it damaged, has removed it.
+            if again or part.manual is not None or path.exists():
+                raise
         else:
             break
     if part.manual is None and title in shop.sequence.shared and path.suffix != ".part" and not keep_archive:
@@ -183,6 +216,12 @@ class _Shop:
             "then give the same command again"
         )
 
+    def place(self, part: Part) -> Path:
+        """Return where a part's file is once it is here."""
+        if part.url is None:
+            return self._downloads / self.sequence.family.name / part.name
+        return self._downloads / f"{digest(part.url)[:16]}-{part.name.rpartition('/')[2]}"
+
     def bring(self, title: str, part: Part) -> Path:
         """Return a part's file, fetched if it isn't here.
 
@@ -194,7 +233,7 @@ class _Shop:
             return self._by_hand(part)
         what = f"{self.sequence.title}: {part.name}"
         urls = [str(part.url), *part.mirrors]
-        place = self._downloads / f"{digest(urls[0])[:16]}-{part.name.rpartition('/')[2]}"
+        place = self.place(part)
         if place.is_file():
             return place
         sums = _KnownSums(self._downloads / SUMS)
@@ -232,7 +271,7 @@ class _Shop:
             self.listener.share(held / total)
 
     def _by_hand(self, part: Part) -> Path:
-        path = self._downloads / self.sequence.family.name / part.name
+        path = self.place(part)
         if path.is_dir():
             return path
         size = path.stat().st_size

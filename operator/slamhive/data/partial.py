@@ -34,6 +34,12 @@ Span = tuple[int, int]
 """First byte, byte after the last."""
 
 
+class DiskFault(SystemFault):
+    """A disk that is full or refuses: another server would be of no use."""
+
+    reason = "DiskFault"
+
+
 class Partial:
     """The bytes of a file that are there.
 
@@ -244,14 +250,14 @@ def disk_words(what: str, path: Path) -> Iterator[None]:
     """Turn a disk's refusal into a sentence that says what stays.
 
     Raises:
-        SystemFault: The disk refused.
+        DiskFault: The disk refused.
     """
     try:
         yield
     except OSError as error:
         if error.errno in {errno.ENOSPC, errno.EDQUOT}:
-            raise SystemFault(
+            raise DiskFault(
                 f"{what}: the disk of {path.parent} is full; what was fetched stays: make room, and the same "
                 "command goes on"
             ) from None
-        raise SystemFault(f"{what}: {path}: {error.strerror or error}") from None
+        raise DiskFault(f"{what}: {path}: {error.strerror or error}") from None
