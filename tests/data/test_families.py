@@ -216,8 +216,25 @@ def geode(to: Publisher) -> None:
 
 def hilti(to: Publisher) -> None:
     bag = write_bag(to.work / "a.bag", {"/hesai/pandar": HESAI, "/alphasense/imu": IMU})
-    to.serve("Challenges/2022/exp04_construction_upper_level.bag", bag)
-    to.serve("Challenges/2022/exp_04_construction_upper_level_imu.txt", tum(drive()))
+    place = "datasets/Hilti-Research/hilti-slam-challenge-2022/resolve/main"
+    to.serve(f"{place}/rosbags/exp04_construction_upper_level.bag", bag)
+    to.serve(f"{place}/ground_truth/exp_04_construction_upper_level_imu.txt", tum(drive()))
+
+
+def hilti_points(to: Publisher) -> None:
+    bag = write_bag(to.work / "a.bag", {"/hesai/pandar": HESAI, "/alphasense/imu": IMU})
+    place = "datasets/Hilti-Research/hilti-slam-challenge-2022/resolve/main"
+    to.serve(f"{place}/rosbags/exp21_outside_building.bag", bag)
+    points = "# timestamp_s id x y z \n" + tum(path_of("hilti-2022", "exp21_outside_building"))
+    place = "Hilti-Research/hilti-slam-challenge-2022/HEAD/groundtruth_2022"
+    to.serve(f"{place}/exp21_outside_building.txt", points)
+
+
+def hilti_2023(to: Publisher) -> None:
+    bag = write_bag(to.work / "a.bag", {"/hesai/pandar": HESAI, "/alphasense/imu": IMU})
+    to.serve("Challenges/2023/site3_handheld_2.bag", bag)
+    place = "Hilti-Research/hilti-slam-challenge-2023/HEAD/groundtruth_2023"
+    to.serve(f"{place}/site3_handheld_2.txt", tum(path_of("hilti-2023", "site3_handheld_2")))
 
 
 def mcd(to: Publisher) -> None:
@@ -465,6 +482,22 @@ SAMPLES = {
         time_field="timestamp",
         lever=(0, 0, 0),
     ),
+    "hilti-2022 points": Sample(
+        "exp21_outside_building",
+        hilti_points,
+        {"/hesai/pandar": "lidar", "/alphasense/imu": "imu"},
+        stamp=Stamp.SCAN_START,
+        time_field="timestamp",
+        lever=(0.059, -0.00855, 0.1964),
+    ),
+    "hilti-2023": Sample(
+        "site3_handheld_2",
+        hilti_2023,
+        {"/hesai/pandar": "lidar", "/alphasense/imu": "imu"},
+        stamp=Stamp.SCAN_START,
+        time_field="timestamp",
+        lever=(0.059, -0.00855, 0.1964),
+    ),
     "mcd": Sample(
         "ntu_day_01",
         mcd,
@@ -622,7 +655,7 @@ def test_a_family_is_added_by_its_name(added: Callable[[str], DatasetEntry], tit
         expected = path_of(family.name, sample.sequence)
         assert np.abs(truth.poses.stamps - expected.stamps).max() < 1e-6
         assert np.abs(truth.poses.positions - expected.positions).max() < 1e-6
-        if truth.poses.oriented:
+        if truth.kind == "poses":
             assert np.abs(np.sum(truth.poses.quaternions * expected.quaternions, axis=1)).min() > 1 - 1e-9
         frames = [one.messages for one in report.sensors if one.type is not SensorType.IMU]
         assert frames == [SCANS] * len(frames)

@@ -128,6 +128,7 @@ def test_a_bag_of_the_catalogue_is_measured_as_its_original(
     assert errors == pytest.approx(dict.fromkeys(errors, errors["original"]), abs=1e-6)
 
 
+HILTI = "datasets/Hilti-Research/hilti-slam-challenge-2022/resolve/main"
 SYSTEMS = {"flow-odometry": "flow", "descriptor-odometry": "descriptors"}
 CAMERAS = """
 apiVersion: slamhive.io/v1alpha1
@@ -172,8 +173,8 @@ def test_five_layouts_of_archives_are_measured_as_what_they_were_made_of(
     mirrored(families, site, "kitti", kitti_archives(made["Kitti"]))
     bag = yaml.safe_load((made["Rosbag1"] / "dataset.yaml").read_text())["spec"]
     files = {
-        "Challenges/2022/exp14_basement_2.bag": (made["Rosbag1"] / "recording.bag").read_bytes(),
-        "Challenges/2022/exp14_basement_2_imu.txt": (made["Rosbag1"] / "groundtruth.txt").read_bytes(),
+        f"{HILTI}/rosbags/exp14_basement_2.bag": (made["Rosbag1"] / "recording.bag").read_bytes(),
+        f"{HILTI}/ground_truth/exp14_basement_2_imu.txt": (made["Rosbag1"] / "groundtruth.txt").read_bytes(),
     }
     # The rig is the generated one: its topics and calibration take the place of Hilti's.
     kinds = {name: sensor["type"] for name, sensor in bag["sensors"].items()}
