@@ -80,6 +80,16 @@ def test_a_column_that_a_row_lacks_is_null() -> None:
     assert condition.mask(frame_of({"scale": 1})).tolist() == [False]
 
 
+def test_the_last_part_of_a_name_is_enough_where_it_is_clear() -> None:
+    rows = frame_of(ROW)
+    for text in ("nFeatures == 1000", "nLevels == 8 and loop", "`min-dist` == 30"):
+        assert parse_where(text, ROW).mask(rows).tolist() == [True]
+    twice = {**ROW, "metrics.nFeatures": 5}
+    assert parse_where("nFeatures == 1000", twice).mask(frame_of(twice)).tolist() == [True]  # a setting first
+    with pytest.raises(ExpressionError, match=r"'rmse' may be ate.rmse, rpe.0..rmse; write which"):
+        parse_where("rmse < 1", ROW)
+
+
 @pytest.mark.parametrize(
     ("text", "position", "problem"),
     [

@@ -33,6 +33,7 @@ from slamhive.analysis.conditions import (
     NullTest,
     Truth,
 )
+from slamhive.analysis.names import columns_ending_in
 from slamhive.model.errors import InputError, suggestion
 
 if TYPE_CHECKING:
@@ -206,14 +207,23 @@ class _Parser:
         token = self._token
         if token.kind == "name":
             self._next += 1
-            name = token.value
-            if name not in self._columns:
-                self._fail(f"unknown column {name!r}{self._hint(name)}", token.position)
+            name = self._meant(token.value, token.position)
             self._named += 1
             if self._named > MAX_COLUMNS:
                 self._fail(f"a condition may name columns {MAX_COLUMNS} times", token.position)
             return Name(name)
         return Literal(self._literal())
+
+    def _meant(self, name: str, position: int) -> str:
+        """Return the column that a name means: its whole name, or its last part where that is clear."""
+        if name in self._columns:
+            return name
+        found = columns_ending_in(name, self._columns)
+        if len(found) > 1:
+            self._fail(f"{name!r} may be {', '.join(found[:6])}; write which", position)
+        if not found:
+            self._fail(f"unknown column {name!r}{self._hint(name)}", position)
+        return found[0]
 
     def _hint(self, name: str) -> str:
         hint = suggestion(name, self._columns)

@@ -18,6 +18,7 @@ import numpy as np
 
 from slamhive.analysis.cells import Cell, Figure, Places, error_figures, figures
 from slamhive.analysis.columns import Column, renumbered
+from slamhive.analysis.names import CONFIGURATION
 from slamhive.analysis.statistics import edges
 from slamhive.model.base import Choice
 from slamhive.model.results import Outcome, Reason
@@ -64,9 +65,6 @@ MEMORY = "usage.memory."
 
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
 """Columns that say nothing where a run shared its cores with other work or was throttled."""
-
-CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
-"""Beginnings of the names of settings."""
 
 ERRORS = ("ate.", "rpe[", "relations.", "ateRotationDeg.")
 """Beginnings of the names of errors that follow from a run's trajectory: equal ones have equal errors."""

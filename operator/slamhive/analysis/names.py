@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
+CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
+"""Beginnings of the names of settings."""
+
+
 class Name(NamedTuple):
     """Name and unit of a column as people read them in tables, pages, figures and reports.
 
@@ -171,3 +175,14 @@ def _own(column: str, text: str, among: Iterable[str]) -> str:
     if text != column or match is None or sum(other.endswith(f".{match[2]}") for other in among) > 1:
         return text
     return match[2]
+
+
+def columns_ending_in(name: str, columns: Iterable[str]) -> list[str]:
+    """Return the columns whose last part is a name: of several the only setting, else all of them, sorted.
+
+    >>> columns_ending_in("k", ["parameters.k", "metrics.k"]), columns_ending_in("x", ["b.x", "a.x", "y"])
+    (['parameters.k'], ['a.x', 'b.x'])
+    """
+    ending = sorted(column for column in columns if column.endswith(f".{name}"))
+    settings = [column for column in ending if column.startswith(CONFIGURATION)]
+    return settings if len(settings) == 1 else ending

@@ -20,7 +20,6 @@ import numpy as np
 from slamhive.analysis.comparing import LEVEL, log_ratios, signed_differences
 from slamhive.analysis.derived import ALGORITHM_CHANGED, DATASET_CHANGED
 from slamhive.analysis.grouping import (
-    CONFIGURATION,
     ERRORS,
     SUBJECT,
     Groups,
@@ -38,6 +37,7 @@ from slamhive.analysis.grouping import (
     varies,
     varying,
 )
+from slamhive.analysis.names import CONFIGURATION
 from slamhive.analysis.statistics import ENOUGH, average_ranks, holm, median_of_sorted, sign_flip_test
 
 if TYPE_CHECKING:

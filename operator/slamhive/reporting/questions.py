@@ -9,7 +9,8 @@ from urllib.parse import parse_qsl
 
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import ColumnKind
-from slamhive.analysis.grouping import CONFIGURATION, varies, varying
+from slamhive.analysis.grouping import varies, varying
+from slamhive.analysis.names import CONFIGURATION, columns_ending_in
 from slamhive.model.errors import InputError, suggestion
 from slamhive.tables import queries
 from slamhive.tables.reading import with_figure
@@ -116,13 +117,11 @@ def resolve(name: str, frame: Frame, field: str = _FIELD) -> str:
         return name
     if frame.has(f"{name}.rmse"):
         return f"{name}.rmse"
-    ending = [column for column in frame.stored if column.endswith(f".{name}")]
-    settings = [column for column in ending if column.startswith(CONFIGURATION)]
-    found = settings if len(settings) == 1 else ending
+    found = columns_ending_in(name, frame.stored)
     if len(found) == 1:
         return found[0]
     if found:
-        raise InputError(f"{field}: {name!r} may be {', '.join(sorted(found)[:6])}; write which")
+        raise InputError(f"{field}: {name!r} may be {', '.join(found[:6])}; write which")
     raise InputError(f"{field}: unknown column {name[:100]!r}{suggestion(name[:100], frame.names)}")
 
 
