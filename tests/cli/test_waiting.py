@@ -71,8 +71,19 @@ def test_what_has_to_be_made_first_is_shown_while_it_is_made() -> None:
         watch.work.share(0.5)
         making["making its input"] = 0.1
         assert watch.says(5) == ["making its input: 10 %, 5 s"]
+        watch.now = 9
         del making["making its input"]
-        assert watch.says(10) == ["making it: 50 %, 10 s, about 10 s left"]
+        assert watch.says(10) == ["making it: 50 %, 10 s, about 5 s left"]
+
+
+def test_what_came_before_the_first_of_many_foretells_nothing() -> None:
+    watch = Watch()
+    with watch.work:
+        assert watch.says(60) == ["making it: 1 min 0 s"]
+        watch.work.count(0, 6)
+        watch.now = 70
+        watch.work.count(1, 6)
+        assert watch.says(70) == ["making it: 1 of 6, 1 min 10 s, about 50 s left"]
 
 
 def test_on_a_terminal_there_is_a_bar_and_it_goes() -> None:

@@ -41,7 +41,7 @@ class _Step:
 
     Attributes:
         what: in words.
-        since: when it began.
+        since: when it began, later by the time in which something else was made for it.
         share: how much of it is done; None where it isn't known.
         note: what else is to be said of it.
     """
@@ -73,7 +73,8 @@ class Work:
         self._console = console.err if to is None else to
         self._clock = clock
         self._began = self._said = clock()
-        self._main = self._made = _Step(what, self._began)
+        self._main = _Step(what, self._began)
+        self._made: _Step | None = None
         self._making: Mapping[str, float] = {}
         self._ended = threading.Event()
         self._wait = self._ended.wait if wait is None else wait
@@ -107,6 +108,8 @@ class Work:
         """Say how many of how many are done, and anything else in a few words."""
         step = self._main
         step.what = what or step.what
+        if step.share is None and not done:  # what came before the first foretells nothing of the others
+            step.since = self._clock()
         step.share = done / total if total else None
         counted = f"{done:,} of {total:,}" if total else ""
         step.note = ", ".join(filter(None, (counted, note)))
@@ -145,11 +148,19 @@ class Work:
     @property
     def _step(self) -> _Step:
         for what, share in list(self._making.items())[:1]:
-            if what != self._made.what:
+            if self._made is None or what != self._made.what:
+                self._end_making()
                 self._made = _Step(what, self._clock())
             self._made.share = share
             return self._made
+        self._end_making()
         return self._main
+
+    def _end_making(self) -> None:
+        """Take the time in which something else was made out of that of the work itself."""
+        if self._made is not None:
+            self._main.since += self._clock() - max(self._made.since, self._main.since)
+            self._made = None
 
     def _beats(self) -> None:
         pause = BAR_AFTER_SECONDS if self._console.is_terminal else LINE_AFTER_SECONDS / 5
