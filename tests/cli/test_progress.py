@@ -8,21 +8,22 @@ from typing import Any
 
 import pytest
 
-from slamhive.cli.progress import Display
+from slamhive.cli.progress import Display, run_line, run_values
 from slamhive.engine import PointState
 from slamhive.local.outlook import Outlook, Standing
 from slamhive.local.run import Step
 from slamhive.local.runner import Job
-from slamhive.model.results import CpuUsage, Phase, Provenance, RunRecord, Usage
+from slamhive.model.results import CpuUsage, Outcome, Phase, Provenance, Result, RunRecord, Usage
 from slamhive.model.sweep import Sweep
 from slamhive.plan import FixedCatalog, Plan, local_uid
 
+SPEC = {"algorithmRef": {"name": "kiss-icp"}, "datasetRef": {"name": "d"}}
 SWEEP = {
     "apiVersion": "slamhive.io/v1alpha1",
     "kind": "Sweep",
     "metadata": {"name": "short"},
     "spec": {
-        "template": {"spec": {"algorithmRef": {"name": "kiss-icp"}, "datasetRef": {"name": "d"}}},
+        "template": {"spec": SPEC},
         "matrix": [{"path": "parameters.maxRange", "values": [30, 60, 100]}],
     },
 }
@@ -54,6 +55,14 @@ def job() -> Job:
     job = Job(sweep, local_uid(sweep), points)
     job.outlook = Outlook(bytearray([Standing.NEW] * 3))
     return job
+
+
+def test_a_lost_run_says_why() -> None:
+    why = "no pose of the estimate, 0 s to 15 s, lies within 0.01 s of a ground-truth pose"
+    lost = Result(evaluation="se3", outcome=Outcome.LOST, coverage=0.0, values={"message": why})
+    record = RunRecord(uid="u", name="n", spec=SPEC, phase=Phase.SUCCEEDED, results=[lost])
+    assert why in run_line(record, "voxelSize 1")
+    assert run_values(record)["message"] == why
 
 
 def test_what_is_made_once_is_not_expected_of_each_run(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from slamhive.local.outlook import Points
     from slamhive.local.runner import Job
     from slamhive.local.workbench import Workbench
-    from slamhive.model.results import RunRecord
+    from slamhive.model.results import Result, RunRecord
 
 _REFRESH_PER_SECOND = 2
 _MOST_SHOWN = 8
@@ -376,6 +376,8 @@ def run_line(record: RunRecord, words: str | None = None, before: float | None =
         ate = result.values.get("ate")
         figure = f" ATE {ate['rmse']:.4g} m{_against(ate['rmse'], before)}" if ate else ""
         parts.append(f"{result.outcome}{figure}")
+        if why := _told(result):
+            parts.append(f"[yellow]{escape(why)}[/]")
     usage = record.usage
     if record.provenance.reused_from:
         parts.append("reused")
@@ -384,6 +386,12 @@ def run_line(record: RunRecord, words: str | None = None, before: float | None =
     if record.message:
         parts.append(f"[yellow]{escape(record.message)}[/]")
     return f"{escape(what)}: {', '.join(parts)}"
+
+
+def _told(result: Result) -> str | None:
+    """Return what the evaluator said of a run, as of one that is lost."""
+    found = result.values.get("message")
+    return str(found) if found else None
 
 
 def _against(error: float, before: float | None) -> str:
@@ -406,7 +414,7 @@ def run_values(record: RunRecord) -> dict[str, Any]:
         "dataset": record.spec["datasetRef"]["name"],
         "phase": str(record.phase),
         "reason": str(record.reason) if record.reason else None,
-        "message": record.message,
+        "message": record.message or (_told(found) if found else None),
         "outcome": str(found.outcome) if found else None,
         "ate": (found.values.get("ate") or {}).get("rmse") if found else None,
         "cpuSeconds": usage.cpu.seconds if usage else None,
