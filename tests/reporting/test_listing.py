@@ -30,6 +30,19 @@ def test_settings_that_vary_are_columns_and_what_is_the_same_is_said_once(
     ]
 
 
+def test_a_run_that_failed_says_why_where_others_have_an_outcome(
+    records: Any, fill: Fill, slamhive: Slamhive
+) -> None:
+    home = fill([records.run(0), records.failed(6)])
+    _, *table = slamhive(home, "results", "list")[1].splitlines()
+    heads = " ".join(table[:3]).split()
+    assert "status" in heads
+    assert not {"phase", "outcome"} & set(heads)
+    lines = {line.split()[0]: line.split() for line in table if line.startswith("run-")}
+    assert "Tracked" in lines["run-000"]
+    assert "OutOfMemory" in lines["run-006"]
+
+
 def test_one_run_has_all_columns_and_so_has_what_programs_read(
     records: Any, fill: Fill, slamhive: Slamhive
 ) -> None:

@@ -343,6 +343,8 @@ def _telling(frame: Frame) -> tuple[list[str], dict[str, Any]]:
             _, values = frame.column(name).factorized()
             if len(values) == 1 and frame.column(name).present.all():
                 same[name] = values[0]
+    if not frame.column("reason").is_empty:  # why a run failed, where others have an outcome
+        names = ["status" if name == "outcome" else name for name in names if name != "phase"]
     at = names.index("repetition")
     names[at:at] = [name for name in varying(frame)[:_MOST_SETTINGS] if name not in names]
     return [name for name in names if name not in same], same
