@@ -331,6 +331,22 @@ def test_keyframes_alone_beside_a_trajectory_of_the_contract(output: Path) -> No
     assert found.metrics_problem(None) == "output/keys.txt is missing or not a regular file"
 
 
+@pytest.mark.parametrize(
+    ("poses", "missing"), [(None, "output/trajectory.txt"), ("poses.txt", "output/poses.txt")]
+)
+def test_files_of_other_names_are_named_where_poses_are_missing(
+    output: Path, poses: str | None, missing: str
+) -> None:
+    for name in ("CameraTrajectory.txt", "f_dataset-KF.txt", "map.bin", "z.log", "metrics.json"):
+        (output / name).write_text("{}")
+    found = read_output(str(output), poses=told() if poses else None).trajectory
+    assert found.missing
+    assert found.problem == (
+        f"{missing} is missing or not a regular file; beside it: 'CameraTrajectory.txt', 'f_dataset-KF.txt', "
+        "'map.bin' and 1 more (an Algorithm says in output.trajectory where its poses are)"
+    )
+
+
 def link_of_the_output(output: Path) -> None:
     (output / "poses.txt").write_text(LINE.format(1))
     output.rename(output.with_name("elsewhere"))

@@ -15,7 +15,7 @@ from decimal import Decimal
 from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.contract.files import NotRegularError, open_folder, open_regular
-from slamhive.contract.lines import LIMIT_BYTES, TextFault, blocks, named, number, opened_text, shown
+from slamhive.contract.lines import LIMIT_BYTES, TextFault, absent, blocks, named, number, opened_text, shown
 from slamhive.contract.posefiles import (
     BY_FRAMES,
     COLUMNS,
@@ -109,7 +109,7 @@ def _convert(
     try:
         convert(output_directory, source, frames, target)
     except (FileNotFoundError, NotRegularError):
-        return TrajectoryCheck(problem=f"{name} is missing or not a regular file", missing=True)
+        return TrajectoryCheck(problem=absent(output_directory, source.path), missing=True)
     except TextFault as problem:
         return TrajectoryCheck(problem=str(problem))
     except OSError as error:

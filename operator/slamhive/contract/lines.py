@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import os
 from contextlib import contextmanager
+from itertools import islice
 from typing import IO, TYPE_CHECKING
 
-from slamhive.contract.files import compression_problem, open_below
+from slamhive.contract.files import compression_problem, open_below, open_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,6 +18,12 @@ LIMIT_BYTES = 512 << 20
 BLOCK_BYTES = 128 << 10
 _LONGEST_LINE = 64 << 10
 _SHOWN_CHARACTERS = 30
+_LOOKED_AT, _NAMED = 1000, 3
+"""Files of an output folder that are looked at for one that is missing, and that are named."""
+_KNOWN = {
+    *("trajectory.txt", "trajectory.online.txt", "trajectory.keyframes.txt"),
+    *("metrics.json", "segments.csv"),
+}
 
 
 class TextFault(Exception):  # noqa: N818 - never seen outside
@@ -31,6 +38,38 @@ class TextFault(Exception):  # noqa: N818 - never seen outside
 def named(relative: str) -> str:
     """Return what sentences call a file of the output folder."""
     return f"output/{relative}"
+
+
+def absent(output_directory: str, relative: str) -> str:
+    """Return what is to be said of a file that isn't there: a program may have written to another name.
+
+    Args:
+        output_directory: Where the program wrote.
+        relative: The file's path there.
+    """
+    sentence = f"{named(relative)} is missing or not a regular file"
+    others = _files(output_directory)
+    if not others:
+        return sentence
+    some = ", ".join(shown(os.fsencode(name)) for name in others[:_NAMED])
+    more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+    return f"{sentence}; beside it: {some}{more} (an Algorithm says in output.trajectory where its poses are)"
+
+
+def _files(folder: str) -> list[str]:
+    """Return the files of a folder that have none of the contract's names, some of very many."""
+    try:
+        descriptor = open_folder(folder)
+        try:
+            with os.scandir(descriptor) as entries:
+                some = islice(entries, _LOOKED_AT)
+                return sorted(
+                    one.name for one in some if one.name not in _KNOWN and one.is_file(follow_symlinks=False)
+                )
+        finally:
+            os.close(descriptor)
+    except OSError:  # it may be gone, or closed to us
+        return []
 
 
 @contextmanager

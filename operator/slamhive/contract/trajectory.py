@@ -19,6 +19,7 @@ from slamhive.contract.lines import (
     BLOCK_BYTES,
     LIMIT_BYTES,
     TextFault,
+    absent,
     blocks,
     number,
     opened_text,
@@ -89,7 +90,7 @@ def check_trajectory(output_directory: str, limit: int = LIMIT_BYTES) -> Traject
         with opened_text(output_directory, FILE, limit) as file:
             return TrajectoryCheck(_read(file, limit))
     except (FileNotFoundError, NotRegularError):
-        return TrajectoryCheck(problem=f"{TRAJECTORY} is missing or not a regular file", missing=True)
+        return TrajectoryCheck(problem=absent(output_directory, FILE), missing=True)
     except TextFault as fault:
         return TrajectoryCheck(problem=str(fault))
     except OSError as error:
