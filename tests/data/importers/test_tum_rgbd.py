@@ -210,7 +210,25 @@ def test_nearly_openloris(png: Any, imported: Any, tmp_path: Path, gone: str, wo
 
 def test_calibration_that_disagrees_with_the_images(png: Any, imported: Any, tmp_path: Path) -> None:
     folder = rgbd(png, tmp_path / "fr1_xyz", size=(6, 8))
-    with pytest.raises(DataError, match=r"8×6 mono8, but .*rgb.txt and the first image say 640×480"):
+    with pytest.raises(
+        DataError, match=r"8×6 mono8, but the published calibration of TUM RGB-D .* say 640×480"
+    ):
+        imported(folder, "TumRgbd")
+
+
+def test_depth_of_freiburg2_has_5000_units_a_metre(png: Any, imported: Any, tmp_path: Path) -> None:
+    found = imported(rgbd(png, tmp_path / "rgbd_dataset_freiburg2_desk"), "TumRgbd", "two")
+    assert found.sensors["depth"].camera.depth_scale == 5000
+    assert "5208" in found.notes
+    assert "5208" not in imported(rgbd(png, tmp_path / "rgbd_dataset_freiburg1_desk"), "TumRgbd").notes
+
+
+def test_a_calibration_with_words_names_the_word(png: Any, imported: Any, tmp_path: Path) -> None:
+    folder = eth3d(png, tmp_path / "desk")
+    (folder / "calibration.txt").write_text("fx 7.5\nfy 7.6\n")
+    with pytest.raises(
+        DataError, match=r"calibration.txt: 4 numbers are needed and nothing else, found 'fx'"
+    ):
         imported(folder, "TumRgbd")
 
 

@@ -12,7 +12,7 @@ from slamhive.data.importers.contents import Contents, Truth, cloud_stream
 from slamhive.data.importers.kitti_cameras import camera_names, kitti_camera, read_calibration
 from slamhive.data.importers.poses import from_rows, rigid
 from slamhive.data.importers.scans import XYZI, lidar_sensor, make_points, numbered_files, read_records
-from slamhive.data.importers.tables import ascending, read_table
+from slamhive.data.importers.tables import ascending, read_table, rows
 from slamhive.model.configuration import SensorView
 from slamhive.model.dataset import GroundTruth
 from slamhive.model.errors import DataError, InputError
@@ -80,6 +80,7 @@ def read(source: Path, options: ImportOptions) -> Contents:
             [*frames[_IMAGES[number]].values()],
             first=np.eye(4),
             source=path,
+            notes=notes,
         )
         for number, name in camera_names(numbers).items()
     ]
@@ -198,10 +199,37 @@ def _truth(
             f"no ground truth: neither {places[0]} nor {places[1]} exists (KITTI has it of 00 to 10)"
         )
         return None
-    table = read_table(path, 12, "12 numbers, a 3×4 matrix row by row")
-    if len(table.values) != len(stamps):
-        raise DataError(f"{path}: {len(table.values)} poses, but {len(stamps)} times in {folder / _TIMES}")
-    return Truth(GroundTruth(file=_POSES), from_rows(path, stamps[kept], table.values[kept]))
+    frames, matrices = _poses(path, len(stamps), folder / _TIMES)
+    chosen = kept[frames]
+    return Truth(
+        GroundTruth(file=_POSES), from_rows(path, stamps[frames[chosen]], matrices[chosen].reshape(-1, 12))
+    )
+
+
+def _poses(path: Path, count: int, times: Path) -> tuple[npt.NDArray[np.intp], Array]:
+    """Return numbers of frames and their matrices, shapes (n,) and (n, 12): of 13 columns the first numbers.
+
+    Raises:
+        DataError: A frame has no time, or without numbers there are fewer or more poses than times.
+    """
+    numbered = len(next((words for _, words in rows(path)), [])) > 12
+    meaning = "12 numbers, a 3×4 matrix row by row"
+    if not numbered:
+        table = read_table(path, 12, meaning)
+        if len(table.values) != count:
+            raise DataError(f"{path}: {len(table.values)} poses, but {count} times in {times}")
+        return np.arange(count), table.values
+    table = read_table(path, 13, f"the number of a frame and {meaning}")
+    frames = table.values[:, 0]
+    wrong = np.flatnonzero((frames != np.rint(frames)) | (frames < 0) | (frames >= count))
+    wrong = np.union1d(wrong, np.flatnonzero(np.diff(frames) <= 0) + 1)
+    if wrong.size:
+        first = int(wrong[0])
+        raise DataError(
+            f"{path}, line {table.lines[first]}: frame {frames[first]:g}: expected ascending numbers of "
+            f"frames from 0 to {count - 1}, as {times} has {count} times"
+        )
+    return frames.astype(np.intp), table.values[:, 1:]
 
 
 def _exported(folder: Path) -> dict[str, SensorView]:

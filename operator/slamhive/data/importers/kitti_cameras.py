@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.data.importers.contents import camera_pixels, camera_stream, encoding_of
+from slamhive.data.importers.contents import camera_encoding, camera_pixels, camera_stream
 from slamhive.data.importers.scans import mean_rate
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import Camera, Sensor
@@ -80,6 +80,7 @@ def kitti_camera(
     *,
     first: Array,
     source: Path,
+    notes: list[str],
     size: tuple[int, int] | None = None,
 ) -> Stream:
     """Return the stream of a rectified camera.
@@ -92,6 +93,7 @@ def kitti_camera(
         files: Its images, n ≥ 1.
         first: Pose in the body of the rectified frame of camera 0, (4, 4).
         source: The calibration file, for messages.
+        notes: To which is added that 16 bits become 8.
         size: Width and height that it states, if it does.
 
     Raises:
@@ -112,7 +114,8 @@ def kitti_camera(
         )
     offset = np.eye(4)
     offset[:3, 3] = -np.linalg.solve(projection[:, :3], projection[:, 3]) + 0.0
-    camera = {"width": width, "height": height, "encoding": encoding_of(pixels)}
+    encoding = camera_encoding(files[0], f"image_{number}", notes)
+    camera = {"width": width, "height": height, "encoding": encoding}
     lens = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": "None"}
     declared: dict[str, Any] = {
         "type": "Camera",

@@ -194,6 +194,7 @@ def _cameras(
                 files,
                 first=first,
                 source=path,
+                notes=notes,
                 size=(int(width), int(height)),
             )
         )

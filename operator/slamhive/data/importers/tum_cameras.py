@@ -27,13 +27,18 @@ _LORIS_DEPTH_SCALE = 1000.0
 _COLOR, _DEPTH, _SECOND = "rgb", "depth", "rgb2"
 _SIZE = {"width": 640, "height": 480}
 
+_FR2 = r"(?:freiburg|fr)2"
+_FR2_DEPTH = (
+    "depth: 5000 units a metre, as published; ORB-SLAM's settings for freiburg2 say 5208 (depthScale), by "
+    "which everything is 4 % smaller"
+)
 _KNOWN: dict[str, tuple[str, tuple[float, ...], tuple[float, ...]]] = {
     r"(?:freiburg|fr)1": (
         "TUM RGB-D (freiburg1)",
         (517.306408, 516.469215, 318.643040, 255.313989),
         (0.262383, -0.953104, -0.005358, 0.002628, 1.163314),
     ),
-    r"(?:freiburg|fr)2": (
+    _FR2: (
         "TUM RGB-D (freiburg2)",
         (520.908620, 521.007327, 325.141443, 249.701764),
         (0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
@@ -53,7 +58,7 @@ class Device:
     """Calibration of one camera or IMU of a dataset in TUM RGB-D's layout.
 
     Attributes:
-        source: The file that says it, for messages.
+        source: The file that says it, or what else does, for messages.
         pose: In the body, (4, 4).
         camera: Fields of a manifest's `camera`, without the encoding; of the size if it is stated.
         depth_scale: Units per metre, of a depth camera.
@@ -61,7 +66,7 @@ class Device:
         frame: Name of its frame, if it has one.
     """
 
-    source: Path
+    source: Path | str
     pose: Array = field(default_factory=lambda: np.eye(4))
     camera: dict[str, Any] | None = None
     depth_scale: float = _DEPTH_SCALE
@@ -111,7 +116,7 @@ def rig_of(source: Path, listed: Path) -> Rig:
     for name in (source.resolve().name, *comments):
         for pattern, (family, lens, distortion) in _KNOWN.items():
             if re.search(rf"(?<![a-z]){pattern}(?!\d)", name):
-                return _published(family, lens, distortion, listed)
+                return _published(family, lens, distortion)
     raise DataError(
         f"{source}: no calibration: neither the folder's name nor {listed.name} names a known camera "
         "(freiburg1, freiburg2, freiburg3, rgbd_bonn), and there is no calibration.txt, which holds "
@@ -126,9 +131,12 @@ def icl_nuim(source: Path) -> Rig:
     return Rig("ICL-NUIM", devices, is_left_handed=True)
 
 
-def _published(family: str, lens: tuple[float, ...], distortion: tuple[float, ...], source: Path) -> Rig:
+def _published(family: str, lens: tuple[float, ...], distortion: tuple[float, ...]) -> Rig:
     camera = _lens(lens, distortion) | _SIZE
-    return Rig(family, {key: Device(source, camera=camera) for key in (_COLOR, _DEPTH)})
+    source = f"the published calibration of {family}"
+    notes = [_FR2_DEPTH] if family == _KNOWN[_FR2][0] else []
+    devices = {key: Device(source, camera=camera) for key in (_COLOR, _DEPTH)}
+    return Rig(family, devices, notes=tuple(notes))
 
 
 def _lens(numbers: tuple[float, ...], distortion: tuple[float, ...]) -> dict[str, Any]:
@@ -157,11 +165,17 @@ def _eth3d(source: Path) -> Rig:
 
 def _numbers(path: Path, count: int) -> list[float]:
     try:
-        values = [float(word) for word in path.read_text(encoding="utf-8").split()]
+        words = path.read_text(encoding="utf-8-sig").split()
     except FileNotFoundError:
         raise DataError(f"{path} does not exist: it holds {count} numbers of the calibration") from None
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: {error}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: {getattr(error, 'strerror', None) or 'not a text file'}") from None
+    values: list[float] = []
+    for word in words:
+        try:
+            values.append(float(word))
+        except ValueError:
+            raise DataError(f"{path}: {count} numbers are needed and nothing else, found {word!r}") from None
     if len(values) != count or not np.isfinite(values).all():
         raise DataError(f"{path}: {count} numbers are needed, found {len(values)}")
     return values

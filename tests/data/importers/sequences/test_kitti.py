@@ -12,7 +12,7 @@ from layouts.kitti import FRAMES, P0, SECOND, TR, write_sequence
 
 from slamhive.data.exporting import all_roles, export_dataset
 from slamhive.data.groundtruth import ground_truth
-from slamhive.data.importers import import_recording
+from slamhive.data.importers import ImportOptions, import_recording, layout_module
 from slamhive.data.recordings import open_recording
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.errors import DataError, InputError
@@ -243,4 +243,20 @@ def test_images_of_16_bits_become_8(tmp_path: Path, take_in: Callable[..., Any])
         cv2.imwrite(str(folder / "image_0" / f"{k:06}.png"), pixels)
     found = take_in(folder, "Kitti")
     assert found.spec.sensors["camera"].camera.encoding == "mono8"
+    assert "image_0: images of 16 bits become images of 8" in found.notes
     assert [pixels.flat[0] for _, pixels in found.messages("camera")] == [50 + k for k in range(FRAMES)]
+
+
+def test_poses_with_the_numbers_of_their_frames(tmp_path: Path, take_in: Callable[..., Any]) -> None:
+    folder = write_sequence(tmp_path)
+    path = tmp_path / "poses" / "08.txt"
+    lines = [f"{k} {line}" for k, line in enumerate(path.read_text().splitlines()) if k != 2]
+    path.write_text("\n".join(lines) + "\n")
+    truth = ground_truth(take_in(folder, "Kitti").entry)
+    assert truth.poses.positions.tolist() == [[0.5, 0, k] for k in (0, 1, 3, 4, 5)]
+    assert truth.poses.stamps.tolist() == pytest.approx([1 + k / 10 for k in (0, 1, 3, 4, 5)])
+    path.write_text("\n".join([*lines, lines[-1].replace("5 ", "9 ", 1)]) + "\n")
+    with pytest.raises(
+        DataError, match=r"08.txt, line 6: frame 9: expected ascending .* from 0 to 5, as .* 6"
+    ):
+        layout_module("Kitti").read(folder, ImportOptions())
