@@ -156,3 +156,23 @@ def test_a_sensor_that_lasts_for_little_of_the_ground_truth(
             "it, or choose a mode without it"
         )
     ]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("My Walk", "found 'My Walk'"), ("walk/2", "found 'walk/2'")],
+)
+def test_a_name_that_is_none_of_a_dataset_is_refused(
+    add: Any, run_command: Any, name: str, words: str
+) -> None:
+    add()
+    for source in ("walk.bag", "euroc/MH_01_easy"):
+        code, _, err = run_command("dataset", "add", source, "--name", name)
+        assert (code, words in err, "--name: " in err) == (2, True, True), err
+
+
+def test_a_name_is_made_of_any_file_s(add: Any, run_command: Any, tmp_path: Path) -> None:
+    add()
+    (tmp_path / "walk.bag").rename(tmp_path / "Second Walk (1).bag")
+    assert run_command("dataset", "add", "Second Walk (1).bag")[0] == 0
+    assert (tmp_path / "second-walk-1.yaml").is_file()

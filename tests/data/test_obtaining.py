@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -11,7 +12,8 @@ import stat
 import subprocess
 import tarfile
 import zipfile
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,9 +32,6 @@ from slamhive.model.formats import DataFormat
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import ROLES, SensorMode
 from slamhive.plan.resolution import role_problems
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 HEAD = """
 name: test
@@ -252,6 +251,46 @@ sequences: {walk: }
     assert [file.path for file in dataset.spec.recording.files] == ["walk.bag"]
     assert (tmp_path / "out" / "walk.bag").is_file()
     assert (downloads / "test" / "walk.bag").is_file(), "it is the user's"
+
+
+@pytest.mark.parametrize("is_elsewhere", [False, True])
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_links_to_files_of_another_disk_are_taken(  # noqa: PLR0917
+    site: Any,
+    catalogue: Any,
+    tmp_path: Path,
+    bag_with_truth: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    is_elsewhere: bool,
+    is_folder: bool,
+) -> None:
+    (disk := tmp_path / "disk" / "bags").mkdir(parents=True)
+    bag_with_truth(disk)
+    place = "bags/walk.bag" if is_folder else "walk.bag"
+    catalogue(
+        f"""
+parts:
+  bag: {{manual: "https://localhost/login", file: {place.split("/", maxsplit=1)[0]}}}
+dataset:
+  recording: {{files: [{{path: {place}}}]}}
+  sensors: {{lidar: {{type: Lidar, topic: /points}}}}
+sequences: {{walk: }}
+""",
+        HEAD.replace("Euroc", "Bag").replace("left: Camera, right: Camera", "lidar: Lidar"),
+    )
+    downloads, out = tmp_path / "downloads", tmp_path / "some" / "where" / "out"
+    (downloads / "test").mkdir(parents=True)
+    linked = "../../disk/bags" if is_folder else "../../disk/bags/walk.bag"
+    (downloads / "test" / linked.rpartition("/")[2]).symlink_to(linked)
+    if is_elsewhere:
+
+        def refuse(*_: object) -> None:
+            raise OSError(errno.EXDEV, "Invalid cross-device link")
+
+        monkeypatch.setattr(Path, "hardlink_to", refuse)
+    obtain(find_sequence("test/walk"), out, "walk", downloads)
+    assert (out / place).read_bytes() == (disk / "walk.bag").read_bytes()
+    assert (out / place).is_symlink() == is_elsewhere
 
 
 def test_a_manifest_that_names_a_sequence_is_a_dataset(

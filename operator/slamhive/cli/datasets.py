@@ -23,7 +23,7 @@ from slamhive.cli.unlisting import remove_dataset, rename
 from slamhive.cli.waiting import Work
 from slamhive.local.catalog import editor_line, load_workshop
 from slamhive.local.home import Home
-from slamhive.model.base import explain
+from slamhive.model.base import ObjectMeta, explain
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.formats import DataFormat, holds, misfit
@@ -306,7 +306,19 @@ def _source(spec: DatasetSpec) -> str:
 
 
 def _named(source: Path, name: str | None) -> str:
-    return name or source.name.split(".")[0].lower().replace("_", "-")
+    """Return the name of a dataset: the one that is given, or one made of its file's.
+
+    Raises:
+        InputError: It is none of an object.
+    """
+    from slamhive.model.catalogue import plain_name
+
+    chosen = name or plain_name(source.resolve().name.split(".")[0])
+    try:
+        ObjectMeta.model_validate({"name": chosen})
+    except ValidationError as error:
+        raise InputError(f"--name: {explain(error.errors()[0])}, found {chosen!r}") from None
+    return chosen
 
 
 def _add_manifest(source: Path, home: Home, *, replace: bool) -> None:
@@ -358,7 +370,7 @@ def _add_sequence(title: str, name: str | None, home: Home, *, replace: bool, ke
         find_sequence(title)
     except UnknownNameError as error:
         raise InputError(f"{title}: no such file or folder, and {error}") from None
-    chosen = name or dataset_name(*title.split("/"))
+    chosen = _named(Path(title), name or dataset_name(*title.split("/")))
     folder = home.path / "datasets" / chosen
     if not replace and folder.exists():
         known = load_workshop(home).datasets.get(chosen)

@@ -7,6 +7,7 @@ any end. The command and the preparation of a cluster use it.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -14,6 +15,7 @@ import shutil
 import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from slamhive.data.fetching import Progress, Wanted, fetch_file, one_at_a_time, require_sha256
@@ -29,7 +31,6 @@ from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
 
     from slamhive.model.catalogue import CatalogueSequence, Part
 
@@ -178,13 +179,26 @@ def _take(shop: _Shop, title: str, part: Part, work: Path, *, keep_archive: bool
 
 
 def _link(source: Path, target: Path) -> None:
-    """Put a file, or a folder with all in it, to another place without copying what it holds."""
+    """Put a file, or a folder with all in it, to another place without copying what it holds.
+
+    What lies on another disk, to which the user put a link, is linked to.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
     if source.is_dir():
-        shutil.copytree(source, target, copy_function=os.link, dirs_exist_ok=True)
+        shutil.copytree(source, target, copy_function=_link_file, dirs_exist_ok=True)
     else:
         target.unlink(missing_ok=True)
-        target.hardlink_to(source)
+        _link_file(source, target)
+
+
+def _link_file(source: str | Path, target: str | Path) -> None:
+    real = Path(source).resolve()
+    try:
+        Path(target).hardlink_to(real)
+    except OSError as error:
+        if error.errno not in {errno.EXDEV, errno.EPERM, errno.EMLINK, errno.ENOTSUP}:
+            raise
+        Path(target).symlink_to(real)
 
 
 class _Shop:

@@ -230,13 +230,22 @@ def _has_others(family: Family, name: str, title: str, words: Mapping[str, str])
     )
 
 
+def plain_name(text: str) -> str:
+    """Return a name of an object that is made of a file's or a sequence's.
+
+    >>> plain_name("Second floor (1)")
+    'second-floor-1'
+    """
+    return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:NAME_LIMIT].strip("-.")
+
+
 def dataset_name(family: str, sequence: str) -> str:
     """Return the name of a sequence's dataset where none is chosen.
 
     >>> dataset_name("euroc", "MH_01_easy")
     'euroc-mh-01-easy'
     """
-    return re.sub(r"[^a-z0-9.]+", "-", f"{family}-{sequence}".lower()).strip("-.")[:NAME_LIMIT]
+    return plain_name(f"{family}-{sequence}")
 
 
 def catalogue_folders() -> list[Path]:
