@@ -243,6 +243,10 @@ def mirrored(
     for part in family["parts"].values():
         part["url"] = site.url + urlsplit(part["url"]).path
         part.pop("size", None)
+        part.pop("mirrors", None)
+    for row in filter(None, family["sequences"].values()):  # what is served is smaller
+        row.pop("sizes", None)
+        row.pop("sha256", None)
     if rig is not None:
         family |= {"sensors": sensors, "dataset": family["dataset"] | {"sensors": rig}}
     (families / f"{family['name']}.yaml").write_text(yaml.safe_dump(family))
