@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from bagsamples import HESAI, OUSTER, VELODYNE, write_bag
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
@@ -349,3 +350,21 @@ def test_an_unreadable_bag_leaves_nothing_behind(tmp_path: Path, monkeypatch: py
     found = CliRunner().invoke(app, ["add", "../there/x.bag"])
     assert "`rosbag reindex` on a copy keeps what is whole" in str(found.exception)
     assert list((tmp_path / "here").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("fields", "back", "stamp", "words"),
+    [
+        (VELODYNE, True, "ScanEnd", "ScanEnd, as the times of the points in time tell"),
+        (HESAI, False, "ScanStart", "ScanStart, as the times of the points in timestamp tell"),
+        (HESAI, True, "ScanEnd", "ScanEnd, as the times of the points in timestamp tell"),
+        (OUSTER, False, "ScanStart", "ScanStart is a guess"),
+    ],
+)
+def test_what_a_stamp_means_is_told_by_the_times_of_points(
+    tmp_path: Path, fields: Any, back: bool, stamp: str, words: str
+) -> None:
+    write_bag(tmp_path / "a.bag", {"/points": fields}, count=3, back=back)
+    found = suggest_dataset(tmp_path / "a.bag", "a", tmp_path)
+    assert found.manifest["spec"]["sensors"]["lidar"]["stamp"] == stamp
+    assert any(f"sensors.lidar.stamp: {words}" in sentence for sentence in found.missing)

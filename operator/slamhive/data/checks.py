@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from slamhive.model.sensors import Lidar, Sensor
 
 _DAY = 86_400 * 10**9
-_FAR = 0.3
+SAME_INSTANT = 0.3
 """Share of a scan by which its points' times may lie elsewhere than they are said to."""
-_LEAST_SCAN = 1e-3
+LEAST_SCAN_SECONDS = 1e-3
 """Seconds below which points are all of one instant."""
 
 
@@ -207,7 +207,7 @@ def _check_times(look: Look, points: npt.NDArray[np.void], lidar: Lidar) -> None
     low, high = float(times.min()), float(times.max())
     since = TimesSince.HEADER if is_absolute else lidar.times_since or TimesSince.HEADER
     zero = look.sensor.stamp.share if since is TimesSince.HEADER else float(since is TimesSince.SCAN_END)
-    if high - low > _LEAST_SCAN and abs(-low / (high - low) - zero) > _FAR:
+    if high - low > LEAST_SCAN_SECONDS and abs(-low / (high - low) - zero) > SAME_INSTANT:
         look.warnings.append(
             f"{look.where}: the times of points run from {low:.3g} to {high:.3g} s"
             f"{' after the header stamp' if since is TimesSince.HEADER else ''}, but stamp is "

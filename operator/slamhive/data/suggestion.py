@@ -14,7 +14,8 @@ import numpy as np
 import yaml
 
 from slamhive.data import kinds
-from slamhive.data.clouds import cloud_points
+from slamhive.data.checks import LEAST_SCAN_SECONDS, SAME_INSTANT
+from slamhive.data.clouds import cloud_points, point_times
 from slamhive.data.kinds import KINDS
 from slamhive.data.posetopics import POSE_TYPES, relative_pose, static_tree
 from slamhive.data.recordings import TF_TYPES, Recording, guess_format
@@ -276,8 +277,10 @@ class _Look:
         lidar: dict[str, Any] = {}
         time = next((name for name in _TIMES if name in names), None)
         ring = next((name for name in _RINGS if name in names), None)
+        stamp = None
         if time:
             lidar["timeField"] = time
+            stamp = _told_by_times(message, topic, time)
         else:
             self.notes.append(
                 f"sensors.{role}.lidar.timeField: points have no time; they have {', '.join(names)}"
@@ -287,8 +290,11 @@ class _Look:
             rings = cloud_points(message, topic)[ring]
             if rings.size:
                 lidar["rings"] = int(rings.max()) + 1
-        self.notes.append(f"sensors.{role}.stamp: ScanStart is a guess; say what the header stamp means")
-        return {"stamp": "ScanStart", "lidar": lidar}
+        if stamp is None:
+            self.notes.append(f"sensors.{role}.stamp: ScanStart is a guess; say what the header stamp means")
+        else:
+            self.notes.append(f"sensors.{role}.stamp: {stamp}, as the times of the points in {time} tell")
+        return {"stamp": stamp or "ScanStart", "lidar": lidar}
 
     def _camera(self, role: str, topic: str, message: Any) -> dict[str, Any]:
         where = f"sensors.{role}.camera"
@@ -374,3 +380,22 @@ def _length(scans: Iterable[Scan]) -> dict[str, float]:
     stamps = np.concatenate(found)
     length = int(stamps.max() - stamps.min()) / 1e9
     return {"durationSeconds": round(length, 3)} if length >= 0.001 else {}
+
+
+def _told_by_times(message: Any, topic: str, field: str) -> str | None:
+    """Return the instant of a scan that its header means, where the times of its points tell.
+
+    Times that run from 0 on don't: they may count from the scan's start whatever the header means.
+    """
+    header = message.header.stamp
+    found = point_times(cloud_points(message, topic), field, header.sec * 10**9 + header.nanosec)
+    if found is None:
+        return None
+    times, is_absolute = found
+    low, high = float(times.min()), float(times.max())
+    if high - low < LEAST_SCAN_SECONDS or not -1 <= low <= high <= 1:
+        return None
+    share = -low / (high - low)
+    if share > SAME_INSTANT:
+        return "ScanEnd" if share > 1 - SAME_INSTANT else "ScanMid"
+    return "ScanStart" if is_absolute else None
