@@ -288,7 +288,9 @@ sequences: {{walk: }}
             raise OSError(errno.EXDEV, "Invalid cross-device link")
 
         monkeypatch.setattr(Path, "hardlink_to", refuse)
+    beside = sorted((downloads / "test").iterdir())
     obtain(find_sequence("test/walk"), out, "walk", downloads)
+    assert sorted((downloads / "test").iterdir()) == beside  # it may be of others, who let nobody write
     assert (out / place).read_bytes() == (disk / "walk.bag").read_bytes()
     assert (out / place).is_symlink() == is_elsewhere
 

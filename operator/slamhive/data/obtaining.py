@@ -90,6 +90,7 @@ def obtain(
                 uses = {
                     title: stack.enter_context(_Use(shop.place(part)))
                     for title, part in sequence.parts.items()
+                    if part.url is not None  # what is fetched by hand stays, perhaps on a disk of others
                 }
                 try:
                     taken = {
