@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import copy
 import re
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ FORBIDDEN = {"$ref", "$defs", "title", "const", "prefixItems", "definitions", "u
 EXAMPLES = sorted([*ROOT.glob("examples/**/*.yaml"), *ROOT.glob("images/algorithms/*/algorithm.yaml")])
 
 
+@cache
 def _schema(kind: str) -> dict[str, Any]:
     found: dict[str, Any] = crd.definition(kind)["spec"]["versions"][0]["schema"]["openAPIV3Schema"]
     return found
