@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
     from testcluster.kwok import Pool
 
-Object = dict[str, Any]
+    from slamhive.kube.kinds import Object
+
 
 SPEC = {"algorithmRef": {"name": "icp"}, "datasetRef": {"name": "hall"}}
 DEFAULTS: Object = {

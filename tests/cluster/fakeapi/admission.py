@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fakeapi.refusals import forbidden
 from fakeapi.resources import LIMIT_RANGES, PODS, QUOTAS, Resource
@@ -13,7 +13,7 @@ from slamhive.model.base import quantity
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-Object = dict[str, Any]
+    from slamhive.kube.kinds import Object
 
 
 def insist(resource: Resource, body: Object, others: Callable[[Resource, str], list[Object]]) -> None:

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from fakeapi.server import Refusing
     from testcluster.kwok import Moment
 
-Object = dict[str, Any]
+    from slamhive.kube.kinds import Object
+
 
 _PODS_AGAIN_SECONDS = 1.0
 

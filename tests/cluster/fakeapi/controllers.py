@@ -6,7 +6,7 @@ Each looks at objects anew after every change, as the real ones do, and changes 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fakeapi.objects import ENDED, now, suffix
 from fakeapi.refusals import Refusal
@@ -15,7 +15,8 @@ from fakeapi.resources import EVENTS, JOBS, PODS, Resource
 if TYPE_CHECKING:
     from fakeapi.objects import Change, Objects
 
-Object = dict[str, Any]
+    from slamhive.kube.kinds import Object
+
 
 _OVER = frozenset({"Complete", "Failed"})
 

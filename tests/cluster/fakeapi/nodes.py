@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fakeapi.objects import ENDED, now
 from fakeapi.refusals import Refusal
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fakeapi.objects import Objects
     from testcluster.kwok import Moment
 
-Object = dict[str, Any]
+    from slamhive.kube.kinds import Object
 
 
 class Nodes:

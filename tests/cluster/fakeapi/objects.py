@@ -25,7 +25,8 @@ from fakeapi.resources import JOBS, NAMESPACES, PODS, Resource, at
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-Object = dict[str, Any]
+    from slamhive.kube.kinds import Object
+
 Name = tuple[str, str]
 """Namespace, empty for what is in none, and name."""
 

@@ -11,7 +11,8 @@ from fakeapi.refusals import bad_request
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-Object = dict[str, Any]
+    from slamhive.kube.kinds import Object
+
 
 _SET = re.compile(r"^(?P<key>\S+) (?P<word>in|notin) \((?P<values>[^)]*)\)$")
 _EQUAL = re.compile(r"^(?P<key>[^=!\s]+)\s*(?P<word>==?|!=)\s*(?P<value>[^=!\s]*)$")

@@ -8,7 +8,7 @@ import itertools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from aiohttp import web
 from fakeapi.refusals import Refusal, bad_request, expired, not_found
@@ -16,12 +16,13 @@ from fakeapi.resources import PODS, Resource, at, resources
 from fakeapi.schema import loads
 from fakeapi.selectors import selecting
 
+from slamhive.kube.kinds import Object
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from fakeapi.objects import Change, Objects
 
-Object = dict[str, Any]
 
 Refusing = Callable[[str, str, Object], Refusal | None]
 
