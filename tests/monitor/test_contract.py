@@ -61,6 +61,10 @@ def _told(name: str, frames: Path) -> dict[str, Any] | None:
     return told_files(change.trajectory, change.keyframes, str(frames))
 
 
+SEEN = "until [ -e ../usage.csv ]; do sleep .01; done"
+"""A program that goes on until it is watched, however busy the machine is."""
+
+
 def _judged(
     attempt: Attempt, pod: Pod, leave: Callable[[], object], poses: dict[str, Any] | None
 ) -> tuple[dict[str, object], Report]:
@@ -72,7 +76,7 @@ def _judged(
     with chdir(pod.folder):
         leave()
     sidecar = pod.sidecar(poses=poses)
-    pod.algorithm("sleep", "0.2")
+    pod.algorithm("sh", "-c", SEEN)
     pod.finished()
     there = read_report(pod.folder.joinpath("message").read_text())
     pod.end(sidecar)

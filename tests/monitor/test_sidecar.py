@@ -261,7 +261,7 @@ HOSTILE = [
 def test_odd_output_is_said_and_never_followed(pod: Pod, script: str) -> None:
     sidecar = pod.sidecar()
     # A program of a millisecond may end before it is seen.
-    pod.algorithm("sh", "-c", f"{script}\nsleep 0.3").wait(50)
+    pod.algorithm("sh", "-c", f"{script}\nuntil [ -e ../usage.csv ]; do sleep .01; done").wait(50)
     pod.finished()
     status = Path(f"/proc/{children(sidecar.pid)[0]}/status").read_text()
     peak = int(status.partition("VmHWM:")[2].split()[0]) / 1024
