@@ -36,6 +36,13 @@ def pairs(request: Request) -> list[tuple[str, str]]:
     return request.query_params.multi_items()
 
 
+async def takes_format(format: FormatName = None) -> None:  # noqa: A002
+    """Declare the parameter by which all lists come as JSON, CSV or Parquet; `Service` reads it."""
+
+
+FORMATS = [Depends(takes_format)]
+
+
 async def filters_of(
     request: Request,
     *,

@@ -15,7 +15,7 @@ from slamhive.dashboard import api_catalog, api_recordings, api_run
 from slamhive.dashboard.costs import costs_little
 from slamhive.dashboard.events import MAX_LISTENERS, Events
 from slamhive.dashboard.problems import Unavailable
-from slamhive.dashboard.routes import FormatName
+from slamhive.dashboard.routes import FORMATS
 from slamhive.dashboard.service import Service
 from slamhive.dashboard.sources import Snapshot
 from slamhive.model.results import RunRecord
@@ -57,8 +57,8 @@ def _add_lists(routes: APIRouter, service: Service) -> None:
         """Return counts, the source and what does not answer at present."""
         return await service.answer(request, lambda data: api_catalog.index(data, source), _little)
 
-    @routes.get("/sweeps", summary="Sweeps, the live ones first")
-    async def sweeps(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+    @routes.get("/sweeps", summary="Sweeps, the live ones first", dependencies=FORMATS)
+    async def sweeps(request: Request) -> Response:
         """Return each sweep with its progress."""
         return await service.answer_with(request, service.asked_for, api_catalog.sweeps, _little)
 
@@ -77,8 +77,8 @@ def _add_lists(routes: APIRouter, service: Service) -> None:
             lambda data, stored: api_catalog.sweep(data, stored, name, namespace),
         )
 
-    @routes.get("/evaluations", summary="Evaluations that there are results of")
-    async def evaluations(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+    @routes.get("/evaluations", summary="Evaluations that there are results of", dependencies=FORMATS)
+    async def evaluations(request: Request) -> Response:
         """Return each with its outcomes."""
         return await service.answer(request, api_catalog.evaluations, _little)
 
@@ -92,8 +92,8 @@ def _add_catalog(routes: APIRouter, service: Service) -> None:
     async def datasets_known(_: Snapshot) -> list[CatalogEntry]:
         return await service.run(lambda: source.catalog("Dataset"))
 
-    @routes.get("/algorithms", summary="Algorithms that runs used")
-    async def algorithms(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+    @routes.get("/algorithms", summary="Algorithms that runs used", dependencies=FORMATS)
+    async def algorithms(request: Request) -> Response:
         """Return each with what became of its runs."""
         return await service.answer_with(
             request,
@@ -111,8 +111,8 @@ def _add_catalog(routes: APIRouter, service: Service) -> None:
             lambda data, known: api_catalog.catalog_entry(data, known, "Algorithm", name),
         )
 
-    @routes.get("/datasets", summary="Datasets that runs used")
-    async def datasets(request: Request, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+    @routes.get("/datasets", summary="Datasets that runs used", dependencies=FORMATS)
+    async def datasets(request: Request) -> Response:
         """Return each with its attributes."""
         return await service.answer_with(
             request,
@@ -160,14 +160,17 @@ def _add_run(routes: APIRouter, service: Service) -> None:
         headers = {"Content-Disposition": _attachment(f"{record.name}.yaml")}
         return Response(api_run.manifest(record), media_type="application/yaml", headers=headers)
 
-    @routes.get("/runs/{uid}/trajectory", summary="Aligned path over its ground truth, with errors")
+    @routes.get(
+        "/runs/{uid}/trajectory",
+        summary="Aligned path over its ground truth, with errors",
+        dependencies=FORMATS,
+    )
     async def trajectory(
         request: Request,
         uid: Name,
         *,
         evaluation: Annotated[str | None, Query(max_length=10_000)] = None,
         points: Most = 2000,
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """The pose with the largest error is always among those shown."""
 
@@ -178,13 +181,12 @@ def _add_run(routes: APIRouter, service: Service) -> None:
             request, material, lambda data, given: api_run.trajectory(data, given, evaluation, points)
         )
 
-    @routes.get("/runs/{uid}/usage", summary="CPU and memory over time")
+    @routes.get("/runs/{uid}/usage", summary="CPU and memory over time", dependencies=FORMATS)
     async def usage(
         request: Request,
         uid: Name,
         *,
         points: Most = 2000,
-        format: FormatName = None,  # noqa: A002, ARG001
     ) -> Response:
         """Of each stretch the mean load and the largest memory."""
         return await service.answer_with(
@@ -204,8 +206,8 @@ def _found(service: Service, uid: str) -> Callable[[Snapshot], Awaitable[RunReco
 def _add_files(routes: APIRouter, service: Service) -> None:
     source = service.source
 
-    @routes.get("/runs/{uid}/files", summary="Files of a run")
-    async def files(request: Request, uid: Name, format: FormatName = None) -> Response:  # noqa: A002, ARG001
+    @routes.get("/runs/{uid}/files", summary="Files of a run", dependencies=FORMATS)
+    async def files(request: Request, uid: Name) -> Response:
         """At most 1,000 of them."""
         return await service.answer_with(
             request, _found(service, uid), lambda data, record: api_run.files(data, source, record)
