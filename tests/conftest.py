@@ -110,6 +110,12 @@ SLOWEST = (
     "data/test_importers.py",
     "jobs/test_collect.py",
     "monitor/test_resident.py",
+    "algorithms/test_orb_slam_programs.py",
+    "dashboard/test_workers.py",
+    "data/test_families.py",
+    "test_words.py",
+    "contract/test_metrics.py",
+    "monitor/test_full_disk.py",
 )
 """Folders and files that take longest, the longest first."""
 STORY = "e2e/"

@@ -33,6 +33,8 @@ open('ready', 'w').close()
 time.sleep(600)
 """
 
+SEEN = "until [ -e ../usage.csv ]; do sleep .01; done"
+"""A program that goes on until it is watched, however busy the machine is."""
 with_cgroup = pytest.mark.parametrize("pod", ["cgroup"], indirect=True)
 
 
@@ -193,7 +195,7 @@ def test_started_again_before_the_algorithm_it_is_as_if_it_never_died(
     first.wait(50)
     (pod.folder / "config.yaml").unlink()
     sidecar = pod.sidecar()
-    pod.algorithm("sleep", "0.3")
+    pod.algorithm("sh", "-c", SEEN)
     summary = pod.finished()
     assert (summary["reason"], summary["usage"]["suspect"]) == (None, None)
     assert pod.end(sidecar) == summary
@@ -261,7 +263,7 @@ HOSTILE = [
 def test_odd_output_is_said_and_never_followed(pod: Pod, script: str) -> None:
     sidecar = pod.sidecar()
     # A program of a millisecond may end before it is seen.
-    pod.algorithm("sh", "-c", f"{script}\nuntil [ -e ../usage.csv ]; do sleep .01; done").wait(50)
+    pod.algorithm("sh", "-c", f"{script}\n{SEEN}").wait(50)
     pod.finished()
     status = Path(f"/proc/{children(sidecar.pid)[0]}/status").read_text()
     peak = int(status.partition("VmHWM:")[2].split()[0]) / 1024
