@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.analysis.grouping import CONFIGURATION, SUBJECT, varying
+from slamhive.analysis.grouping import SUBJECT, varying
+from slamhive.analysis.names import CONFIGURATION
 from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.encoding import Body
 from slamhive.dashboard.problems import BadRequest
