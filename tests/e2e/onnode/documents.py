@@ -40,6 +40,8 @@ def files(text: str) -> dict[str, str]:
     return {match[1]: body for match, body in named if match}
 
 
+WAITING = re.compile(r"^helm (?:install|upgrade) .*--wait\b", re.MULTILINE)
+"""Commands that wait for five minutes, which is too short while both cores of a machine are taken."""
 STANDING = """
 kubectl get pods,persistentvolumeclaims --all-namespaces --output wide || true
 kubectl get events --all-namespaces --field-selector type=Warning --sort-by .lastTimestamp | tail -n 30
@@ -67,9 +69,9 @@ class Desk:
 
     def run(self, script: str, timeout: float = 900) -> str:
         """Run a block; all of its commands have to succeed. Returns what they print."""
-        done = self._shell(script, timeout)
+        done = self._shell(WAITING.sub(r"\g<0> --timeout 12m", script), timeout)
         if done.returncode:
-            raise AssertionError(f"{script}\n{done.stdout}{done.stderr}\n{self._shell(STANDING, 60).stdout}")
+            raise AssertionError(f"{script}\n{done.stdout}{done.stderr}\n{self._shell(STANDING, 300).stdout}")
         return done.stdout + done.stderr
 
     def _shell(self, script: str, timeout: float) -> subprocess.CompletedProcess[str]:
