@@ -129,10 +129,10 @@ def test_a_running_sweep_is_seen_live_with_its_files_and_ground_truth(lab: Lab, 
     with page.open():
         until(lambda: page.seen and page.seen[-1]["counts"]["live"], "live runs among the events", 180)
         # Those may be runs of other tests' sweeps.
-        until(lambda: of_sweep(page, "seen")["live"] is True, "the sweep among the live ones", 60)
+        until(lambda: of_sweep(page, "seen")["live"] is True, "the sweep among the live ones", 240)
         lab.completed("seen", 300)
-        until(lambda: of_sweep(page, "seen")["phases"] == {"Succeeded": 4}, "the sweep's end", 60)
-        until(lambda: not of_sweep(page, "seen")["live"], "the sweep to be over", 60)
+        until(lambda: of_sweep(page, "seen")["phases"] == {"Succeeded": 4}, "the sweep's end", 240)
+        until(lambda: not of_sweep(page, "seen")["live"], "the sweep to be over", 240)
     assert page.connections == 1
     assert len({event["revision"] for event in page.seen}) >= 3
 
@@ -140,7 +140,7 @@ def test_a_running_sweep_is_seen_live_with_its_files_and_ground_truth(lab: Lab, 
         items = page.get("runs?sweep=seen&evaluation=se3&columns=uid,ate.rmse,algorithm")["items"]
         return items if len(items) == 4 else None
 
-    runs = until(measured, "results of all runs", 120)
+    runs = until(measured, "results of all runs", 240)
     expected = {run["metadata"]["uid"]: run["status"]["results"][0] for run in lab.runs("seen")}
     assert {run["uid"]: run["ate.rmse"] for run in runs} == {
         uid: result["ate"]["rmse"] for uid, result in expected.items()
@@ -199,16 +199,16 @@ def test_a_page_goes_on_after_dashboard_and_operator_were_killed(lab: Lab, page:
         (operator,) = lab.get("pods", *OPERATOR)["items"]
         (process,) = processes(operator["metadata"]["uid"], "slamhive.kube")
         os.kill(process, signal.SIGKILL)
-        until(lambda: page.connections >= 2, "the page to be connected again", 120)
+        until(lambda: page.connections >= 2, "the page to be connected again", 240)
         until(lambda: done(3), "three runs", 240)
         lab.kubectl("delete", "pod", *POD, "--wait=false")
         lab.completed("through", 400)
-        until(lambda: done(6), "all runs on the page", 120)
+        until(lambda: done(6), "all runs on the page", 240)
 
         def told() -> bool:
             return page.seen[-1]["counts"]["live"] == 0 and not page.seen[-1]["problems"]
 
-        until(told, "the last event to say that nothing runs", 60)
+        until(told, "the last event to say that nothing runs", 240)
     pods = lab.get("pods", *POD)["items"]
     assert pod["metadata"]["uid"] not in {one["metadata"]["uid"] for one in pods}
     deployment = yaml.safe_load(lab.kubectl("get", "deployment", "slamhive-dashboard", "-o", "yaml"))

@@ -84,4 +84,4 @@ def test_a_container_that_fails_is_said_in_a_condition(
     lab.apply(
         manifest("Evaluation", name, runs={"names": [first.runs[0]["metadata"]["name"]]}, evaluator=evaluator)
     )
-    until(lambda: said in json.dumps(lab.get("evaluation", name).get("status") or {}), said, 60)
+    until(lambda: said in json.dumps(lab.get("evaluation", name).get("status") or {}), said, 240)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from onnode.lab import Lab
 
 OPERATOR = ("-l", "app.kubernetes.io/component=operator")
-GONE_SECONDS = 120
+GONE_SECONDS = 240
 SLOW, SLOWER = 3, 1.5
 """Frame rates, Hz, that no other test of this installation plays: what prepares them is this test's own."""
 
@@ -47,14 +47,14 @@ def test_an_operator_killed_twice_loses_and_doubles_nothing(lab: Lab) -> None:
         seen.update({run["metadata"]["name"]: run["metadata"]["uid"] for run in runs})
         return sum((run.get("status") or {}).get("phase") == "Succeeded" for run in runs) >= count
 
-    until(lambda: done(1), "the first run", 120)
+    until(lambda: done(1), "the first run", 240)
     (pod,) = lab.get("pods", *OPERATOR)["items"]
     (process,) = processes(pod["metadata"]["uid"], "slamhive.kube")
     os.kill(process, signal.SIGKILL)
     until(lambda: done(4), "four runs", 240)
     lab.kubectl("delete", "pod", *OPERATOR, "--force", "--grace-period=0")
     lab.completed("killed", 300)
-    until(lambda: lab.get("sweep", "killed")["status"].get("evaluated") == len(speeds), "all results", 120)
+    until(lambda: lab.get("sweep", "killed")["status"].get("evaluated") == len(speeds), "all results", 240)
 
     status, runs = lab.get("sweep", "killed")["status"], lab.runs("killed")
     assert (status["succeeded"], status["failed"], status["running"]) == (len(speeds), 0, 0)

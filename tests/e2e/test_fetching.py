@@ -138,16 +138,16 @@ def test_an_interrupted_fetch_leaves_no_pod_and_is_taken_up(
     assert os.WIFSTOPPED(status), process.communicate()[0]
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGCONT)
-    told, _ = process.communicate(timeout=60)
+    told, _ = process.communicate(timeout=150)
     assert process.returncode == 130, told
     assert "the same command goes on from here" in " ".join(told.split())
     part = partial.stat().st_size
     assert 0 < part < MAP_BYTES
-    until(lambda: not senders(lab), "the pod to go", 60)
+    until(lambda: not senders(lab), "the pod to go", 150)
     code, told = user.type("fetch", SWEEP, "--files")
     assert code == 0, told
     assert equal(lab, user, runs[1], MAP)
-    until(lambda: not senders(lab), "the pod to go", 60)
+    until(lambda: not senders(lab), "the pod to go", 150)
 
 
 def test_what_was_fetched_is_a_run_of_this_machine(lab: Lab, user: User, runs: list[dict[str, Any]]) -> None:
@@ -191,7 +191,7 @@ def test_who_may_only_look_is_told_what_is_missing(
     config["users"] = [{"name": "student", "user": {"token": token}}]
     (tmp_path / "config").write_text(yaml.safe_dump(config))
     more = {"SLAMHIVE_HOME": str(tmp_path), "KUBECONFIG": str(tmp_path / "config")}
-    until(lambda: not senders(lab), "the pods of earlier fetches to go", 60)
+    until(lambda: not senders(lab), "the pods of earlier fetches to go", 240)
     code, told = User(tmp_path, user.environment | more).type("fetch", SWEEP, "--files")
     assert code == 1
     assert "pods/exec" in told

@@ -29,14 +29,14 @@ KUBERNETES, KIND = documents.sections("kubernetes.md"), documents.sections("kind
 
 
 def ready(lab: Lab) -> None:
-    lab.kubectl("rollout", "status", "deployment/slamhive-operator", "--timeout=120s", timeout=150)
+    lab.kubectl("rollout", "status", "deployment/slamhive-operator", "--timeout=5m", timeout=400)
 
 
 def test_a_sweep_is_changed_and_deleted(lab: Lab, first: First) -> None:
     change = documents.scripts(KUBERNETES["The first sweep"])[1]
     lab.desk.run(change)
     ours = ("-l", f"slamhive.io/sweep={NAME}")
-    until(lambda: not lab.get(f"{RUNS},jobs,pods", *ours)["items"], "the sweep's objects to go", 30)
+    until(lambda: not lab.get(f"{RUNS},jobs,pods", *ours)["items"], "the sweep's objects to go", 240)
 
 
 def test_watching(lab: Lab) -> None:
@@ -53,7 +53,7 @@ def test_upgrade_and_uninstall(lab: Lab) -> None:
     ready(lab)
     lab.desk.run(uninstall)
     operator = ("-l", "app.kubernetes.io/component=operator")
-    until(lambda: not lab.get("pods", *operator)["items"], "the operator to go", 90)
+    until(lambda: not lab.get("pods", *operator)["items"], "the operator to go", 240)
     claims = {claim["metadata"]["name"] for claim in lab.get("persistentvolumeclaims")["items"]}
     assert claims == {"slamhive-results", "slamhive-data"}
     assert lab.get("algorithms", "kiss-icp")

@@ -323,7 +323,7 @@ class Kwok:
         ):
             try:
                 self.cluster.apply(*(node(name, pool) for name in names))
-                until(lambda: self._ready(pool) == nodes, f"{nodes} played nodes", 60)
+                until(lambda: self._ready(pool) == nodes, f"{nodes} played nodes", 240)
                 yield Pool(pool, names)
             finally:
                 self.cluster.kubectl(

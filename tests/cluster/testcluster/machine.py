@@ -117,13 +117,13 @@ def play(mode: str, name: str) -> str:
         for pid in local._processes(folder)["init"]:
             os.kill(pid, signal.SIGKILL)
     if mode == "owner":
-        until(lambda: not folder.exists(), "the end", 60)
-        until(lambda: not any(local._processes(folder).values()), "the end of its processes", 60)
-        until(lambda: "slamhive" not in "".join(_output("ip", "-o", "link")), "its link's end", 60)
+        until(lambda: not folder.exists(), "the end", 240)
+        until(lambda: not any(local._processes(folder).values()), "the end of its processes", 240)
+        until(lambda: "slamhive" not in "".join(_output("ip", "-o", "link")), "its link's end", 240)
     else:
         cluster.down()
     # What a killed process had started goes with it, in its own time.
-    until(lambda: not snapshot(folder)["processes"], "the end of helpers", 30)
+    until(lambda: not snapshot(folder)["processes"], "the end of helpers", 240)
     return cgroup
 
 

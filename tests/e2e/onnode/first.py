@@ -71,7 +71,7 @@ def follow(lab: Lab, folder: Path) -> First:
         rows = local.end()
         lab.completed(LONG, 1200)
         for name, count in ((NAME, len(rows)), (LONG, 1)):
-            until(lambda name=name, count=count: _evaluated(lab, name) == count, f"results of {name}", 120)
+            until(lambda name=name, count=count: _evaluated(lab, name) == count, f"results of {name}", 240)
         found = First(
             told,
             status=lab.get("sweep", NAME)["status"],

@@ -120,7 +120,7 @@ async def test_an_operator_that_slept_while_things_were_deleted(arena: Arena, tm
                     == ["stays"]
                 ),
                 "the deletions to be noticed",
-                30,
+                120,
             )
             status: dict[str, Any] = {}
 
@@ -129,7 +129,7 @@ async def test_an_operator_that_slept_while_things_were_deleted(arena: Arena, tm
                 status.update(body.get("status") or {})
                 return status.get("attempts") == 2
 
-            await instance.until(again, "another attempt of the run whose Job is gone", 30)
+            await instance.until(again, "another attempt of the run whose Job is gone", 120)
             assert not op.store.of(Kind.SWEEP, namespace)
 
     proxies: list[Proxy] = []
