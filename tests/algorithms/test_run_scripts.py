@@ -8,14 +8,18 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.loading import load_file
 from slamhive.templating.rendering import Renderer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 ALGORITHMS = Path(__file__).parents[2] / "images" / "algorithms"
 NODES: dict[str, list[str]] = {
@@ -45,6 +49,7 @@ if sys.argv[2] == {failing!r}:
     sys.exit(7)
 signal.pause()
 """
+STARTED: list[subprocess.Popen[str]] = []
 systems = pytest.mark.parametrize("name", sorted(NODES))
 
 
@@ -70,13 +75,25 @@ def start(name: str, folder: Path, failing: str = "", **variables: str) -> subpr
     for tool, text in {"rosrun": rosrun, "rosparam": "#!/bin/sh\n"}.items():
         (tools / tool).write_text(text)
         (tools / tool).chmod(0o755)
-    return subprocess.Popen(
+    process = subprocess.Popen(
         ["bash", str(script(name, folder))],
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
         # A ROS of this machine's own would go before ours.
         env={"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}", "BASH_ENV": os.devnull} | variables,
     )
+    STARTED.append(process)
+    return process
+
+
+@pytest.fixture(autouse=True)
+def _nothing_stays() -> Iterator[None]:
+    """Kill the nodes of a script that a failed test left."""
+    yield
+    while STARTED:
+        with suppress(ProcessLookupError):
+            os.killpg(STARTED.pop().pid, signal.SIGKILL)
 
 
 def notes(folder: Path, word: str) -> list[str]:
