@@ -94,3 +94,13 @@ def test_a_command_imports_only_what_it_needs(words: str, unwanted: str, tmp_pat
         check=True,
     )
     assert not set(unwanted.split()) & set(done.stderr.split())
+
+
+def test_models_are_made_when_they_are_first_used() -> None:
+    """What a default needs would be made at each start of each command."""
+    program = (
+        "from slamhive.model.dataset import Dataset; from slamhive.model.synthetic import SyntheticLidar\n"
+        "assert Dataset and not SyntheticLidar.__pydantic_complete__\n"
+        "assert SyntheticLidar.model_validate({}).rings == 32 and SyntheticLidar.__pydantic_complete__"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from slamhive.model.base import Choice, Model
 
@@ -54,25 +54,22 @@ class SyntheticRig(Choice):
     EUROC = "Euroc"
 
 
-class _Model(Model):
-    """A part of the specification; what stands below a field describes it."""
-
-    model_config = ConfigDict(use_attribute_docstrings=True)
-
-
-class SyntheticLidar(_Model):
+class SyntheticLidar(Model):
     """A spinning lidar; every column is taken at its own time and pose."""
 
-    rings: Annotated[int, Field(ge=4, le=128)] = 32
-    """Beams, spread evenly from -22 to 18 degrees of elevation."""
-    columns: Annotated[int, Field(ge=36, le=4096)] = 720
-    """Firings per revolution."""
-    rate: Annotated[float, Field(ge=1.0, le=50.0)] = 10.0
-    """Revolutions per second, Hz."""
-    min_range: Annotated[float, Field(ge=0.0, le=5.0)] = 0.5
-    """Returns nearer than this are dropped, m."""
-    max_range: Annotated[float, Field(ge=2.0, le=200.0)] = 60.0
-    """Returns farther than this are dropped, m."""
+    rings: Annotated[int, Field(ge=4, le=128)] = Field(
+        default=32, description="Beams, spread evenly from -22 to 18 degrees of elevation."
+    )
+    columns: Annotated[int, Field(ge=36, le=4096)] = Field(default=720, description="Firings per revolution.")
+    rate: Annotated[float, Field(ge=1.0, le=50.0)] = Field(
+        default=10.0, description="Revolutions per second, Hz."
+    )
+    min_range: Annotated[float, Field(ge=0.0, le=5.0)] = Field(
+        default=0.5, description="Returns nearer than this are dropped, m."
+    )
+    max_range: Annotated[float, Field(ge=2.0, le=200.0)] = Field(
+        default=60.0, description="Returns farther than this are dropped, m."
+    )
 
     @model_validator(mode="after")
     def _range_is_not_empty(self) -> Self:
@@ -81,26 +78,35 @@ class SyntheticLidar(_Model):
         return self
 
 
-class SyntheticImu(_Model):
+class SyntheticImu(Model):
     """An inertial measurement unit with white noise and a bias that walks."""
 
-    rate: Annotated[float, Field(ge=20.0, le=1000.0)] = 200.0
-    """Samples per second, Hz."""
+    rate: Annotated[float, Field(ge=20.0, le=1000.0)] = Field(
+        default=200.0, description="Samples per second, Hz."
+    )
 
 
-class SyntheticCamera(_Model):
+class SyntheticCamera(Model):
     """The cameras: all of one size and rate, each with its own lens and pose."""
 
-    width: Annotated[int, Field(ge=64, le=1920)] = 480
-    """Columns at scale 1, pixels."""
-    height: Annotated[int, Field(ge=48, le=1440)] = 360
-    """Rows at scale 1, pixels."""
-    rate: Annotated[float, Field(ge=1.0, le=60.0)] = 15.0
-    """Frames per second, Hz."""
-    scale: Annotated[float, Field(ge=0.1, le=2.0)] = 1.0
-    """Renders the same view directly at this share of width and height, intrinsics scaled alike."""
-    exposure_seconds: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-    """Time the shutter is open, s; 0 gives sharp images. Stamps are those of the middle of the exposure."""
+    width: Annotated[int, Field(ge=64, le=1920)] = Field(
+        default=480, description="Columns at scale 1, pixels."
+    )
+    height: Annotated[int, Field(ge=48, le=1440)] = Field(default=360, description="Rows at scale 1, pixels.")
+    rate: Annotated[float, Field(ge=1.0, le=60.0)] = Field(default=15.0, description="Frames per second, Hz.")
+    scale: Annotated[float, Field(ge=0.1, le=2.0)] = Field(
+        default=1.0,
+        description=(
+            "Renders the same view directly at this share of width and height, intrinsics scaled alike."
+        ),
+    )
+    exposure_seconds: Annotated[float, Field(ge=0.0, le=0.1)] = Field(
+        default=0.0,
+        description=(
+            "Time the shutter is open, s; 0 gives sharp images. Stamps are those of the middle of the"
+            " exposure."
+        ),
+    )
 
     @model_validator(mode="after")
     def _exposure_fits_the_rate(self) -> Self:
@@ -112,17 +118,21 @@ class SyntheticCamera(_Model):
         return self
 
 
-class SyntheticVibration(_Model):
+class SyntheticVibration(Model):
     """Vibration of the moving platform, as by engines, wheels or steps: sines in each coordinate."""
 
-    amplitude_metres: Annotated[float, Field(ge=0.0, le=0.02)] = 0.002
-    """Standard deviation of the displacement along each axis of the world, m."""
-    amplitude_degrees: Annotated[float, Field(ge=0.0, le=2.0)] = 0.1
-    """Standard deviation of roll, pitch and yaw that it adds, degrees."""
-    min_frequency: Annotated[float, Field(ge=0.5, le=20.0)] = 2.5
-    """Lowest frequency, Hz."""
-    max_frequency: Annotated[float, Field(ge=0.5, le=20.0)] = 5.0
-    """Highest frequency, Hz."""
+    amplitude_metres: Annotated[float, Field(ge=0.0, le=0.02)] = Field(
+        default=0.002, description="Standard deviation of the displacement along each axis of the world, m."
+    )
+    amplitude_degrees: Annotated[float, Field(ge=0.0, le=2.0)] = Field(
+        default=0.1, description="Standard deviation of roll, pitch and yaw that it adds, degrees."
+    )
+    min_frequency: Annotated[float, Field(ge=0.5, le=20.0)] = Field(
+        default=2.5, description="Lowest frequency, Hz."
+    )
+    max_frequency: Annotated[float, Field(ge=0.5, le=20.0)] = Field(
+        default=5.0, description="Highest frequency, Hz."
+    )
 
     @model_validator(mode="after")
     def _band_is_not_reversed(self) -> Self:
@@ -133,44 +143,74 @@ class SyntheticVibration(_Model):
         return self
 
 
-class SyntheticRecording(_Model):
+class SyntheticRecording(Model):
     """A platform driving laps in a textured room: everything that makes one such recording."""
 
-    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 1
-    """Decides the room, its textures, the path's sway and all noise."""
-    sensors: Annotated[tuple[SyntheticSensor, ...], Field(min_length=1)] = (
-        SyntheticSensor.LIDAR,
-        SyntheticSensor.IMU,
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = Field(
+        default=1, description="Decides the room, its textures, the path's sway and all noise."
     )
-    """What is recorded."""
-    loops: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
-    """Laps of about 30 m; a whole number returns to the start."""
-    speed: Annotated[float, Field(ge=0.1, le=6.0)] | None = None
-    """Mean speed while moving, m/s. Null: 1.25, or what durationSeconds asks for."""
-    duration_seconds: Annotated[float, Field(ge=7.0, le=3600.0)] | None = None
-    """Length of the recording with 3 s of rest at either end, s. Null: follows from loops and speed."""
-    motion: Annotated[float, Field(ge=0.0, le=3.0)] = 1.0
-    """Scale of roll, pitch, sway and height changes; 1 is a walking person, 0 a trolley."""
-    light: Annotated[float, Field(ge=0.02, le=2.0)] = 1.0
-    """Scale of the light; noise of the image sensor doesn't shrink with it."""
-    noise: Annotated[float, Field(ge=0.0, le=20.0)] = 1.0
-    """Scale of all sensor noise and of IMU biases; 0 gives perfect sensors."""
-    vibration: SyntheticVibration | None = None
-    """Vibration of the platform, seen alike by ground truth and all sensors. Null: none. An acceleration that
-    changes between frames is what visual-inertial algorithms start from."""
-    rig: SyntheticRig | None = None
-    """How the IMU is mounted. Askew, or null: turned by 109 degrees against the left camera. Euroc: by 89
-    degrees, about the optical axis, as EuRoC's. The released VINS-Mono fails between 90 and 120 degrees."""
-    lidar: SyntheticLidar = SyntheticLidar()
-    """The lidar, when it is among the sensors."""
-    imu: SyntheticImu = SyntheticImu()
-    """The IMU, when it is among the sensors."""
-    camera: SyntheticCamera = SyntheticCamera()
-    """The cameras, when Stereo or Rgbd is among the sensors."""
-    header_offset_seconds: Annotated[float, Field(ge=-1.0, le=1.0)] = 0.0
-    """Record time in the bag minus time stamp in the header, s."""
-    depth_offset_seconds: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-    """Depth images are taken (and stamped) this much after their colour images, s."""
+    sensors: Annotated[tuple[SyntheticSensor, ...], Field(min_length=1)] = Field(
+        default=(
+            SyntheticSensor.LIDAR,
+            SyntheticSensor.IMU,
+        ),
+        description="What is recorded.",
+    )
+    loops: Annotated[float, Field(gt=0.0, le=100.0)] = Field(
+        default=1.0, description="Laps of about 30 m; a whole number returns to the start."
+    )
+    speed: Annotated[float, Field(ge=0.1, le=6.0)] | None = Field(
+        default=None,
+        description="Mean speed while moving, m/s. Null: 1.25, or what durationSeconds asks for.",
+    )
+    duration_seconds: Annotated[float, Field(ge=7.0, le=3600.0)] | None = Field(
+        default=None,
+        description=(
+            "Length of the recording with 3 s of rest at either end, s. Null: follows from loops and speed."
+        ),
+    )
+    motion: Annotated[float, Field(ge=0.0, le=3.0)] = Field(
+        default=1.0,
+        description="Scale of roll, pitch, sway and height changes; 1 is a walking person, 0 a trolley.",
+    )
+    light: Annotated[float, Field(ge=0.02, le=2.0)] = Field(
+        default=1.0, description="Scale of the light; noise of the image sensor doesn't shrink with it."
+    )
+    noise: Annotated[float, Field(ge=0.0, le=20.0)] = Field(
+        default=1.0, description="Scale of all sensor noise and of IMU biases; 0 gives perfect sensors."
+    )
+    vibration: SyntheticVibration | None = Field(
+        default=None,
+        description=(
+            "Vibration of the platform, seen alike by ground truth and all sensors. Null: none. An "
+            "acceleration that changes between frames is what visual-inertial algorithms start from."
+        ),
+    )
+    rig: SyntheticRig | None = Field(
+        default=None,
+        description=(
+            "How the IMU is mounted. Askew, or null: turned by 109 degrees against the left camera. "
+            "Euroc: by 89 degrees, about the optical axis, as EuRoC's. The released VINS-Mono fails "
+            "between 90 and 120 degrees."
+        ),
+    )
+    lidar: SyntheticLidar = Field(
+        default=SyntheticLidar.model_construct(), description="The lidar, when it is among the sensors."
+    )
+    imu: SyntheticImu = Field(
+        default=SyntheticImu.model_construct(), description="The IMU, when it is among the sensors."
+    )
+    camera: SyntheticCamera = Field(
+        default=SyntheticCamera.model_construct(),
+        description="The cameras, when Stereo or Rgbd is among the sensors.",
+    )
+    header_offset_seconds: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(
+        default=0.0, description="Record time in the bag minus time stamp in the header, s."
+    )
+    depth_offset_seconds: Annotated[float, Field(ge=0.0, le=0.1)] = Field(
+        default=0.0,
+        description="Depth images are taken (and stamped) this much after their colour images, s.",
+    )
 
     @model_validator(mode="after")
     def _motion_is_determined_once(self) -> Self:
