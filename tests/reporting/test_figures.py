@@ -325,6 +325,18 @@ def test_any_name_can_be_drawn(
     assert code == 0, err
 
 
+@pytest.mark.parametrize("form", ["pdf", "svg", "png"])
+def test_each_figure_is_drawn_once(study: Path, form: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    figures = pytest.importorskip("matplotlib.figure")
+    from slamhive.figures.rendering import rendered
+
+    drawn, draw = [], figures.Figure.draw
+    monkeypatch.setattr(figures.Figure, "draw", lambda *given: (drawn.append(1), draw(*given)))
+    paper = Paper(parse_width("ieee-column"), None)
+    assert rendered(made(study, Kind.BOX).settled(), paper, form, {})
+    assert len(drawn) == 1
+
+
 def test_widths_are_those_of_columns() -> None:
     assert parse_width("ieee-column").inches == pytest.approx(3.5)
     assert parse_width("88mm").millimetres == 88

@@ -20,6 +20,7 @@ from slamhive.figures.asking import Kind, check_panels, error_of, nothing, parte
 from slamhive.figures.groups import Series
 from slamhive.figures.pictures import Axis, Line, Panel, Picture
 from slamhive.model.errors import InputError
+from slamhive.model.results import MemoryKind
 from slamhive.tables.homes import COLUMN, OWN, uid_in
 
 if TYPE_CHECKING:
@@ -45,6 +46,11 @@ _LONG_STEPS = 5.0
 """A gap that no line crosses is longer than this, and than so many usual steps."""
 
 _SIDES = ("x", "y", "z")
+_MEMORY = {
+    MemoryKind.RESIDENT: "what all processes had resident",
+    MemoryKind.WORKING_SET: "the working set",
+    MemoryKind.CONTAINER: "all of the container's, with files that were read",
+}
 _MIB = 2.0**-20
 
 
@@ -312,7 +318,7 @@ def _usage(wish: Wish) -> Reader:
     def read(found: Found) -> tuple[Rows, Rows | None, list[str]]:
         table = usage_columns(found.place, 400)
         kind = table["kind"]
-        notes = [] if what == "cpu" or kind is None else [f"memory is {kind.value}"]
+        notes = [] if what == "cpu" or kind is None else [f"memory is {_MEMORY[kind]}"]
         return {"t": table["t"], "cpu": table["cpu"], "memory": table["memory"] * _MIB}, None, notes
 
     return Reader(read, "t", what, ("time since the start [s]", names[what]))

@@ -22,6 +22,14 @@ if TYPE_CHECKING:
 DOTS = 300
 """Of a PNG, each inch."""
 
+_CANVASES = {
+    "pdf": ("backend_pdf", "FigureCanvasPdf"),
+    "svg": ("backend_svg", "FigureCanvasSVG"),
+    "png": ("backend_agg", "FigureCanvasAgg"),
+}
+_LAYOUT_TABLES = ("GSUB", "GPOS", "GDEF", "kern")
+"""Tables of a font by which letters are set beside each other."""
+
 
 def rendered(picture: Picture, paper: Paper, form: str, told: dict[str, Any]) -> bytes:
     """Return a picture as a file.
@@ -39,6 +47,7 @@ def rendered(picture: Picture, paper: Paper, form: str, told: dict[str, Any]) ->
     with style, warnings.catch_warnings(), _growing_axes(), _short_fonts(form):
         warnings.simplefilter("ignore")  # letters that the font lacks; they are drawn as boxes
         figure = Drawing(picture, paper.width, paper.height).draw()
+        _lay_out(figure, form)
         stream = io.BytesIO()
         figure.savefig(stream, format=form, metadata=told, dpi=DOTS)
     return stream.getvalue()
@@ -77,10 +86,26 @@ def _short_fonts(form: str) -> Iterator[None]:
     if form != "pdf":
         yield
         return
-    options = importlib.import_module("fontTools.subset").Options
-    before = options._drop_tables_default  # noqa: SLF001 - matplotlib makes its options itself
-    options._drop_tables_default = [*before, "GSUB", "GPOS", "GDEF", "kern"]  # noqa: SLF001
+    subset = importlib.import_module("fontTools.subset")
+    load = subset.load_font
+
+    def load_without(*args: Any, **options: Any) -> Any:
+        font = load(*args, **options)
+        for table in _LAYOUT_TABLES:
+            if table in font:
+                del font[table]
+        return font
+
+    subset.load_font = load_without
     try:
         yield
     finally:
-        options._drop_tables_default = before  # noqa: SLF001
+        subset.load_font = load
+
+
+def _lay_out(figure: Any, form: str) -> None:
+    """Lay a figure out for a form of file; matplotlib would draw all of it once more for that."""
+    module, canvas = _CANVASES[form]
+    getattr(library(f"backends.{module}"), canvas)(figure)
+    figure.get_layout_engine().execute(figure)
+    figure.set_layout_engine(None)
