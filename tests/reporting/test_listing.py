@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import pytest
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -41,6 +43,24 @@ def test_a_run_that_failed_says_why_where_others_have_an_outcome(
     lines = {line.split()[0]: line.split() for line in table if line.startswith("run-")}
     assert "Tracked" in lines["run-000"]
     assert "OutOfMemory" in lines["run-006"]
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        ("results table", ["--rows", "nFeatures"]),
+        ("results list", ["--columns", "run,nFeatures"]),
+        ("results export", ["--columns", "run,nFeatures"]),
+        ("paper-table", ["--rows", "nFeatures", "--style", "csv"]),
+    ],
+)
+def test_the_last_part_of_a_columns_name_is_enough(
+    records: Any, fill: Fill, slamhive: Slamhive, command: str, options: list[str]
+) -> None:
+    home = fill([records.run(number, parameters={"nFeatures": 500 + number}) for number in (0, 6)])
+    code, out, _ = slamhive(home, *command.split(), *options)
+    assert code == 0
+    assert "506" in out
 
 
 def test_one_run_has_all_columns_and_so_has_what_programs_read(

@@ -10,7 +10,8 @@ import numpy as np
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.flattening import CORE_COLUMNS
-from slamhive.model.errors import UnknownNameError
+from slamhive.analysis.names import columns_ending_in
+from slamhive.model.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -75,6 +76,28 @@ class Frame:
         for name in names:
             if not self.has(name):
                 raise UnknownNameError("column", name, self.names, where)
+
+    def resolve(self, name: str, where: str = "") -> str:
+        """Return the column that a name means: its whole name, or its last part where that is clear.
+
+        Args:
+            name: as it was written.
+            where: the option or field that it was written in.
+
+        Raises:
+            InputError: it is unknown, or means several.
+        """
+        if self.has(name):
+            return name
+        if self.has(f"{name}.rmse"):
+            return f"{name}.rmse"
+        found = columns_ending_in(name, self._columns)
+        if len(found) > 1:
+            prefix = f"{where}: " if where else ""
+            raise InputError(f"{prefix}{name!r} may be {', '.join(found[:6])}; write which")
+        if not found:
+            raise UnknownNameError("column", name[:100], self.names, where)
+        return found[0]
 
     def column(self, name: str) -> Column:
         """Return a column; one of nothing where nothing is known by the name."""

@@ -202,8 +202,11 @@ def paper_table(
     frame, left_out = choose_runs(
         selection, "there is nothing to make a table of", homes_beside(Home.from_environment(), also)
     )
-    frame.require(layout.rows, "--rows")
-    frame.require(layout.columns, "--columns")
+    layout = replace(
+        layout,
+        rows=tuple(frame.resolve(name, "--rows") for name in layout.rows),
+        columns=tuple(frame.resolve(name, "--columns") for name in layout.columns),
+    )
     names = [one.column for one in layout.metrics]
     frame.require(names, "--metric")
     _check_numbers(frame, names, "--metric")

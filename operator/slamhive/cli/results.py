@@ -108,7 +108,7 @@ def list_results(
         also,
     )
     frame = found.frame
-    wanted = _names(columns)
+    wanted = _columns(columns, frame, "--columns")
     same: dict[str, Any] = {}
     if wanted is None and form not in (Format.JSON, Format.CSV):
         wanted, same = _telling(frame)
@@ -180,7 +180,7 @@ def show_table(
     chosen = _select(Selection(_sweeps(sweep), evaluation, where, superseded=superseded, option="--"), also)
     frame = chosen.frame
     metrics = [Metric.parse(text) for text in metric or usual_columns(TABLE_METRICS, frame, filled=True)]
-    by, across = _names(rows), _names(columns) or []
+    by, across = _columns(rows, frame, "--rows"), _columns(columns, frame, "--columns") or []
     frame.require([*(one.column for one in metrics), *(by or ()), *across])
     found = aggregate(frame, [one.column for one in metrics], by, outcomes, across)
     if not metric:
@@ -251,7 +251,7 @@ def export(
         raise InputError("--format: export writes csv, json or markdown; results list prints a table")
     chosen = _select(selection, also)
     frame = chosen.frame
-    wanted = _names(columns) or frame.names
+    wanted = _columns(columns, frame, "--columns") or frame.names
     frame.require(wanted)
     ordered = _sorted(frame, sort)
     with _stream(output) as stream:
@@ -365,6 +365,12 @@ def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -
 
 def _names(text: str | None) -> list[str] | None:
     return [name.strip() for name in text.split(",") if name.strip()] if text else None
+
+
+def _columns(text: str | None, frame: Frame, option: str) -> list[str] | None:
+    """Return the columns that an option names, each in whole or by its last part where that is clear."""
+    names = _names(text)
+    return None if names is None else [frame.resolve(name, option) for name in names]
 
 
 def _sorted(frame: Frame, sort: str | None) -> Frame:

@@ -15,7 +15,7 @@ from slamhive.analysis.metrics import Metric
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 from slamhive.reporting.papertables import Statistic
-from slamhive.reporting.questions import resolve, usual_metric, varied
+from slamhive.reporting.questions import usual_metric, varied
 from slamhive.reporting.titles import keys_text
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class Wish:
         if text is None:
             return tuple(name for name in default if varies(frame, name))
         names = [part.strip() for part in text.split(",") if part.strip()]
-        return tuple(dict.fromkeys(resolve(name, frame, f"--{field}") for name in names))
+        return tuple(dict.fromkeys(frame.resolve(name, f"--{field}") for name in names))
 
     def named(self, field: str, default: Sequence[str], frame: Frame) -> tuple[str, ...]:
         """Return the columns whose values stand side by side along an axis, as ``COLUMN,…``.
@@ -151,7 +151,7 @@ class Wish:
         name, colon, unit = text.partition(":")
         if frame.has(text):  # a name with a colon in it
             return Metric(text, "", 1.0) if colon else Metric.parse(text)
-        column = resolve(name.strip(), frame, f"--{field}")
+        column = frame.resolve(name.strip(), f"--{field}")
         return Metric.parse(f"{column}:{unit}" if colon else column)
 
     def refuse(self, **why: str) -> None:

@@ -10,8 +10,8 @@ from urllib.parse import parse_qsl
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.grouping import varies, varying
-from slamhive.analysis.names import CONFIGURATION, columns_ending_in
-from slamhive.model.errors import InputError, suggestion
+from slamhive.analysis.names import CONFIGURATION
+from slamhive.model.errors import InputError
 from slamhive.tables import queries
 from slamhive.tables.reading import with_figure
 
@@ -78,7 +78,7 @@ def parse_question(text: str, frame: Frame, outcomes: Outcomes) -> Question:
             f"{_FIELD}: {text!r} is neither X:Y, X:Y:COLOUR nor an address of the explore page; "
             "an example is input.frameRate:ate.rmse"
         )
-    x, y, *more = (resolve(part.strip(), frame) for part in parts)
+    x, y, *more = (frame.resolve(part.strip(), _FIELD) for part in parts)
     return _question(frame, (x, y), tuple(more) or COMPETITORS, outcomes)
 
 
@@ -102,29 +102,6 @@ def varied(frame: Frame) -> list[str]:
     return sorted(names, key=lambda name: -counts[name])
 
 
-def resolve(name: str, frame: Frame, field: str = _FIELD) -> str:
-    """Return the column that a name means: its whole name, or its last part where that is clear.
-
-    Args:
-        name: as it was written.
-        frame: the runs.
-        field: the option that it was written in.
-
-    Raises:
-        InputError: it is unknown, or means several.
-    """
-    if frame.has(name):
-        return name
-    if frame.has(f"{name}.rmse"):
-        return f"{name}.rmse"
-    found = columns_ending_in(name, frame.stored)
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise InputError(f"{field}: {name!r} may be {', '.join(found[:6])}; write which")
-    raise InputError(f"{field}: unknown column {name[:100]!r}{suggestion(name[:100], frame.names)}")
-
-
 def _of_address(text: str, frame: Frame, outcomes: Outcomes) -> Question:
     query = text.partition("?")[2] or text
     pairs = parse_qsl(query, keep_blank_values=True)
@@ -141,12 +118,12 @@ def _of_address(text: str, frame: Frame, outcomes: Outcomes) -> Question:
         counted = queries.outcomes(given["outcomes"]) if "outcomes" in given else outcomes
     except InputError as error:
         raise InputError(f"{_FIELD}: {error}") from None
-    by = tuple(resolve(given[name], frame) for name in ("colour", "facet") if name in given)
+    by = tuple(frame.resolve(given[name], _FIELD) for name in ("colour", "facet") if name in given)
     log = tuple(True if given.get(name) == "1" else None for name in ("xlog", "ylog"))
     left = [f"{name}={value}" if value else name for name, value in pairs if name not in _SETTINGS]
     return _question(
         chosen,
-        (resolve(given["x"], frame), resolve(given["y"], frame)),
+        (frame.resolve(given["x"], _FIELD), frame.resolve(given["y"], _FIELD)),
         by or COMPETITORS,
         counted,
         points=KINDS[kind] == "points",
