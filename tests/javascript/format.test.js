@@ -7,6 +7,7 @@ import {
   cell,
   clip,
   columnTitle,
+  shortTitles,
   headingOf,
   keysText,
   namedValue,
@@ -148,4 +149,12 @@ test('keys that all share are told only where they are the subject', () => {
 test('a column that an answer does not have is called by its name', () => {
   assert.equal(headingOf([{ name: 'a', title: 'A' }], 'a').title, 'A');
   assert.equal(headingOf([], 'a').title, 'a');
+});
+
+test('settings are called as their author called them where that is clear', () => {
+  const titled = (...names) =>
+    shortTitles(names.map((name) => ({ name, title: name }))).map(({ title }) => title);
+  assert.deepEqual(titled('run', 'parameters.k', 'input.rate'), ['run', 'k', 'rate']);
+  assert.deepEqual(titled('parameters.k', 'input.k', 'k'), ['parameters.k', 'input.k', 'k']);
+  assert.deepEqual(shortTitles([{ name: 'parameters.k', title: 'K [m]' }])[0].title, 'K [m]');
 });

@@ -99,6 +99,19 @@ const PREFIX = /^(parameters|input|resources|dataset\.attributes|label|provenanc
 export const columnTitle = (name) => TITLES.get(name) ?? name.replace(PREFIX, '');
 
 /**
+ * Return headings in which settings are called as their author called them, where that is clear.
+ * @template {Api.Heading} T
+ * @param {T[]} headings
+ * @returns {T[]}
+ */
+export function shortTitles(headings) {
+  const short = headings.map(({ name, title }) => (title === name ? columnTitle(name) : title));
+  return headings.map((one, at) =>
+    short.filter((title) => title === short[at]).length > 1 ? one : { ...one, title: short[at] },
+  );
+}
+
+/**
  * Return the heading of a column; one that the answer doesn't have is called by its name.
  * @template {Api.Heading} T
  * @param {T[]} headings

@@ -216,7 +216,7 @@ function Board({ board, metric, by, csv, suspects, beside }) {
         ${facets && html`<span class="quiet">${clip(facets, 200)}</span>`}
       </h2>
       <${Table}
-        columns=${narrow ? foremost(columns, ['rank', 'score', 'ratio']) : columns}
+        columns=${narrow ? foremost(columns, ['rank', 'score', ...by]) : columns}
         rows=${rows}
         caption=${`Leaderboard on ${clip(board.datasets.join(', '), 100)}`}
       />

@@ -2,7 +2,7 @@
 /** The runs behind a chart. */
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
-import { number } from '../core/format.js';
+import { number, shortTitles } from '../core/format.js';
 import { foremost, useNarrow } from '../core/narrow.js';
 import { Fault, Link, runLink, Status, Table } from '../core/parts.js';
 import { html } from '../core/ui.js';
@@ -54,7 +54,7 @@ export function RunRows({ filters, extra, selected = false, title = 'Runs', sort
  * @returns {TableColumn[]}
  */
 export const dressed = (headings) =>
-  headings
+  shortTitles(headings)
     .filter((one) => one.name !== 'uid' && one.name !== 'id')
     .map((one) => {
       if (one.name === 'run' || one.name === 'name')
