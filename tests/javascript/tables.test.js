@@ -11,7 +11,12 @@ import {
   shownByFilters,
 } from '../../operator/slamhive/dashboard/static/core/filters.js';
 import { Choice, Fault, Link, Notes, Table } from '../../operator/slamhive/dashboard/static/core/parts.js';
-import { published, questions, quoted } from '../../operator/slamhive/dashboard/static/core/questions.js';
+import {
+  mostVaried,
+  published,
+  questions,
+  quoted,
+} from '../../operator/slamhive/dashboard/static/core/questions.js';
 import { suspectOf } from '../../operator/slamhive/dashboard/static/core/suspects.js';
 import { failureText, groupTable } from '../../operator/slamhive/dashboard/static/pages/groups.js';
 import { loads } from '../../operator/slamhive/dashboard/static/pages/loads.js';
@@ -259,4 +264,13 @@ test('load is drawn on the clock of the dataset where it is known, on its own ot
 test('memory that was not measured is no 0', () => {
   const usage = { ...answer('/runs/run-000/usage'), t: [0], cpu: [1], memory: [null], anonymous: null };
   assert.equal(loads([{ name: 'a', usage, t: null }], null)[1].table.rows[0].memory, null);
+});
+
+test('the first look at charts is over the setting with most values', () => {
+  const column = (name, group, distinct) => ({ name, group, distinct });
+  const criterion = column('parameters.criterion', 'parameters', 2);
+  const voxel = column('parameters.voxelSize', 'parameters', 5);
+  const rate = column('input.frameRate', 'input', 5);
+  assert.equal(mostVaried([column('ate.rmse', 'errors', 90), criterion, voxel, rate]), voxel);
+  assert.equal(mostVaried([column('parameters.k', 'parameters', 1)]), undefined);
 });

@@ -27,6 +27,16 @@ const first = (columns, pattern, groups) =>
   columns.find((one) => pattern.test(one.name) && groups.includes(one.group) && one.distinct > 1)?.name;
 
 /**
+ * Return the setting with most values, of several the first; undefined where none varies.
+ * @param {Api.Column[]} columns
+ * @returns {Api.Column|undefined}
+ */
+export const mostVaried = (columns) =>
+  columns
+    .filter(({ group, distinct }) => (group === 'parameters' || group === 'input') && distinct > 1)
+    .sort((one, other) => other.distinct - one.distinct)[0];
+
+/**
  * Return what all runs share of a property that a question needs to vary, such as "loops 0.5"; '' where it
  * isn't known of any.
  * @param {Api.Column[]} columns

@@ -9,6 +9,7 @@ import { csvOf, fetchJson, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
 import { clip, headingOf, namedValue } from '../core/format.js';
+import { mostVaried } from '../core/questions.js';
 import { Choice, Fault, Link, Notes, NothingFits, Outcomes, Tick, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo, useState } from '../core/ui.js';
 import { groupTable, GroupTable } from './groups.js';
@@ -64,7 +65,7 @@ const FIELDS = ['x', 'y', 'colour', 'facet', 'down', 'across', 'outcomes'];
 function settingsOf(query, columns) {
   const varied = columns.filter((one) => one.distinct > 1);
   const guess =
-    varied.find((one) => one.group === 'parameters' && isNumeric(one)) ??
+    mostVaried(varied.filter(isNumeric)) ??
     varied.find((one) => one.name === 'usage.cpu.meanCores') ??
     varied.find(isNumeric);
   /**
