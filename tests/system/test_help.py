@@ -97,7 +97,7 @@ def test_a_command_imports_only_what_it_needs(words: str, unwanted: str, tmp_pat
 
 
 def test_models_are_made_when_they_are_first_used() -> None:
-    """What a default needs would be made at each start of each command."""
+    """Validators that a default needs would be made at each start of each command."""
     program = (
         "from slamhive.model.dataset import Dataset; from slamhive.model.synthetic import SyntheticLidar\n"
         "assert Dataset and not SyntheticLidar.__pydantic_complete__\n"

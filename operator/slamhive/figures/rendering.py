@@ -86,7 +86,7 @@ def _short_fonts(form: str) -> Iterator[None]:
     if form != "pdf":
         yield
         return
-    subset = importlib.import_module("fontTools.subset")
+    subset: Any = importlib.import_module("fontTools.subset")
     load = subset.load_font
 
     def load_without(*args: Any, **options: Any) -> Any:
