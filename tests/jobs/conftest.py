@@ -21,12 +21,16 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-sys.path.append(str(Path(__file__).parents[1] / "faults"))
+sys.path += [str(Path(__file__).parents[1] / "faults"), str(Path(__file__).parents[1] / "storage")]
 
+from buckets import place, s3
 from forking import Forks
 
+__all__ = ["place", "s3"]
+
 PROGRAMS = tuple(
-    f"slamhive.jobs.{name}" for name in ("collect", "evaluate", "prepare", "read", "render", "report")
+    f"slamhive.jobs.{name}"
+    for name in ("collect", "evaluate", "offload", "prepare", "read", "render", "report", "restore")
 )
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 

@@ -38,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             ground_truth=settings.ground_truth,
             cache=settings.cache,
             name=settings.cluster_name,
+            shelf=settings.shelf(),
             connect=partial(Api.connect, options.kubeconfig),
         )
         asyncio.run(_check(options.kubeconfig))

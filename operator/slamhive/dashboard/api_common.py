@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.common import measure_in_common, ranked_medians
 from slamhive.analysis.grouping import Outcomes
-from slamhive.dashboard.clocks import configuration_of
+from slamhive.dashboard.clocks import CONFIGURATIONS, configuration_of
 from slamhive.dashboard.encoding import Body, plain
-from slamhive.dashboard.problems import BadRequest, Missing, Problem, TooLarge
-from slamhive.dashboard.trajectories import extrinsic_of, read_poses
+from slamhive.dashboard.problems import BadRequest, Missing, Problem, TooLarge, Unavailable
+from slamhive.dashboard.stored import bring_all
+from slamhive.dashboard.trajectories import TRAJECTORIES, extrinsic_of, read_poses
 from slamhive.model.results import Outcome
 from slamhive.tables.queries import columns, outcomes, select
 from slamhive.tables.text import as_columns
@@ -149,12 +150,19 @@ def material(source: Source, meant: Meant) -> Material:
             if record is not None:
                 records[uid] = record
                 label = label or record.labels.get("dataset")
-                place = source.place(record)
+                try:
+                    place = source.place(record)
+                except Unavailable as error:
+                    absences[uid] = str(error)
+                    continue
                 if place is not None:
                     places[uid] = place
                 elif absence := source.absence(record):
                     absences[uid] = absence
         truths.append(source.truth(str(rows[0]["dataset"]), label))
+    for uid, trouble in bring_all(places, (*TRAJECTORIES, *CONFIGURATIONS)).items():
+        absences[uid] = str(trouble)
+        del places[uid]
     return Material(meant, records, places, absences, truths, source.catalog("Algorithm"))
 
 

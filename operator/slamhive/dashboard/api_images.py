@@ -55,7 +55,8 @@ def prepared(source: Source, uid: str) -> Prepared:
     record = source.record(uid) if len(uid) <= 253 else None
     if record is None:
         raise Missing(f"there is no run with the UID {uid[:100]!r}", "uid")
-    folder, place = source.variants(), source.place(record)
+    folder = source.variants()
+    place = source.place(record) if folder is not None else None
     if folder is None or place is None:
         raise Missing("the recording is not at hand here: images are shown on the workstation that ran it")
     name = _variant_of(place)

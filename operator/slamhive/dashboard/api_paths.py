@@ -154,7 +154,7 @@ def _drawn(given: Material, row: dict[str, Any], truth: Truth | None, most: int)
     uid = str(row["uid"])
     record, place = given.records.get(uid), given.places.get(uid)
     if record is None or place is None:
-        raise Missing("the run has no files here")
+        raise Missing(given.absences.get(uid, "the run has no files here"))
     result = next((one for one in record.results if one.evaluation == row["evaluation"]), None)
     extrinsic = extrinsic_of(record, configuration_of(place), given.algorithms, truth)
     return drawn(read_poses(place), result, truth, extrinsic, most)

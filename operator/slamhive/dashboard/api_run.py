@@ -9,15 +9,24 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from slamhive.contract.environment import SETTINGS_FOLDER
-from slamhive.dashboard.clocks import clock_of, configuration_of, sensor_times
+from slamhive.dashboard.clocks import CONFIGURATIONS, LATENCIES, clock_of, configuration_of, sensor_times
 from slamhive.dashboard.encoding import Body
-from slamhive.dashboard.problems import BadRequest, Missing, TooLarge
-from slamhive.dashboard.trajectories import drawn, extrinsic_of, read_poses, usage_columns
+from slamhive.dashboard.problems import BadRequest, Missing, TooLarge, Unavailable
+from slamhive.dashboard.trajectories import (
+    TRAJECTORIES,
+    USAGES,
+    drawn,
+    extrinsic_of,
+    read_poses,
+    usage_columns,
+)
 from slamhive.model.base import API_VERSION
 from slamhive.model.errors import suggestion
 from slamhive.model.templates import FILES_LIMIT
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
     from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.artifacts import Place
     from slamhive.dashboard.ground_truth import Truth
@@ -26,6 +35,12 @@ if TYPE_CHECKING:
 
 _PARTS = ("usage", "frames", "trajectory")
 _SETTINGS = (f"{SETTINGS_FOLDER}/", f"run/{SETTINGS_FOLDER}/")
+DRAWN = (*TRAJECTORIES, *CONFIGURATIONS)
+"""Files of a run that its path is drawn from, of which one of each kind is there."""
+
+WANTED_OF_USAGE = (*USAGES, *CONFIGURATIONS, *LATENCIES)
+"""Files of a run that its usage is shown from."""
+
 MOST_SETTINGS = 1 << 17
 """Bytes of a settings file that is shown."""
 
@@ -42,23 +57,63 @@ def find(source: Source, uid: str) -> RunRecord:
     return record
 
 
-def place_of(source: Source, record: RunRecord) -> Place:
-    """Return the folder of a run.
+@dataclass(frozen=True)
+class Found:
+    """A run, and its folder or why that is not here.
+
+    Attributes:
+        record: the run.
+        place: its folder.
+        absence: part of a sentence on why there is none, where that is known.
+        trouble: why it can't be had at present.
+    """
+
+    record: RunRecord
+    place: Place | None
+    absence: str | None = None
+    trouble: Unavailable | None = None
+
+    @property
+    def folder(self) -> Place:
+        """Return its folder.
+
+        Raises:
+            Missing: it is not here.
+            Unavailable: it can't be had at present.
+        """
+        if self.trouble is not None:
+            raise self.trouble
+        if self.place is None:
+            reused = self.record.provenance.reused_from
+            where = "its result was taken over from an equal run" if reused else "none is here"
+            raise Missing(f"the run {self.record.name} has no files: {self.absence or where}", "uid")
+        return self.place
+
+
+def found(source: Source, uid: str, wanted: Callable[[Place], Iterable[str]] | None = None) -> Found:
+    """Return a run with its folder, and have the files at hand that are read of it.
+
+    Args:
+        source: the data.
+        uid: the run's.
+        wanted: returns the paths of files that the answer is made of.
 
     Raises:
-        Missing: it is not here.
+        Missing: there is no such run.
     """
-    place = source.place(record)
-    if place is None:
-        reused = record.provenance.reused_from
-        where = "its result was taken over from an equal run" if reused else "none is here"
-        where = source.absence(record) or where
-        raise Missing(f"the run {record.name} has no files: {where}", "uid")
-    return place
+    record = find(source, uid)
+    try:
+        place = source.place(record)
+        if place is not None and wanted is not None:
+            place.bring(wanted(place))
+    except Unavailable as error:
+        return Found(record, None, trouble=error)
+    return Found(record, place, source.absence(record))
 
 
-def detail(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
+def detail(snapshot: Snapshot, found: Found) -> Body:
     """Return a run with its configuration, provenance, usage, results and log."""
+    record = found.record
     spec = record.spec
     plain = record.as_json()
     content: dict[str, Any] = {
@@ -84,8 +139,9 @@ def detail(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
         "results": [_result_json(result) for result in record.results],
         "logTail": record.log_tail,
         "manifest": manifest(record),
-        "files": source.place(record) is not None,
-        "absence": source.absence(record),
+        # Where object storage does not answer, each of them says so.
+        "files": found.place is not None or found.trouble is not None,
+        "absence": found.absence,
         "links": {
             name: f"/api/v1/runs/{record.uid}/{name}" for name in ("manifest", "files", "trajectory", "usage")
         },
@@ -113,9 +169,9 @@ def manifest(record: RunRecord) -> str:
     return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
 
 
-def files(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
+def files(snapshot: Snapshot, found: Found) -> Body:
     """Return the list of a run's files."""
-    items = place_of(source, record).files()
+    items = found.folder.files()
     names = ("path", "size", "modified")
     return Body(
         {"revision": snapshot.revision, "items": items},
@@ -123,17 +179,28 @@ def files(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
     )
 
 
-def settings_files(snapshot: Snapshot, source: Source, record: RunRecord) -> Body:
+def settings_files(snapshot: Snapshot, found: Found) -> Body:
     """Return the settings files that were rendered for a run, with their texts as far as they are short."""
-    place = place_of(source, record)
-    found = [
-        (item, path) for item in place.files() if (path := _below_settings(str(item["path"]))) is not None
-    ]
+    place = found.folder
     items = [
-        {"path": path, "file": item["path"], "size": item["size"], "text": _text(place, item)}
-        for item, path in found[:FILES_LIMIT]
+        {
+            "path": _below_settings(str(item["path"])),
+            "file": item["path"],
+            "size": item["size"],
+            "text": _text(place, item),
+        }
+        for item in _settings_of(place)
     ]
     return Body({"revision": snapshot.revision, "items": items})
+
+
+def wanted_settings(place: Place) -> list[str]:
+    """Return the paths of the settings files that are shown."""
+    return [str(item["path"]) for item in _settings_of(place) if item["size"] <= MOST_SETTINGS]
+
+
+def _settings_of(place: Place) -> list[dict[str, Any]]:
+    return [item for item in place.files() if _below_settings(str(item["path"])) is not None][:FILES_LIMIT]
 
 
 def _below_settings(path: str) -> str | None:
@@ -174,8 +241,8 @@ def material(source: Source, uid: str) -> Material:
     Raises:
         Missing: there is no such run, or its folder is not here.
     """
-    record = find(source, uid)
-    place = place_of(source, record)
+    seen = found(source, uid, lambda _: DRAWN)
+    record, place = seen.record, seen.folder
     dataset = str((record.spec.get("datasetRef") or {}).get("name"))
     truth = source.truth(dataset, record.labels.get("dataset"))
     return Material(record, place, truth, source.catalog("Algorithm"))
@@ -208,14 +275,14 @@ def _chosen(record: RunRecord, evaluation: str | None) -> Result | None:
     )
 
 
-def usage(snapshot: Snapshot, source: Source, record: RunRecord, most: int) -> Body:
+def usage(snapshot: Snapshot, found: Found, most: int) -> Body:
     """Return CPU and memory over time, thinned: since the program's start, and by sensor time where known."""
-    place = place_of(source, record)
-    found = usage_columns(place, most)
+    place = found.folder
+    shown = usage_columns(place, most)
     configuration = configuration_of(place)
-    found["stamp"] = sensor_times(found["t"], record, place, configuration)
-    clock = clock_of(configuration) if found["stamp"] is not None else None
+    shown["stamp"] = sensor_times(shown["t"], found.record, place, configuration)
+    clock = clock_of(configuration) if shown["stamp"] is not None else None
     names = ("t", "stamp", "cpu", "memory", "anonymous")
-    columns = {key: found[key] for key in names if found[key] is not None}
-    answer = {"revision": snapshot.revision, "clock": clock and clock.as_json(), **found}
+    columns = {key: shown[key] for key in names if shown[key] is not None}
+    answer = {"revision": snapshot.revision, "clock": clock and clock.as_json(), **shown}
     return Body(answer, lambda: columns)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.dashboard.problems import BadRequest, Missing, TooLarge
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterable, Iterator
     from pathlib import Path
 
 MAX_FILES = 1000
@@ -74,6 +74,9 @@ class Place:
             finally:
                 for item in opened:
                     os.close(item)
+
+    def bring(self, names: Iterable[str]) -> None:
+        """Have files at hand that are read next: those of a folder are."""
 
     def read(self, path: str, most: int) -> bytes:
         """Return a file's content.

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from slamhive.model.results import RunRecord
     from slamhive_eval import Trajectory
 
-_CONFIGURATIONS = ("config.yaml", "run/config.yaml")
-_LATENCIES = ("output/latency.csv", "run/output/latency.csv")
+CONFIGURATIONS = ("config.yaml", "run/config.yaml")
+LATENCIES = ("output/latency.csv", "run/output/latency.csv")
 _MAX_CONFIGURATION = 2**18
 _MAX_VALUES = 20_000
 _MAX_DEPTH = 50
@@ -53,7 +53,7 @@ class Clock:
 
 def configuration_of(place: Place) -> dict[str, Any]:
     """Return what a run was told, empty where that can't be read: the run itself may have written it."""
-    for name in _CONFIGURATIONS:
+    for name in CONFIGURATIONS:
         try:
             content = place.read(name, _MAX_CONFIGURATION)
             found = yaml.load(content, _LOADER) if _is_small(content) else None  # noqa: S506 - a safe one
@@ -129,7 +129,7 @@ def sensor_times(
     if pace != Pace.REALTIME.value or record.started is None or record.usage is None:
         return None
     try:
-        table = read_numbers(place, _LATENCIES, _arrivals, headed=True).rows
+        table = read_numbers(place, LATENCIES, _arrivals, headed=True).rows
     except (Missing, TooLarge, ValueError):
         return None
     if not len(table) or not np.isfinite(table).all():

@@ -31,6 +31,7 @@ from slamhive.kube.errors import ApiError, NotFound
 from slamhive.kube.kinds import Key, Kind
 from slamhive.kube.records import record_of
 from slamhive.kube.watching import Follower, open_session
+from slamhive.storage.state import Offloading
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from slamhive.archive.records import CatalogEntry, SweepRecord
     from slamhive.dashboard.ground_truth import Truth
     from slamhive.dashboard.live import LiveRun
+    from slamhive.dashboard.stored import Shelf
     from slamhive.model.results import RunRecord
 
 _OTHERS = (Kind.ALGORITHM, Kind.DATASET, Kind.EVALUATION, Kind.SWEEP)
@@ -66,6 +68,7 @@ class ClusterSource:
         ground_truth: folder of ground truth by dataset; None when it isn't mounted.
         cache: folder in which the archive's table is kept for the next start; None to keep none.
         name: the cluster's name.
+        shelf: object storage that run folders were moved to; None for none.
         connect: returns the API.
     """
 
@@ -78,6 +81,7 @@ class ClusterSource:
         ground_truth: Path | None = None,
         cache: Path | None = None,
         name: str = "",
+        shelf: Shelf | None = None,
         connect: Callable[[], Awaitable[Api]] = Api.connect,
     ) -> None:
         self._namespaces = namespaces
@@ -85,6 +89,8 @@ class ClusterSource:
         self._results = results
         self._truths = Truths(ground_truth)
         self._name = name
+        self._shelf = shelf
+        self._offloading = Offloading(results)
         self._identity: str | None = name or None
         self._connect = connect
         self._cluster = Cluster()
@@ -211,12 +217,14 @@ class ClusterSource:
         return [*archived, *(catalog_entry(word, obj) for obj in self._cluster.of(Kind(kind)))]
 
     def place(self, record: RunRecord) -> Place | None:
-        """Return the folder of a run on the results volume."""
+        """Return the folder of a run on the results volume, or in object storage."""
         parts = tuple((record.folder or "").split("/"))
         wrong = len(parts) < 2 or parts[0] != "runs" or any(part in {"", ".", ".."} for part in parts)
-        if self._results is None or wrong or not self._results.joinpath(*parts).is_dir():
+        if wrong:
             return None
-        return Place(self._results, parts)
+        if self._results is not None and self._results.joinpath(*parts).is_dir():
+            return Place(self._results, parts)
+        return self._shelf.place(parts) if self._shelf is not None else None
 
     def absence(self, record: RunRecord) -> str | None:  # noqa: ARG002 - a workstation's source needs it
         """Return None: a cluster's collector leaves no word of what it removed."""
@@ -246,6 +254,8 @@ class ClusterSource:
         sentences = [sentence for sentence in self._troubles.values() if sentence]
         if self._archive is not None and self._archive.said:
             sentences.append(self._archive.said)
+        if self._shelf is not None and (told := self._offloading.sentence()):
+            sentences.append(told)
         return tuple(dict.fromkeys(sentences[:3]))
 
     def _build(

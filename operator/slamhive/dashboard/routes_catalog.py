@@ -3,7 +3,7 @@
 
 # FastAPI reads the annotations of these functions, so they are no mere texts here.
 import os
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from typing import Annotated, Any
 from urllib.parse import quote
 
@@ -12,13 +12,13 @@ from starlette.responses import StreamingResponse
 
 from slamhive.archive.records import CatalogEntry
 from slamhive.dashboard import api_catalog, api_recordings, api_run
+from slamhive.dashboard.artifacts import Place
 from slamhive.dashboard.costs import costs_little
 from slamhive.dashboard.events import MAX_LISTENERS, Events
 from slamhive.dashboard.problems import Unavailable
 from slamhive.dashboard.routes import FORMATS
 from slamhive.dashboard.service import Service
 from slamhive.dashboard.sources import Snapshot
-from slamhive.model.results import RunRecord
 
 Name = Annotated[str, Path(max_length=10_000)]
 Most = Annotated[int, Query(ge=10, le=20_000, description="Points at most.")]
@@ -148,9 +148,7 @@ def _add_run(routes: APIRouter, service: Service) -> None:
     @routes.get("/runs/{uid}", summary="All that is known of one run")
     async def run(request: Request, uid: Name) -> Response:
         """Return configuration, provenance, usage, results, log and the YAML to run it again."""
-        return await service.answer_with(
-            request, _found(service, uid), lambda data, record: api_run.detail(data, source, record)
-        )
+        return await service.answer_with(request, _found(service, uid), api_run.detail)
 
     @routes.get("/runs/{uid}/manifest", summary="The YAML that runs it again")
     async def manifest(uid: Name) -> Response:
@@ -190,34 +188,34 @@ def _add_run(routes: APIRouter, service: Service) -> None:
     ) -> Response:
         """Of each stretch the mean load and the largest memory."""
         return await service.answer_with(
-            request, _found(service, uid), lambda data, record: api_run.usage(data, source, record, points)
+            request,
+            _found(service, uid, lambda _: api_run.WANTED_OF_USAGE),
+            lambda data, found: api_run.usage(data, found, points),
         )
 
 
-def _found(service: Service, uid: str) -> Callable[[Snapshot], Awaitable[RunRecord]]:
-    """Return what looks a run up."""
+def _found(
+    service: Service, uid: str, wanted: Callable[[Place], Iterable[str]] | None = None
+) -> Callable[[Snapshot], Awaitable[api_run.Found]]:
+    """Return what looks a run up, and has files of it at hand."""
 
-    async def find(_: Snapshot) -> RunRecord:
-        return await service.run(lambda: api_run.find(service.source, uid))
+    async def find(_: Snapshot) -> api_run.Found:
+        return await service.run(lambda: api_run.found(service.source, uid, wanted))
 
     return find
 
 
 def _add_files(routes: APIRouter, service: Service) -> None:
-    source = service.source
-
     @routes.get("/runs/{uid}/files", summary="Files of a run", dependencies=FORMATS)
     async def files(request: Request, uid: Name) -> Response:
         """At most 1,000 of them."""
-        return await service.answer_with(
-            request, _found(service, uid), lambda data, record: api_run.files(data, source, record)
-        )
+        return await service.answer_with(request, _found(service, uid), api_run.files)
 
     @routes.get("/runs/{uid}/settings-files", summary="Settings files that were rendered for a run")
     async def settings_files(request: Request, uid: Name) -> Response:
         """A text of more than 128 KiB is null: it can be downloaded as a file."""
         return await service.answer_with(
-            request, _found(service, uid), lambda data, record: api_run.settings_files(data, source, record)
+            request, _found(service, uid, api_run.wanted_settings), api_run.settings_files
         )
 
     @routes.get("/runs/{uid}/files/{path:path}", summary="One file of a run")
@@ -228,7 +226,7 @@ def _add_files(routes: APIRouter, service: Service) -> None:
 
 
 def _download(service: Service, uid: str, path: str) -> Response:
-    place = api_run.place_of(service.source, api_run.find(service.source, uid))
+    place = api_run.found(service.source, uid).folder
     with place.open(path) as opened:
         descriptor = os.dup(opened)
     size = os.fstat(descriptor).st_size

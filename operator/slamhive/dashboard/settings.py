@@ -9,9 +9,13 @@ import yaml
 from pydantic import Field, ValidationError
 
 from slamhive.dashboard.serving import CONNECTIONS, CONNECTIONS_PER_ADDRESS
+from slamhive.dashboard.stored import Shelf
 from slamhive.kube.settings import NamespaceName
-from slamhive.model.base import Model, explain
+from slamhive.model.base import Model, Quantity, explain, quantity
 from slamhive.model.errors import InputError
+from slamhive.storage.store import Store, StoreSettings
+
+_SHARE = 0.8
 
 
 class DashboardSettings(Model):
@@ -24,6 +28,10 @@ class DashboardSettings(Model):
         results: where the results volume is mounted.
         ground_truth: where ground truth is mounted, DATASET.txt each.
         cache: folder that outlives the process, for a faster start.
+        store: settings of the object storage that run folders are moved to; None for none.
+        store_secret: folder with further options of it, a file each.
+        store_cache: folder for files from there.
+        store_cache_limit: what that folder may hold.
         host, port: where to listen.
         health_port: port of /healthz and /readyz alone; None for none.
         connections_per_address: how many one address may have: an ingress is one.
@@ -35,10 +43,26 @@ class DashboardSettings(Model):
     results: Path | None = None
     ground_truth: Path | None = None
     cache: Path | None = None
+    store: Path | None = None
+    store_secret: Path | None = None
+    store_cache: Path = Path("/tmp/store")  # noqa: S108 - of a pod
+    store_cache_limit: Quantity = "200Mi"
     host: str = "0.0.0.0"  # noqa: S104 - in a pod, behind a Service
     port: int = Field(default=8000, ge=0, le=65535)
     health_port: int | None = Field(default=None, ge=0, le=65535)
     connections_per_address: int = Field(default=CONNECTIONS_PER_ADDRESS, ge=1, le=CONNECTIONS)
+
+    def shelf(self) -> Shelf | None:
+        """Return the object storage, None where none is set.
+
+        Raises:
+            InputError: its settings can't be used.
+        """
+        if self.store is None:
+            return None
+        store = Store(StoreSettings.read(self.store, self.store_secret))
+        # A pod whose folder is fuller than it may be is ended: some room is left.
+        return Shelf(store, self.store_cache, int(_SHARE * quantity(self.store_cache_limit)))
 
     def archive_url(self) -> str | None:
         """Return the database URL in the file.

@@ -33,7 +33,7 @@ from slamhive.data.once import evict, last_use, remove_free
 from slamhive.jobs.known import archived, known_by_file, known_to_api, tell_cronjob
 from slamhive.jobs.ownership import Owner, claim
 from slamhive.jobs.program import arguments, run_program
-from slamhive.jobs.trash import outdated, throw_away
+from slamhive.jobs.trash import OFFLOADED, outdated, throw_away
 from slamhive.model.base import seconds
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from slamhive.jobs.known import Known
 
-_UID = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
+UID = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 _KEY = re.compile(r"[0-9a-f]{32}")
 _GENERATED = re.compile(r"(?P<name>.+)-[0-9a-f]{16}")
 _TRUTH = re.compile(r"(?P<name>[^.].*?)\.(txt|relations|points|positions|rotations\.npy)")
@@ -112,7 +112,7 @@ def _work(options: argparse.Namespace) -> str:
 
 def _collect(options: argparse.Namespace) -> str:
     root: Path = options.root
-    grace, rest = (_duration(name, getattr(options, name)) for name in ("grace", "trash"))
+    grace, rest = (duration_of(name, getattr(options, name)) for name in ("grace", "trash"))
     finds = [*_runs(root / "results"), *_data(root / "data")]
     known = (
         known_by_file(options.known) if options.known else known_to_api(options.namespace, options.kubeconfig)
@@ -124,7 +124,7 @@ def _collect(options: argparse.Namespace) -> str:
     released, archive = known.released, None
     if options.archive_url_file:
         uids = [find.name for find in old if find.kind == "runs" and find.name not in released]
-        archive = archived(_url(options.archive_url_file), uids)
+        archive = archived(read_url(options.archive_url_file), uids)
         old = [find for find in old if find.kind != "runs" or find.name not in archive.kept]
         released |= archive.released
     owner = Owner(options.namespace, known.namespace_uid, archive.identity if archive else None)
@@ -135,8 +135,9 @@ def _collect(options: argparse.Namespace) -> str:
         raise InputError(problem)
     if not options.dry_run:
         _sweep(root / "data")
-        for folder in outdated(root / "results", now, rest):
-            _said(folder, partial(erase, folder))
+        for ending in ("", OFFLOADED):
+            for folder in outdated(root / "results", now, rest, ending):
+                _said(folder, partial(erase, folder))
     removed = 0
     for find in old:
         _tell(f"{'would remove' if options.dry_run else 'removing'} {find.path}")
@@ -168,13 +169,23 @@ def _sweep(data: Path) -> None:
             evict(folder, sys.maxsize)
 
 
-def _duration(name: str, text: str) -> float:
+def duration_of(name: str, text: str) -> float:
+    """Return an option's duration in seconds.
+
+    Raises:
+        InputError: it is none.
+    """
     if not re.fullmatch(r"([0-9]{1,5}(h|m|s|ms)){1,4}", text):
         raise InputError(f"--{name}: {text!r} is not a duration such as 90s, 1h30m or 250ms")
     return seconds(text)
 
 
-def _url(path: Path) -> str:
+def read_url(path: Path) -> str:
+    """Return the URL of an archive that a file holds.
+
+    Raises:
+        SystemFault: the file can't be read.
+    """
     try:
         return path.read_text(encoding="utf-8").strip()
     except OSError as error:
@@ -182,12 +193,12 @@ def _url(path: Path) -> str:
 
 
 def _runs(results: Path) -> Iterator[Find]:
-    for entry in _entries(results / "evaluations"):
+    for entry in entries_of(results / "evaluations"):
         if _EVALUATION.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):
             yield Find(Path(entry.path), "evaluations", entry.name)
-    for entry in _entries(results / "runs"):
+    for entry in entries_of(results / "runs"):
         name = entry.name
-        if _UID.fullmatch(name) and entry.is_dir(follow_symlinks=False):
+        if UID.fullmatch(name) and entry.is_dir(follow_symlinks=False):
             yield Find(Path(entry.path), "runs", name)
         elif _ASIDE.fullmatch(name):
             yield Find(Path(entry.path), "aside", name)
@@ -196,7 +207,7 @@ def _runs(results: Path) -> Iterator[Find]:
 def _data(data: Path) -> Iterator[Find]:
     patterns = {"variants": _KEY, "generated": _GENERATED, "groundtruth": _TRUTH, "assets": _SHA256}
     for kind, pattern in patterns.items():
-        for entry in _entries(data / kind):
+        for entry in entries_of(data / kind):
             found = pattern.fullmatch(entry.name)
             # What makes folders sweeps its own leftovers, under their locks.
             if kind in {"groundtruth", "assets"} and _ASIDE.fullmatch(entry.name):
@@ -205,7 +216,8 @@ def _data(data: Path) -> Iterator[Find]:
                 yield Find(Path(entry.path), kind, found.groupdict().get("name") or entry.name)
 
 
-def _entries(folder: Path) -> list[os.DirEntry[str]]:
+def entries_of(folder: Path) -> list[os.DirEntry[str]]:
+    """Return what lies in a folder of a volume, by name; nothing where there is no such folder."""
     if folder.is_symlink():
         return []
     try:
@@ -230,10 +242,14 @@ def _is_known(find: Find, known: Known) -> bool:
 
 
 def _is_old(find: Find, now: float, grace: float) -> bool:
-    """Tell whether nothing in it was written lately; a time in the future is none, anybody can set it."""
     if now - last_use(find.path) < grace and find.kind in {"variants", "generated"}:
         return False
-    return not any(0 <= now - stamp < grace for stamp in _stamps(find.path))
+    return is_untouched(find.path, now, grace)
+
+
+def is_untouched(path: Path, now: float, grace: float) -> bool:
+    """Tell whether nothing in it was written lately; a time in the future is none, anybody can set it."""
+    return not any(0 <= now - stamp < grace for stamp in _stamps(path))
 
 
 def _stamps(path: Path) -> Iterator[float]:

@@ -157,13 +157,16 @@ def known_to_api(namespace: str, kubeconfig: str | None = None) -> Known:
     return replace(known_to(_lister(client, namespace)), namespace_uid=body.metadata.uid)
 
 
-def tell_cronjob(namespace: str, name: str, message: str, kubeconfig: str | None = None) -> None:
+def tell_cronjob(
+    namespace: str, name: str, message: str, kubeconfig: str | None = None, *, reason: str = "NothingRemoved"
+) -> None:
     """Attach an Event to a CronJob, for who asks why it fails.
 
     Args:
         namespace: the namespace.
         name: the CronJob.
         message: a sentence.
+        reason: what happened, in one word.
         kubeconfig: as for `known_to_api`.
 
     Raises:
@@ -175,9 +178,9 @@ def tell_cronjob(namespace: str, name: str, message: str, kubeconfig: str | None
     event = {
         "metadata": {"generateName": f"{name}.", "namespace": namespace},
         "type": "Warning",
-        "reason": "NothingRemoved",
+        "reason": reason,
         "message": message[:_EVENT_LENGTH],
-        "source": {"component": "slamhive-collector"},
+        "source": {"component": name},
         "firstTimestamp": now,
         "lastTimestamp": now,
         "count": 1,

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests to Jobs, as JSON: what to prepare, to evaluate or to read."""
+"""Requests to Jobs, as JSON: what to prepare, to evaluate, to read or to bring back."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
 from slamhive.analysis.subjects import SubjectItem
 from slamhive.model.algorithm import RelativePath, SettingsFile
@@ -65,3 +65,11 @@ class ReadRequest(Model):
     """A file to read."""
 
     path: RelativePath
+
+
+class RestoreRequest(Model):
+    """Run folders to bring back from object storage."""
+
+    folders: list[Annotated[str, StringConstraints(pattern=r"^runs/[A-Za-z0-9-]+/[A-Za-z0-9-]+$")]] = Field(
+        min_length=1
+    )

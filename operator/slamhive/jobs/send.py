@@ -8,6 +8,8 @@
             {"sha256": of the whole file} or {"problem": "sentence"}           for each regular file, by name
             {"end": true, "left": [[NAME, why], …]}                            or {"end": true, "problem": …}
 
+A folder that is not on the volume is looked for in object storage, where ``--store`` names one.
+
 With ``--wait`` it hands out nothing but keeps the pod there for as long as somebody asks for something.
 """
 
@@ -23,12 +25,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from slamhive.jobs.listing import Listing
 from slamhive.jobs.opening import opened
 from slamhive.jobs.program import arguments
-from slamhive.model.errors import DataError
+from slamhive.model.errors import DataError, SlamHiveError
+from slamhive.storage.reading import Bucket
+from slamhive.storage.store import Store, StoreSettings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from slamhive.storage.offloaded import StoredFile
 
 COMMAND = ("python3", "-P", "-m", "slamhive.jobs.send")
 
@@ -37,10 +44,9 @@ _CHUNK = 1 << 18
 _MOST_BYTES = 1 << 50
 _MOST_FILES = 20_000
 _MOST_LEFT = 20
-_DEPTH = 16
+_TOO_MANY = f"there are more than {_MOST_FILES} files"
 _ALIVE_SECONDS = 5.0
 _LOOK_SECONDS = 1.0
-_FLAGS = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_DIRECTORY
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -50,12 +56,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--wait", type=float, metavar="SECONDS", help="do nothing until nobody has asked for so long"
     )
     parser.add_argument("--sign", type=Path, default=Path("/tmp/asked"), help="touched when somebody asks")  # noqa: S108
+    parser.add_argument("--store", type=Path, help="settings of the object storage (YAML)")
+    parser.add_argument("--secret", type=Path, help="folder with further options of it, a file each")
     options = parser.parse_args(argv)
     sign = Sign(options.sign)
     if options.wait is not None:
         sign.wait(options.wait)
         return 0
-    return Sender(options.root / "results", sys.stdout.buffer, sign).serve(sys.stdin.buffer)
+    bucket = Bucket(Store(StoreSettings.read(options.store, options.secret))) if options.store else None
+    return Sender(options.root / "results", sys.stdout.buffer, sign, bucket).serve(sys.stdin.buffer)
 
 
 class Sign:
@@ -95,12 +104,14 @@ class Sender:
         root: the results volume.
         out: where answers go.
         sign: given while somebody takes what is sent.
+        bucket: where folders are that are not on the volume; None for none.
     """
 
-    def __init__(self, root: Path, out: BinaryIO, sign: Sign) -> None:
+    def __init__(self, root: Path, out: BinaryIO, sign: Sign, bucket: Bucket | None = None) -> None:
         self._root = root
         self._out = out
         self._sign = sign
+        self._bucket = bucket
 
     def serve(self, requests: BinaryIO) -> int:
         """Answer until the requests end; returns the exit code."""
@@ -125,11 +136,12 @@ class Sender:
         if not _FOLDER.fullmatch(folder):
             self._tell({"end": True, "problem": f"{folder!r} is not like runs/UID/POD"})
             return
-        found = _Found()
+        found = Listing(_MOST_FILES)
         try:
             found.look(self._root, folder)
         except OSError as error:
-            self._tell({"end": True, "problem": f"{folder}: {error.strerror}"})
+            if not isinstance(error, FileNotFoundError) or not self._send_stored(folder, have):
+                self._tell({"end": True, "problem": f"{folder}: {error.strerror}"})
             return
         for path in sorted(found.files):
             held = have.get(path)
@@ -138,6 +150,43 @@ class Sender:
             except DataError as error:  # gone, or made a link, since it was listed
                 found.leave(path, str(error))
         self._tell({"end": True, "left": found.left})
+
+    def _send_stored(self, folder: str, have: dict[str, Any]) -> bool:
+        """Send a folder from object storage; returns whether it, or the storage's trouble, was told."""
+        if self._bucket is None:
+            return False
+        _, uid, pod = folder.split("/")
+        try:
+            found = self._bucket.run(uid)
+            files = [file for file in found.files if file.path.startswith(f"{pod}/")] if found else []
+            if found is None or not files:
+                return False
+            for file in files[:_MOST_FILES]:
+                self._stored_file(self._bucket, uid, file, have.get(file.path.removeprefix(f"{pod}/")))
+        except SlamHiveError as error:
+            self._tell({"end": True, "problem": str(error)})
+            return True
+        left = [[path.removeprefix(f"{pod}/"), why] for path, why in found.left if path.startswith(f"{pod}/")]
+        left += [[file.path.removeprefix(f"{pod}/"), _TOO_MANY] for file in files[_MOST_FILES:][:_MOST_LEFT]]
+        self._tell({"end": True, "left": left})
+        return True
+
+    def _stored_file(self, bucket: Bucket, uid: str, file: StoredFile, held: object) -> None:
+        offset = held if isinstance(held, int) and 0 <= held <= file.size else 0
+        path = file.path.partition("/")[2]
+        self._tell({"path": path, "size": file.size, "offset": offset})
+        left, problem = file.size - offset, ""
+        try:
+            for data in bucket.pieces(uid, file, offset):
+                self._out.write(data)
+                self._sign.give()
+                left -= len(data)
+        except SlamHiveError as error:
+            problem = str(error)
+            while left > 0:  # what was announced is sent, so that what follows is understood
+                left -= self._out.write(bytes(min(left, _CHUNK)))
+        # The sum that was written down when it was moved: the receiver has all of the bytes.
+        self._tell({"problem": problem} if problem else {"sha256": file.sha256})
 
     def _file(self, folder: str, path: str, held: int) -> None:
         with opened(self._root, f"{folder}/{path}", _MOST_BYTES) as descriptor:
@@ -169,62 +218,6 @@ class Sender:
     def _tell(self, message: dict[str, Any]) -> None:
         self._out.write(json.dumps(message, separators=(",", ":")).encode() + b"\n")
         self._out.flush()
-
-
-class _Found:
-    """The regular files below a folder, reached without following a link, and what else there is."""
-
-    def __init__(self) -> None:
-        self.files: list[str] = []
-        self.left: list[tuple[str, str]] = []
-
-    def look(self, root: Path, folder: str) -> None:
-        descriptor = os.open(root, os.O_RDONLY | os.O_CLOEXEC | os.O_DIRECTORY)
-        try:
-            for part in folder.split("/"):
-                below = os.open(part, _FLAGS, dir_fd=descriptor)
-                os.close(descriptor)
-                descriptor = below
-            self._list(descriptor, "", _DEPTH)
-        finally:
-            os.close(descriptor)
-
-    def leave(self, path: str, why: str) -> None:
-        if len(self.left) < _MOST_LEFT:
-            self.left.append((path.encode("utf-8", "backslashreplace").decode(), why))
-
-    def _list(self, descriptor: int, prefix: str, depth: int) -> None:
-        with os.scandir(descriptor) as entries:
-            ordered = sorted(entries, key=lambda entry: entry.name)
-        for entry in ordered:
-            path = prefix + entry.name
-            try:
-                path.encode()
-            except UnicodeEncodeError:
-                self.leave(path, "its name is no UTF-8")
-                continue
-            if entry.is_dir(follow_symlinks=False):
-                self._enter(descriptor, entry.name, path, depth - 1)
-            elif not entry.is_file(follow_symlinks=False):
-                self.leave(path, "is a symbolic link" if entry.is_symlink() else "is no regular file")
-            elif len(self.files) >= _MOST_FILES:
-                self.leave(path, f"there are more than {_MOST_FILES} files")
-            else:
-                self.files.append(path)
-
-    def _enter(self, descriptor: int, name: str, path: str, depth: int) -> None:
-        if depth <= 0:
-            self.leave(path, "is nested too deeply")
-            return
-        try:
-            below = os.open(name, _FLAGS, dir_fd=descriptor)
-        except OSError as error:
-            self.leave(path, error.strerror or str(error))
-            return
-        try:
-            self._list(below, f"{path}/", depth)
-        finally:
-            os.close(below)
 
 
 if __name__ == "__main__":
