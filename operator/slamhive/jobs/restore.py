@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from slamhive.storage.offloaded import Offloaded
 
 
+_MOST_TOLD = 10
+_SENTENCE = 300
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Bring back what the request names."""
     parser = arguments("Bring run folders back from object storage.")
@@ -42,8 +46,15 @@ def _work(options: argparse.Namespace) -> str:
     request = parse(RestoreRequest, read_request(options.root), "request")
     bucket = Bucket(Store(StoreSettings.read(options.store, options.secret)))
     uids = dict.fromkeys(folder.split("/")[1] for folder in request.folders)
-    brought = sum(_bring(options.root / "results", uid, bucket) for uid in uids)
-    return json.dumps({"v": 1, "runs": len(uids), "brought": brought})
+    brought, left = 0, {}
+    for uid in uids:
+        try:
+            brought += _bring(options.root / "results", uid, bucket)
+        except DataError as error:  # one that can't be had keeps no other away
+            print(error, flush=True)  # noqa: T201
+            left[uid] = str(error)[:_SENTENCE]
+    told = dict(list(left.items())[:_MOST_TOLD])
+    return json.dumps({"v": 1, "runs": len(uids), "brought": brought, "left": told})
 
 
 def _bring(results: Path, uid: str, bucket: Bucket) -> bool:

@@ -38,6 +38,8 @@ class Role(Choice):
     EVALUATE = "evaluate"
     COLLECT = "collect"
     READ = "read"
+    RESTORE = "restore"
+    OFFLOAD = "offload"
 
 
 class Kind(Choice):

@@ -10,11 +10,12 @@ is seen as running until the replacement ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptEnd, AttemptState, VariantState
 from slamhive.kube.builders.evaluation import EVALUATE, EVALUATOR, LINKS, READ, REPORT
+from slamhive.kube.builders.restoring import RESTORE
 from slamhive.kube.builders.run import ALGORITHM, MONITOR, RENDER
 from slamhive.kube.builders.variant import PREPARE
 from slamhive.kube.errors import means_quota
@@ -44,6 +45,7 @@ from slamhive.kube.reports import (
     moment,
     read_description,
     read_failure,
+    read_left,
     read_report,
 )
 from slamhive.model.results import Reason, remark_of
@@ -448,6 +450,35 @@ def observe_evaluator(job: Object | None, pods: Iterable[Object]) -> EvaluatorOb
         return EvaluatorObserved()
     seen = _observe_job(job, pods, (EVALUATE, REPORT, EVALUATOR, LINKS))
     return EvaluatorObserved(seen.state, seen.problem, seen.waiting, seen.pod, seen.container)
+
+
+@dataclass(frozen=True)
+class RestoreObserved:
+    """State of a Job that brings run folders back.
+
+    Attributes:
+        state: whether it runs.
+        problem: why it failed; None when it didn't.
+        waiting: why it doesn't run yet.
+        left: why folders were not brought, by the UID of their run.
+    """
+
+    state: AttemptState
+    problem: Problem | None = None
+    waiting: Waiting | None = None
+    left: Mapping[str, str] = field(default_factory=dict)
+
+
+def observe_restore(job: Object, pods: Iterable[Object]) -> RestoreObserved:
+    """Say what is seen of a Job that brings run folders back.
+
+    Args:
+        job: the Job.
+        pods: pods, its own among them.
+    """
+    seen = _observe_job(job, pods, (RESTORE,))
+    left = read_left(seen.words) if seen.problem is None else {}
+    return RestoreObserved(seen.state, seen.problem, seen.waiting, left)
 
 
 @dataclass(frozen=True)

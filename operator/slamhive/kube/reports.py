@@ -190,6 +190,14 @@ def read_failure(text: object) -> Failure | None:
     return Failure(reason, _text(error.get("message"), 4000) or "it gave no reason")
 
 
+def read_left(text: object) -> dict[str, str]:
+    """Return why folders were not brought back, by the UID of their run, as a termination message says."""
+    left = (read_object(text) or {}).get("left")
+    if not isinstance(left, dict):
+        return {}
+    return {str(uid): _text(why, _SENTENCE) or "it gave no reason" for uid, why in left.items()}
+
+
 def read_description(text: object) -> VariantDescription | None:
     """Return what a preparation's termination message says of its variant; None when it can't be read."""
     packed = (read_object(text) or {}).get("z")

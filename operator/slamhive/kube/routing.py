@@ -134,8 +134,9 @@ def _of_job(obj: Object, namespace: str) -> Iterator[Key]:
         Role.READ: [(Kind.MAPPING_RUN, Label.RUN)],
         Role.PREPARE: [(Kind.DATASET, Label.DATASET)],
         Role.EVALUATE: [(Kind.EVALUATION, Label.EVALUATION)],
+        Role.RESTORE: [(Kind.EVALUATION, Label.EVALUATION)],
     }
-    if labels.get(Label.ROLE) == Role.EVALUATE:
+    if labels.get(Label.ROLE) in {Role.EVALUATE, Role.RESTORE}:
         for prefix, label in OWN_EVALUATIONS.items():
             if name := labels.get(label):
                 yield Key(Kind.EVALUATION, namespace, f"{prefix}{name}")

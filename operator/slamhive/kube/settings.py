@@ -58,6 +58,15 @@ class Volumes(Model):
     data: Claim
 
 
+class StoreReference(Model):
+    """Object storage that run folders were moved to, by what tells pods of it in each namespace."""
+
+    config_map: str = Field(min_length=1, max_length=253)
+    """ConfigMap with its settings: store.yaml."""
+    secret: str = Field(default="", max_length=253)
+    """Secret with options that only read, by their names."""
+
+
 class PodSettings(Model):
     """Settings that every pod of ours gets, such as node selector, tolerations and service account."""
 
@@ -118,6 +127,7 @@ class Settings(Model):
     player_image: str | None = None
     image_pull_policy: PullPolicy = PullPolicy.IF_NOT_PRESENT
     volumes: Volumes
+    store: StoreReference | None = None
     archive_url_file: Path | None = None
     cluster_name: str = ""
     pods: PodSettings = PodSettings()

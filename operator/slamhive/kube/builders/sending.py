@@ -16,10 +16,13 @@ from slamhive.kube.builders.common import (
     scratch,
     variables,
 )
+from slamhive.kube.builders.restoring import store_mounts, store_volumes
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from slamhive.kube.settings import StoreReference
 
 SEND = "send"
 RESULTS = "results"
@@ -38,7 +41,9 @@ _TAKEN = (
 """Fields of one of the operator's pods that tell how pods have to be in this namespace."""
 
 
-def sender_job(namespace: str, name: str, like: Mapping[str, Any]) -> Manifest:
+def sender_job(
+    namespace: str, name: str, like: Mapping[str, Any], store: StoreReference | None = None
+) -> Manifest:
     """Return the Job whose pod sees the results volume, read only.
 
     It ends by itself when nobody has asked it for three minutes, and goes half a minute later.
@@ -47,6 +52,7 @@ def sender_job(namespace: str, name: str, like: Mapping[str, Any]) -> Manifest:
         namespace: where it goes.
         name: its name.
         like: spec of a pod of the operator's: of a run, or of the collector.
+        store: object storage that folders were moved to; None for none.
 
     Raises:
         InputError: that pod has no results volume.
@@ -65,8 +71,10 @@ def sender_job(namespace: str, name: str, like: Mapping[str, Any]) -> Manifest:
         "volumeMounts": [
             mount(RESULTS, "/slamhive/results", read_only=True),
             mount("tmp", "/tmp"),  # noqa: S108
+            *(store_mounts(store) if store else []),
         ],
-        "resources": equal_resources("200m", "128Mi", logs="64Mi"),
+        # The storage's library alone takes 100 MiB.
+        "resources": equal_resources("200m", "384Mi" if store else "128Mi", logs="64Mi"),
         "terminationMessagePolicy": "FallbackToLogsOnError",
         "securityContext": {
             "allowPrivilegeEscalation": False,
@@ -83,13 +91,17 @@ def sender_job(namespace: str, name: str, like: Mapping[str, Any]) -> Manifest:
         "activeDeadlineSeconds": _LONGEST_SECONDS,
         "terminationGracePeriodSeconds": 1,
         "containers": [body],
-        "volumes": [claim(RESULTS, source["claimName"], read_only=True), scratch("tmp", "16Mi")],
+        "volumes": [
+            claim(RESULTS, source["claimName"], read_only=True),
+            scratch("tmp", "16Mi"),
+            *(store_volumes(store) if store else []),
+        ],
     }
     return job(
         namespace,
         name,
         pod,
-        labels={label("role"): "read"},
+        labels={label("role"): SEND if store else "read"},
         owners=[],
         annotations={},
         ttl_seconds=_KEPT_SECONDS,

@@ -24,6 +24,7 @@ from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.evaluation_groups import Group, group_of, key_for
 from slamhive.kube.reconciling.evaluation_status import evaluation_status, is_full, problem_of, with_problem
 from slamhive.kube.reconciling.refusals import patience
+from slamhive.kube.reconciling.restoring import Restoring
 from slamhive.kube.status import condition, display, holds, moment, result_field, status_patch
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.model.reported import problem_of_values
@@ -61,6 +62,7 @@ class Evaluations:
         self._failures: dict[Key, int] = {}
         self._written: dict[Key, float] = {}
         self._refused: dict[Key, tuple[float, str]] = {}
+        self._restoring = Restoring()
 
     def consider(self, op: Operator, run: Object) -> None:
         """Have a finished run measured, if that is asked for and was not done."""
@@ -79,6 +81,7 @@ class Evaluations:
         if group is None:
             self._failures.pop(key, None)
             self._refused.pop(key, None)
+            self._restoring.forget(key)
             return None
         busy: set[str] = set()
         active = 0
@@ -129,8 +132,11 @@ class Evaluations:
         wait = min(ended) + wanted.delay_seconds * 2 ** self._failures.get(group.key, 0) - op.clock()
         if len(missing) < wanted.batch_size and wait > 0:
             return [wait]
-        items = await self._items(op, group, missing)
-        delays = []
+        brought = await self._restoring.bring(op, group, await self._items(op, group, missing))
+        for run in missing:
+            if (problem := brought.refused.get(run["metadata"]["name"])) is not None:
+                await self._give_up(op, group, run, problem)
+        items, delays = brought.ready, brought.delays
         for batch in list(batches(items, wanted.batch_size))[: wanted.parallel_jobs - active]:
             delays += await self._try_to_start(op, group, [dict(item) for item in batch])
         return delays

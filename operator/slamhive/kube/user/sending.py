@@ -10,10 +10,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.jobs.send import COMMAND
+from slamhive.kube.builders.common import label
+from slamhive.kube.builders.restoring import store_words
 from slamhive.kube.builders.run import job_name
 from slamhive.kube.builders.sending import SEND, sender_job
 from slamhive.kube.errors import ApiError, Forbidden, NotFound
 from slamhive.kube.kinds import Key, Kind, Object
+from slamhive.kube.settings import StoreReference
 from slamhive.kube.transport import Request
 from slamhive.kube.user.connecting import ClusterError
 from slamhive.kube.user.queries import name_of, status_of
@@ -30,7 +33,8 @@ _TELL_SECONDS = 10.0
 _PATIENCE_SECONDS = 300.0
 _AWAY_SECONDS = 15.0
 _TRIED = 5
-_COLLECTOR = "app.kubernetes.io/component=collector,app.kubernetes.io/name=slamhive"
+_STORE_ANNOTATION = label("store")
+_SECRET_ANNOTATION = label("store-secret")
 _RIGHTS = (
     "fetching files needs the rights to create and delete jobs, to list pods, and to create and get "
     "pods/exec in this namespace; without --files results alone are copied"
@@ -48,6 +52,7 @@ class SenderPod:
 
     cluster: Cluster
     name: str
+    store: StoreReference | None = None
 
     @asynccontextmanager
     async def session(self) -> AsyncIterator[Session]:
@@ -58,7 +63,8 @@ class SenderPod:
             ServerFault: it does not answer.
         """
         with _explained():
-            found = self.cluster.api.executing(self.cluster.namespace, self.name, SEND, COMMAND)
+            command = [*COMMAND, *(store_words(self.store) if self.store else [])]
+            found = self.cluster.api.executing(self.cluster.namespace, self.name, SEND, command)
             async with found as session:
                 yield session
 
@@ -79,12 +85,13 @@ async def sender(
     """
     name = f"fetch-{uuid.uuid4().hex[:12]}"
     with _explained():
-        body = sender_job(cluster.namespace, name, await _like(cluster, runs))
+        store = await _store(cluster)
+        body = sender_job(cluster.namespace, name, await _like(cluster, runs), store)
     try:
         with _explained():
             await cluster.api.create(Kind.JOB, body)
             pod = await _started(cluster, name, tell)
-        yield SenderPod(cluster, pod)
+        yield SenderPod(cluster, pod, store)
     finally:
         # It ends by itself where even this fails.
         with suppress(ApiError, TimeoutError):
@@ -111,11 +118,7 @@ async def _like(cluster: Cluster, runs: Iterable[Mapping[str, Any]]) -> Object:
             job = await cluster.api.get(Key(Kind.JOB, cluster.namespace, name))
             spec: Object = job["spec"]["template"]["spec"]
             return spec
-    path = f"/apis/batch/v1/namespaces/{cluster.namespace}/cronjobs"
-    asked = Request(
-        "list", "cronjobs.batch", cluster.namespace, "GET", path, query={"labelSelector": _COLLECTOR}
-    )
-    for item in (await cluster.api.json(asked)).get("items") or ():
+    for item in await _cronjobs(cluster, "collector"):
         spec = dict(item["spec"]["jobTemplate"]["spec"]["template"]["spec"])
         spec.pop("serviceAccountName", None)  # the collector's has rights
         return spec
@@ -123,6 +126,29 @@ async def _like(cluster: Cluster, runs: Iterable[Mapping[str, Any]]) -> Object:
         f"the results volume of namespace {cluster.namespace} can't be found: the Jobs of these runs are "
         "gone, and there is no collector"
     )
+
+
+async def _store(cluster: Cluster) -> StoreReference | None:
+    """Return the object storage that folders are moved to, as the offloader's CronJob says."""
+    try:
+        found = await _cronjobs(cluster, "offloader")
+    except Forbidden:
+        return None  # what is on the volume can still be had
+    for item in found:
+        told = item["metadata"].get("annotations") or {}
+        if config_map := told.get(_STORE_ANNOTATION):
+            return StoreReference(config_map=config_map, secret=told.get(_SECRET_ANNOTATION) or "")
+    return None
+
+
+async def _cronjobs(cluster: Cluster, component: str) -> list[Object]:
+    """Return the CronJobs of a component of the chart."""
+    path = f"/apis/batch/v1/namespaces/{cluster.namespace}/cronjobs"
+    selector = f"app.kubernetes.io/component={component},app.kubernetes.io/name=slamhive"
+    asked = Request(
+        "list", "cronjobs.batch", cluster.namespace, "GET", path, query={"labelSelector": selector}
+    )
+    return list((await cluster.api.json(asked)).get("items") or ())
 
 
 async def _started(cluster: Cluster, job: str, tell: Callable[[str], None]) -> str:

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Folders of runs that took over an archived run's result: on the results volume before they are measured.
+
+The offloader moves folders of archived runs to object storage, whose keys no evaluator gets. So a Job of ours
+brings such folders back first; one that is on the volume stays as it is.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from slamhive.engine import AttemptState
+from slamhive.kube.builders.common import label
+from slamhive.kube.builders.restoring import restore_job
+from slamhive.kube.errors import AlreadyExists
+from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
+from slamhive.kube.observing import observe_restore
+from slamhive.kube.reconciling.refusals import patience
+from slamhive.model.errors import SystemFault
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.kube.kinds import Object
+    from slamhive.kube.operator import Operator
+    from slamhive.kube.reconciling.evaluation_groups import Group
+    from slamhive.kube.settings import StoreReference
+
+_BATCH = 100
+
+
+@dataclass
+class Brought:
+    """Runs by whether their folders are on the volume.
+
+    Attributes:
+        ready: runs, as they stand in requests, that can be measured.
+        refused: why folders can't be had, by the name of their run.
+        delays: after how many seconds to look again.
+    """
+
+    ready: list[Object]
+    refused: dict[str, str] = field(default_factory=dict)
+    delays: list[float] = field(default_factory=list)
+
+
+class Restoring:
+    """Jobs that bring folders back, and what they brought: an operator that is started anew asks again."""
+
+    def __init__(self) -> None:
+        self._here: dict[Key, set[str]] = {}
+
+    def forget(self, key: Key) -> None:
+        """Forget what was brought for a group that is gone."""
+        self._here.pop(key, None)
+
+    async def bring(self, op: Operator, group: Group, items: list[Object]) -> Brought:
+        """Have the folders of runs on the volume before they are measured.
+
+        Args:
+            op: the operator.
+            group: the runs' group.
+            items: the runs, as they stand in requests.
+
+        Raises:
+            SystemFault: the storage does not give them now.
+        """
+        store = op.settings.store
+        if store is None:
+            return Brought(items)
+        here = self._here.setdefault(group.key, set())
+        found = Brought([])
+        left: dict[str, str] = {}
+        active = False
+        for job in _jobs(op, group):
+            told = await self._look(op, job, found)
+            active |= told is None
+            left |= told or {}
+            if told is not None:
+                here |= {folder for folder in _folders(job) if _uid(folder) not in told}
+        away = []
+        for item in items:
+            folder = item["folder"]
+            if _uid(folder) in {item["uid"], None} or folder in here:
+                found.ready.append(item)
+            elif (why := left.get(str(_uid(folder)))) is not None:
+                found.refused[item["name"]] = why
+            else:
+                away.append(folder)
+        # One at a time: runs that end meanwhile are in the next.
+        if away and not active:
+            await self._start(op, group, sorted(set(away))[:_BATCH], store)
+        return found
+
+    @staticmethod
+    async def _look(op: Operator, job: Object, found: Brought) -> dict[str, str] | None:
+        """Return what a Job left away, and why; None while it runs."""
+        pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
+        seen = observe_restore(job, pods)
+        problem = seen.problem[1] if seen.problem else None
+        if seen.state is not AttemptState.ENDED:
+            waiting, seconds = await patience(op, job, seen.waiting)
+            if waiting is None or seconds != 0.0:
+                found.delays += [] if seconds is None else [seconds]
+                return None
+            problem = waiting.message
+        await op.delete(key_of(Kind.JOB, job))
+        if problem is not None:
+            # Tried again, ever more slowly; the Evaluation, Sweep or run says so until it is there.
+            raise SystemFault(f"run folders can't be brought back from object storage: {problem}")
+        return dict(seen.left)
+
+    @staticmethod
+    async def _start(op: Operator, group: Group, folders: Sequence[str], store: StoreReference) -> None:
+        labels = {name: value for name, value in group.labels.items() if value is not None}
+        body = restore_job(
+            group.key.namespace,
+            folders,
+            owner=group.owner,
+            store=store,
+            labels=labels or {str(Label.EVALUATION): group.key.name},
+            settings=op.settings,
+        )
+        try:
+            await op.create(Kind.JOB, body)
+        except AlreadyExists:
+            await op.refresh(key_of(Kind.JOB, body))
+
+
+def _jobs(op: Operator, group: Group) -> list[Object]:
+    return [
+        job
+        for kind, job in op.store.owned(group.owner["uid"])
+        if kind is Kind.JOB
+        and (job["metadata"].get("labels") or {}).get(Label.ROLE) == Role.RESTORE
+        and not job["metadata"].get("deletionTimestamp")
+    ]
+
+
+def _folders(job: Object) -> list[str]:
+    """Return the folders that a Job was asked for."""
+    text = (job["spec"]["template"]["metadata"].get("annotations") or {}).get(label("request"), "{}")
+    return [str(folder) for folder in json.loads(text).get("folders") or ()]
+
+
+def _uid(folder: str) -> str | None:
+    """Return the UID of the run that a folder is of, None where it is none like runs/UID/POD."""
+    parts = folder.split("/")
+    return parts[1] if len(parts) == 3 else None
