@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import shutil
 import subprocess
 import sys
 from contextlib import asynccontextmanager
@@ -16,6 +17,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
+sys.path.append(str(Path(__file__).parents[1] / "storage"))
+
+from buckets import place, s3
+
+from slamhive.jobs.moving import copy_folder
+from slamhive.kube.builders.restoring import store_words
 from slamhive.kube.builders.sending import sender_job
 from slamhive.kube.errors import NotFound, ServerFault
 from slamhive.kube.user import sending
@@ -25,7 +32,11 @@ from slamhive.model.errors import DataError, SystemFault
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, AsyncIterator, Callable
 
+    from buckets import Place
+
     from slamhive.kube.transport import Request
+
+__all__ = ["place", "s3"]
 
 POSES = b"0 1 2 3 0 0 0 1\n" * 5000
 
@@ -69,6 +80,7 @@ class Volume:
         self.breaks: list[int] = []
         self.conversations = 0
         self.pods: list[dict[str, Any]] = []
+        self.options: tuple[str, ...] = ()
 
     def put(self, name: str, files: dict[str, bytes] | None = None) -> Wanted:
         """Write a run's folder and return the run."""
@@ -89,7 +101,7 @@ class Volume:
         """Have a conversation with a new process of the program."""
         self.conversations += 1
         command = [sys.executable, "-m", "slamhive.jobs.send", "--root", str(self.root)]
-        command += ["--sign", str(self.root / "sign")]
+        command += ["--sign", str(self.root / "sign"), *self.options]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:  # noqa: ASYNC220
             try:
                 yield Talk(process, self.breaks.pop(0) if self.breaks else 1 << 40)
@@ -297,6 +309,62 @@ def test_a_full_disk_ends_it_in_a_sentence(
         fetch(volume.put("one"))
 
 
+@pytest.fixture
+def moved(volume: Volume, place: Place, tmp_path: Path) -> Callable[..., Wanted]:
+    """A function that puts a run's files into object storage alone."""
+
+    def move(name: str) -> Wanted:
+        found = volume.put(name, {"output/map/a.ply": b"map", "output/line\nbreak": b"x"})
+        (volume.root / "results" / found.folder / "output" / "link").symlink_to("/etc/passwd")
+        copy_folder(volume.root / "results", found.uid, place.store())
+        shutil.rmtree(volume.root / "results" / "runs" / found.uid)
+        return found
+
+    volume.options = place.settings(tmp_path / "settings")
+    return move
+
+
+@pytest.mark.parametrize("breaks", [[], [5000, 40_000, 3]])
+def test_folders_come_from_object_storage_as_from_the_volume(
+    tmp_path: Path,
+    volume: Volume,
+    fetch: Callable[..., Filed],
+    moved: Callable[..., Wanted],
+    breaks: list[int],
+) -> None:
+    volume.breaks = [*breaks]
+    there = volume.put("there")
+    filed = fetch(moved("one"), there, moved("two"))
+    assert (filed.runs, filed.problems) == (3, [])
+    assert volume.conversations == len(breaks) + 1
+    assert filed.size == 3 * (len(POSES) + 5) + 2 * 3
+    assert "one: 'output/link' is left out: is a symbolic link" in filed.remarks
+    assert files(here(tmp_path, "one")) == {
+        "run/output/trajectory.txt": POSES,
+        "run/output/map/a.ply": b"map",
+        "run/config.yaml": b"{}\n",
+        "usage.csv": b"1\n",
+        "log.txt": b"the last line\n",
+    }
+
+
+def test_a_changed_object_is_a_problem_of_its_run_alone(
+    tmp_path: Path, volume: Volume, fetch: Callable[..., Filed], moved: Callable[..., Wanted], place: Place
+) -> None:
+    bad, good = moved("bad"), moved("good")
+    place.change(f"{bad.folder}/usage.csv", b"2\n")
+    place.change(f"{bad.folder}/output/trajectory.txt", POSES[:-16])
+    filed = fetch(bad, good)
+    assert filed.runs == 1
+    [problem] = filed.problems
+    assert "usage.csv was changed" in problem
+    assert "trajectory.txt was changed" in problem
+    assert files(here(tmp_path, "good"))["run/output/trajectory.txt"] == POSES
+    assert not here(tmp_path, "bad").exists()
+    place.remove(f"{bad.folder}/usage.csv")
+    assert "usage.csv is gone" in fetch(bad).problems[0]
+
+
 CHART = Path(__file__).parents[1] / "helm" / "golden" / "default.yaml"
 
 
@@ -325,3 +393,45 @@ async def test_where_the_jobs_are_gone_the_collector_shows_how_pods_are() -> Non
     assert pod["volumes"][0]["persistentVolumeClaim"] == {"claimName": "slamhive-results", "readOnly": True}
     assert "serviceAccountName" not in pod
     assert body["spec"]["ttlSecondsAfterFinished"] <= 60
+
+
+TEAM = Path(__file__).parents[1] / "helm" / "golden" / "team.yaml"
+
+
+async def test_the_offloader_tells_which_storage_files_are_read_from() -> None:
+    objects = [one for one in yaml.safe_load_all(TEAM.read_text()) if one and one["kind"] == "CronJob"]
+    [offloader] = [
+        one
+        for one in objects
+        if one["metadata"]["name"] == "hive-offloader" and one["metadata"]["namespace"] == "lab"
+    ]
+
+    class Api:
+        items: list[Any] = [offloader]  # noqa: RUF012
+
+        async def json(self, request: Request) -> Any:
+            assert request.query is not None
+            wanted = dict(pair.split("=") for pair in request.query["labelSelector"].split(","))
+            return {
+                "items": [one for one in self.items if wanted.items() <= one["metadata"]["labels"].items()]
+            }
+
+    api = Api()
+    cluster: Any = SimpleNamespace(api=api, namespace="lab")
+    store = await sending._store(cluster)
+    assert store is not None
+    like = offloader["spec"]["jobTemplate"]["spec"]["template"]["spec"]
+    body = sender_job("lab", "fetch-1", like, store)
+    pod = body["spec"]["template"]["spec"]
+    volumes = {volume["name"]: volume for volume in pod["volumes"]}
+    assert volumes["store"]["configMap"]["name"] == "hive-store"
+    assert volumes["store-secret"]["secret"]["secretName"] == "bucket-reader"
+    assert body["metadata"]["labels"]["slamhive.io/role"] == "send"
+    mounts = {mount["mountPath"] for mount in pod["containers"][0]["volumeMounts"]}
+    assert {word for word in store_words(store) if word[0] == "/"} <= mounts | {
+        "/etc/slamhive-store/store.yaml"
+    }
+    api.items = []
+    assert await sending._store(cluster) is None
+    plain = sender_job("lab", "fetch-1", like)
+    assert [volume["name"] for volume in plain["spec"]["template"]["spec"]["volumes"]] == ["results", "tmp"]

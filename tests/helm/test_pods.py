@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import yaml
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 Spec = dict[str, Any]
+VALUES = Path(__file__).parent / "values"
 
 VOLUMES = {
     "configMap",
@@ -196,3 +198,43 @@ def test_the_collector_s_limits_are_passed_on(helm: Any) -> None:
     )
     text = " ".join(command)
     assert "--trash 24h --most 5 50 --cronjob slamhive-collector" in text
+
+
+def test_the_bucket_s_keys_are_given_to_those_alone_who_need_them(helm: Any) -> None:
+    """The offloader's may write; the dashboard has the ones that only read, the operator none."""
+    objects = helm.objects("-f", str(VALUES / "team.yaml"))
+    found = {
+        pod: {volume["secret"]["secretName"] for volume in spec["volumes"] if "secret" in volume}
+        for pod, _, spec in pods(objects)
+        if "volumes" in spec
+    }
+    holders = {pod: secrets & {"bucket", "bucket-reader"} for pod, secrets in found.items()}
+    assert {pod: secrets for pod, secrets in holders.items() if secrets} == {
+        "hive-offloader": {"bucket"},
+        "hive-dashboard": {"bucket-reader"},
+    }
+    [settings] = {
+        one["data"]["operator.yaml"] for one in objects if one["metadata"]["name"] == "hive-settings"
+    }
+    assert yaml.safe_load(settings)["store"] == {"configMap": "hive-store", "secret": "bucket-reader"}
+
+
+def test_the_offloader_s_settings_are_passed_on(helm: Any) -> None:
+    objects = helm.objects("-f", str(VALUES / "team.yaml"))
+    command = next(spec["containers"][0]["command"] for pod, _, spec in pods(objects) if "offloader" in pod)
+    text = " ".join(command)
+    assert "--store /etc/slamhive-store/store.yaml --secret /etc/slamhive-store-secret" in text
+    assert "--after 72h --trash 24h --full 70 --cronjob hive-offloader" in text
+    stores = [
+        one for one in objects if one["metadata"]["name"] == "hive-store" and one["kind"] == "ConfigMap"
+    ]
+    assert {one["metadata"]["namespace"] for one in stores} == {"lab", "students", "guests"}
+    assert yaml.safe_load(stores[0]["data"]["store.yaml"]) == {
+        "url": "s3://results/lab",
+        "options": {"endpoint_url": "https://minio.example.org:9000"},
+    }
+    crons = [
+        one for one in objects if one["metadata"]["name"] == "hive-offloader" and one["kind"] == "CronJob"
+    ]
+    annotations = crons[0]["metadata"]["annotations"]
+    assert annotations == {"slamhive.io/store": "hive-store", "slamhive.io/store-secret": "bucket-reader"}

@@ -48,6 +48,9 @@ def allowed(objects: list[dict[str, Any]], labels: dict[str, str], namespace: st
         ("read", NOTHING),
         ("prepare", ({53, 443}, False)),
         ("collect", ({6443, 53, 6432}, False)),
+        ("offload", ({6443, 53, 6432, 9000}, False)),
+        ("restore", ({53, 9000}, False)),
+        ("send", ({53, 9000}, False)),
     ],
 )
 def test_jobs_reach_what_they_need(
@@ -79,7 +82,7 @@ def test_no_role_is_forgotten(helm: Any) -> None:
             "team",
             {
                 "operator": ({6443, 53, 6432}, True),
-                "dashboard": ({6443, 53, 6432}, True),
+                "dashboard": ({6443, 53, 6432, 9000}, True),
                 "test": ({6443}, False),
                 "egress": NOTHING,
             },

@@ -24,6 +24,7 @@ OF_WORKSPACES = {
     "PersistentVolumeClaim",
     "NetworkPolicy",
     "CronJob",
+    "ConfigMap",
     "PodDisruptionBudget",
 }
 
@@ -89,7 +90,12 @@ def test_each_workspace_has_what_the_release_has(helm: Any, name: str) -> None:
         for one in objects
         if one["kind"] == "RoleBinding" and one["metadata"]["namespace"] == "students"
     }
-    assert subjects == {"hive-operator": "lab", "hive-dashboard": "lab", "hive-collector": "students"}
+    assert subjects == {
+        "hive-operator": "lab",
+        "hive-dashboard": "lab",
+        "hive-collector": "students",
+        "hive-offloader": "students",
+    }
 
 
 @pytest.mark.parametrize("chart", ["slamhive", "slamhive-crds"])

@@ -62,7 +62,7 @@ def test_the_others_only_read(helm: Any) -> None:
     assert rules(objects, "dashboard") == {f"{kind}.slamhive.io": READ for kind in KINDS}
     lists = {f"{kind}.slamhive.io": {"get", "list"} for kind in ("algorithms", "datasets", "mappingruns")}
     tells = {"namespaces": {"get"}, "cronjobs.batch": {"get"}, "events": {"create"}}
-    assert rules(objects, "collector") == lists | tells
+    assert rules(objects, "collector") == rules(objects, "offloader") == lists | tells
     assert rules(objects, "runs") == {}
     assert {verb for verbs in rules(objects, "test").values() for verb in verbs} <= {"get", "list"}
 
@@ -88,9 +88,10 @@ def test_beyond_the_namespaces_one_right_is_given_to_who_asks_for_it(helm: Any) 
     assert accounts == ["slamhive-operator", "slamhive-dashboard"]
 
 
-def test_the_collector_sees_its_own_namespace_and_cronjob_alone(helm: Any) -> None:
+@pytest.mark.parametrize("name", ["hive-collector", "hive-offloader"])
+def test_who_walks_over_volumes_sees_its_own_namespace_and_cronjob_alone(helm: Any, name: str) -> None:
     objects = helm.objects("-f", str(VALUES / "team.yaml"))
-    roles = [one for one in objects if one["kind"] == "Role" and one["metadata"]["name"] == "hive-collector"]
+    roles = [one for one in objects if one["kind"] == "Role" and one["metadata"]["name"] == name]
     named = {
         (one["metadata"]["namespace"], *rule["resources"], *rule["resourceNames"])
         for one in roles
@@ -99,7 +100,7 @@ def test_the_collector_sees_its_own_namespace_and_cronjob_alone(helm: Any) -> No
     }
     places = ("lab", "students", "guests")
     expected = {(place, "namespaces", place) for place in places}
-    assert named == expected | {(place, "cronjobs", "hive-collector") for place in places}
+    assert named == expected | {(place, "cronjobs", name) for place in places}
 
 
 def test_roles_are_bound_to_their_own_account(rendered: list[dict[str, Any]]) -> None:

@@ -100,6 +100,11 @@ WRONG = [
     ("volumes.data.keep=perhaps", "/volumes/data/keep"),
     ("volumes.data.local.path=here", "/volumes/data/local/path"),
     ("volumes.more.size=1Gi", "'more'"),
+    ("volumes.results.offload.url=bucket", "/volumes/results/offload/url"),
+    ("volumes.results.offload.url=file:///results", "/volumes/results/offload/url"),
+    ("volumes.results.offload.full=0", "/volumes/results/offload/full"),
+    ("volumes.results.offload.after=1day", "/volumes/results/offload/after"),
+    ("volumes.data.offload.url=s3://a", "'offload'"),
     ("archive.existingSecret=My_Secret", "/archive/existingSecret"),
     ("archive.url=postgresql://a", "'url'"),
     ("settings.defaultParallelism=0", "/settings/defaultParallelism"),
@@ -137,6 +142,11 @@ WRONG = [
     (
         "archive.existingSecret=a,archive.sqlite.enabled=true",
         "archive: existingSecret and sqlite.enabled exclude",
+    ),
+    ("volumes.results.offload.url=s3://a", "volumes.results.offload.url: only runs that are in an archive"),
+    (
+        "archive.sqlite.enabled=true,volumes.results.offload.readSecret=a",
+        "volumes.results.offload.readSecret: the offloader needs keys that may write",
     ),
     ("archive.readSecret=a", "archive.readSecret: the operator needs an account that may write"),
     ("workspaces={a},archive.sqlite.enabled=true", "archive.sqlite.enabled: a file can't be shared"),

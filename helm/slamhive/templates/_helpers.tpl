@@ -134,6 +134,46 @@ priorityClassName: {{ . }}
 {{- end -}}
 {{- end -}}
 
+{{- /* Object storage that run folders are moved to: its settings, its Secret, and how a pod comes by both.
+dict root read; who only reads has keys of its own, if there are some. */ -}}
+{{- define "slamhive.store" -}}
+{{- $offload := .Values.volumes.results.offload -}}
+url: {{ $offload.url | quote }}
+{{- with $offload.options }}
+options:
+  {{- toYaml . | nindent 2 }}
+{{- end }}
+{{- end -}}
+
+{{- define "slamhive.storeSecret" -}}
+{{- $offload := .root.Values.volumes.results.offload -}}
+{{- .read | default false | ternary ($offload.readSecret | default $offload.secret) $offload.secret -}}
+{{- end -}}
+
+{{- define "slamhive.storeMounts" -}}
+- {name: store, mountPath: /etc/slamhive-store, readOnly: true}
+{{- if include "slamhive.storeSecret" . }}
+- {name: store-secret, mountPath: /etc/slamhive-store-secret, readOnly: true}
+{{- end }}
+{{- end -}}
+
+{{- define "slamhive.storeVolumes" -}}
+- name: store
+  configMap: {name: {{ include "slamhive.fullname" .root }}-store}
+{{- with include "slamhive.storeSecret" . }}
+- name: store-secret
+  secret: {secretName: {{ . }}, defaultMode: 0440}
+{{- end }}
+{{- end -}}
+
+{{- /* Components that walk over the volumes, as a JSON list: collector and offloader. */ -}}
+{{- define "slamhive.walkers" -}}
+{{- $found := list -}}
+{{- if .Values.collector.enabled -}}{{- $found = append $found "collector" -}}{{- end -}}
+{{- if .Values.volumes.results.offload.url -}}{{- $found = append $found "offloader" -}}{{- end -}}
+{{- toJson $found -}}
+{{- end -}}
+
 {{- /* What no schema can say. */ -}}
 {{- define "slamhive.check" -}}
 {{- if and .Values.archive.existingSecret .Values.archive.sqlite.enabled -}}
@@ -151,6 +191,14 @@ priorityClassName: {{ . }}
 {{- end -}}
 {{- if and $volume.local.path $volume.storageClassName -}}
 {{- fail (printf "volumes.%s: local.path makes a volume without a class; allowed: no storageClassName with it" $name) -}}
+{{- end -}}
+{{- end -}}
+{{- with .Values.volumes.results.offload -}}
+{{- if and .url (not $.Values.archive.existingSecret) (not $.Values.archive.sqlite.enabled) -}}
+{{- fail "volumes.results.offload.url: only runs that are in an archive are moved; allowed: with archive.existingSecret or archive.sqlite.enabled" -}}
+{{- end -}}
+{{- if and .readSecret (not .secret) -}}
+{{- fail "volumes.results.offload.readSecret: the offloader needs keys that may write; allowed: with volumes.results.offload.secret" -}}
 {{- end -}}
 {{- end -}}
 {{- if and .Values.dashboard.ingress.enabled (not .Values.dashboard.ingress.host) -}}

@@ -40,6 +40,7 @@ class Role(Choice):
     READ = "read"
     RESTORE = "restore"
     OFFLOAD = "offload"
+    SEND = "send"
 
 
 class Kind(Choice):

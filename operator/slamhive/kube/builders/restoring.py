@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from slamhive.kube.settings import Settings, StoreReference
 
 RESTORE = "restore"
+FOLDERS = label("folders")
+"""Annotation of the Job: what it was asked for, separated by commas."""
 STORE = "store"
 STORE_SECRET = "store-secret"  # noqa: S105 - the name of a volume
 
@@ -108,7 +110,7 @@ def restore_job(
             *store_volumes(store),
         ],
     }
-    return job(
+    made = job(
         namespace,
         restore_job_name(namespace, owner["uid"], folders),
         pod,
@@ -117,3 +119,5 @@ def restore_job(
         annotations={label("request"): request_text({"folders": list(folders)})},
         ttl_seconds=_KEPT_SECONDS,
     )
+    made["metadata"]["annotations"] = {FOLDERS: ",".join(folders)}
+    return made

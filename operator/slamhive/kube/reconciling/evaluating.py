@@ -26,7 +26,7 @@ from slamhive.kube.reconciling.evaluation_status import evaluation_status, is_fu
 from slamhive.kube.reconciling.refusals import patience
 from slamhive.kube.reconciling.restoring import Restoring
 from slamhive.kube.status import condition, display, holds, moment, result_field, status_patch
-from slamhive.model.errors import InputError, SlamHiveError
+from slamhive.model.errors import InputError, SlamHiveError, SystemFault
 from slamhive.model.reported import problem_of_values
 from slamhive.model.results import Result
 from slamhive.model.sensors import SensorMode
@@ -101,6 +101,8 @@ class Evaluations:
         group = group_of(op, key) or group
         delays += await self._start_missing(op, group, busy, active)
         delays += await self._write(op, group)
+        if (trouble := self._restoring.trouble(key)) is not None:
+            raise SystemFault(trouble)  # the Evaluation, Sweep or run says so, until it is over
         return min(delays, default=None)
 
     @staticmethod
@@ -122,6 +124,7 @@ class Evaluations:
             run for run in group.runs if run["metadata"]["name"] not in busy and self._is_missing(group, run)
         ]
         if not missing:
+            self._restoring.forget(group.key)
             return []
         wanted = op.settings.evaluation
         if active >= wanted.parallel_jobs:

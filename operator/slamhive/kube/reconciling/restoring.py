@@ -7,18 +7,15 @@ brings such folders back first; one that is on the volume stays as it is.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from slamhive.engine import AttemptState
-from slamhive.kube.builders.common import label
-from slamhive.kube.builders.restoring import restore_job
+from slamhive.kube.builders.restoring import FOLDERS, restore_job
 from slamhive.kube.errors import AlreadyExists
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
 from slamhive.kube.observing import observe_restore
 from slamhive.kube.reconciling.refusals import patience
-from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +26,7 @@ if TYPE_CHECKING:
     from slamhive.kube.settings import StoreReference
 
 _BATCH = 100
+_AGAIN_SECONDS = 60.0
 
 
 @dataclass
@@ -51,10 +49,17 @@ class Restoring:
 
     def __init__(self) -> None:
         self._here: dict[Key, set[str]] = {}
+        self._trouble: dict[Key, tuple[str, float]] = {}
 
     def forget(self, key: Key) -> None:
-        """Forget what was brought for a group that is gone."""
+        """Forget what was brought for a group that needs nothing any more."""
         self._here.pop(key, None)
+        self._trouble.pop(key, None)
+
+    def trouble(self, key: Key) -> str | None:
+        """Return why folders of a group can't be had at present; None where nothing is in the way."""
+        found = self._trouble.get(key)
+        return found and f"run folders can't be brought back from object storage: {found[0]}"
 
     async def bring(self, op: Operator, group: Group, items: list[Object]) -> Brought:
         """Have the folders of runs on the volume before they are measured.
@@ -63,9 +68,6 @@ class Restoring:
             op: the operator.
             group: the runs' group.
             items: the runs, as they stand in requests.
-
-        Raises:
-            SystemFault: the storage does not give them now.
         """
         store = op.settings.store
         if store is None:
@@ -75,7 +77,7 @@ class Restoring:
         left: dict[str, str] = {}
         active = False
         for job in _jobs(op, group):
-            told = await self._look(op, job, found)
+            told = await self._look(op, group, job, found)
             active |= told is None
             left |= told or {}
             if told is not None:
@@ -85,17 +87,21 @@ class Restoring:
             folder = item["folder"]
             if _uid(folder) in {item["uid"], None} or folder in here:
                 found.ready.append(item)
-            elif (why := left.get(str(_uid(folder)))) is not None:
+            elif why := left.get(str(_uid(folder))):
                 found.refused[item["name"]] = why
             else:
                 away.append(folder)
+        if not away and not active:
+            self._trouble.pop(group.key, None)
         # One at a time: runs that end meanwhile are in the next.
-        if away and not active:
+        left_seconds = self._trouble.get(group.key, ("", 0.0))[1] - op.clock()
+        if away and not active and left_seconds > 0:
+            found.delays.append(left_seconds)
+        elif away and not active:
             await self._start(op, group, sorted(set(away))[:_BATCH], store)
         return found
 
-    @staticmethod
-    async def _look(op: Operator, job: Object, found: Brought) -> dict[str, str] | None:
+    async def _look(self, op: Operator, group: Group, job: Object, found: Brought) -> dict[str, str] | None:
         """Return what a Job left away, and why; None while it runs."""
         pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
         seen = observe_restore(job, pods)
@@ -108,8 +114,9 @@ class Restoring:
             problem = waiting.message
         await op.delete(key_of(Kind.JOB, job))
         if problem is not None:
-            # Tried again, ever more slowly; the Evaluation, Sweep or run says so until it is there.
-            raise SystemFault(f"run folders can't be brought back from object storage: {problem}")
+            self._trouble[group.key] = problem, op.clock() + _AGAIN_SECONDS
+            return dict.fromkeys(map(str, map(_uid, _folders(job))), "")
+        self._trouble.pop(group.key, None)
         return dict(seen.left)
 
     @staticmethod
@@ -141,8 +148,7 @@ def _jobs(op: Operator, group: Group) -> list[Object]:
 
 def _folders(job: Object) -> list[str]:
     """Return the folders that a Job was asked for."""
-    text = (job["spec"]["template"]["metadata"].get("annotations") or {}).get(label("request"), "{}")
-    return [str(folder) for folder in json.loads(text).get("folders") or ()]
+    return str((job["metadata"].get("annotations") or {}).get(FOLDERS) or "").split(",")
 
 
 def _uid(folder: str) -> str | None:
