@@ -57,7 +57,7 @@ class OffloadState(Model):
 
 
 class Offloading:
-    """What the offloader left word of, looked at twice a minute.
+    """Word that the offloader left, looked at twice a minute.
 
     Args:
         results: the results volume; None where it isn't mounted.
