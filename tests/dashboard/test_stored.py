@@ -190,16 +190,17 @@ def test_what_is_kept_here_stays_within_its_limit(volume: Path, place: Bucket, t
 def test_why_nothing_is_moved_stands_on_the_pages(tmp_path: Path, place: Bucket) -> None:
     results = tmp_path / "results"
     results.mkdir()
-    state = OffloadState(
-        since=datetime(2026, 1, 2, 3, 4, tzinfo=UTC),
-        url=place.url,
-        problem="the keys are wrong",
-        waiting=1234,
-    )
+    told = {
+        "since": datetime(2026, 1, 2, 3, 4, tzinfo=UTC),
+        "reason": "StorageUnavailable",
+        "problem": "the keys are wrong",
+        "waiting": 1234,
+    }
+    state = OffloadState(url=place.url, **told)
     (results / STATE).write_text(state.model_dump_json(by_alias=True))
     shelf = Shelf(place.store(), tmp_path / "cache", LIMIT)
-    [told] = ClusterSource([], results=results, shelf=shelf)._problems()
-    assert told == (
+    [shown] = ClusterSource([], results=results, shelf=shelf)._problems()
+    assert shown == (
         "StorageUnavailable since 2026-01-02 03:04 UTC: run folders stay on the results volume "
         "(1,234 wait): the keys are wrong"
     )

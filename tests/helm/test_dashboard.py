@@ -67,7 +67,8 @@ def test_it_writes_to_no_recording_and_no_result(helm: Any, name: str) -> None:
         # Else the first pod on a node would leave a local volume to root, and no run could write its results.
         assert "readOnly" not in volume.get("persistentVolumeClaim", {})
     # SQLite keeps its lock and index beside the file; the connection itself refuses to write.
-    assert written == {"tmp", *(["archive"] if name == "single-node" else [])}
+    more = {"single-node": {"archive"}, "team": {"store-cache"}}
+    assert written == {"tmp", *more.get(name, set())}
     (folder,) = spec["initContainers"]
     assert [mount["name"] for mount in folder["volumeMounts"]] == ["data"]
 

@@ -32,7 +32,7 @@ def test_defaults_are_those_of_the_operator(helm: Any, tmp_path: Path) -> None:
         {"namespaces": ["lab"], "image": "x", "volumes": {"results": {"claim": "r"}, "data": {"claim": "d"}}}
     )
     assert found.model_dump(exclude=given) == default.model_dump(exclude=given)
-    assert found.model_fields_set == {*Settings.model_fields} - {"archive_url_file", "cluster_name"}
+    assert found.model_fields_set == {*Settings.model_fields} - {"archive_url_file", "cluster_name", "store"}
     assert found.pods.model_dump(exclude={"service_account_name"}) == default.pods.model_dump(
         exclude={"service_account_name"}
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import re
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +18,11 @@ if TYPE_CHECKING:
 
 CHARTS = Path(__file__).parents[2] / "helm"
 NAMES = ["slamhive", "slamhive-crds"]
-FREE = {"operator.affinity", "runs.affinity", "dashboard.affinity", "global"}
-"""Values that are handed on as Kubernetes has them."""
+FREE = {
+    *("operator.affinity", "runs.affinity", "dashboard.affinity", "global"),
+    "volumes.results.offload.options",
+}
+"""Values that are handed on as Kubernetes, or fsspec, has them."""
 
 
 def schema(chart: str) -> dict[str, Any]:
@@ -34,7 +39,7 @@ def fields(
     """Every field that a schema describes, with the reference followed and the description kept."""
     for name, field in node.get("properties", {}).items():
         where = f"{path}.{name}".lstrip(".")
-        target = root["definitions"][field["$ref"].rsplit("/", 1)[-1]] if "$ref" in field else {}
+        target = reduce(getitem, field["$ref"].split("/")[1:], root) if "$ref" in field else {}
         whole = target | field
         yield where, whole
         yield from fields(whole, root, where)

@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
     from slamhive.jobs.known import Known
 
+NOTHING_MOVED = "NothingMoved"
+"""Reason where something else than the storage is in the way."""
+
 _AT_ONCE = 16
 _BATCH = 128
 
@@ -78,10 +81,10 @@ def _work(options: argparse.Namespace) -> str:
     try:
         offloading.run()
     except SlamHiveError as error:
-        offloading.note(str(error))
+        reason = error.reason if isinstance(error, StorageUnavailable) else NOTHING_MOVED
+        offloading.note(str(error), reason)
         if options.cronjob:
             try:
-                reason = StorageUnavailable.reason
                 tell_cronjob(
                     options.namespace, options.cronjob, str(error), options.kubeconfig, reason=reason
                 )
@@ -167,7 +170,7 @@ class Offloading:
             if done.trouble is not None:
                 raise done.trouble
 
-    def note(self, problem: str | None) -> None:
+    def note(self, problem: str | None, reason: str = NOTHING_MOVED) -> None:
         """Leave word on the volume of how it ended."""
         if self._options.dry_run:
             return
@@ -176,6 +179,7 @@ class Offloading:
         state = OffloadState(
             since=before.since if before is not None and goes_on else datetime.now(UTC),
             url=self._url,
+            reason=reason,
             problem=problem,
             moved=count.moved,
             waiting=max(0, count.found - count.moved - count.stays),

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 _ABSENT_SECONDS = 30.0
 _KNOWN_SECONDS = 600.0
-_MOST_KNOWN = 256
+_MOST_KNOWN = 50_000
+"""Files, and runs, that are remembered: some 50 MB."""
 _AWAY_SECONDS = 10.0
 _LOCKS = 16
 
@@ -57,11 +58,11 @@ class Bucket:
         try:
             found = look_up(self._store, uid)
         except StorageUnavailable as error:
-            self._away = now + _AWAY_SECONDS, str(error)
+            self._note(error)
             raise
         with self._lock:
             self._known.pop(uid, None)
-            while len(self._known) >= _MOST_KNOWN:
+            while self._known and _weight(*self._known.values()) + _weight((0.0, found)) > _MOST_KNOWN:
                 self._known.pop(next(iter(self._known)))
             self._known[uid] = now + (_ABSENT_SECONDS if found is None else _KNOWN_SECONDS), found
         return found
@@ -84,7 +85,7 @@ class Bucket:
         except FileNotFoundError:
             raise DataError(f"storage {self._store.url}: {name} is gone") from None
         except StorageUnavailable as error:
-            self._away = time.monotonic() + _AWAY_SECONDS, str(error)
+            self._note(error)
             raise
         if size != file.size or (begin == 0 and digest.hexdigest() != file.sha256):
             raise DataError(
@@ -92,11 +93,19 @@ class Bucket:
                 "written when it was moved there"
             )
 
+    def _note(self, error: StorageUnavailable) -> None:
+        if not error.answered:
+            self._away = time.monotonic() + _AWAY_SECONDS, str(error)
+
     def _refuse_while_away(self, now: float) -> None:
         # A page asks for several files: one wait for a store that is away is enough.
         away = self._away
         if away is not None and now < away[0]:
             raise StorageUnavailable(away[1])
+
+
+def _weight(*known: tuple[float, Offloaded | None]) -> int:
+    return sum(1 if found is None else 1 + len(found.files) for _, found in known)
 
 
 class Cache:

@@ -26,7 +26,8 @@ class OffloadState(Model):
         v: version of the form.
         since: when it ended; with a problem, when the first one ended that had one.
         url: of the object storage.
-        problem: why it moved nothing more; None where all went that may go.
+        reason: what kept it from going on, in one word.
+        problem: the same in a sentence; None where all went that may go.
         moved: run folders that it moved.
         waiting: run folders that may go and are still on the volume.
         stays: run folders that can't be copied.
@@ -35,6 +36,7 @@ class OffloadState(Model):
     v: Literal[1] = 1
     since: datetime
     url: str
+    reason: str = "NothingMoved"
     problem: str | None = None
     moved: int = 0
     waiting: int = 0
@@ -45,7 +47,7 @@ class OffloadState(Model):
         when = f"{self.since:%Y-%m-%d %H:%M} UTC"
         if self.problem:
             return (
-                f"StorageUnavailable since {when}: run folders stay on the results volume "
+                f"{self.reason} since {when}: run folders stay on the results volume "
                 f"({self.waiting:,} wait): {self.problem}"
             )
         if self.stays:

@@ -32,9 +32,17 @@ _LIBRARIES = {"s3": "s3fs", "s3a": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "az": 
 
 
 class StorageUnavailable(SystemFault):
-    """The object storage does not do what it is asked: it is away, or refuses."""
+    """The object storage does not do what it is asked: it is away, or refuses.
+
+    Attributes:
+        answered: whether it answered at all.
+    """
 
     reason = "StorageUnavailable"
+
+    def __init__(self, message: str, *, answered: bool = False) -> None:
+        super().__init__(message)
+        self.answered = answered
 
 
 class StoreSettings(Model):
@@ -204,7 +212,7 @@ class Store:
                 raise StorageUnavailable(self._sentence(error)) from error
             raise
         except Exception as error:
-            raise StorageUnavailable(self._sentence(error)) from error
+            raise StorageUnavailable(self._sentence(error), answered=_code(error) is not None) from error
 
     def _sentence(self, error: Exception) -> str:
         said = " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__
