@@ -340,6 +340,18 @@ def test_the_cronjob_says_why_nothing_is_removed(volumes: Any, tmp_path: Path) -
     assert json.loads((volumes.root / "results/.slamhive-namespace").read_text())["uid"] == "uid-lab"
 
 
+def test_what_the_offloader_left_in_the_trash_goes_in_the_end(volumes: Any) -> None:
+    """Where results are moved no more, nobody else would."""
+    left = volumes.root / "results/.trash"
+    now = datetime.now(UTC)
+    for days in (1, 8):
+        stamp = (now - timedelta(days=days)).strftime("%Y%m%dT%H%M%SZ")
+        (left / f"{stamp}-offloaded" / "runs" / GONE).mkdir(parents=True)
+    collect(volumes)
+    [kept] = left.glob("*-offloaded")
+    assert kept.name.startswith((now - timedelta(days=1)).strftime("%Y%m%d"))
+
+
 def test_another_namespace_s_volume_is_left_alone(volumes: Any) -> None:
     (volumes.root / "results" / ".slamhive-namespace").write_text("factory")
     before = volumes.files()

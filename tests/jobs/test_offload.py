@@ -8,6 +8,7 @@ import os
 import shutil
 import time
 import uuid
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -341,6 +342,29 @@ def test_wrong_keys_move_nothing_and_are_told_where_the_owner_looks(pod: Any, tm
     assert "Access" in ended.error[1]
     assert on_volume(lab) == set(lab.before)
     assert ended.error[1] in read_state(lab.results).sentence()
+
+
+@pytest.mark.parametrize(
+    ("gone", "reason"), [("the bucket", "StorageUnavailable"), ("the archive", "NothingMoved")]
+)
+def test_the_cronjob_says_why_nothing_is_moved(
+    lab: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, gone: str, reason: str
+) -> None:
+    told: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(offload, "tell_cronjob", lambda *given, **named: told.append((*given, named)))
+    monkeypatch.setenv("SLAMHIVE_TERMINATION_LOG", str(tmp_path / "last"))
+    if gone == "the bucket":
+        lab.store_options = replace(lab.place, url=f"{lab.place.url}-none".replace("lab-", "no-")).settings(
+            tmp_path
+        )
+    else:
+        (lab.root / "archive.db").unlink()
+    assert offload.main(["--root", str(lab.root), *words(lab), "--cronjob", "slamhive-offloader"]) == 1
+    [(namespace, name, message, _, named)] = told
+    assert (namespace, name, named) == ("lab", "slamhive-offloader", {"reason": reason})
+    assert json.loads((tmp_path / "last").read_text())["error"]["message"] == message
+    assert read_state(lab.results).reason == reason
+    assert on_volume(lab) == set(lab.before)
 
 
 @pytest.mark.parametrize("lost", ["archive", "known", "an empty archive", "settings"])
