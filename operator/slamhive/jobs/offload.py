@@ -31,7 +31,7 @@ from slamhive.jobs.known import archived, known_by_file, known_to_api, tell_cron
 from slamhive.jobs.moving import copy_folder
 from slamhive.jobs.program import arguments, run_program, write_aside
 from slamhive.jobs.trash import OFFLOADED, outdated, throw_away
-from slamhive.model.errors import DataError, SlamHiveError, SystemFault
+from slamhive.model.errors import DataError, SlamHiveError, SystemFault, sentence
 from slamhive.storage.state import STATE, OffloadState, read_state
 from slamhive.storage.store import StorageUnavailable, Store, StoreSettings
 
@@ -80,14 +80,13 @@ def _work(options: argparse.Namespace) -> str:
     offloading = Offloading(options)
     try:
         offloading.run()
-    except SlamHiveError as error:
+    except (SlamHiveError, OSError) as error:
         reason = error.reason if isinstance(error, StorageUnavailable) else NOTHING_MOVED
-        offloading.note(str(error), reason)
+        told = sentence(error)
+        offloading.note(told, reason)
         if options.cronjob:
             try:
-                tell_cronjob(
-                    options.namespace, options.cronjob, str(error), options.kubeconfig, reason=reason
-                )
+                tell_cronjob(options.namespace, options.cronjob, told, options.kubeconfig, reason=reason)
             except SystemFault as trouble:
                 _tell(str(trouble))
         raise
@@ -100,8 +99,8 @@ class Count:
     """Number of run folders and what became of them.
 
     Attributes:
-        found: folders that may go.
-        moved: folders that went.
+        found: folders that are old enough to go.
+        moved: folders that went; on a full volume younger ones among them.
         size: their bytes.
         stays: folders that can't be copied, with a sentence each in the log.
     """
