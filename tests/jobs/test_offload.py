@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 OLD, YOUNG, ALIVE, UNKNOWN, RELEASED = (str(uuid.UUID(int=number)) for number in range(1, 6))
 POD = "pod-1"
+EMPTY = hashlib.sha256(b"").hexdigest()
 
 
 def write_run(results: Path, uid: str, hours: float = 48.0, size: int = 1000) -> Path:
@@ -127,7 +129,7 @@ def test_what_is_archived_and_old_moves_and_comes_back_the_same(lab: Any) -> Non
     assert read_state(lab.results).sentence() is None
     assert run(lab).told["found"] == 0
     ended = restore(lab, OLD, ALIVE, OLD)
-    assert ended.told == {"v": 1, "runs": 2, "brought": 1}
+    assert ended.told == {"v": 1, "runs": 2, "brought": 1, "left": {}}
     assert files_of(lab.results / "runs" / OLD) == lab.before[OLD]
     assert restore(lab, OLD).told["brought"] == 0
 
@@ -223,18 +225,22 @@ def test_a_folder_that_can_not_be_copied_whole_stays_and_stops_no_other(lab: Any
     assert "1 run folders can't be moved" in read_state(lab.results).sentence()
 
 
-def test_what_another_put_into_the_bucket_is_told_and_brings_nothing(lab: Any) -> None:
-    run(lab)
+def test_what_another_put_into_the_bucket_is_told_and_keeps_no_other_away(lab: Any) -> None:
+    run(lab, "--after", "0s")
     lab.place.change(f"runs/{OLD}/{POD}/summary.json", b"[]")
-    ended = restore(lab, OLD)
-    assert "summary.json was changed" in ended.error[1]
+    told = restore(lab, OLD, YOUNG).told
+    assert "summary.json was changed" in told["left"][OLD]
+    assert (told["brought"], [*told["left"]]) == (1, [OLD])
     assert on_volume(lab) == set(lab.before) - {OLD}
     lab.place.change(f"runs/{OLD}/offloaded.json", b"{}")
-    assert "offloaded.json is not what was written there" in restore(lab, OLD).error[1]
-    evil = {"v": 1, "uid": OLD, "files": [{"path": "../x", "size": 0, "sha256": "0" * 64}]}
-    lab.place.change(f"runs/{OLD}/offloaded.json", json.dumps(evil).encode())
-    assert restore(lab, OLD).code == 1
-    assert "neither on the results volume nor in the object storage" in restore(lab, UNKNOWN + "0").error[1]
+    assert "offloaded.json is not what was written there" in restore(lab, OLD).told["left"][OLD]
+    for path in ("../x", "/etc/x", "a/../../x", "a\0b", "", "a//b"):
+        evil = {"v": 1, "uid": OLD, "files": [{"path": path, "size": 0, "sha256": EMPTY}]}
+        lab.place.change(f"runs/{OLD}/offloaded.json", json.dumps(evil).encode())
+        assert "offloaded.json is not what was written" in restore(lab, OLD).told["left"][OLD], path
+    lab.place.remove(f"runs/{OLD}/offloaded.json")
+    assert "neither on the results volume nor in the object storage" in restore(lab, OLD).told["left"][OLD]
+    assert on_volume(lab) == set(lab.before) - {OLD}
 
 
 def test_a_copy_that_somebody_changed_is_made_anew(lab: Any) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field, StringConstraints, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
 from slamhive.model.base import Model, RelativePath, Sha256
 from slamhive.model.errors import DataError
@@ -29,6 +29,12 @@ _PLAIN = re.compile(r"[A-Za-z0-9._+=@,-][A-Za-z0-9._+=@, /-]*")
 _PLAIN_LENGTH = 700
 
 
+def _without_nul(path: str) -> str:
+    if "\0" in path:
+        raise ValueError("expected a path without a NUL character")
+    return path
+
+
 class StoredFile(Model):
     """A file of a run in object storage.
 
@@ -39,7 +45,7 @@ class StoredFile(Model):
         modified: when it was written, seconds since 1970.
     """
 
-    path: Annotated[RelativePath, StringConstraints(pattern=r"^[^\x00]+$")]
+    path: Annotated[RelativePath, AfterValidator(_without_nul)]
     size: int = Field(ge=0)
     sha256: Sha256
     modified: float = 0.0
