@@ -341,7 +341,7 @@ def test_the_cronjob_says_why_nothing_is_removed(volumes: Any, tmp_path: Path) -
 
 
 def test_what_the_offloader_left_in_the_trash_goes_in_the_end(volumes: Any) -> None:
-    """Where results are moved no more, nobody else would."""
+    # Where results are moved no more, nobody else would.
     left = volumes.root / "results/.trash"
     now = datetime.now(UTC)
     for days in (1, 8):
