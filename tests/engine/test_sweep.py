@@ -51,10 +51,10 @@ def test_a_sweep_is_driven_to_its_end_and_starts_each_point_once() -> None:
     assert cursor > 50
 
 
-def test_a_failed_point_that_is_pending_again_is_found_behind_the_cursor_of_others() -> None:
-    decision = decide_sweep(spec(), seen([GOOD, GOOD, ACTIVE, PENDING], cursor=2), 0)
-    assert decision.cursor == 2
-    assert decision.actions == (StartPoints((3,)),)
+def test_points_that_are_done_are_not_gone_through_again_while_the_first_one_runs() -> None:
+    decision = decide_sweep(spec(), seen([ACTIVE, GOOD, BAD, GOOD, PENDING, PENDING], 2), 0)
+    assert decision.actions == (StartPoints((4,)),)
+    assert decision.cursor == 4
 
 
 @pytest.mark.parametrize("end", [GOOD, BAD])

@@ -54,7 +54,8 @@ class SweepObserved:
         parallelism: runs that may be in flight.
         started_at: when its first run was started, on the caller's clock.
         cpu_seconds: CPU time of its finished runs.
-        cursor: position in ``order`` before which no point is pending; speeds up the search.
+        cursor: position in ``order`` before which no point is pending; speeds up the search. Who makes a
+            point pending again begins at 0.
         twins: points that come out as another one does, with that one's index: they start after its end, to
             take its result.
         left_out: number of pending points that nobody asks for this time; ``order`` is without them.
@@ -149,7 +150,7 @@ def _next_points(seen: SweepObserved, room: int) -> tuple[int, tuple[int, ...]]:
         index = seen.order[position]
         if seen.may_start(index):
             chosen.append(index)
-        elif position == cursor and not chosen and seen.states[index] >= PointState.SUCCEEDED:
+        elif position == cursor and not chosen and seen.states[index] != PointState.PENDING:
             cursor = position + 1
         position += 1
     return cursor, tuple(chosen)

@@ -109,6 +109,11 @@ class Job:
         twin = self.twins.get(index)
         return None if twin is None else self.run_uid(twin)
 
+    def make_pending(self, index: int) -> None:
+        """Have a point begin again that has begun."""
+        self.states[index] = PointState.PENDING
+        self.cursor = 0
+
     def count(self, state: PointState) -> int:
         """Return how many points are in a state."""
         return self.states.count(state)
@@ -351,7 +356,7 @@ class Runner:
         """Have points looked at again that were another runner's."""
         for index in indices:
             del job.elsewhere[index]
-            job.states[index] = PointState.PENDING
+            job.make_pending(index)
 
     def _stop(self, job: Job) -> None:
         """End the job's runs, and let none begin that still waits for cores; a second time: at once."""
@@ -459,7 +464,7 @@ class Runner:
             return
         # What was cancelled is no result: the next `slamhive run` does it again.
         if record is None or record.phase is Phase.CANCELLED:
-            job.states[ended.index] = PointState.PENDING
+            job.make_pending(ended.index)
             return
         # With the Algorithm and Dataset as they are now: it must stay known what ran when they have changed.
         self._bench.archive.put_run(record, *self._snapshots(record))
