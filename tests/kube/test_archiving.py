@@ -13,7 +13,7 @@ from slamhive.archive import Archive
 from slamhive.kube.kinds import Kind
 from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.reconciling.archiving import at_its_end
-from slamhive.kube.reconciling.sweep_runs import Tally
+from slamhive.kube.reconciling.sweep_runs import Finished, Tally
 from slamhive.kube.records import record_of
 from slamhive.kube.settings import EvaluationJobs
 from slamhive.kube.status import iso
@@ -46,7 +46,7 @@ async def test_what_another_operator_measured_and_removed_counts(tmp_path: Path,
         op: Any = SimpleNamespace(archive=None if known == "no archive" else archive)
         seen = a_run(results=[RESULT]) if known == "with its result" else a_run()
         tally = Tally()
-        tally.add(await at_its_end(op, seen))
+        tally.add(Finished.of(await at_its_end(op, seen)))
     measured = known in {"with its result", "without"}
     assert (tally.evaluated, [item.ate for item in tally.best]) == ((1, [0.25]) if measured else (0, []))
 

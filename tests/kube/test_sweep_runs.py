@@ -12,6 +12,7 @@ from slamhive.contract.settled import is_settled
 from slamhive.engine import PointState
 from slamhive.kube.kinds import Label
 from slamhive.kube.reconciling.sweep_runs import (
+    Finished,
     Tally,
     free_slot,
     run_body,
@@ -39,6 +40,10 @@ def a_run(phase: str | None = None, *, name: str = "r", slot: int = 0, **status:
     spec = {"algorithmRef": {"name": "icp"}, "datasetRef": {"name": "hall"}, "evaluate": True}
     labels = {str(Label.SLOT): str(slot), str(Label.POINT): "3"}
     return {"metadata": {"name": name, "labels": labels}, "spec": spec, "status": told}
+
+
+def finished(phase: str, **run: Any) -> Finished:
+    return Finished.of(a_run(phase, **run))
 
 
 def tracked(error: float, outcome: str = "Tracked") -> list[dict[str, Any]]:
@@ -84,11 +89,11 @@ def test_slots_of_finished_runs_are_free_again() -> None:
 def test_a_tally_counts_cpu_once_and_ranks_tracked_runs() -> None:
     tally = Tally()
     usage = {"cpu": {"seconds": 2.0}}
-    tally.add(a_run("Succeeded", name="b", usage=usage, results=tracked(0.2)))
-    tally.add(a_run("Succeeded", name="a", usage=usage, results=tracked(0.1)))
-    tally.add(a_run("Succeeded", name="lost", results=tracked(0.01, "Partial")))
-    tally.add(a_run("Succeeded", name="copy", usage=usage, provenance={"reusedFrom": "a"}))
-    tally.add(a_run("Failed", name="bad", usage=usage))
+    tally.add(finished("Succeeded", name="b", usage=usage, results=tracked(0.2)))
+    tally.add(finished("Succeeded", name="a", usage=usage, results=tracked(0.1)))
+    tally.add(finished("Succeeded", name="lost", results=tracked(0.01, "Partial")))
+    tally.add(finished("Succeeded", name="copy", usage=usage, provenance={"reusedFrom": "a"}))
+    tally.add(finished("Failed", name="bad", usage=usage))
     assert (tally.reused, tally.evaluated, tally.cpu_seconds) == (1, 3, 6.0)
     assert [entry.name for entry in tally.best] == ["a", "b"]
 

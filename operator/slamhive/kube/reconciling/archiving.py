@@ -71,7 +71,7 @@ class Retirement:
         self._catalogue = catalogue
 
     async def retire(
-        self, op: Operator, key: Key, sweep: Sweep, points: int, runs: dict[int, Object]
+        self, op: Operator, key: Key, sweep: Sweep, points: int, settled: list[Object]
     ) -> list[float]:
         """Archive and delete the oldest settled runs beyond the retention.
 
@@ -80,19 +80,18 @@ class Retirement:
             key: address of the Sweep.
             sweep: the Sweep.
             points: how many points it has.
-            runs: its runs that have objects, by point.
+            settled: its runs that have objects and of which nothing more will be written.
 
         Returns:
             After how many seconds to come back.
         """
-        settled = [run for run in runs.values() if is_settled(run)]
         surplus = len(settled) - sweep.spec.retention.runs
         if surplus <= 0:
             return []
         body = op.store.get(key)
         if body is None or op.archive is None:
             return []
-        settled.sort(key=lambda run: run["status"].get("completionTime") or "")
+        settled = sorted(settled, key=lambda run: run["status"].get("completionTime") or "")
         written = decode_points(body["status"].get("points"), points)
         # Only what the status says to be done may go: the bit is what remains of a run here.
         going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]

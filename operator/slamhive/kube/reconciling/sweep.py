@@ -9,10 +9,9 @@ them is made again from the live runs and the archive.
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from slamhive.contract.settled import is_settled
 from slamhive.engine import (
     PointState,
     StartPoints,
@@ -28,6 +27,7 @@ from slamhive.kube.reconciling.archiving import ArchiveAway, Retirement, asked, 
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
 from slamhive.kube.reconciling.sweep_runs import (
+    Finished,
     Tally,
     decode_points,
     encode_points,
@@ -76,6 +76,12 @@ class _Picture:
     memory: SweepMemory
     runs: dict[int, Object]
     tally: Tally
+
+    @property
+    def settled(self) -> list[Object]:
+        """Return its live runs of which nothing more will be written."""
+        finished = self.memory.finished
+        return [run for index, run in self.runs.items() if index in finished and finished[index].is_settled]
 
 
 class SweepReconciler:
@@ -189,20 +195,19 @@ class SweepReconciler:
         # Their objects are gone, but their CPU time and results still count: for budgets, and for `best`.
         gone = [index for index in memory.finished if index not in runs]
         for index in gone:
-            memory.archived.add(await at_its_end(op, memory.finished[index]))
+            memory.archived.add(Finished.of(await at_its_end(op, memory.finished[index].run)))
             del memory.finished[index]
-        tally = Tally(
-            memory.archived.reused,
-            memory.archived.evaluated,
-            memory.archived.cpu_seconds,
-            list(memory.archived.best),
-        )
         await self._look_for_missing(op, key, body["metadata"]["uid"], memory, runs)
         for index, run in runs.items():
-            memory.states[index] = state_of(run)
-            if memory.states[index] != PointState.ACTIVE:
-                memory.finished[index] = run
-                tally.add(run)
+            known = memory.finished.get(index)
+            # The store has the same object until there is a newer one: hundreds are looked at each time.
+            if known is None or known.run is not run:
+                memory.states[index] = state_of(run)
+                memory.finished.pop(index, None)
+                if memory.states[index] != PointState.ACTIVE:
+                    memory.finished[index] = Finished.of(run)
+        tally = replace(memory.archived)
+        tally.add(*memory.finished.values())
         return _Picture(key, body, sweep, memory, runs, tally)
 
     @staticmethod
@@ -249,7 +254,7 @@ class SweepReconciler:
             delays.append(_budget_left(sweep, memory, now))
         delays += await self._write(op, seen, decision, blocked, now)
         if op.archive is not None:
-            delays += await self._retirement.retire(op, seen.key, sweep, len(memory.states), seen.runs)
+            delays += await self._retirement.retire(op, seen.key, sweep, len(memory.states), seen.settled)
             if seen.body["metadata"]["uid"] in self._archive_away:
                 await asked(op.archive.get, seen.body["metadata"]["uid"])
                 # It answers again: what was held back may start.
@@ -261,8 +266,7 @@ class SweepReconciler:
         """Tell whether finished runs wait for an archive that is away: more would fill the cluster."""
         if seen.body["metadata"]["uid"] not in self._archive_away:
             return False
-        settled = sum(is_settled(run) for run in seen.runs.values())
-        return settled >= seen.sweep.spec.retention.runs + window
+        return len(seen.settled) >= seen.sweep.spec.retention.runs + window
 
     async def _start(self, op: Operator, seen: _Picture, indices: tuple[int, ...], now: float) -> str | None:
         """Create the runs of points; returns why some could not be."""
@@ -315,7 +319,7 @@ class SweepReconciler:
         """Write the status if it changed and the last write is long enough ago; returns when to come back."""
         body, memory = seen.body, seen.memory
         # A Sweep is complete when its runs are measured, not when they have ended.
-        settled = all(is_settled(run) for run in seen.runs.values())
+        settled = len(seen.settled) == len(seen.runs)
         phase, conditions = _standing(op, seen, decision, settled, blocked)
         status = _figures(memory, seen.tally) | SweepStatus(
             phase=phase, observed_generation=body["metadata"].get("generation", 1)

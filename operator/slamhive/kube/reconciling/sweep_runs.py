@@ -7,9 +7,11 @@ import base64
 import binascii
 import json
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slamhive.contract.settled import FILES
+import numpy as np
+
+from slamhive.contract.settled import FILES, is_settled
 from slamhive.engine import PointState
 from slamhive.kube.kinds import MANAGER, Key, Kind, Label, key_of, reference
 from slamhive.kube.status import phase_of, rmse_of
@@ -109,6 +111,42 @@ def free_slot(used: set[int]) -> int:
     return slot
 
 
+class Finished(NamedTuple):
+    """A finished run, and what it adds to its Sweep's figures.
+
+    Attributes:
+        run: the object.
+        is_settled: whether nothing more will be written of it.
+        reused: 1 where it took an equal run's result, else 0.
+        evaluated: 1 where it has a result, else 0.
+        cpu_seconds: CPU time that it computed, s.
+        best: its error; None where it has none or was not tracked.
+    """
+
+    run: dict[str, Any]
+    is_settled: bool
+    reused: int
+    evaluated: int
+    cpu_seconds: float
+    best: BestRun | None
+
+    @classmethod
+    def of(cls, run: dict[str, Any]) -> Finished:
+        """Return what a finished run adds."""
+        status = run.get("status") or {}
+        results = status.get("results") or ()
+        reused = bool((status.get("provenance") or {}).get("reusedFrom"))
+        computed = ((status.get("usage") or {}).get("cpu") or {}).get("seconds") or 0.0
+        return cls(
+            run=run,
+            is_settled=is_settled(run),
+            reused=int(reused),
+            evaluated=int(bool(results)),
+            cpu_seconds=0.0 if reused else computed,
+            best=_best_entry(run, results[0]) if results else None,
+        )
+
+
 @dataclass
 class Tally:
     """Figures over a Sweep's finished runs.
@@ -125,19 +163,12 @@ class Tally:
     cpu_seconds: float = 0.0
     best: list[BestRun] = field(default_factory=list)
 
-    def add(self, run: Mapping[str, Any]) -> None:
-        """Count a finished run."""
-        status = run.get("status") or {}
-        if (status.get("provenance") or {}).get("reusedFrom"):
-            self.reused += 1
-        else:
-            self.cpu_seconds += ((status.get("usage") or {}).get("cpu") or {}).get("seconds") or 0.0
-        results = status.get("results") or ()
-        if results:
-            self.evaluated += 1
-            entry = _best_entry(run, results[0])
-            if entry is not None:
-                self.best = best_of([*self.best, entry])
+    def add(self, *runs: Finished) -> None:
+        """Count finished runs."""
+        self.reused += sum(run.reused for run in runs)
+        self.evaluated += sum(run.evaluated for run in runs)
+        self.cpu_seconds += sum(run.cpu_seconds for run in runs)
+        self.best = best_of([*self.best, *(run.best for run in runs if run.best is not None)])
 
 
 def best_of(entries: Iterable[BestRun]) -> list[BestRun]:
@@ -172,12 +203,8 @@ def _passed(given: Mapping[str, str] | None) -> dict[str, str]:
 
 def encode_points(states: bytes | bytearray) -> str:
     """Return states, one a byte, as text; the first point has the lowest bits of the first byte."""
-    padded = bytes(states) + bytes(-len(states) % 4)
-    packed = bytes(
-        padded[at] | padded[at + 1] << 2 | padded[at + 2] << 4 | padded[at + 3] << 6
-        for at in range(0, len(padded), 4)
-    )
-    return base64.b64encode(packed).decode()
+    padded = np.frombuffer(bytes(states) + bytes(-len(states) % 4), np.uint8).reshape(-1, 4)
+    return base64.b64encode(np.bitwise_or.reduce(padded << _SHIFTS, axis=1).tobytes()).decode()
 
 
 def decode_points(text: str | None, total: int) -> bytearray:
@@ -186,5 +213,9 @@ def decode_points(text: str | None, total: int) -> bytearray:
         packed = base64.b64decode(text or "", validate=True)
     except (binascii.Error, ValueError):
         packed = b""
-    states = bytearray(value >> shift & 3 for value in packed for shift in (0, 2, 4, 6))
+    pairs = np.frombuffer(packed, np.uint8)[:, np.newaxis] >> _SHIFTS & 3
+    states = bytearray(pairs.tobytes())
     return states[:total] + bytearray(max(0, total - len(states)))
+
+
+_SHIFTS = np.array([0, 2, 4, 6], np.uint8)

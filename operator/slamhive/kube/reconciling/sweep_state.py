@@ -9,12 +9,12 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from slamhive.archive import SweepRecord
 from slamhive.engine import PointState
 from slamhive.kube.reconciling.archiving import asked
-from slamhive.kube.reconciling.sweep_runs import Tally, decode_points
+from slamhive.kube.reconciling.sweep_runs import Finished, Tally, decode_points
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
@@ -47,7 +47,7 @@ class SweepMemory:
         started_at: when its first run was started, s since 1970.
         looked_at: when it was last looked at.
         written_at: when its status was last written.
-        finished: its finished runs that were there when it was last looked at.
+        finished: its finished runs that were there when it was last looked at, by point.
         points: the states of its points as they were last written or read.
     """
 
@@ -61,7 +61,7 @@ class SweepMemory:
     cursor: int = 0
     looked_at: float = 0.0
     written_at: float = 0.0
-    finished: dict[int, dict[str, Any]] = field(default_factory=dict)
+    finished: dict[int, Finished] = field(default_factory=dict)
     points: str | None = None
 
 
