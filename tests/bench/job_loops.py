@@ -106,7 +106,7 @@ class JobLoops:
         listed = await api.json(Request("list", "jobs", self._where, "GET", path, query={"limit": 1}))
         version = listed["metadata"]["resourceVersion"]
         address = f"{api._client.configuration.host}{path}?watch=true&resourceVersion={version}"
-        async with api._client.rest_client.pool_manager.get(address, timeout=None) as answer:
+        async with api.session.get(address, timeout=None) as answer:
             async for line in answer.content:
                 job = json.loads(line)["object"]
                 told = job["status"].get("conditions") or ()

@@ -7,7 +7,6 @@ The dashboard follows all that it shows by this, the operator the Jobs and pods 
 from __future__ import annotations
 
 import asyncio
-import json
 import random
 import ssl
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from urllib.parse import urlencode
 
 import aiohttp
 
+from slamhive.kube.encoding import decode
 from slamhive.kube.errors import ApiError
 
 if TYPE_CHECKING:
@@ -148,4 +148,4 @@ class Follower:
                 raise ValueError(f"HTTP {answer.status} {(await answer.text())[:200]}")
             async for line in answer.content:
                 if line.strip():
-                    yield json.loads(line)
+                    yield decode(line)

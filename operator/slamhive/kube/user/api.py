@@ -203,16 +203,13 @@ class UserApi(Api):
         query = urlencode([*wanted, *(("command", word) for word in command)])
         headers = {"User-Agent": "slamhive"}
         await self._client.update_params_for_auth(headers, [], ["BearerToken"], path, "GET", None)
-        client = self._client.rest_client
-        if client.pool_manager is None:
-            client.pool_manager = client._create_pool_manager()  # noqa: SLF001 - as its own WsApiClient does
         target = f"{namespace}/{pod}"
         try:
-            socket = await client.pool_manager.ws_connect(
+            socket = await self.session.ws_connect(
                 f"{self._client.configuration.host}{path}?{query}",
                 headers=headers,
                 protocols=(PROTOCOL,),
-                proxy=client.proxy,
+                proxy=self._client.rest_client.proxy,
             )
         except aiohttp.WSServerHandshakeError as error:
             content = error.message.encode()
