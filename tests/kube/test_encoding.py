@@ -29,7 +29,9 @@ def test_words_of_enumerations_are_texts() -> None:
     assert decode(encode({Label.SWEEP: Kind.SWEEP})) == {str(Label.SWEEP): str(Kind.SWEEP)}
 
 
-@pytest.mark.parametrize("value", ["\ud800", {"logTail": "end \udfff"}, [2**70]], ids=["text", "log", "number"])
+@pytest.mark.parametrize(
+    "value", ["\ud800", {"logTail": "end \udfff"}, [2**70]], ids=["text", "log", "number"]
+)
 def test_what_the_fast_encoder_refuses_is_written_all_the_same(value: Any) -> None:
     assert json.loads(encode(value)) == value
     assert decode(encode(value)) == pytest.approx(value)

@@ -15,6 +15,8 @@ from slamhive.jobs.requests import EvaluateRequest, RunItem
 from slamhive.kube.errors import Forbidden, Invalid, ServerFault
 from slamhive.kube.kinds import Key, Kind, Label
 from slamhive.kube.records import NOT_EVALUABLE, record_of
+from slamhive.kube.settings import EvaluationJobs
+from slamhive.kube.status import iso
 
 GOOD = {"outcome": "Tracked", "coverage": 1.0, "values": {"ate": {"rmse": 0.1}}}
 DONE = {"terminated": {"exitCode": 0, "reason": "Completed", "finishedAt": "2027-01-15T08:00:00Z"}}
@@ -235,3 +237,24 @@ def test_the_record_of_a_run_says_why_it_was_not_measured_as_a_workstation_s_doe
     run = cluster.objects[Key(Kind.MAPPING_RUN, "lab", "a")]
     run["metadata"]["annotations"] = {NOT_EVALUABLE: text}
     assert record_of(run).message == message
+
+
+@pytest.mark.parametrize(("running", "seconds"), [(0, 2), (16, 4), (200, 10)])
+async def test_a_batch_waits_longer_while_more_runs_are_under_way(running: int, seconds: float) -> None:
+    made = catalogued()
+    made.op.settings = made.op.settings.replace(evaluation=EvaluationJobs(delay_seconds=2))
+    made.described()
+    labels = {"study": "large"}
+    ended_at = iso(made.now)
+    made.apply(Kind.MAPPING_RUN, "a", RUN, labels=labels, **finished("a", completionTime=ended_at))
+    for number in range(running):
+        made.apply(Kind.MAPPING_RUN, f"r{number}", RUN, labels=labels, phase="Running")
+    key = made.apply(Kind.EVALUATION, "mine", {"runs": {"matchLabels": labels}})
+
+    def jobs() -> int:
+        return sum(key.kind is Kind.JOB for key in made.objects)
+
+    await made.look(key, seconds - 0.1)
+    assert not jobs()
+    await made.look(key, 0.2)
+    assert jobs() == 1

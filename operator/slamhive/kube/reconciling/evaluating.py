@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 RUNS_ANNOTATION = "slamhive.io/runs"
 _MOST_FAILURES = 3
 _AT_ONCE = 8
-_LOOK_SECONDS = 0.25
+_LOOK_SECONDS = 2.0
 _WRITE_SECONDS = 2.0
 _REFUSED_SECONDS = 15.0
 
@@ -68,7 +68,8 @@ class Evaluations:
         """Have a finished run measured, if that is asked for and was not done."""
         key = key_for(run)
         if key is not None and run["status"].get("trajectory"):
-            # One look answers for all runs that end within a moment: it goes through all of their group.
+            # One look answers for all runs that end within this time: it goes through all of their group, and
+            # would find no batch to begin before.
             op.queue.add(key, min(_LOOK_SECONDS, op.settings.evaluation.delay_seconds))
 
     async def __call__(self, op: Operator, key: Key) -> float | None:
@@ -132,7 +133,8 @@ class Evaluations:
         ended = [moment(run["status"].get("completionTime")) or 0.0 for run in missing]
         # A batch that is not full waits for more runs to end, as one Job can measure many; after failures it
         # waits longer.
-        wait = min(ended) + wanted.delay_seconds * 2 ** self._failures.get(group.key, 0) - op.clock()
+        delay = group.wait_seconds(wanted.delay_seconds) * 2 ** self._failures.get(group.key, 0)
+        wait = min(ended) + delay - op.clock()
         if len(missing) < wanted.batch_size and wait > 0:
             return [wait]
         brought = await self._restoring.bring(op, group, await self._items(op, group, missing))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.kube.kinds import Key, Kind, Label, Object, reference
 from slamhive.kube.reconciling.catalogue import parse
-from slamhive.kube.routing import OWN_EVALUATIONS
+from slamhive.kube.routing import OWN_EVALUATIONS, is_finished
 from slamhive.kube.status import phase_of
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluation, EvaluationSettings
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 
 SWEEP_PREFIX, RUN_PREFIX = OWN_EVALUATIONS
+_MANY = 16
+_LONGEST = 5.0
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Group:
         owner: the object whose end ends the Jobs.
         runs: the finished runs that can be measured.
         selected: how many runs are selected in all, finished or not.
+        ongoing: how many of these have not finished.
     """
 
     key: Key
@@ -53,6 +56,18 @@ class Group:
     owner: Object
     runs: list[Object]
     selected: int
+    ongoing: int = 0
+
+    def wait_seconds(self, delay: float) -> float:
+        """Return how long a batch that isn't full waits for more runs to end, s.
+
+        The more runs are under way, the longer, up to five times the delay: others end soon, and each Job
+        costs the cluster what a run's own does.
+
+        Args:
+            delay: what a few runs wait, s.
+        """
+        return delay * min(1 + self.ongoing / _MANY, _LONGEST)
 
     @property
     def labels(self) -> dict[str, str | None]:
@@ -144,7 +159,8 @@ def _group(
 ) -> Group:
     # `selected` counts all of them, so that an Evaluation waits for runs that are still to end.
     able = [run for run in runs if _can_be_measured(run)]
-    return Group(key, name, settings, settings_hash(settings), evaluator, owner, able, len(runs))
+    ongoing = sum(not is_finished(run) for run in runs)
+    return Group(key, name, settings, settings_hash(settings), evaluator, owner, able, len(runs), ongoing)
 
 
 def _can_be_measured(run: Object) -> bool:
