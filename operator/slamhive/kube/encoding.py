@@ -23,7 +23,7 @@ def decode(content: bytes) -> Any:
 
 
 def encode(value: Any) -> bytes:
-    """Return a value as JSON."""
+    """Return a value as JSON; what is no finite number becomes null."""
     try:
         return orjson.dumps(value, option=orjson.OPT_NON_STR_KEYS)
     except TypeError:
