@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 
 
 _LOOK_SECONDS = 0.1
+_LONGEST_LOOK_SECONDS = 0.3
+_MANY = 100
 _BLOCKED_SECONDS = 5.0
 _AWAY_SECONDS = 10.0
 _SHOWN_PROBLEMS = 20
@@ -133,9 +135,11 @@ class SweepReconciler:
             # Its runs may have to be measured by other settings now: no change of a run tells.
             op.queue.add(Key(Kind.EVALUATION, key.namespace, f"{SWEEP_PREFIX}{key.name}"))
         now = op.clock()
-        # Every change of every run leads here; one look answers for all changes of a tenth of a second.
-        if now - memory.looked_at < _LOOK_SECONDS:
-            return _LOOK_SECONDS
+        # Every change of every run leads here; one look answers for all changes of a tenth of a second, or of
+        # more where it goes through many runs.
+        pause = min(_LOOK_SECONDS * (1 + len(memory.finished) / _MANY), _LONGEST_LOOK_SECONDS)
+        if now - memory.looked_at < pause:
+            return pause
         memory.looked_at = now
         seen = await self._see(op, key, body, sweep, memory)
         if _is_outdated(seen):
