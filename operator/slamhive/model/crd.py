@@ -257,7 +257,9 @@ def definition(kind: str) -> Schema:
             "kind": {"type": "string", "description": _TEXTS["kind"]},
             "metadata": {"type": "object"},
             "spec": spec,
-            "status": without_defaults(convert(STATUSES[kind])),
+            # One value to the server's account of who wrote which field, as the operator alone writes it:
+            # field by field that account is longer than the status, and goes with each answer and event.
+            "status": without_defaults(convert(STATUSES[kind])) | {"x-kubernetes-map-type": "atomic"},
         },
         "x-kubernetes-validations": [
             {
