@@ -540,7 +540,7 @@ async def test_a_refused_pod_is_told_by_an_event(server: Server) -> None:
     made = await server.api.create(Kind.JOB, server.job())
 
     async def told() -> list[Object]:
-        return await server.api.events_of(server.namespace, made["metadata"]["uid"], "FailedCreate")
+        return await server.api.events(server.namespace, "FailedCreate", made["metadata"]["uid"])
 
     message = (await eventually(told))[-1]["message"]
     assert message.startswith('Error creating: pods "work-')
@@ -571,9 +571,9 @@ async def test_events_are_counted_and_found_by_what_they_are_about(server: Serve
     for _ in range(3):
         assert await server.api.event(Kind.MAPPING_RUN, made, "Warning", "Unschedulable", "no node has a GPU")
     assert await server.api.event(Kind.MAPPING_RUN, other, "Warning", "Unschedulable", "no node has a GPU")
-    [event] = await server.api.events_of(server.namespace, made["metadata"]["uid"], "Unschedulable")
+    [event] = await server.api.events(server.namespace, "Unschedulable", made["metadata"]["uid"])
     assert event["count"] == 3
-    assert not await server.api.events_of(server.namespace, made["metadata"]["uid"], "FailedCreate")
+    assert not await server.api.events(server.namespace, "FailedCreate", made["metadata"]["uid"])
 
 
 async def test_the_server_says_what_it_serves(server: Server) -> None:

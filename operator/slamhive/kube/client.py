@@ -210,21 +210,29 @@ class Api(Transport):
             return False
         return True
 
-    async def events_of(self, namespace: str, uid: str, reason: str) -> Objects:
-        """Return the Events of an object that give a reason, the newest last.
+    async def events(self, namespace: str, reason: str, uid: str | None = None) -> Objects:
+        """Return the Events that give a reason, the newest last.
+
+        The server goes through all Events of the namespace for it, however few are chosen.
 
         Args:
-            namespace: where the object is.
-            uid: its uid.
+            namespace: where.
             reason: one word, such as FailedCreate.
+            uid: uid of the object that they are about; None: any.
         """
         path = f"/api/v1/namespaces/{namespace}/events"
-        query = {"fieldSelector": f"involvedObject.uid={uid},reason={reason}", "limit": PAGE}
-        answer = await self.json(Request("list", "events", namespace, "GET", path, query=query))
-        return sorted(
-            answer.get("items") or (),
-            key=lambda item: item.get("lastTimestamp") or item.get("eventTime") or "",
-        )
+        chosen = f"reason={reason}" + (f",involvedObject.uid={uid}" if uid else "")
+        items: Objects = []
+        following: str | None = None
+        while True:
+            query = {"fieldSelector": chosen, "limit": PAGE, "continue": following}
+            answer = await self.json(Request("list", "events", namespace, "GET", path, query=query))
+            items += answer.get("items") or ()
+            following = (answer.get("metadata") or {}).get("continue")
+            if not following:
+                return sorted(
+                    items, key=lambda item: item.get("lastTimestamp") or item.get("eventTime") or ""
+                )
 
     async def _write_event(self, body: Object) -> None:
         name, namespace = body["metadata"]["name"], body["metadata"]["namespace"]

@@ -23,6 +23,7 @@ from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
 from slamhive.kube.pods import has_completed, has_failed
 from slamhive.kube.queue import Queue
+from slamhive.kube.refused_pods import RefusedPods
 from slamhive.kube.routing import is_news, routes
 from slamhive.kube.status import status_patch
 from slamhive.kube.store import Store
@@ -76,6 +77,7 @@ class Operator:
         queue: the keys that wait.
         metrics: what Prometheus gets.
         usage: figures of the metrics API.
+        refused_pods: why Jobs have no pods.
         ready: whether the first LIST is done.
         broken: set when a part of the operator ends that never should.
     """
@@ -101,6 +103,7 @@ class Operator:
         self.queue = queue or Queue()
         self.metrics = Metrics(run_name_label=settings.metrics.run_name_label)
         self.usage = MetricsReader(api, self.store, self.metrics, settings.namespaces)
+        self.refused_pods = RefusedPods(api, clock)
         self.ready = False
         self._sleep = sleep
         self._reconcilers = dict(reconcilers)

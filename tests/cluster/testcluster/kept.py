@@ -162,8 +162,14 @@ class Cluster:
     async def event(self, _kind: Kind, regarding: dict[str, Any], _type: str, reason: str, text: str) -> None:
         self.told[regarding["metadata"]["name"], reason] = text
 
-    async def events_of(self, _namespace: str, _uid: str, reason: str) -> list[dict[str, Any]]:
-        return [{"message": text} for text in self.failed_creates if reason == "FailedCreate"]
+    async def events(self, _namespace: str, reason: str) -> list[dict[str, Any]]:
+        jobs = [body["metadata"]["uid"] for key, body in self.objects.items() if key.kind is Kind.JOB]
+        return [
+            {"involvedObject": {"uid": uid}, "message": text}
+            for text in self.failed_creates
+            for uid in jobs
+            if reason == "FailedCreate"
+        ]
 
     async def look(self, key: Key, after: float = 0.0) -> dict[str, Any]:
         """Reconcile an object some seconds later, and return its status."""

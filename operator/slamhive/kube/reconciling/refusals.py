@@ -24,13 +24,12 @@ async def why_no_pod(op: Operator, job: dict[str, Any]) -> str | None:
     """
     metadata = job["metadata"]
     try:
-        told = await op.api.events_of(metadata["namespace"], metadata["uid"], "FailedCreate")
+        message = await op.refused_pods.message(metadata["namespace"], metadata["uid"])
     except ApiError as error:
         if error.retryable:
             raise
         return None  # without the right to read Events the reason stays unknown
-    message = str(told[-1].get("message") or "") if told else ""
-    return clean(message.removeprefix("Error creating: ")) or None
+    return clean((message or "").removeprefix("Error creating: ")) or None
 
 
 async def patience(
