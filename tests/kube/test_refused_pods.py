@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why Jobs have no pods: one listing of Events answers for all Jobs, and takes its share of time at most."""
+"""Search for why Jobs have no pods: one listing of Events for all, at most its share of the time."""
 
 from __future__ import annotations
 
