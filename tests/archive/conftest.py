@@ -85,12 +85,22 @@ def _put_version(url: str, version: int) -> None:
         with closing(sqlite3.connect(str(engine.url.database))) as file:
             held.backup(file)
         return
-    added = {"identity"}
+    added = {"divided_to"}
+    if version <= 2:
+        added |= {"identity"}
     if version == 1:
         added |= {"namespace", "cluster", "sweep_uid", "evaluations"}
     with engine.begin() as connection:
         schema.metadata.create_all(connection)
+        schema.shapes.drop(connection)
         for table in schema.metadata.sorted_tables:
+            if table is schema.shapes:
+                continue
+            for column in table.columns:
+                if isinstance(column.type, schema.Document):
+                    kind = f'ALTER COLUMN "{column.name}" TYPE JSONB USING "{column.name}"::text::jsonb'
+                    unset = f'ALTER COLUMN "{column.name}" DROP DEFAULT'
+                    connection.execute(text(f"ALTER TABLE {table.name} {unset}, {kind}"))
             cursor = held.execute(f"SELECT * FROM {table.name}")
             names = [item[0] for item in cursor.description]
             for name in sorted(added & set(table.columns.keys())):

@@ -160,12 +160,12 @@ def test_iteration_is_stable_filtered_and_limited(
         archive.runs({"algoritm": "x"})
 
 
-def test_a_batch_takes_two_queries(archive: Archive, make_run: MakeRun, make_result: MakeResult) -> None:
+def test_a_batch_takes_three_queries(archive: Archive, make_run: MakeRun, make_result: MakeResult) -> None:
     archive.put_runs(make_run(f"u{k}", results=[make_result("a"), make_result("b")]) for k in range(100))
     statements: list[str] = []
     event.listen(archive._engine, "before_cursor_execute", lambda *event: statements.append(event[2]))
     assert sum(len(record.results) for record in archive.runs()) == 200
-    assert len([text for text in statements if text.startswith("SELECT")]) == 2
+    assert len([text for text in statements if text.startswith("SELECT")]) == 3
 
 
 def test_finished_points_of_a_sweep(archive: Archive, make_run: MakeRun, make_result: MakeResult) -> None:
@@ -376,11 +376,11 @@ def test_a_newer_archive_is_refused(url: str, make_run: MakeRun, monkeypatch: py
         archive.put_run(make_run())
     monkeypatch.setattr(schema, "VERSION", 2)
     for attempt in (Archive.open, upgrade):
-        with pytest.raises(InputError, match=r"newer slamhive \(schema 3; this one knows up to 2\)"):
+        with pytest.raises(InputError, match=r"newer slamhive \(schema 4; this one knows up to 2\)"):
             attempt(url)
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_an_archive_of_an_earlier_version_waits_for_its_upgrade(
     url: str, version: int, put_version: PutVersion
 ) -> None:
@@ -388,12 +388,12 @@ def test_an_archive_of_an_earlier_version_waits_for_its_upgrade(
     put_version(url, version)
     for read_only in (True, False):
         with pytest.raises(
-            InputError, match=rf"schema {version}; this one needs 3\); `slamhive archive upgr"
+            InputError, match=rf"schema {version}; this one needs 4\); `slamhive archive upgr"
         ):
             Archive.open(url, read_only=read_only)
     done = upgrade(url)
     assert done is not None
-    assert (done.before, done.after) == (version, 3)
+    assert (done.before, done.after) == (version, 4)
     assert upgrade(url) is None
     with Archive.open(url) as archive:
         assert archive.count() == 6
@@ -412,7 +412,7 @@ def test_a_running_slamhive_stops_writing_when_a_newer_one_takes_the_archive(
         old.put_run(make_run("a"))
         engine = create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
         with engine.begin() as connection:
-            connection.execute(text("UPDATE slamhive_schema SET version = 4"))
+            connection.execute(text("UPDATE slamhive_schema SET version = 5"))
         engine.dispose()
         with pytest.raises(InputError, match="newer slamhive"):
             old.put_run(make_run("b"))

@@ -24,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from bench_dashboard import make_record, postgresql
 from sqlalchemy import text
 
-from slamhive.archive import Archive, schema
-from slamhive.archive.connection import open_engine, parse
+from slamhive.archive import Archive, documents, schema
+from slamhive.archive.connection import exclusively, open_engine, parse
 from slamhive.archive.records import run_row
 
 if TYPE_CHECKING:
@@ -145,6 +145,8 @@ def size_of(connection: Connection) -> tuple[float, float]:
 def copied(engine: Engine, records: Sequence[RunRecord]) -> Rate:
     """Write the rows of runs in the database's own way to a table with the same indexes."""
     rows = [run_row(record) for record in records]
+    with exclusively(engine) as connection:
+        documents.store(connection, ("runs", rows))
     columns = [column for column in schema.runs.columns if column.name in rows[0]]
     names = ", ".join(f'"{column.name}"' for column in columns)
     lines = [[_plain(column, row[column.name]) for column in columns] for row in rows]
@@ -234,11 +236,11 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as folder:
             measure("SQLite", f"sqlite:///{folder}/archive.sqlite", options.rows)
     if options.only != "sqlite":
-        with postgresql() as url:
-            if url is None:
+        with postgresql() as server:
+            if server is None:
                 print("PostgreSQL · not installed · apt-get install postgresql", flush=True)
             else:
-                measure("PostgreSQL", url, options.rows)
+                measure("PostgreSQL", server.url, options.rows)
     return 0
 
 

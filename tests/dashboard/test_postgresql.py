@@ -102,7 +102,7 @@ async def test_an_account_that_only_reads_sees_all_pages_and_changes_nothing(
         await until(said)
         assert (await client.get("/runs"))["total"] == 3
         with owner.begin() as connection:
-            connection.execute(text("UPDATE slamhive_schema SET version = 3"))
+            connection.execute(text("UPDATE slamhive_schema SET version = 4"))
     # The session's own setting is no wall: the database's is.
     reader = create_engine(url.replace("postgresql://", "postgresql+psycopg://"))
     for change in (

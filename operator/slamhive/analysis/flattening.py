@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
 from slamhive.analysis.columns import Column, times
+from slamhive.analysis.shapes import MOST_ITEMS, turned
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from slamhive.analysis.columns import Indices
+    from slamhive.analysis.shapes import Names
     from slamhive.model.results import Result
 
     Document = Mapping[str, Any]
@@ -91,10 +94,78 @@ LEFT_OUT = frozenset({"transform", "notes", "pointErrors"})
 _KEPT = frozenset({"id", "uid", "name", "evaluation", "outcome", "coverage"})
 """Columns that an evaluator's own names never replace."""
 
+_FIRST = re.compile(r"[^.\[]*")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _EMPTY: dict[str, Any] = {}
 _DOCUMENT = {dict, type(None)}
-_MAX_ITEMS = 16
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Documents of rows as lists of values by joined names.
+
+    Attributes:
+        columns: values by name.
+        length: number of rows.
+    """
+
+    columns: Mapping[str, Sequence[Any]]
+    length: int
+
+    @classmethod
+    def of(
+        cls, documents: Sequence[Any], shapes: Mapping[int, Names], left_out: frozenset[str] = frozenset()
+    ) -> Self:
+        """Return documents of which the archive holds the values alone, and others as they are.
+
+        Args:
+            documents: each a JSON object, a shape's number and values, or None.
+            shapes: names of the shapes by number.
+            left_out: fields that are passed over.
+
+        Raises:
+            MissingShapeError: a shape is not there.
+        """
+        columns: dict[str, Sequence[Any]] = {}
+        divided = [place for place, item in enumerate(documents) if type(item) is list]
+        if len(divided) < len(documents):
+            spread(columns, "", [item if type(item) is dict else None for item in documents], left_out)
+        for places, values in turned([documents[place] for place in divided], shapes) if divided else ():
+            rows = divided if places is None else [divided[place] for place in places]
+            whole = len(rows) == len(documents)
+            for name, held in values.items():
+                if _parted(name)[0] in left_out or (name not in columns and len(columns) >= MAX_COLUMNS):
+                    continue
+                _spread_values(columns, name, held if whole else _placed(held, rows, len(documents)))
+        return cls(columns, len(documents))
+
+    def below(self, key: str | None, left_out: frozenset[str]) -> Iterator[tuple[str, Sequence[Any]]]:
+        """Yield the rest of the names and the values of what is below a field.
+
+        Args:
+            key: the field; None for all.
+            left_out: fields that are passed over.
+        """
+        for name, values in self.columns.items():
+            first, rest = _parted(name)
+            if key is None and first not in left_out:
+                yield name, values
+            elif key == first and rest:
+                yield rest.removeprefix("."), values
+
+
+def _placed(values: Sequence[Any], rows: Sequence[int], length: int) -> list[Any]:
+    found: list[Any] = [None] * length
+    for row, value in zip(rows, values, strict=True):
+        found[row] = value
+    return found
+
+
+def _parted(name: str) -> tuple[str, str]:
+    """Return the first field of a joined name, and the rest."""
+    found = _FIRST.match(name)
+    end = found.end() if found else len(name)
+    return name[:end], name[end:]
 
 
 class Results(NamedTuple):
@@ -105,14 +176,16 @@ class Results(NamedTuple):
         evaluations: their names.
         outcomes: what became of the runs.
         coverages: shares of the ground truth's path.
-        values: what the evaluator found.
+        values: what the evaluator found, as documents, or as columns of the first of them.
+        more: what was found in those that come behind the columns.
     """
 
     runs: list[int]
     evaluations: list[str]
     outcomes: list[str | None]
     coverages: list[float | None]
-    values: list[Any]
+    values: list[Any] | Spread
+    more: list[Any] = []  # noqa: RUF012 - of a tuple, whose lists are never changed
 
     @classmethod
     def of(cls, found: Iterable[tuple[int, Result]]) -> Self:
@@ -127,9 +200,7 @@ class Results(NamedTuple):
         )
 
 
-def columns_of_runs(
-    runs: Mapping[str, Sequence[Any]], results: Results, left_out: frozenset[str] = LEFT_OUT
-) -> Part:
+def columns_of_runs(runs: Mapping[str, Any], results: Results, left_out: frozenset[str] = LEFT_OUT) -> Part:
     """Return the rows of some runs as columns, with their number.
 
     A run has a row for each of its results, and for each evaluation that it was meant to be measured by and
@@ -137,14 +208,21 @@ def columns_of_runs(
     if it looks like one), else the name.
 
     Args:
-        runs: by the names that the archive has for them, values of each run; JSON documents as objects.
+        runs: by the names that the archive has for them, values of each run; JSON documents as objects or
+            spread, but for labels and intended evaluations.
         results: of these runs.
         left_out: names of results that make no columns.
     """
     found: dict[str, Sequence[Any]] = {}
     for prefix, document, key in DOCUMENTS:
         held = runs[document]
-        spread(found, prefix, [item and item.get(key) for item in held] if key else _rest(document, held))
+        if isinstance(held, Spread):
+            elsewhere = frozenset() if key else _TOLD_ELSEWHERE.get(document, frozenset())
+            for name, values in held.below(key, elsewhere):
+                if len(found) < MAX_COLUMNS:
+                    _spread_values(found, f"{prefix}.{name}", values)
+        else:
+            spread(found, prefix, [item and item.get(key) for item in held] if key else _rest(document, held))
     columns = {name: Column.of(values) for name, values in found.items()}
     for name, of_archive in OF_RUN.items():
         if of_archive in runs:
@@ -168,10 +246,16 @@ def _rest(document: str, held: Sequence[Document | None]) -> Sequence[Document |
     return [item and {key: value for key, value in item.items() if key not in elsewhere} for item in held]
 
 
-def _with_intended(runs: Mapping[str, Sequence[Any]], results: Results) -> Results:
+def _with_intended(runs: Mapping[str, Any], results: Results) -> Results:
     """Return results, with an empty one for each intended evaluation that has no result."""
     measured = set(zip(results.runs, results.evaluations, strict=True))
-    complete = Results(*(list(column) for column in results))
+    complete = results._replace(
+        runs=list(results.runs),
+        evaluations=list(results.evaluations),
+        outcomes=list(results.outcomes),
+        coverages=list(results.coverages),
+        more=list(results.more),
+    )
     for run, intended in zip(runs["id"], runs["evaluations"], strict=True):
         for item in intended or ():
             if (run, item["evaluation"]) not in measured:
@@ -179,7 +263,7 @@ def _with_intended(runs: Mapping[str, Sequence[Any]], results: Results) -> Resul
                 complete.evaluations.append(item["evaluation"])
                 complete.outcomes.append(None)
                 complete.coverages.append(None)
-                complete.values.append({name: item.get(name) for name in ("alignment", "settings")})
+                complete.more.append({name: item.get(name) for name in ("alignment", "settings")})
     return complete
 
 
@@ -193,8 +277,7 @@ def _joined(columns: dict[str, Column], places: Indices, results: Results, left_
         left_out: names of results that make no columns.
     """
     padding = [None] * (len(places) - len(results.evaluations))
-    found: dict[str, Sequence[Any]] = {}
-    spread(found, "", results.values, left_out)
+    found = _values(results, left_out)
     each_once = np.array_equal(places, np.arange(len(places)))  # nearly always: nothing is to be moved
     joined = columns if each_once else {name: column.take(places) for name, column in columns.items()}
     messages = [item or None for item in found.pop("message", ())]
@@ -212,6 +295,22 @@ def _joined(columns: dict[str, Column], places: Indices, results: Results, left_
         return joined, len(places)
     order = np.argsort(places, kind="stable")
     return {name: column.take(order) for name, column in joined.items()}, len(places)
+
+
+def _values(results: Results, left_out: frozenset[str]) -> dict[str, Sequence[Any]]:
+    """Return what evaluators found, by joined names."""
+    found: dict[str, Sequence[Any]] = {}
+    if not isinstance(results.values, Spread):
+        spread(found, "", [*results.values, *results.more], left_out)
+        return found
+    found.update(results.values.below(None, left_out))
+    if results.more:
+        added: dict[str, Sequence[Any]] = {}
+        spread(added, "", results.more, left_out)
+        before, behind = [None] * results.values.length, [None] * len(results.more)
+        for name in dict.fromkeys([*found, *added]):
+            found[name] = [*found.get(name, before), *added.get(name, behind)]
+    return found
 
 
 def _first(column: Column, other: Column) -> Column:
@@ -332,7 +431,7 @@ def _spread_lists(found: dict[str, Sequence[Any]], name: str, values: Sequence[A
         value if type(value) is list and value and all(type(item) is dict for item in value) else ()
         for value in values
     ]
-    for number in range(min(max(map(len, records)), _MAX_ITEMS)):
+    for number in range(min(max(map(len, records)), MOST_ITEMS)):
         items = [held[number] if number < len(held) else None for held in records]
         spread(found, f"{name}[{number}]", items)
     return [None if held or value == [] else value for held, value in zip(records, values, strict=True)]

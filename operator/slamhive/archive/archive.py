@@ -7,10 +7,9 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, Self
 
 from sqlalchemy import Table, case, delete, exists, func, or_, select, update
-from sqlalchemy.dialects import sqlite
 
-from slamhive.archive import schema
-from slamhive.archive.connection import connect, reading, shown, writing
+from slamhive.archive import documents, schema
+from slamhive.archive.connection import connect, insert_into, reading, shown, writing
 from slamhive.archive.records import (
     CatalogEntry,
     Cost,
@@ -163,7 +162,9 @@ class Archive:
             found = connection.execute(select(schema.runs.c.id).where(schema.runs.c.uid == uid)).scalar()
             if found is None:
                 raise UnknownNameError("run UID", uid, [], f"archive {self.location}")
-            self._upsert_results(connection, [result_row(found, result)])
+            row = result_row(found, result)
+            documents.store(connection, ("results", [row]))
+            self._upsert_results(connection, [row])
 
     def put_sweep(self, sweep: SweepRecord) -> None:
         """Write a sweep, in the place of what was there of its UID."""
@@ -214,10 +215,13 @@ class Archive:
             found = connection.execute(select(runs.evaluations).where(runs.uid == uid)).one_or_none()
             if found is None:
                 raise UnknownNameError("run UID", uid, [], f"archive {self.location}")
-            known = {item["evaluation"]: item for item in found[0]}
+            row = {"evaluations": found[0]}
+            documents.whole(connection, ("runs", [row]))
+            known = {item["evaluation"]: item for item in row["evaluations"]}
             wanted = known | {one.evaluation: clean(one.as_json()) for one in evaluations}
-            change = update(schema.runs).where(runs.uid == uid)
-            connection.execute(change.values(evaluations=list(wanted.values())))
+            row["evaluations"] = list(wanted.values())
+            documents.store(connection, ("runs", [row]))
+            connection.execute(update(schema.runs).where(runs.uid == uid).values(**row))
 
     def rename_run(self, record: RunRecord, uid: str) -> None:
         """Write a record in the place of the run of another UID, which thereby is called otherwise.
@@ -228,6 +232,7 @@ class Archive:
         """
         row = run_row(record)
         with writing(self._engine) as connection:
+            documents.store(connection, ("runs", [row]))
             connection.execute(update(schema.runs).where(schema.runs.c.uid == uid).values(**row))
 
     def rewrite_runs(self, records: Iterable[RunRecord]) -> None:
@@ -235,6 +240,7 @@ class Archive:
         iterator = iter(records)
         while batch := [run_row(record) for record in islice(iterator, BATCH)]:
             with writing(self._engine) as connection:
+                documents.store(connection, ("runs", batch))
                 for row in batch:
                     connection.execute(
                         update(schema.runs).where(schema.runs.c.uid == row["uid"]).values(**row)
@@ -247,7 +253,9 @@ class Archive:
             rows = connection.execute(select(schema.datasets).where(columns.name == old)).mappings().all()
             if rows:
                 copies = [dict(row) | {"name": new} for row in rows]
-                connection.execute(self._insert(schema.datasets).on_conflict_do_nothing(), copies)
+                connection.execute(
+                    insert_into(connection.dialect, schema.datasets).on_conflict_do_nothing(), copies
+                )
             if not connection.execute(select(schema.runs.c.id).where(schema.runs.c.dataset == old)).first():
                 connection.execute(delete(schema.datasets).where(columns.name == old))
 
@@ -340,26 +348,28 @@ class Archive:
             select(
                 *(runs.uid, runs.sweep_uid, runs.point, runs.phase, runs.reason, runs.finished),
                 *(runs.wall_seconds, runs.content_hash),
-                *(runs.provenance[name].as_string() for name in ORIGIN),
+                runs.provenance,
             )
             .where(runs.sweep == sweep, runs.phase.in_(_FINISHED), runs.namespace.is_(None))
             .order_by(runs.id)
         )
         with reading(self._engine) as connection:
-            return [
-                EarlierRun(
-                    uid=row.uid,
-                    sweep_uid=row.sweep_uid,
-                    index=row.point,
-                    phase=Phase(row.phase),
-                    reason=Reason(row.reason) if row.reason else None,
-                    finished=row.finished,
-                    wall_seconds=row.wall_seconds,
-                    content_hash=row.content_hash,
-                    origin=dict(zip(ORIGIN, row[8:], strict=True)),
-                )
-                for row in connection.execute(query)
-            ]
+            rows = [dict(row) for row in connection.execute(query).mappings()]
+            documents.whole(connection, ("runs", rows))
+        return [
+            EarlierRun(
+                uid=row["uid"],
+                sweep_uid=row["sweep_uid"],
+                index=row["point"],
+                phase=Phase(row["phase"]),
+                reason=Reason(row["reason"]) if row["reason"] else None,
+                finished=row["finished"],
+                wall_seconds=row["wall_seconds"],
+                content_hash=row["content_hash"],
+                origin={name: row["provenance"].get(name) for name in ORIGIN},
+            )
+            for row in rows
+        ]
 
     def reusable(self, algorithms: Iterable[str], datasets: Iterable[str]) -> set[str]:
         """Return the content hashes of runs of some algorithms on some datasets that others may take over."""
@@ -408,9 +418,7 @@ class Archive:
             select(
                 *(runs.uid, runs.algorithm, runs.dataset, runs.spec, runs.reason, runs.cpu_seconds),
                 *(runs.wall_seconds, runs.memory_peak_bytes.label("memory_bytes"), runs.cpu_model),
-                *(runs.content_hash, runs.folder, runs.provenance["prepared"].label("prepared")),
-                runs.provenance["algorithmHash"].as_string().label("algorithm_hash"),
-                runs.provenance["datasetSha256"].as_string().label("dataset_sha256"),
+                *(runs.content_hash, runs.folder, runs.provenance),
                 case((runs.namespace.is_(None), runs.created)).label("created"),
                 *(runs.started, runs.sweep_uid),
             )
@@ -419,7 +427,9 @@ class Archive:
             .limit(most)
         )
         with reading(self._engine) as connection:
-            return [Cost(**row) for row in connection.execute(query).mappings()]
+            rows = [dict(row) for row in connection.execute(query).mappings()]
+            documents.whole(connection, ("runs", rows))
+        return [_cost(row) for row in rows]
 
     def cpu_seconds(self, sweep_uid: str) -> float:
         """Return the CPU time of a sweep's finished runs in s, those left out that took over a result."""
@@ -525,6 +535,8 @@ class Archive:
             left = None if left is None else left - len(rows)
 
     def _put(self, connection: Connection, records: list[RunRecord], rows: list[dict[str, Any]]) -> None:
+        measured = [[result_row(0, result) for result in record.results] for record in records]
+        documents.store(connection, ("runs", rows), ("results", [row for each in measured for row in each]))
         # What a row doesn't name stays as it is: rows that name the same are written together.
         by_names: dict[tuple[str, ...], list[dict[str, Any]]] = {}
         for row in rows:
@@ -534,14 +546,18 @@ class Archive:
         columns = schema.runs.c
         query = select(columns.uid, columns.id).where(columns.uid.in_([row["uid"] for row in rows]))
         ids = {row.uid: row.id for row in connection.execute(query)}
-        self._upsert_results(
-            connection,
-            [result_row(ids[record.uid], result) for record in records for result in record.results],
-        )
+        found = [
+            row | {"run_id": ids[record.uid]}
+            for record, each in zip(records, measured, strict=True)
+            for row in each
+        ]
+        self._upsert_results(connection, found)
 
     def _put_entry(self, connection: Connection, entry: CatalogEntry) -> None:
         table = _CATALOG[entry.kind]
-        connection.execute(self._insert(table).on_conflict_do_nothing(), catalog_row(entry))
+        connection.execute(
+            insert_into(connection.dialect, table).on_conflict_do_nothing(), catalog_row(entry)
+        )
 
     def _upsert_results(self, connection: Connection, rows: list[dict[str, Any]]) -> None:
         if rows:
@@ -557,7 +573,7 @@ class Archive:
         known = self._statements.get((table.name, names))
         if known is not None:
             return known
-        statement = self._insert(table)
+        statement = insert_into(self._engine.dialect, table)
         changes = {name: statement.excluded[name] for name in names if name not in key}
         if "cluster" in changes:
             # Not all who write know it: `slamhive fetch` may not see what the operator sees.
@@ -566,13 +582,15 @@ class Archive:
         self._statements[table.name, names] = made
         return made
 
-    def _insert(self, table: Table) -> Any:
-        """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""
-        if self._engine.dialect.name == "postgresql":
-            from sqlalchemy.dialects import postgresql  # noqa: PLC0415 - takes 0.1 s, SQLite needs it not
 
-            return postgresql.insert(table)
-        return sqlite.insert(table)
+def _cost(row: dict[str, Any]) -> Cost:
+    origin = row.pop("provenance")
+    return Cost(
+        **row,
+        prepared=origin.get("prepared"),
+        algorithm_hash=origin.get("algorithmHash"),
+        dataset_sha256=origin.get("datasetSha256"),
+    )
 
 
 def _may_be_taken_over() -> tuple[ColumnElement[bool], ...]:
@@ -604,11 +622,14 @@ def _conditions(
 def _fetch(
     connection: Connection, query: Select[Any]
 ) -> tuple[list[dict[str, Any]], dict[int, list[Result]]]:
-    """Return the rows of some runs, and their results by run, in two queries."""
+    """Return the rows of some runs, and their results by run, in three queries."""
     rows = [dict(row) for row in connection.execute(query).mappings()]
     columns = schema.results.c
     wanted = select(schema.results).where(columns.run_id.in_([row["id"] for row in rows]))
+    ordered = wanted.order_by(columns.run_id, columns.evaluation)
+    measured = [dict(row) for row in connection.execute(ordered).mappings()]
+    documents.whole(connection, ("runs", rows), ("results", measured))
     results: dict[int, list[Result]] = {}
-    for row in connection.execute(wanted.order_by(columns.run_id, columns.evaluation)).mappings():
-        results.setdefault(row["run_id"], []).append(to_result(dict(row)))
+    for row in measured:
+        results.setdefault(row["run_id"], []).append(to_result(row))
     return rows, results

@@ -15,14 +15,18 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from sqlalchemy import Connection, Engine, create_engine, event, exc, insert, inspect, select, text
+from sqlalchemy.dialects import sqlite
 from sqlalchemy.engine import URL, make_url
 
+from slamhive.analysis.shapes import MissingShapeError
 from slamhive.archive import schema
 from slamhive.data.once import flush
 from slamhive.model.errors import InputError, SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from sqlalchemy import Dialect, Table
 
 BUSY_SECONDS = 30
 """Longest wait of a writer for another one's transaction."""
@@ -170,6 +174,17 @@ def failures(url: URL) -> Iterator[None]:
         raise SystemFault(f"archive {shown(url)}: {error}") from error
     except json.JSONDecodeError as error:
         raise _damaged(url, f"a document in it is no JSON: {error}") from error
+    except MissingShapeError as error:
+        raise _damaged(url, str(error)) from error
+
+
+def insert_into(dialect: Dialect, table: Table) -> Any:
+    """Return the database's own INSERT: both know ON CONFLICT, and SQLAlchemy names it by dialect."""
+    if dialect.name == "postgresql":
+        from sqlalchemy.dialects import postgresql  # noqa: PLC0415 - takes 0.1 s, SQLite needs it not
+
+        return postgresql.insert(table)
+    return sqlite.insert(table)
 
 
 @contextmanager

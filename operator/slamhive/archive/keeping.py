@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 from sqlalchemy import Text, cast, delete, func, insert, select, text, update
 
+from slamhive.analysis.shapes import MissingShapeError, Shape, join
+from slamhive.archive import documents as documents_of_runs
 from slamhive.archive import schema
 from slamhive.archive.archive import BATCH
 from slamhive.archive.connection import (
@@ -46,7 +48,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy import Connection, Engine, Table
 
-_TABLES = (schema.algorithms, schema.datasets, schema.sweeps, schema.runs, schema.results)
+_TABLES = (schema.algorithms, schema.datasets, schema.sweeps, schema.shapes, schema.runs, schema.results)
 Tell = Callable[[str, float], None]
 """Is told what is being done, and how much of it is, 0 to 1."""
 
@@ -301,6 +303,7 @@ def _check_rows(connection: Connection, found: Findings, tell: Tell) -> None:
     found.counts |= _counts(connection)
     total, done = sum(found.counts.values()), 0
     looks: tuple[tuple[Table, Callable[[dict[str, Any]], object]], ...] = (
+        (schema.shapes, _check_shape),
         (schema.runs, _check_run),
         (schema.results, to_result),
         (schema.sweeps, SweepRecord.model_validate),
@@ -350,12 +353,17 @@ def _rows(connection: Connection, table: Table, found: Findings) -> Iterator[tup
         cast(column, Text).label(column.name) if column.name in documents else column
         for column in table.columns
     ]
+    shapes = documents_of_runs.read_all(connection) if table.name in documents_of_runs.DOCUMENTS else {}
     asked = connection.execution_options(yield_per=BATCH).execute(select(*columns))
     for held in asked.mappings():
         row = dict(held)
         name = str(row["uid"]) if "uid" in row else " ".join(str(row[key.name]) for key in table.primary_key)
         try:
-            row |= {key: None if row[key] is None else json.loads(row[key]) for key in documents}
+            row |= {
+                key: None if row[key] is None else join(shapes, json.loads(row[key])) for key in documents
+            }
+        except MissingShapeError as error:
+            found.faults.append(f"{table.name}: {name}: {error}")
         except ValueError as error:
             found.faults.append(f"{table.name}: {name}: a document of it is no JSON: {error}")
         else:
@@ -372,6 +380,17 @@ def _check_run(row: dict[str, Any]) -> None:
     for name in _COMPARED:
         if again[name] != row[name]:
             raise ValueError(f"column {name} is {row[name]!r}, where its documents say {again[name]!r}")
+
+
+def _check_shape(row: dict[str, Any]) -> None:
+    """Check that a shape is what its number says.
+
+    Raises:
+        ValueError: it is not.
+    """
+    json.loads(row["text"])
+    if Shape.of(row["text"]).number != row["number"]:
+        raise ValueError("its text does not match its number")
 
 
 def _entry(kind: str, row: Mapping[str, Any]) -> None:

@@ -87,7 +87,27 @@ def _identity(connection: Connection) -> None:
     connection.execute(update(schema.schema_version).values(identity=str(uuid.uuid4())))
 
 
-STEPS: dict[int, Callable[[Connection], None]] = {1: _identities, 2: _identity}
+def _shapes(connection: Connection) -> None:
+    """Make the table of shapes, and let documents name them; ``upgrading`` divides those there are."""
+    schema.shapes.create(connection)
+    connection.execute(text("ALTER TABLE slamhive_schema ADD COLUMN divided_to BIGINT"))
+    connection.execute(update(schema.schema_version).values(divided_to=0))
+    for name in ("ix_runs_finished", "ix_results_outcome"):  # nothing asks by them
+        connection.execute(text(f"DROP INDEX IF EXISTS {name}"))
+    if connection.dialect.name != "postgresql":
+        return
+    connection.execute(text("ALTER TABLE runs ALTER COLUMN evaluations DROP DEFAULT"))
+    for table in (schema.algorithms, schema.datasets, schema.sweeps, schema.runs, schema.results):
+        changes = ", ".join(
+            f'ALTER COLUMN "{column.name}" TYPE JSON USING "{column.name}"::text::json'
+            for column in table.columns
+            if isinstance(column.type, schema.Document)
+        )
+        connection.execute(text(f"ALTER TABLE {table.name} {changes}"))
+    connection.execute(text("ALTER TABLE runs ALTER COLUMN evaluations SET DEFAULT '[]'"))
+
+
+STEPS: dict[int, Callable[[Connection], None]] = {1: _identities, 2: _identity, 3: _shapes}
 """By version: how tables of that version become those of the next."""
 
 

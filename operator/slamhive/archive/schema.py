@@ -4,9 +4,12 @@
 ::
 
     runs ──< results        one row a run (by uid), one a run and evaluation
+    shapes                  what their documents have in common, once; documents name theirs by number
     sweeps                  what was asked for, one row a version of a sweep; runs name theirs by sweep_uid
     algorithms, datasets    the catalog as it was, by name and content hash; runs point to both
     slamhive_schema         one row: version of the tables, and the archive's own identity
+
+Documents of runs and results are written and read by ``documents.py``.
 """
 
 from __future__ import annotations
@@ -32,10 +35,8 @@ from sqlalchemy import (
 
 if TYPE_CHECKING:
     from sqlalchemy import Dialect
-    from sqlalchemy.sql.operators import OperatorType
-    from sqlalchemy.types import TypeEngine
 
-VERSION = 3
+VERSION = 4
 """Version of the tables below; a change to them adds one and a step to ``migrations.STEPS``."""
 
 metadata = MetaData()
@@ -43,22 +44,10 @@ _Id = BigInteger().with_variant(Integer, "sqlite")
 
 
 class Document(TypeDecorator[Any]):
-    """A JSON document, JSONB in PostgreSQL."""
+    """A JSON document, kept as its text: JSONB takes twice the room, and nothing searches in documents."""
 
     impl = JSON(none_as_null=True)
     cache_ok = True
-
-    def load_dialect_impl(self, dialect: Dialect) -> TypeEngine[Any]:
-        """Return the database's own type; PostgreSQL's is imported where it is used, as that takes 0.1 s."""
-        if dialect.name != "postgresql":
-            return dialect.type_descriptor(JSON(none_as_null=True))
-        from sqlalchemy.dialects.postgresql import JSONB  # noqa: PLC0415
-
-        return dialect.type_descriptor(JSONB(none_as_null=True))
-
-    def coerce_compared_value(self, op: OperatorType | None, value: Any) -> TypeEngine[Any]:
-        """Return the type of what a document is compared with: a field's name is no document."""
-        return self.impl_instance.coerce_compared_value(op, value)
 
 
 class UtcDateTime(TypeDecorator[datetime]):
@@ -84,6 +73,17 @@ schema_version = Table(
     Column("version", Integer, nullable=False),
     # Tells this archive from every other one, whatever its URL: a UUID, new after a restore.
     Column("identity", String(36)),
+    # While documents of an earlier version are being divided: the id of the last run that is. Otherwise none.
+    Column("divided_to", BigInteger),
+)
+
+shapes = Table(
+    "shapes",
+    metadata,
+    # What the text is known by in documents: bits of its hash, so that it is the same in every archive.
+    Column("number", BigInteger, primary_key=True, autoincrement=False),
+    Column("kind", String(32), nullable=False),
+    Column("text", Text, nullable=False),
 )
 
 
@@ -137,7 +137,7 @@ runs = Table(
     Column("attempts", Integer, nullable=False),
     Column("created", UtcDateTime),
     Column("started", UtcDateTime),
-    Column("finished", UtcDateTime, index=True),
+    Column("finished", UtcDateTime),
     Column("content_hash", String(64), index=True),
     Column("reused_from", String(253)),
     Column("cpu_model", Text),
@@ -172,7 +172,7 @@ results = Table(
     metadata,
     Column("run_id", _Id, ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True),
     Column("evaluation", String(253), primary_key=True),
-    Column("outcome", String(32), nullable=False, index=True),
+    Column("outcome", String(32), nullable=False),
     Column("coverage", Float),
     Column("alignment", String(32)),
     Column("scale", Float),

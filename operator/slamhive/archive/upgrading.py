@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from contextlib import closing, contextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from contextlib import closing, contextmanager, suppress
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sqlalchemy import select, update
+from sqlalchemy import bindparam, func, select, update
 
-from slamhive.archive import migrations, schema
+from slamhive.archive import documents, migrations, schema
 from slamhive.archive.connection import (
     alone_with_tables,
     exclusively,
+    failures,
     file_of,
     open_engine,
     parse,
@@ -26,15 +27,19 @@ from slamhive.archive.connection import (
     remove_database,
     require_content,
     version_of,
+    writing,
     wrong_version,
 )
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from sqlalchemy import Connection, Engine
+    from sqlalchemy import Connection, Engine, Table
+
+_RUNS = 1000
+"""Runs whose documents are divided in a transaction."""
 
 _PAGES = 250
 """Pages copied before it is said how far a copy is."""
@@ -54,7 +59,10 @@ class Upgrade(NamedTuple):
 
 
 def upgrade(url: str, tell: Callable[[str], None] = lambda _: None) -> Upgrade | None:
-    """Bring an archive's tables to this version, all of it or nothing.
+    """Bring an archive's tables to this version, all of it or nothing, and then its documents.
+
+    Documents that are not divided yet are as good as those that are; an upgrade that ends in the middle of
+    them goes on with the next one.
 
     Args:
         url: the database's URL.
@@ -77,7 +85,10 @@ def upgrade(url: str, tell: Callable[[str], None] = lambda _: None) -> Upgrade |
     try:
         with reading(engine) as connection:
             found = version_of(connection)
-        return None if found in {None, schema.VERSION} else _upgrade(engine, file, tell)
+        done = None if found in {None, schema.VERSION} else _upgrade(engine, file, tell)
+        if found is not None and found <= schema.VERSION:
+            divide_documents(engine, tell)
+        return done
     finally:
         engine.dispose()
 
@@ -151,6 +162,80 @@ def migrate(connection: Connection, found: int, tell: Callable[[str], None] = la
         tell(f"bringing the archive from schema {version} to {version + 1}")
         migrations.STEPS[version](connection)
     connection.execute(update(schema.schema_version).values(version=schema.VERSION))
+
+
+def divide_documents(engine: Engine, tell: Callable[[str], None] = lambda _: None) -> None:
+    """Write once what documents of an earlier version have in common, from where the last one ended.
+
+    Args:
+        engine: a database of this version.
+        tell: told how far it is.
+    """
+    marked = schema.schema_version.c.divided_to
+    with reading(engine) as connection:
+        begun = connection.execute(select(marked)).scalar()
+        if begun is None:
+            return
+        number, runs = func.count(), schema.runs
+        count = connection.execute(select(number).select_from(runs)).scalar_one()
+        done = connection.execute(select(number).select_from(runs).where(runs.c.id <= begun)).scalar_one()
+    while True:
+        with writing(engine) as connection:
+            begun = connection.execute(select(marked).with_for_update()).scalar()
+            if begun is None:
+                break
+            last, some = _divide_some(connection, begun)
+            connection.execute(update(schema.schema_version).values(divided_to=last))
+        if last is None:
+            break
+        done += some
+        tell(f"writing once what runs have in common: {done:,} of {count:,} runs")
+    _give_back(engine, tell)
+
+
+def _divide_some(connection: Connection, begun: int) -> tuple[int | None, int]:
+    """Divide the documents of the next runs; return the last one's id, None at the end, and their number."""
+    runs, results = schema.runs.c, schema.results.c
+    asked = select(runs.id, *(runs[name] for name in documents.DOCUMENTS["runs"]))
+    held = connection.execute(asked.where(runs.id > begun).order_by(runs.id).limit(_RUNS).with_for_update())
+    rows = [dict(row) for row in held.mappings()]
+    if not rows:
+        return None, 0
+    last = rows[-1]["id"]
+    wanted = select(results.run_id, results.evaluation, results["values"])
+    found = connection.execute(wanted.where(results.run_id.between(begun + 1, last)).with_for_update())
+    measured = [dict(row) for row in found.mappings()]
+    documents.store(connection, ("runs", rows), ("results", measured))
+    _replace(connection, schema.runs, ("id",), rows)
+    _replace(connection, schema.results, ("run_id", "evaluation"), measured)
+    return last, len(rows)
+
+
+def _replace(
+    connection: Connection, table: Table, key: tuple[str, ...], rows: Sequence[dict[str, Any]]
+) -> None:
+    """Write some columns of rows by their keys."""
+    if not rows:
+        return
+    changed = [name for name in rows[0] if name not in key]
+    change = (
+        update(table)
+        .where(*(table.c[name] == bindparam(f"of_{name}") for name in key))
+        .values({name: bindparam(f"to_{name}") for name in changed})
+    )
+    connection.execute(
+        change, [{f"{'of' if name in key else 'to'}_{name}": row[name] for name in row} for row in rows]
+    )
+
+
+def _give_back(engine: Engine, tell: Callable[[str], None]) -> None:
+    """Make an SQLite file smaller; a disk without room for a copy of it leaves it as it is."""
+    if engine.dialect.name != "sqlite":
+        return  # a server uses the room again by itself
+    tell("making the archive's file smaller")
+    with suppress(SystemFault), failures(engine.url), engine.connect() as connection:
+        held: Any = connection.connection.driver_connection
+        held.execute("VACUUM").close()
 
 
 def _keep(file: Path, version: int) -> Path:

@@ -9,16 +9,27 @@ says that anything at all was written.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
-from zlib import adler32, crc32
 
 import numpy as np
 from sqlalchemy import DateTime, String, Text, cast, select, text, type_coerce
 
 from slamhive.analysis.derived import SweepVersion, with_derived
-from slamhive.analysis.flattening import MAX_COLUMNS, OF_RUN, TIMES, Results, bound, columns_of_runs, stack
+from slamhive.analysis.flattening import (
+    LEFT_OUT,
+    MAX_COLUMNS,
+    OF_RUN,
+    TIMES,
+    Results,
+    Spread,
+    bound,
+    columns_of_runs,
+    stack,
+)
 from slamhive.analysis.frame import Frame
-from slamhive.archive import schema
+from slamhive.analysis.shapes import is_divided, join, names_of
+from slamhive.archive import documents, schema
 from slamhive.archive.connection import reading
 from slamhive.model.uncollected import uncollected
 
@@ -28,17 +39,20 @@ except ModuleNotFoundError:  # the extra is not installed: slower, the same
     from json import loads  # type: ignore[assignment]
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Set as AbstractSet
 
     import numpy.typing as npt
     from sqlalchemy import ColumnElement, Connection, Engine, Row
 
     from slamhive.analysis.flattening import Part
+    from slamhive.analysis.shapes import Names
 
 BATCH = 2000
 """Runs read at a time: their documents are what loading needs memory for."""
 
 _SOME = 500
+_SAMPLE = 64
 _STREAMED = 10_000
 _MARKS = 2**64
 _NOTHING = int(np.array([None], dtype=np.float64).view(np.uint64)[0])
@@ -51,6 +65,7 @@ _RESULT_CHANGES = (
     *("run_id", "evaluation", "outcome", "coverage", "alignment", "ate_rmse", "rpe_rmse", "scale"),
 )
 _RUN = ("id", *_CHANGES[:-1], *(name for name in OF_RUN.values() if name not in {"id", *_CHANGES}))
+_AS_THEY_ARE = frozenset({"labels", "evaluations"})
 _DOCUMENTS = (
     *("spec", "attributes", "labels", "metrics", "usage", "frames", "trajectory", "provenance"),
     "evaluations",
@@ -112,12 +127,13 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
             return replace(found_now, stamp=stamp)
         changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
         fresh, found = [], {} if marks is None else marks
+        shapes = _Shapes()
         for rows in _batches(connection, changed):
             columns = list(zip(*rows, strict=True))
             measured = list(zip(*_results(connection, columns[0]), strict=True))
             _add_marks(found, [*columns[: len(_CHANGES)], columns[-1]], runs=True)
             _add_marks(found, measured[: len(_RESULT_CHANGES)], runs=False)
-            fresh.append(_read(columns, measured))
+            fresh.append(_read(connection, columns, measured, shapes))
     return Loaded(_merge(before.frame, set(changed or ()), found, fresh, sweeps), found, sweeps, stamp)
 
 
@@ -184,13 +200,22 @@ def _numbers_of(values: Sequence[Any]) -> npt.NDArray[np.uint64]:
     """Return a number for each value, the same in every process (``hash`` of a text is not)."""
     if set(map(type, values)) <= {int, float, type(None)}:
         return np.array(values, dtype=np.float64).view(np.uint64)
-    numbers = {value: _number_of(repr(value).encode("utf-8", "replace")) for value in dict.fromkeys(values)}
+    different = list(dict.fromkeys(values))
+    texts = [str(value).encode("utf-8", "replace") for value in different]
+    numbers = dict(zip(different, _numbers_of_texts(texts).tolist(), strict=True))
     numbers[None] = _NOTHING
     return np.fromiter(map(numbers.__getitem__, values), np.uint64, len(values))
 
 
-def _number_of(text: bytes) -> int:
-    return crc32(text) | adler32(text) << 32
+def _numbers_of_texts(texts: Sequence[bytes]) -> npt.NDArray[np.uint64]:
+    """Return a number for each text, of its words of 8 bytes: those of many texts at once."""
+    width = -(-max(map(len, texts), default=0) // 8) or 1
+    words = np.array(texts, dtype=f"S{8 * width}").view(np.uint64).reshape(len(texts), width)
+    total = np.fromiter(map(len, texts), np.uint64, len(texts))
+    for place in range(width):
+        turned = (words[:, place] ^ (words[:, place] >> np.uint64(31))) * np.uint64(_FACTOR)
+        total += turned * np.uint64(_FACTOR ** (2 * place + 1) % _MARKS)
+    return total ^ (total >> np.uint64(29))
 
 
 def _batches(connection: Connection, changed: Sequence[int] | None) -> Iterator[Sequence[Row[Any]]]:
@@ -232,17 +257,58 @@ def _raw(connection: Connection, column: ColumnElement[Any]) -> ColumnElement[st
     return cast(column, Text) if connection.dialect.name == "postgresql" else type_coerce(column, Text)
 
 
-def _read(columns: Sequence[Sequence[Any]], measured: Sequence[Sequence[Any]]) -> Part:
+@dataclass(frozen=True)
+class _Shapes:
+    """Shapes of documents and their names, read as they are met.
+
+    Attributes:
+        parsed: the shapes by number.
+        names: of their values.
+    """
+
+    parsed: dict[int, Any] = field(default_factory=dict)
+    names: dict[int, Names] = field(default_factory=dict)
+
+    def spread(
+        self, connection: Connection, held: Sequence[Any], left_out: frozenset[str] = frozenset()
+    ) -> Spread:
+        """Return documents as columns."""
+        self._meet(connection, {item[0] for item in held if type(item) is list})
+        return Spread.of(held, self.names, left_out)
+
+    def joined(self, connection: Connection, held: Sequence[Any]) -> list[Any]:
+        """Return documents as they were."""
+        self._meet(connection, {item[0] for item in held if is_divided(item)})
+        return [join(self.parsed, item) for item in held]
+
+    def _meet(self, connection: Connection, numbers: AbstractSet[int]) -> None:
+        """Read the shapes that were not met before."""
+        if new := numbers - self.parsed.keys():
+            found = documents.read(connection, new)
+            self.parsed.update(found)
+            self.names.update({number: names_of(shape) for number, shape in found.items()})
+
+
+def _read(
+    connection: Connection,
+    columns: Sequence[Sequence[Any]],
+    measured: Sequence[Sequence[Any]],
+    shapes: _Shapes,
+) -> Part:
     """Return the rows of some runs, with those of their results."""
-    whole: dict[str, Sequence[Any]] = dict(zip((*_RUN, *_DOCUMENTS), columns, strict=True))
+    whole: dict[str, Any] = dict(zip((*_RUN, *_DOCUMENTS), columns, strict=True))
     for name in _DOCUMENTS:
-        whole[name] = _parsed(whole[name])
+        if name in _AS_THEY_ARE:
+            whole[name] = _parsed(whole[name], partial(shapes.joined, connection))
+        else:
+            whole[name] = shapes.spread(connection, _parsed(whole[name]))
     found = [list(column) for column in measured] or [[] for _ in range(5)]
     known = set(whole["id"])
     if not known.issuperset(found[0]):
         kept = [place for place, run in enumerate(found[0]) if run in known]
         found = [[column[place] for place in kept] for column in found]
-    return columns_of_runs(whole, Results(found[0], found[1], found[2], found[3], _parsed(found[-1])))
+    values = shapes.spread(connection, _parsed(found[-1]), LEFT_OUT)
+    return columns_of_runs(whole, Results(found[0], found[1], found[2], found[3], values))
 
 
 def _merge(
@@ -268,11 +334,18 @@ def _merge(
     return with_derived(columns, length, sweeps)
 
 
-def _parsed(texts: Sequence[str | None]) -> list[Any]:
-    """Return JSON documents, equal ones as one; parsed in one go, as calls cost more than characters."""
-    different = dict.fromkeys(texts)
-    asked: Sequence[str | None] = list(different) if 2 * len(different) < len(texts) else texts
-    found: list[Any] = loads("[" + ",".join([item or "null" for item in asked]) + "]")
+def _parsed(texts: Sequence[str | None], then: Callable[[list[Any]], list[Any]] = list) -> list[Any]:
+    """Return JSON documents, equal ones as one; parsed in one go, as calls cost more than characters.
+
+    Args:
+        texts: the documents.
+        then: makes of different ones what is returned of them.
+    """
+    asked: Sequence[str | None] = texts
+    if 2 * len(set(texts[:_SAMPLE])) <= len(texts[:_SAMPLE]):  # counting all of them takes long
+        different = dict.fromkeys(texts)
+        asked = list(different) if 2 * len(different) < len(texts) else texts
+    found = then(loads("[" + ",".join([item or "null" for item in asked]) + "]"))
     if asked is texts:
         return found
     return list(map(dict(zip(asked, found, strict=True)).__getitem__, texts))

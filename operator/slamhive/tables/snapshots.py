@@ -24,7 +24,7 @@ from slamhive.analysis.columns import Column, ColumnKind
 from slamhive.analysis.frame import DERIVED, Frame
 from slamhive.tables.loading import Loaded, loads
 
-VERSION = 5
+VERSION = 6
 _SETTLED_NANOSECONDS = 2 * 10**9
 LEAST_ROWS = 5000
 """Rows from which on a cache is worth its place."""
