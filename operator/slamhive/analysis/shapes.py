@@ -35,7 +35,7 @@ _NUMBER_BYTES = 5
 
 
 class Shape(NamedTuple):
-    """What documents have in common.
+    """Common part of documents.
 
     Attributes:
         number: 40 bits of its text's SHA-256; the same in every archive.
