@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 
 DRAWS = 1000
 MAX_COMPETITORS = 500
-"""Each is compared with each in each draw: the cost grows with their square."""
+"""Rows of a table that a page can still show."""
+_RANKED_AT_ONCE = 500_000
+"""Medians whose ranks are found at once: what that needs memory for."""
 _SEED = 20230529
 
 
@@ -247,15 +249,16 @@ def _scores(medians: Floats) -> Floats:
 
     Where a competitor has no run there is NaN, which is no one's rival.
     """
-    there = ~np.isnan(medians)
-    better = np.zeros(medians.shape)
-    with np.errstate(invalid="ignore"):
-        for rival in range(medians.shape[1]):
-            other = medians[:, rival : rival + 1]
-            better += (other < medians) + 0.5 * (other == medians)
-    better -= 0.5  # a competitor equals itself
-    rivals = np.maximum(there.sum(axis=1, keepdims=True) - 1, 1)
-    return _mean(np.where(there, better / rivals, np.nan))
+    scores = np.empty(medians.shape[:2])
+    some = max(1, _RANKED_AT_ONCE // max(1, medians[0].size))
+    for start in range(0, len(medians), some):
+        block = medians[start : start + some]
+        there = ~np.isnan(block)
+        # NaN is sorted behind all others, so that it moves no rank.
+        better = average_ranks(block.swapaxes(1, 2)).swapaxes(1, 2) - 1
+        rivals = np.maximum(there.sum(axis=1, keepdims=True) - 1, 1)
+        scores[start : start + some] = _mean(np.where(there, better / rivals, np.nan))
+    return scores
 
 
 def _ratios(medians: Floats) -> Floats:
