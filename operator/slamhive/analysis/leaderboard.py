@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 DRAWS = 1000
 MAX_COMPETITORS = 500
 """Rows of a table that a page can still show."""
-_RANKED_AT_ONCE = 500_000
+_RANKED_AT_ONCE = 100_000
 """Medians whose ranks are found at once: what that needs memory for."""
 _SEED = 20230529
 
@@ -169,10 +169,14 @@ def _board(grid: Grid, draws: int) -> Board:
         if len(ordered):
             drawn[:, number, place] = resampled_medians(ordered, draws, generator)
     chosen = generator.integers(0, shape[1], (draws, shape[1]))
-    drawn = np.take_along_axis(drawn, chosen[:, None, :], axis=2)
+    drawn_scores, drawn_ratios = np.empty((2, *drawn.shape[:2]))
+    some = max(1, _RANKED_AT_ONCE // max(1, grid.medians.size))
+    for start in range(0, draws, some):
+        part = slice(start, start + some)
+        medians = np.take_along_axis(drawn[part], chosen[part, None, :], axis=2)
+        drawn_scores[part], drawn_ratios[part] = _scores(medians), _ratios(medians)
     scores, ratios = _scores(grid.medians[None])[0], _ratios(grid.medians[None])[0]
-    drawn_ranks = average_ranks(np.nan_to_num(_scores(drawn), nan=1.0))
-    drawn_ratios = _ratios(drawn)
+    drawn_ranks = average_ranks(np.nan_to_num(drawn_scores, nan=1.0))
     ranks, within = _places(scores), _dataset_ranks(grid.medians)
     summaries = _summaries(grid)
     entries = [
@@ -249,16 +253,11 @@ def _scores(medians: Floats) -> Floats:
 
     Where a competitor has no run there is NaN, which is no one's rival.
     """
-    scores = np.empty(medians.shape[:2])
-    some = max(1, _RANKED_AT_ONCE // max(1, medians[0].size))
-    for start in range(0, len(medians), some):
-        block = medians[start : start + some]
-        there = ~np.isnan(block)
-        # NaN is sorted behind all others, so that it moves no rank.
-        better = average_ranks(block.swapaxes(1, 2)).swapaxes(1, 2) - 1
-        rivals = np.maximum(there.sum(axis=1, keepdims=True) - 1, 1)
-        scores[start : start + some] = _mean(np.where(there, better / rivals, np.nan))
-    return scores
+    there = ~np.isnan(medians)
+    # NaN is sorted behind all others, so that it moves no rank.
+    better = average_ranks(medians.swapaxes(1, 2)).swapaxes(1, 2) - 1
+    rivals = np.maximum(there.sum(axis=1, keepdims=True) - 1, 1)
+    return _mean(np.where(there, better / rivals, np.nan))
 
 
 def _ratios(medians: Floats) -> Floats:
