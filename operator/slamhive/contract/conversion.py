@@ -11,11 +11,22 @@ import errno
 import os
 from array import array
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from decimal import Decimal
 from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.contract.files import NotRegularError, open_folder, open_regular
-from slamhive.contract.lines import LIMIT_BYTES, TextFault, absent, blocks, named, number, opened_text, shown
+from slamhive.contract.lines import (
+    LIMIT_BYTES,
+    TextFault,
+    absent,
+    blocks,
+    missing,
+    named,
+    number,
+    opened_text,
+    shown,
+)
 from slamhive.contract.posefiles import (
     BY_FRAMES,
     COLUMNS,
@@ -90,6 +101,8 @@ def convert_all(output_directory: str, files: PoseFiles, trajectory: str, keyfra
     try:
         beside = _convert(output_directory, files.keyframes, files.frames, keyframes)
         found = _convert(output_directory, files.trajectory, files.frames, trajectory)
+        if found.missing and files.trajectory is not None:
+            found = replace(found, problem=absent(output_directory, files.trajectory.path))
     except MachineFault as refusal:
         return Converted(TrajectoryCheck(problem=str(refusal)), fault=str(refusal))
     return Converted(found, beside.problem)
@@ -109,7 +122,7 @@ def _convert(
     try:
         convert(output_directory, source, frames, target)
     except (FileNotFoundError, NotRegularError):
-        return TrajectoryCheck(problem=absent(output_directory, source.path), missing=True)
+        return TrajectoryCheck(problem=missing(source.path), missing=True)
     except TextFault as problem:
         return TrajectoryCheck(problem=str(problem))
     except OSError as error:

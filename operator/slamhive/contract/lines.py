@@ -40,14 +40,19 @@ def named(relative: str) -> str:
     return f"output/{relative}"
 
 
+def missing(relative: str) -> str:
+    """Return what is to be said of a file of the output folder that isn't there."""
+    return f"{named(relative)} is missing or not a regular file"
+
+
 def absent(output_directory: str, relative: str) -> str:
-    """Return what is to be said of a file that isn't there: a program may have written to another name.
+    """Return what is to be said of missing poses: a program may have written them to another name.
 
     Args:
         output_directory: Where the program wrote.
         relative: The file's path there.
     """
-    sentence = f"{named(relative)} is missing or not a regular file"
+    sentence = missing(relative)
     others = _files(output_directory)
     if not others:
         return sentence

@@ -272,7 +272,10 @@ LEAVING = {
     "link": without(),
     "fifo": without(),
     "folder": without(),
-    "no-trajectory": without(),
+    "no-trajectory": without(
+        "is missing or not a regular file; beside it: 'poses.txt' (an Algorithm says in output.trajectory "
+        "where its poses are)"
+    ),
     "nothing": without(),
     "empty-trajectory": lost("the algorithm wrote no pose", ""),
     "lost": lost("the algorithm wrote no pose", algorithm.NO_POSE),
