@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,13 +44,16 @@ def desk(tmp_path: Path, wander: Callable[..., Trajectory], monkeypatch: pytest.
     for folder in ("poses", "estimates"):
         (tmp_path / folder).mkdir()
         write_trajectory(tmp_path / folder / "00.txt", truth, "kitti")
+    for folder, source in (("points_2022", "points.txt"), ("estimates_2022", "a.txt")):
+        (tmp_path / folder).mkdir()
+        shutil.copy(tmp_path / source, tmp_path / folder / "exp07_long_corridor.txt")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def test_commands(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = [line for block in blocks("text") for line in block.splitlines()]
-    assert len(lines) == 13
+    assert len(lines) == 14
     for line in lines:
         program, *words = shlex.split(line)
         assert program == "slamhive-eval"

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import select
 
 from slamhive.archive import schema
+from slamhive.archive.documents import whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -102,13 +103,15 @@ class Question:
 
 
 def read(engine: Engine) -> dict[str, list[Row]]:
-    """Return the archive's rows as they are stored, by table."""
+    """Return the archive's rows by table, their documents whole."""
     tables = (schema.sweeps, schema.runs, schema.results)
     with engine.connect() as connection:
-        return {
+        rows = {
             table.name: [dict(row) for row in connection.execute(select(table)).mappings()]
             for table in tables
         }
+        whole(connection, ("runs", rows["runs"]), ("results", rows["results"]))
+    return rows
 
 
 def all_rows(tables: dict[str, list[Row]]) -> list[Row]:
