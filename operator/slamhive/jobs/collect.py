@@ -102,11 +102,7 @@ def _work(options: argparse.Namespace) -> str:
     try:
         return _collect(options)
     except SlamHiveError as error:
-        if options.cronjob:
-            try:
-                tell_cronjob(options.namespace, options.cronjob, str(error), options.kubeconfig)
-            except SystemFault as trouble:
-                _tell(str(trouble))
+        tell_owner(options, str(error), "NothingRemoved")
         raise
 
 
@@ -114,9 +110,7 @@ def _collect(options: argparse.Namespace) -> str:
     root: Path = options.root
     grace, rest = (duration_of(name, getattr(options, name)) for name in ("grace", "trash"))
     finds = [*_runs(root / "results"), *_data(root / "data")]
-    known = (
-        known_by_file(options.known) if options.known else known_to_api(options.namespace, options.kubeconfig)
-    )
+    known = known_now(options)
     if known.assets is None:
         _tell("assets stay: the account is not allowed to list algorithms")
     now = time.time()
@@ -167,6 +161,32 @@ def _sweep(data: Path) -> None:
     for folder in (data / "variants", data / "generated", data / "generated" / "truths"):
         if folder.is_dir() and not folder.is_symlink():
             evict(folder, sys.maxsize)
+
+
+def known_now(options: argparse.Namespace) -> Known:
+    """Return what is referred to, by the API or by the file that is asked in its place.
+
+    Raises:
+        SystemFault: there is no answer.
+    """
+    if options.known:
+        return known_by_file(options.known)
+    return known_to_api(options.namespace, options.kubeconfig)
+
+
+def tell_owner(options: argparse.Namespace, message: str, reason: str) -> None:
+    """Attach an Event to the CronJob that the options name, if they name one; a failure to do so is printed.
+
+    Args:
+        options: as on the command line.
+        message: what happened.
+        reason: the same, in one word.
+    """
+    if options.cronjob:
+        try:
+            tell_cronjob(options.namespace, options.cronjob, message, options.kubeconfig, reason=reason)
+        except SystemFault as trouble:
+            _tell(str(trouble))
 
 
 def duration_of(name: str, text: str) -> float:

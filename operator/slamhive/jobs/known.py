@@ -158,7 +158,7 @@ def known_to_api(namespace: str, kubeconfig: str | None = None) -> Known:
 
 
 def tell_cronjob(
-    namespace: str, name: str, message: str, kubeconfig: str | None = None, *, reason: str = "NothingRemoved"
+    namespace: str, name: str, message: str, kubeconfig: str | None = None, *, reason: str
 ) -> None:
     """Attach an Event to a CronJob, for who asks why it fails.
 

@@ -26,12 +26,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.data.erasing import erase
-from slamhive.jobs.collect import UID, duration_of, entries_of, is_untouched, read_url
-from slamhive.jobs.known import archived, known_by_file, known_to_api, tell_cronjob
+from slamhive.jobs.collect import (
+    UID,
+    duration_of,
+    entries_of,
+    is_untouched,
+    known_now,
+    read_url,
+    tell_owner,
+)
+from slamhive.jobs.known import archived
 from slamhive.jobs.moving import copy_folder
-from slamhive.jobs.program import arguments, run_program, write_aside
+from slamhive.jobs.program import add_store, arguments, run_program, write_aside
 from slamhive.jobs.trash import OFFLOADED, outdated, throw_away
-from slamhive.model.errors import DataError, SlamHiveError, SystemFault, sentence
+from slamhive.model.errors import DataError, SlamHiveError, sentence
 from slamhive.storage.state import STATE, OffloadState, read_state
 from slamhive.storage.store import StorageUnavailable, Store, StoreSettings
 
@@ -39,7 +47,6 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator, Sequence
 
-    from slamhive.jobs.known import Known
 
 NOTHING_MOVED = "NothingMoved"
 """Reason where something else than the storage is in the way."""
@@ -55,8 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--archive-url-file", type=Path, required=True, help="file with the URL of the archive's database"
     )
-    parser.add_argument("--store", type=Path, required=True, help="settings of the object storage (YAML)")
-    parser.add_argument("--secret", type=Path, help="folder with further options of it, a file each")
+    add_store(parser, required=True)
     parser.add_argument("--after", default="24h", help="what is younger stays (default: %(default)s)")
     parser.add_argument(
         "--trash", default="24h", help="how long moved folders lie in the trash (default: %(default)s)"
@@ -84,11 +90,7 @@ def _work(options: argparse.Namespace) -> str:
         reason = error.reason if isinstance(error, StorageUnavailable) else NOTHING_MOVED
         told = sentence(error)
         offloading.note(told, reason)
-        if options.cronjob:
-            try:
-                tell_cronjob(options.namespace, options.cronjob, told, options.kubeconfig, reason=reason)
-            except SystemFault as trouble:
-                _tell(str(trouble))
+        tell_owner(options, told, reason)
         raise
     offloading.note(None)
     return json.dumps({"v": 1, **offloading.count.as_json(), "dryRun": options.dry_run})
@@ -190,12 +192,6 @@ class Offloading:
         except OSError as error:
             _tell(f"{self._results / STATE}: {error.strerror}")
 
-    def _known(self) -> Known:
-        options = self._options
-        if options.known:
-            return known_by_file(options.known)
-        return known_to_api(options.namespace, options.kubeconfig)
-
     def _going(self, after: float) -> tuple[list[str], list[str]]:
         """Return the UIDs of the runs whose folders may go: those old enough and the others, oldest first."""
         entries = [
@@ -203,7 +199,7 @@ class Offloading:
             for entry in entries_of(self._results / "runs")
             if UID.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False)
         ]
-        known = self._known()
+        known = known_now(self._options)
         free = [entry for entry in entries if entry.name not in known.runs | known.released]
         kept = archived(read_url(self._options.archive_url_file), [entry.name for entry in free]).kept
         aged = sorted(
@@ -249,7 +245,7 @@ class Offloading:
 
     def _throw_away(self, copied: dict[str, int], rest: float) -> None:
         # A run may have taken over a result meanwhile: its evaluation needs the folder on the volume.
-        known = self._known().runs if copied else frozenset()
+        known = known_now(self._options).runs if copied else frozenset()
         for uid, size in copied.items():
             path = self._results / "runs" / uid
             if uid in known:

@@ -62,6 +62,12 @@ def arguments(description: str) -> argparse.ArgumentParser:
     return parser
 
 
+def add_store(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    """Add the options that say which object storage there is."""
+    parser.add_argument("--store", type=Path, required=required, help="settings of the object storage (YAML)")
+    parser.add_argument("--secret", type=Path, help="folder with further options of it, a file each")
+
+
 def run_program(work: Callable[[], str], refusal: Reason = Reason.SYSTEM_FAULT) -> int:
     """Do a Job's work and leave its last words, whatever happens.
 

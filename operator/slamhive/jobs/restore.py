@@ -11,11 +11,10 @@ from __future__ import annotations
 import json
 import os
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamhive.data.erasing import erase
-from slamhive.jobs.program import arguments, parse, read_request, run_program
+from slamhive.jobs.program import add_store, arguments, parse, read_request, run_program
 from slamhive.jobs.requests import RestoreRequest
 from slamhive.model.errors import DataError
 from slamhive.storage.offloaded import folder_of
@@ -25,6 +24,7 @@ from slamhive.storage.store import Store, StoreSettings
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
+    from pathlib import Path
 
     from slamhive.storage.offloaded import Offloaded
 
@@ -36,8 +36,7 @@ _SENTENCE = 300
 def main(argv: Sequence[str] | None = None) -> int:
     """Bring back what the request names."""
     parser = arguments("Bring run folders back from object storage.")
-    parser.add_argument("--store", type=Path, required=True, help="settings of the object storage (YAML)")
-    parser.add_argument("--secret", type=Path, help="folder with further options of it, a file each")
+    add_store(parser, required=True)
     options = parser.parse_args(argv)
     return run_program(lambda: _work(options))
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from slamhive.jobs.listing import Listing
 from slamhive.jobs.opening import opened
-from slamhive.jobs.program import arguments
+from slamhive.jobs.program import add_store, arguments
 from slamhive.model.errors import DataError, SlamHiveError
 from slamhive.storage.reading import Bucket
 from slamhive.storage.store import Store, StoreSettings
@@ -56,8 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--wait", type=float, metavar="SECONDS", help="do nothing until nobody has asked for so long"
     )
     parser.add_argument("--sign", type=Path, default=Path("/tmp/asked"), help="touched when somebody asks")  # noqa: S108
-    parser.add_argument("--store", type=Path, help="settings of the object storage (YAML)")
-    parser.add_argument("--secret", type=Path, help="folder with further options of it, a file each")
+    add_store(parser, required=False)
     options = parser.parse_args(argv)
     sign = Sign(options.sign)
     if options.wait is not None:
