@@ -223,7 +223,7 @@ def run(options: argparse.Namespace, access: Cluster, url: str, database: Postgr
                 archiveUrlFile=str(folder / "url"),
             )
         )
-        sampler = sampling.Sampler(access, process, where, url)
+        sampler = sampling.Sampler(access, process, where, url, options.out / options.archive)
         stack.callback(sampler.close)
         time.sleep(operating.NEW_KINDS_SECONDS)
         access.apply(large_sweep("warm", options.warm, options.warm, retained=options.warm), namespace=where)

@@ -81,19 +81,27 @@ class Sampler:
         process: the operator.
         where: its namespace.
         url: its archive.
+        folder: where ``samples.csv`` goes, each sample as it is taken: hours that break off leave theirs.
     """
 
-    def __init__(self, access: Cluster, process: operating.OperatorProcess, where: str, url: str) -> None:
+    def __init__(
+        self, access: Cluster, process: operating.OperatorProcess, where: str, url: str, folder: Path
+    ) -> None:
         self._access = access
         self._process = process
         self._where = where
         self._engine = open_engine(url)
         self.times = operating.ProgramTimes(access)
         self.taken: list[Sample] = []
+        folder.mkdir(parents=True, exist_ok=True)
+        self._file = (folder / "samples.csv").open("w", newline="", encoding="utf-8")
+        self._table = csv.DictWriter(self._file, [field.name for field in fields(Sample)])
+        self._table.writeheader()
 
     def close(self) -> None:
-        """Let the archive go."""
+        """Let the archive and the file go."""
         self._engine.dispose()
+        self._file.close()
 
     def raw(self, path: str) -> Any:
         """Return what the API server answers, None where it doesn't."""
@@ -134,6 +142,8 @@ class Sampler:
         except (OSError, LookupError, TypeError, ValueError, AttributeError, SQLAlchemyError):
             return None
         self.taken.append(sample)
+        self._table.writerow(asdict(sample))
+        self._file.flush()
         return sample
 
     def live(self, uid: str) -> list[dict[str, Any]]:
@@ -179,11 +189,6 @@ class Clock:
 
 
 def write(samples: list[Sample], figures: dict[str, Any], folder: Path) -> None:
-    """Write samples as CSV, and all figures as JSON."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "samples.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, [field.name for field in fields(Sample)])
-        table.writeheader()
-        table.writerows(map(asdict, samples))
+    """Write all figures as JSON."""
     text = json.dumps(figures | {"samples": [asdict(sample) for sample in samples]}, indent=1)
     (folder / "scale.json").write_text(text + "\n", encoding="utf-8")
