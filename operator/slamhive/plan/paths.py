@@ -167,8 +167,13 @@ def assign(path: Path, value: Any, where: str, *, strict: bool = False) -> Setti
     return result
 
 
+def sets_one_field(path: Path) -> bool:
+    """Tell whether a value at a path sets that field alone, and not those of an object or a map."""
+    return path not in OBJECTS and path not in _MAPS
+
+
 def _assign(path: Path, value: Any, where: str, problems: list[str], *, strict: bool) -> Settings:
-    if path not in OBJECTS and path not in _MAPS:
+    if sets_one_field(path):
         with Collected(problems):
             if path == REPETITION and not strict:
                 raise InputError(f"{where}: the number of a repetition cannot be set; use spec.repetitions")

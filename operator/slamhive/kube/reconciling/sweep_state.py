@@ -7,6 +7,7 @@ All of it can be made again from the Sweep's spec and status, its live runs and 
 from __future__ import annotations
 
 import asyncio
+from array import array
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
@@ -136,7 +137,7 @@ async def remember(
         await asked(_recall, sweep, archive, live, states, archived, cluster)
     return SweepMemory(
         plan=plan,
-        order=order,
+        order=array("I", order),  # a tenth of a list's memory
         states=states,
         selected=selected,
         archived=archived,
