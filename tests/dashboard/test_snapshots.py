@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import os
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import anyio
@@ -11,17 +13,17 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.frame import DERIVED
-from slamhive.archive import Archive
+from slamhive.archive import Archive, connection
 from slamhive.archive.connection import connect
 from slamhive.dashboard import sources
 from slamhive.dashboard.sources import ArchiveData, Workstation
 from slamhive.model.results import Phase
 from slamhive.tables import snapshots
 from slamhive.tables.loading import load
+from slamhive.tables.reading import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from slamhive.analysis.frame import Frame
 
@@ -77,6 +79,33 @@ def test_strange_files_are_left_alone(file: Path, tmp_path: Path) -> None:
 def test_another_version_s_file_is_left_alone(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(snapshots, "VERSION", snapshots.VERSION + 1)
     assert snapshots.restore(file) is None
+
+
+@pytest.fixture
+def settled(assorted: str) -> str:
+    """An archive that nothing was written to for a while: the times of its files tell of each change."""
+    for file in Path(assorted.removeprefix("sqlite:///")).parent.glob("*.sqlite*"):
+        os.utime(file, (1e9, 1e9))
+    return assorted
+
+
+def test_an_unchanged_archive_is_not_asked_again(
+    settled: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make_run: Callable[..., Any]
+) -> None:
+    first = read_table(settled, tmp_path)
+    with monkeypatch.context() as away:
+        away.setattr(connection, "connect", None)
+        second = read_table(settled, tmp_path)
+    assert rows_of(second.frame) == rows_of(first.frame)
+    assert second.sweeps == first.sweeps
+    assert second.sweeps
+    with Archive.open(settled) as archive:
+        archive.put_run(make_run(300))
+        sweep = archive.sweeps()[0]
+        archive.put_sweep(sweep.replace(uid="another-version"))
+    third = read_table(settled, tmp_path)
+    assert rows_of(third.frame) == rows_of(load(connect(settled)).frame)
+    assert len(third.sweeps or ()) == len(first.sweeps or ()) + 1
 
 
 def test_large_tables_are_kept_and_small_ones_not(

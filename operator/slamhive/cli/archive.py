@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slamhive.archive import Archive, keeping
-from slamhive.archive.connection import file_of, shown
+from slamhive.archive.connection import shown
 from slamhive.archive.upgrading import upgrade
 from slamhive.cli.console import bytes_text, complain, open_archive, out, plural, remark
 from slamhive.cli.exits import FAILED
@@ -123,8 +123,7 @@ def merge(
     if not found:
         raise InputError(f"{other}: is this home itself")
     (beside,) = found
-    file = file_of(home.archive_url)
-    nothing = dry_run and file is not None and not file.exists()
+    nothing = dry_run and home.missing_archive is not None
     with (
         alone(home, "slamhive archive merge"),
         Archive.open("sqlite:///:memory:") if nothing else open_archive(home) as archive,

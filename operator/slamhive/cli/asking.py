@@ -32,11 +32,8 @@ def require_archive(home: Home, why: str = ": nothing is known of any run, so no
     Raises:
         InputError: there is none.
     """
-    from slamhive.archive.connection import file_of
-
-    file = file_of(home.archive_url)
-    if file is not None and not file.exists():
-        raise InputError(f"no archive at {file}{why}")
+    if home.missing_archive:
+        raise InputError(f"no archive at {home.missing_archive}{why}")
 
 
 def agreed(question: str, *, yes: bool, dry_run: bool) -> bool:

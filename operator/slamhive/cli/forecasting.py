@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.design import Nearness, Quantity
 from slamhive.analysis.predicting import COVERED
 from slamhive.archive import Archive
-from slamhive.archive.connection import file_of
 from slamhive.cli import tables
 from slamhive.cli.console import bytes_text, command_name, listing, out, plural
 from slamhive.cli.waiting import time_text
@@ -119,8 +118,8 @@ def _costs(home: Home, also: Sequence[str] | None, names: list[str], datasets: l
     """
     others = homes_beside(home, also)
     places = [(OWN, home.archive_url), *((one.label, one.url) for one in others)]
-    file = file_of(home.archive_url)
-    if file is not None and not file.exists():
+    file = home.missing_archive
+    if file is not None:
         if not others:
             raise InputError(f"--estimate: nothing has run here yet: there is no {file}; --also names homes")
         del places[0]
@@ -159,8 +158,7 @@ def _found(
 
 
 def _recordings(wanted: Sequence[Wanted], workshop: Workshop, home: Home) -> Recordings | None:
-    file = file_of(home.archive_url)
-    if file is not None and not file.exists():
+    if home.missing_archive:
         return None
     with Archive.open(home.archive_url, read_only=True) as archive:
         return recordings_needed(Workbench(home, workshop, archive), wanted)
@@ -169,8 +167,7 @@ def _recordings(wanted: Sequence[Wanted], workshop: Workshop, home: Home) -> Rec
 def _outlooks(
     plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop, home: Home, found: _Found
 ) -> list[Outlook | None]:
-    file = file_of(home.archive_url)
-    if file is not None and not file.exists():
+    if home.missing_archive:
         return [None] * len(plans)
     try:
         with Archive.open(home.archive_url, read_only=True) as archive:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slamhive.archive import Archive
-from slamhive.archive.connection import file_of, shown
+from slamhive.archive.connection import shown
 from slamhive.cli.asking import DryRun, Yes, agreed, progress, require_archive
 from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
 from slamhive.cli.tables import show, write_json
@@ -120,8 +120,7 @@ def _survey(place: Home, asked: Asked) -> list[Find]:
 
 def _require_readable(place: Home) -> None:
     """Refuse a home whose archive a newer slamhive wrote, as its folders may mean other things there."""
-    file = file_of(place.archive_url)
-    if file is None or file.exists():
+    if not place.missing_archive:
         Archive.open(place.archive_url, read_only=True).close()
 
 

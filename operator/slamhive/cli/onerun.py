@@ -11,8 +11,6 @@ import typer
 from slamhive.analysis.flattening import Results, columns_of_runs
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.metrics import Metric
-from slamhive.archive import Archive
-from slamhive.archive.records import run_row
 from slamhive.cli.choosing import Also
 from slamhive.cli.console import out, plural
 from slamhive.cli.tables import show, write_json
@@ -26,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from slamhive.archive import Archive
     from slamhive.model.results import Result, RunRecord
 
     Row = dict[str, Any]
@@ -61,6 +60,8 @@ def _found(run: str, also: Sequence[str] | None) -> list[tuple[RunRecord, str | 
     Raises:
         UnknownNameError: there is none.
     """
+    from slamhive.archive import Archive
+
     home = Home.from_environment()
     others = homes_beside(home, also)
     places: list[tuple[str, str, Path | None]] = [(OWN, home.archive_url, home.path)]
@@ -85,6 +86,8 @@ def _found(run: str, also: Sequence[str] | None) -> list[tuple[RunRecord, str | 
 
 def _rows_of(record: RunRecord) -> list[Row]:
     """Return all that is known of a run, one row an evaluation."""
+    from slamhive.archive.records import run_row
+
     row = run_row(record) | {"id": 0}
     found = Results.of((0, result) for result in record.results)
     columns, length = columns_of_runs({name: [value] for name, value in row.items()}, found, frozenset())

@@ -11,7 +11,6 @@ import typer
 from rich.markup import escape
 
 from slamhive.archive import Archive
-from slamhive.archive.connection import file_of
 from slamhive.cli import tables
 from slamhive.cli.checked import check_files
 from slamhive.cli.choosing import Also
@@ -116,8 +115,7 @@ def remark_without_effect(sweep: Sweep, points: Plan) -> None:
 def _print_outlooks(plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop) -> None:
     """Print what an edit made stale and why, and what is new, where there are results."""
     home = Home.from_environment()
-    file = file_of(home.archive_url)
-    if file is not None and not file.exists():
+    if home.missing_archive:
         return
     try:
         with Archive.open(home.archive_url, read_only=True) as archive:

@@ -17,7 +17,6 @@ from slamhive.analysis.grouping import Outcomes, aggregate, varying, where_equal
 from slamhive.analysis.metrics import Metric
 from slamhive.analysis.ordering import order_by, order_rows
 from slamhive.analysis.selection import Chosen, Selection, choose
-from slamhive.archive.connection import file_of, shown
 from slamhive.bridges.targets import Target
 from slamhive.cli.choosing import Also
 from slamhive.cli.console import out, plural, remark
@@ -320,9 +319,7 @@ def _select(selection: Selection, also: Sequence[str] | None = ()) -> Chosen:
     home = Home.from_environment()
     if others := homes_beside(home, also):
         return choose(read_homes(home, others), selection)
-    file = file_of(home.archive_url)
-    absent = file is not None and not file.exists()
-    found = Frame({}, 0) if absent else read_archive(home.archive_url, home.path / "cache")
+    found = Frame({}, 0) if home.missing_archive else read_archive(home.archive_url, home.path / "cache")
     return choose(found, selection)
 
 
@@ -410,6 +407,8 @@ def _remark(chosen: Chosen, found: Aggregate | None = None) -> None:
     for note in chosen.notes:
         remark(f"{note}; --superseded shows them" if "earlier versions left out" in note else note)
     if not len(chosen.frame) and not chosen.superseded:
+        from slamhive.archive.connection import shown
+
         location = shown(Home.from_environment().archive_url)
         remark(f"no such run in {location}; slamhive demo, run and import add runs")
     elif found is not None and found.cells and not any(cell.n for cell in found.cells):

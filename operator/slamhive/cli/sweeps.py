@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -11,7 +12,6 @@ import typer
 
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import where_equal
-from slamhive.archive import Archive
 from slamhive.cli.asking import DryRun, Yes, require_archive
 from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
 from slamhive.cli.forgetting import known_runs, prune_chosen, uids_of
@@ -22,7 +22,7 @@ from slamhive.local.home import Home
 from slamhive.local.removed import run_parts
 from slamhive.local.sweeping import named_sweeps, rename_sweep, sweeps_meant
 from slamhive.model.results import Phase
-from slamhive.tables.reading import read_archive
+from slamhive.tables.reading import read_table
 
 if TYPE_CHECKING:
     from slamhive.local.sweeping import Named
@@ -46,11 +46,11 @@ def list_sweeps(
     """
     place = Home.from_environment()
     require_archive(place, "")
-    with Archive.open(place.archive_url, read_only=True) as archive:
-        sweeps = named_sweeps(archive.sweeps())
-    frame = read_archive(place.archive_url, place.path / "cache")
+    table = read_table(place.archive_url, place.path / "cache")
     tally = Tally()
-    rows = [_row(one, frame, place, tally if size else None) for one in sweeps]
+    rows = [
+        _row(one, table.frame, place, tally if size else None) for one in named_sweeps(table.sweeps or ())
+    ]
     if as_json:
         write_json(sys.stdout, rows)
         return
@@ -128,7 +128,7 @@ def _row(sweep: Named, frame: Frame, place: Home, tally: Tally | None) -> dict[s
         "sweep": sweep.name,
         "namespace": sweep.namespace,
         "cluster": sweep.cluster,
-        "asked": latest.isoformat() if latest else None,
+        "asked": datetime.fromtimestamp(latest, UTC).isoformat() if latest else None,
         "versions": len(sweep.versions),
         "runs": len(uids_of(own)),
         "succeeded": len(uids_of(own.select(where_equal(own, "phase", Phase.SUCCEEDED.value)))),

@@ -101,11 +101,9 @@ def referring(home: Home, column: str, name: str) -> int:
     from slamhive.analysis.grouping import where_equal
     from slamhive.analysis.selection import count_runs
     from slamhive.archive import Archive
-    from slamhive.archive.connection import file_of
     from slamhive.tables.reading import read_archive
 
-    file = file_of(home.archive_url)
-    if file is not None and not file.exists():
+    if home.missing_archive:
         return 0
     Archive.open(home.archive_url, read_only=True).close()
     frame = read_archive(home.archive_url, home.path / "cache")

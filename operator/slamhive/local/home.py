@@ -68,6 +68,20 @@ class Home:
         url = os.environ.get("SLAMHIVE_ARCHIVE") or f"sqlite:///{path / 'archive.sqlite'}"
         return cls(path, url)
 
+    @property
+    def missing_archive(self) -> Path | None:
+        """Return the file of its archive where that isn't there yet; None where it is, or behind a server.
+
+        Raises:
+            InputError: ``$SLAMHIVE_ARCHIVE`` is no database URL.
+        """
+        file: Path | None = self.path / "archive.sqlite"
+        if self.archive_url != f"sqlite:///{file}":
+            from slamhive.archive.connection import file_of  # noqa: PLC0415 - SQLAlchemy, a fifth of a second
+
+            file = file_of(self.archive_url)
+        return file if file is not None and not file.exists() else None
+
     def folder(self, name: str) -> Path:
         """Return a folder of the home, made when it isn't there.
 

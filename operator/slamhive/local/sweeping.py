@@ -15,6 +15,7 @@ from slamhive.model.errors import InputError, UnknownNameError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from slamhive.analysis.derived import SweepVersion
     from slamhive.archive import Archive, SweepRecord
     from slamhive.model.sweep import Sweep
 
@@ -33,7 +34,7 @@ class Named(NamedTuple):
     name: str
     namespace: str | None
     cluster: str | None
-    versions: tuple[SweepRecord, ...]
+    versions: tuple[SweepVersion, ...]
 
     @property
     def uids(self) -> list[str]:
@@ -41,10 +42,10 @@ class Named(NamedTuple):
         return [version.uid for version in self.versions]
 
 
-def named_sweeps(sweeps: Iterable[SweepRecord]) -> list[Named]:
+def named_sweeps(sweeps: Iterable[SweepVersion]) -> list[Named]:
     """Return sweeps by name and place, in the order in which they were last asked for."""
-    found: dict[tuple[str, str | None, str | None], list[SweepRecord]] = {}
-    for one in sweeps:
+    found: dict[tuple[str, str | None, str | None], list[SweepVersion]] = {}
+    for one in sorted(sweeps, key=lambda version: (version.created or 0.0, version.uid)):
         key = one.name, one.namespace, one.cluster
         found[key] = [*found.pop(key, []), one]
     return [Named(*key, tuple(versions)) for key, versions in found.items()]

@@ -21,7 +21,6 @@ import numpy as np
 from slamhive.analysis.columns import Column
 from slamhive.analysis.flattening import MAX_COLUMNS, bound, stack
 from slamhive.analysis.frame import Frame
-from slamhive.archive.connection import parse, shown
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.tables.reading import archive_url, read_archive
@@ -106,9 +105,7 @@ def read_homes(own: Home, others: Iterable[Beside], *, keep: bool = True) -> Fra
         SystemFault: a database doesn't answer.
     """
     cache = own.path / "cache" if keep else None
-    file = own.path / "archive.sqlite"
-    absent = own.archive_url == f"sqlite:///{file}" and not file.exists()
-    frames = [(OWN, Frame({}, 0) if absent else read_archive(own.archive_url, cache))]
+    frames = [(OWN, Frame({}, 0) if own.missing_archive else read_archive(own.archive_url, cache))]
     for one in others:
         try:
             frames.append((one.label, read_archive(one.url, cache)))
@@ -204,13 +201,19 @@ def _beside(text: str, field: str) -> Beside:
         path = path.parent
     elif path is not None and not (path / "archive.sqlite").exists():
         raise InputError(f"{field}: {place}: is no home: it holds no archive.sqlite")
-    label = label or re.sub(r"[^A-Za-z0-9._-]+", "-", path.name if path else str(parse(url).database)).strip(
-        "-."
-    )
+    label = label or re.sub(r"[^A-Za-z0-9._-]+", "-", path.name if path else _database(url)).strip("-.")
     if not _LABEL.fullmatch(label):
+        from slamhive.archive.connection import shown  # noqa: PLC0415 - as below
+
         what = place if path is not None else shown(url)
         raise InputError(f"{field}: {what}: call it by LABEL=PATH; a label has letters, digits, - . and _")
     return Beside(label, url, path)
+
+
+def _database(url: str) -> str:
+    from slamhive.archive.connection import parse  # noqa: PLC0415 - a home of one's own needs no SQLAlchemy
+
+    return str(parse(url).database)
 
 
 def _without(frame: Frame, seen: set[tuple[Any, ...]]) -> Frame:

@@ -32,11 +32,7 @@ from slamhive.analysis.shapes import is_divided, join, names_of
 from slamhive.archive import documents, schema
 from slamhive.archive.connection import reading
 from slamhive.model.uncollected import uncollected
-
-try:
-    from orjson import loads as loads  # noqa: PLC0414 - others take it from here
-except ModuleNotFoundError:  # the extra is not installed: slower, the same
-    from json import loads  # type: ignore[assignment]
+from slamhive.tables.snapshots import Loaded, derived, loads
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -70,23 +66,6 @@ _DOCUMENTS = (
     *("spec", "attributes", "labels", "metrics", "usage", "frames", "trajectory", "provenance"),
     "evaluations",
 )
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """The archive as it was at one moment.
-
-    Attributes:
-        frame: one row a run and evaluation, in the order of storing.
-        marks: what each run looked like in short, by its id.
-        sweeps: the versions of sweeps; None where the columns that follow from them are missing.
-        stamp: what the database's files looked like then; None where that says nothing.
-    """
-
-    frame: Frame = field(default_factory=lambda: Frame({}, 0))
-    marks: dict[int, int] = field(default_factory=dict)
-    sweeps: tuple[SweepVersion, ...] | None = None
-    stamp: tuple[int, ...] | None = None
 
 
 def change_mark(engine: Engine, held: Connection) -> object:
@@ -123,7 +102,7 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
         marks = known if same else _marks(connection) if known else None
         sweeps = _sweeps(connection)
         if marks is not None and marks == known:
-            found_now = before if sweeps == before.sweeps else _derived(before, sweeps)
+            found_now = before if sweeps == before.sweeps else derived(before, sweeps)
             return replace(found_now, stamp=stamp)
         changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
         fresh, found = [], {} if marks is None else marks
@@ -135,13 +114,6 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
             _add_marks(found, measured[: len(_RESULT_CHANGES)], runs=False)
             fresh.append(_read(connection, columns, measured, shapes))
     return Loaded(_merge(before.frame, set(changed or ()), found, fresh, sweeps), found, sweeps, stamp)
-
-
-def _derived(before: Loaded, sweeps: tuple[SweepVersion, ...]) -> Loaded:
-    """Return the same runs with what follows from other versions of their sweeps."""
-    frame = before.frame
-    columns = {name: frame.column(name) for name in frame.stored}
-    return Loaded(with_derived(columns, len(frame), sweeps), before.marks, sweeps)
 
 
 def _sweeps(connection: Connection) -> tuple[SweepVersion, ...]:

@@ -6,23 +6,20 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slamhive.analysis.grouping import Groups, where_equal
-from slamhive.archive import Archive
-from slamhive.archive.connection import connect
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome
 from slamhive.tables import snapshots
-from slamhive.tables.loading import load
 
 if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
+    from slamhive.tables.snapshots import Loaded
 
 REVISION_DIGITS = 16
 
@@ -59,25 +56,39 @@ def home_of(place: str | os.PathLike[str] | None = None) -> Home:
 
 
 def read_archive(url: str, cache: Path | None = None) -> Frame:
-    """Read all runs of an archive, one row a run and evaluation.
+    """Read all runs of an archive, one row a run and evaluation; arguments and errors as ``read_table``."""
+    return read_table(url, cache).frame
+
+
+def read_table(url: str, cache: Path | None = None) -> Loaded:
+    """Read all runs and sweeps of an archive.
 
     Args:
         url: the archive's database URL.
-        cache: folder in which a large table is kept for the next time; None to keep none.
+        cache: folder in which the table is kept for the next time; None to keep none.
 
     Raises:
         InputError: there is no archive at the URL.
         SystemFault: the database doesn't answer.
     """
     stamp = snapshots.stamp_of(url)
+    kept = snapshots.file_for(cache, url) if cache is not None else None
+    same = snapshots.unchanged(kept, stamp) if kept is not None else None
+    if same is not None:
+        return same
+    # A fifth of a second of imports, which a table that is unchanged needs not.
+    from slamhive.archive.connection import connect  # noqa: PLC0415
+    from slamhive.tables.loading import load  # noqa: PLC0415
+
     engine = connect(url, read_only=True)
-    with closing(Archive(engine)):
-        kept = snapshots.file_for(cache, url) if cache is not None else None
+    try:
         before = snapshots.restore(kept) if kept is not None else None
         loaded = load(engine, before, stamp)
         if kept is not None:
             snapshots.keep(kept, loaded, before)
-        return loaded.frame
+        return loaded
+    finally:
+        engine.dispose()
 
 
 def with_figure(frame: Frame, metric: str) -> tuple[Frame, list[str]]:

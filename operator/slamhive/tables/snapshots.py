@@ -14,6 +14,7 @@ import tempfile
 import time
 import zipfile
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,42 @@ import numpy as np
 
 from slamhive import __version__
 from slamhive.analysis.columns import Column, ColumnKind
+from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.frame import DERIVED, Frame
-from slamhive.tables.loading import Loaded, loads
 
-VERSION = 6
+try:
+    from orjson import loads as loads  # noqa: PLC0414 - others take it from here
+except ModuleNotFoundError:  # the extra is not installed: slower, the same
+    from json import loads  # type: ignore[assignment]
+
+VERSION = 7
 _SETTLED_NANOSECONDS = 2 * 10**9
 LEAST_ROWS = 5000
-"""Rows from which on a cache is worth its place."""
+"""Rows from which on a cache is worth its place where it can't spare the database itself."""
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """The archive as it was at one moment.
+
+    Attributes:
+        frame: one row a run and evaluation, in the order of storing.
+        marks: what each run looked like in short, by its id.
+        sweeps: the versions of sweeps; None where the columns that follow from them are missing.
+        stamp: what the database's files looked like then; None where that says nothing.
+    """
+
+    frame: Frame = field(default_factory=lambda: Frame({}, 0))
+    marks: dict[int, int] = field(default_factory=dict)
+    sweeps: tuple[SweepVersion, ...] | None = None
+    stamp: tuple[int, ...] | None = None
+
+
+def derived(before: Loaded, sweeps: tuple[SweepVersion, ...]) -> Loaded:
+    """Return the same runs with what follows from other versions of their sweeps."""
+    frame = before.frame
+    columns = {name: frame.column(name) for name in frame.stored}
+    return Loaded(with_derived(columns, len(frame), sweeps), before.marks, sweeps, before.stamp)
 
 
 def file_for(folder: Path, url: str) -> Path:
@@ -81,6 +111,7 @@ def save(path: Path, loaded: Loaded) -> None:
         "slamhive": __version__,
         "rows": len(frame),
         "columns": described,
+        "sweeps": loaded.sweeps,
         "stamp": loaded.stamp,
     }
     arrays["head"] = _text_of(head)
@@ -98,27 +129,52 @@ def save(path: Path, loaded: Loaded) -> None:
 
 
 def keep(path: Path, loaded: Loaded, before: Loaded | None) -> bool:
-    """Write a table for the next start, if it is large and saves it work; tells whether it was.
+    """Write a table for the next start, if that saves it work; tells whether it was.
 
-    It saves work where much of it is news, or where the next start need not look for changes at all.
+    It saves work where the next start need not look for changes at all, and in a large table where much of it
+    is news.
 
     Args:
         path: the cache's file.
         loaded: the table.
         before: what the file holds.
     """
-    if len(loaded.frame) < LEAST_ROWS:
-        return False
     known = before.marks if before is not None else {}
     settled = loaded.stamp is not None and (before is None or loaded.stamp != before.stamp)
+    if not settled and len(loaded.frame) < LEAST_ROWS:
+        return False
     if not settled and len(loaded.marks.items() - known.items()) <= len(loaded.marks) // 20:
         return False
     save(path, loaded)
     return True
 
 
+def unchanged(path: Path, stamp: tuple[int, ...] | None) -> Loaded | None:
+    """Return the table in a file if it is what the archive holds now.
+
+    The database is not asked, and its library, which takes longer to be imported than a list to be printed,
+    is not needed.
+
+    Args:
+        path: the cache's file.
+        stamp: what the database's files look like.
+    """
+    if stamp is None:
+        return None
+    kept = _read(path)
+    if kept is None or kept[0].stamp != stamp or kept[1] is None:
+        return None
+    return derived(*kept)
+
+
 def restore(path: Path) -> Loaded | None:
     """Return the table in a file; None where there is none that can be used."""
+    kept = _read(path)
+    return None if kept is None else kept[0]
+
+
+def _read(path: Path) -> tuple[Loaded, tuple[SweepVersion, ...] | None] | None:
+    """Return the table in a file without what follows from sweeps, and these."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             head = loads(arrays["head"].tobytes())
@@ -130,10 +186,12 @@ def restore(path: Path) -> Loaded | None:
                 values = () if kind.is_numeric else tuple(loads(arrays[f"v{number}"].tobytes()))
                 columns[str(item["name"])] = _column(kind, arrays[f"c{number}"], values, int(head["rows"]))
             marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
+            told = head["sweeps"]
+            sweeps = None if told is None else tuple(SweepVersion(*one) for one in told)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None
     frame = Frame(columns, int(head["rows"]))
-    return Loaded(frame, marks, stamp=tuple(head["stamp"]) if head["stamp"] else None)
+    return Loaded(frame, marks, stamp=tuple(head["stamp"]) if head["stamp"] else None), sweeps
 
 
 def _text_of(value: Any) -> Any:
