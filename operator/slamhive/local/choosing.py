@@ -64,6 +64,7 @@ def ask(
         if name not in known:
             raise UnknownNameError("dataset", name, sorted(known), "--dataset: the runs here")
     frames = [settings_frame(sweep, points, workshop) for sweep, points in sweeps]
+    # Of all sweeps of a command: a condition that means something in one of them is no mistake in the others.
     names = frozenset(name for frame in frames for name in frame.names if _has_meaning(frame, name))
     found: list[set[int] | None] = []
     for frame in frames:
@@ -129,6 +130,7 @@ def first_of(order: Iterable[int], outlook: Outlook, pending: set[int], first: i
         pending: those that are to be done.
         first: how many.
     """
+    # Who asks for the first ten wants ten answers, not ten that were there already.
     free = {index for index in pending if outlook.standing[index] == Standing.EQUAL}
     counted = (index for index in order if index in pending and index not in free)
     return free | {index for index, _ in zip(counted, range(first), strict=False)}

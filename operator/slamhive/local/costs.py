@@ -66,6 +66,7 @@ class Knowledge:
             if prepared.get("recordedFrameRate") and prepared.get("recordedSeconds"):
                 whole = (float(prepared["recordedFrameRate"]), float(prepared["recordedSeconds"]))
                 found.recordings.setdefault((data, mode), whole)
+            # A failed run cost little because it failed; one that hit its time limit cost at least that.
             if cost.reason is None or cost.reason == Reason.DEADLINE_EXCEEDED:
                 found.limited += cost.reason is not None
                 found.costs.append(cost)
@@ -93,6 +94,7 @@ class Knowledge:
                 if value
             }
             kind = (cost.algorithm, cost.dataset)
+            # Runs of one kind write much the same: to go through the folders of thousands would take minutes.
             if folders and cost.folder and sizes.get(kind, 0) < MOST_FOLDERS:
                 extent = Tally().of(Path(cost.folder))
                 if extent.files and Path(cost.folder).is_dir():
@@ -128,6 +130,7 @@ class Knowledge:
             for cost in self.costs
             if cost.created is not None and cost.started is not None
         ]
+        # The median, as the first run of a recording also prepares it, which the next ones need not.
         return max(0.0, median(found)) if found else 0.0
 
 

@@ -165,6 +165,7 @@ def _predict(found: Forecast, known: Sequence[Known], regression: Design, asked:
     needs = np.array([whole_cores(one.cpu) for one in asked.planned])
     for quantity in Quantity:
         runs = sum(quantity in one.costs for one in related)
+        # Other algorithms' costs alone say nothing of these: rather no figure than a guess.
         prediction = predict(quantity, known, settings, regression) if runs else None
         if prediction is None:
             continue
@@ -189,6 +190,7 @@ def makespan(walls: Iterable[float], cores: Iterable[int], slots: int, room: int
     under_way: list[tuple[float, int]] = []
     free, now, end = room, 0.0, 0.0
     for wall, wish in zip(walls, cores, strict=True):
+        # A run that wants more cores than there are gets all of them, as the runner has it.
         need = wish if room is None else min(wish, room)
         while under_way and (len(under_way) >= slots or (free is not None and free < need)):
             now, given = heapq.heappop(under_way)
@@ -214,6 +216,7 @@ def _wall(
         needs: cores of each.
         idle: s until a program begins.
     """
+    # A run never takes longer than its limit, whatever is predicted for it.
     each = np.minimum(prediction.middles(), limits)
     total, most = np.zeros(1), 0
     for sweep, rows in zip(asked.wanted, asked.rows, strict=True):
@@ -272,6 +275,7 @@ def recordings_needed(bench: Workbench, wanted: Sequence[Wanted]) -> Recordings:
             settings = points.settings(row)
             read = tuple((path, value) for path, value in settings.items() if path[0] == "input")
             key = (*points.short_spec(settings).values(), read)
+            # Each costs hashes and a look at the disk: beyond a thousand the answer is not worth the wait.
             if key in met or len(met) >= MOST_RECORDINGS:
                 continue
             met.add(key)

@@ -146,10 +146,12 @@ def plan_forgetting(
         mine = [run for run in users if run.uid in chosen]
         if not mine:
             continue
+        # A removal that was interrupted has left its note, and files: those are still to go.
         gone = removed_from(folder) is not None and not leftovers_in(folder)
         taken = Extent() if gone else Tally().of(folder)
         if larger is not None and taken.size <= larger:
             continue
+        # Removing files below a program that still writes would only have it make them anew.
         if is_left_behind(folder):
             busy += len(mine)
             continue
@@ -159,7 +161,9 @@ def plan_forgetting(
         if records or (own and not gone):
             freed = tally.of(folder) if own and not gone else Extent()
             going.append(Going(mine[0], folder if own else None, freed))
+            # What the folder gives back is counted once, however many runs refer to it.
             going += [Going(run, None, Extent()) for run in mine[1:]]
+    # Runs without files are smaller than any size that is asked for.
     if records and larger is None:
         going += [Going(run, None, Extent()) for run in without]
     imported = sum(run.source == IMPORTED for run in without)
@@ -189,6 +193,7 @@ def forget(
             remove_files(one.folder, one.extent.size)
         if plan.records:
             removed.append(one)
+            # In batches, as each is a transaction that has to reach the disk.
             if len(removed) >= _BATCH:
                 _remove_records(archive, removed)
         step(number)

@@ -147,6 +147,8 @@ class Home:
             place.touch()
         except OSError as error:
             raise InputError(f"SLAMHIVE_HOME: {place}: {error.strerror}") from None
+        # The kernel's lock decides who may work; the leases only tell others who that is.
+        # Either ends with the process, also by kill -9.
         with lock(place, wait=False, shared=not alone) as held:
             if held is None:
                 raise InputError(self._refusal())
@@ -219,6 +221,7 @@ def lock(path: Path, *, wait: bool = True, shared: bool = False) -> Iterator[int
         process holds it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    # Never removed: who had it open would hold the lock of a file that nobody else can find.
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         try:

@@ -144,6 +144,7 @@ def opened(label: str, url: str, path: Path | None, home: Home) -> Iterator[Othe
             engine.dispose()
         if found is not None and found > VERSION:
             raise wrong_version(parse(url), found)
+        # Nothing is written to another's home: what is upgraded is a copy in one's own.
         if found is not None and found < VERSION:
             copy = home.folder(ASIDE) / f"archive-{os.getpid()}.sqlite"
             with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as origin:
@@ -183,12 +184,14 @@ def merge(
     catalog = {kind: _by_hash(other.archive, kind) for kind in ("Algorithm", "Dataset")}
     used = other.archive.used(one.uid for one in plan.coming)
     origin = other.archive.identity
+    # Sweeps before their runs: a merge that is killed must not leave runs whose sweep nobody knows.
     known = {sweep.uid for sweep in archive.sweeps()}
     for sweep in other.archive.sweeps():
         if sweep.uid not in known:
             archive.put_sweep(sweep)
     for number, one in enumerate(plan.coming, 1):
         if one.source is not None and one.target is not None:
+            # Files before the record: what a record says to be there is there.
             plan.unread += _bring(home.path, one.source, one.target, origin)
         algorithm, dataset = used.get(one.uid, (None, None))
         archive.put_run(
@@ -254,6 +257,7 @@ class _Planner:
             )
         self._uids.add(uid)
         placed, source, target = self._place(record, digits)
+        # As if it were here already: the other archive may hold one run under two UIDs.
         self._mine[_key(record)] = placed.replace(uid=uid)
         extent = self._tally.of(source) if source is not None and target is not None else Extent()
         self._found.coming.append(Coming(record.uid, placed.replace(uid=uid), source, target, extent))
@@ -261,6 +265,7 @@ class _Planner:
     def _place(self, record: RunRecord, digits: str) -> tuple[RunRecord, Path | None, Parts | None]:
         """Return a run as it has its files here, their folder there, and where that is copied to."""
         parts = run_parts(record.folder)
+        # An imported run's files lie where they were imported from, for both homes.
         if parts is None or record.labels.get("source") == IMPORTED:
             return record, None, None
         source = self._other.path.joinpath("runs", *parts) if self._other.path is not None else None
@@ -289,6 +294,7 @@ class _Planner:
                 self._found.results.append((mine.uid, result))
             elif known != result:
                 beside = result.replace(evaluation=f"{result.evaluation}@{self._other.label}")
+                # An earlier merge has kept it already.
                 if have.get(beside.evaluation) == beside:
                     continue
                 self._found.results.append((mine.uid, beside))
@@ -313,6 +319,7 @@ def _origin(identity: str, parts: Parts) -> dict[str, str]:
 
 def _key(record: RunRecord) -> Key:
     moments = (moment.timestamp() if moment else None for moment in (record.created, record.finished))
+    # Without the digits that an earlier merge gave it, or a second merge would bring the run once more.
     return Key(record.uid.partition("@")[0], record.provenance.content_hash, *moments)
 
 
@@ -357,8 +364,10 @@ def _bring(home: Path, source: Path, target: Parts, identity: str) -> list[str]:
         if aside.exists():
             remove(aside)
         aside.parent.mkdir(parents=True, exist_ok=True)
+        # Links stay links: behind one there may be a recording of 100 GB that is not the run's.
         shutil.copytree(source, aside, symlinks=True, copy_function=copy, ignore=_special)
         write_whole(aside / NOTE, json.dumps(_origin(identity, parts)))
+        # On the disk before it gets its name: what has a name is whole, also after a power cut.
         settle(aside, read_only=False)
         place.parent.mkdir(parents=True, exist_ok=True)
         aside.rename(place)

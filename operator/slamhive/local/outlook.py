@@ -155,6 +155,7 @@ class Looking:
         by_place = {run.index: run for run in earlier if run.sweep_uid == sweep_uid}
         by_spec = {run.origin["specHash"]: run for run in earlier if run.origin["specHash"]}
         reusable = self._reusable(points, len(earlier))
+        # A sweep's first run: hashing each of 80,000 specs would find nothing.
         if not earlier and not reusable:
             return outlook
         for index in range(len(points)):

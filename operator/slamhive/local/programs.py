@@ -69,6 +69,7 @@ class Programs:
         making: dict[str, float] | None = None,
     ) -> None:
         self._choice = container
+        # Both are there whatever the choice: it is made for each algorithm, by what its manifest has.
         self.environments = Environments(home.folder("environments"), notify, making)
         self.containers = Containers(home, container, notify)
 

@@ -130,6 +130,7 @@ def _of_elsewhere(marker: str) -> bool:
 
 def _numbers(version: str) -> list[int]:
     parts = [int(part) for part in re.findall(r"\d+", version.partition("+")[0])]
+    # 2 and 2.0 are one version.
     while parts and not parts[-1]:
         parts.pop()
     return parts
@@ -162,6 +163,7 @@ def ros(workshop: Workshop) -> Iterator[Row]:
         costs = f"the ROS 1 nodes {', '.join(nodes)} run in containers and on clusters alone" if nodes else ""
         state = State.MISSING if nodes else State.UNNEEDED
         yield Row("ROS 1", state, "not here", costs, what_it_takes() if nodes else "")
+    # A ROS 2 that is not sourced is found by its folder; one that is sourced may be installed elsewhere.
     there_is = sorted({path.parent.name for path in Path("/opt/ros").glob("*/local_setup.sh")})
     named = os.environ.get("ROS_DISTRO") if os.environ.get("ROS_VERSION") == "2" else None
     found = ", ".join(dict.fromkeys([*([named] if named else []), *there_is])) or "not here"

@@ -164,6 +164,7 @@ def _plain(name: str) -> str:
 
 def _require_one_configuration(records: Sequence[RunRecord]) -> None:
     apart = ("datasetRef", "repetition", "seed")
+    # Repetitions and seeds differ by intention: which of them is submitted is what `choose_run` decides.
     kinds: dict[str, RunRecord] = {}
     for record in records:
         kept = {key: value for key, value in record.spec.items() if key not in apart}
@@ -198,6 +199,7 @@ def choose_run(records: Sequence[RunRecord], pick: Pick) -> tuple[RunRecord, str
             "--repetition first"
         )
     ranked = sorted(ordered, key=lambda one: errors[one.uid] or 0.0)
+    # Of an even number the lower one of the two in the middle: what is submitted is a run, not a mean.
     place = 0 if pick is Pick.BEST else (len(ranked) - 1) // 2
     what = "the least" if pick is Pick.BEST else "the median"
     return ranked[place], f"{what} ATE of {len(ranked)} repetitions, {errors[ranked[place].uid]:.4g} m"
@@ -268,6 +270,7 @@ def _at_frames(poses: Trajectory, variant: Variant, where: str) -> Trajectory:
     except MachineFault as error:
         raise InputError(f"{where}: {error}") from None
     found, positions, quaternions = interpolate(poses, stamps, _GAP_SECONDS)
+    # Programs round the times of their poses: a frame up to 10 ms outside takes the pose at the end.
     edge = ~found & (np.abs(stamps - np.clip(stamps, poses.stamps[0], poses.stamps[-1])) <= 0.01)
     for place in np.flatnonzero(edge):
         nearest = 0 if stamps[place] <= poses.stamps[0] else -1
@@ -279,6 +282,7 @@ def _at_frames(poses: Trajectory, variant: Variant, where: str) -> Trajectory:
             "the challenge wants one for each"
         )
     made = type(poses)(stamps, positions, quaternions)
+    # KITTI counts from the first frame's camera: its first pose is the identity.
     turn = made.matrices[0].T
     return made.transformed(turn, -turn @ made.positions[0])
 

@@ -157,6 +157,7 @@ class Workbench:
         if parts is None:
             return Program(hashed, self.programs.digest(entry), self.programs.image_id(entry))
         digest = digest_of(parts)
+        # Kept so that after an edit `slamhive run` can tell which files differ from those that ran.
         self.versions.keep(digest, parts)
         return Program(hashed, digest)
 
