@@ -22,6 +22,7 @@ from slamhive.figures.widths import WIDTHS, parse_height, parse_width
 from slamhive.local.home import Home
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
+from slamhive.model.uncollected import uncollected
 from slamhive.reporting.papertables import Statistic
 from slamhive.tables.homes import homes_beside
 from slamhive.tables.reading import revision
@@ -34,6 +35,7 @@ class Hold(Choice):
     ALL = "all"
 
 
+@uncollected()
 def figure(
     kind: Annotated[Kind, typer.Argument(help="What it shows.", show_default=False)],
     *,
