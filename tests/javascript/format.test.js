@@ -157,4 +157,9 @@ test('settings are called as their author called them where that is clear', () =
   assert.deepEqual(titled('run', 'parameters.k', 'input.rate'), ['run', 'k', 'rate']);
   assert.deepEqual(titled('parameters.k', 'input.k', 'k'), ['parameters.k', 'input.k', 'k']);
   assert.deepEqual(shortTitles([{ name: 'parameters.k', title: 'K [m]' }])[0].title, 'K [m]');
+  const [k, rate] = shortTitles([
+    { name: 'parameters.k', title: 'parameters.k [m]' },
+    { name: 'input.frameRate', title: 'frame rate [Hz]' },
+  ]);
+  assert.deepEqual([k.title, rate.title], ['k [m]', 'frame rate [Hz]']);
 });

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Indices, Mask
 
+    Declared = Mapping[str, Mapping[str, str]]
+
 DERIVED = frozenset(
     {"status", "disturbed", "superseded", "algorithm.version", "dataset.version", "ate.extended"}
 )
@@ -34,12 +36,21 @@ class Frame:
         columns: by name, equally long.
         length: number of rows.
         rows: places of the rows meant, all of them unless given.
+        declared: by algorithm, what its manifest says of its parameters: the unit of each column, empty for
+            those without.
     """
 
-    def __init__(self, columns: Mapping[str, Column], length: int, rows: Indices | None = None) -> None:
+    def __init__(
+        self,
+        columns: Mapping[str, Column],
+        length: int,
+        rows: Indices | None = None,
+        declared: Declared | None = None,
+    ) -> None:
         self._columns = columns
         self._length = length
         self._rows = rows
+        self.declared: Declared = declared or {}
         self._own: dict[str, Column] = {}
         self._taken: dict[str, Column] = {}
 
@@ -62,6 +73,24 @@ class Frame:
     def rows(self) -> Indices:
         """Places of the rows in the whole table, (n,)."""
         return np.arange(self._length) if self._rows is None else self._rows
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """The units of settings, by column: those that all algorithms of these rows agree on."""
+        if not any(any(units.values()) for units in self.declared.values()):
+            return {}
+        algorithms = self.column("algorithm")
+        codes = np.unique(algorithms.codes[algorithms.present]).tolist()
+        known = [
+            self.declared[name] for name in map(algorithms.values.__getitem__, codes) if name in self.declared
+        ]
+        strange = np.isin(algorithms.codes, [c for c in codes if algorithms.values[c] not in self.declared])
+        found = {}
+        for column in {column for units in known for column, unit in units.items() if unit}:
+            told = {units[column] for units in known if column in units}
+            if len(told) == 1 and not (strange & self.column(column).present).any():
+                found[column] = told.pop()
+        return found
 
     def has(self, name: str) -> bool:
         """Tell whether there is a column of a name."""
@@ -118,13 +147,13 @@ class Frame:
 
     def select(self, rows: Indices | Mask) -> Frame:
         """Return some rows: by a mask, (n,), or by their places."""
-        chosen = Frame(self._columns, self._length, self.rows[rows])
+        chosen = Frame(self._columns, self._length, self.rows[rows], self.declared)
         chosen._own = {name: column.take(rows) for name, column in self._own.items()}
         return chosen
 
     def replaced(self, columns: Mapping[str, Column]) -> Frame:
         """Return the same rows with other columns of some names."""
-        changed = Frame(self._columns, self._length, self._rows)
+        changed = Frame(self._columns, self._length, self._rows, self.declared)
         changed._own = self._own | dict(columns)
         return changed
 
@@ -132,7 +161,13 @@ class Frame:
         """Return the same rows without what some columns hold."""
         dropped = set(names)
         left = {name: column for name, column in self._columns.items() if name not in dropped}
-        return Frame(left, self._length, self._rows)
+        return Frame(left, self._length, self._rows, self.declared)
+
+    def declaring(self, declared: Declared) -> Frame:
+        """Return the same rows, with what manifests say of parameters."""
+        changed = Frame(self._columns, self._length, self._rows, declared)
+        changed._own = self._own
+        return changed
 
     def row(self, place: int, names: Sequence[str] | None = None) -> dict[str, Any]:
         """Return one row as a flat record."""

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Self
 
-from slamhive.analysis.names import label_of, name_of, with_unit
+from slamhive.analysis.names import CONFIGURATION, label_of, name_of, with_unit
 from slamhive.model.errors import InputError
 
 UNITS: dict[str, dict[str, float]] = {
@@ -47,7 +47,9 @@ class Metric:
         """
         column, *rest = text.split(":")
         base = stored_unit(column)
-        unit, shape = _SHOWN_IN.get(base, base), ".0f" if base == "B" else ""
+        unit, shape = base, ""
+        if base in _SHOWN_IN and not column.startswith(CONFIGURATION):  # settings stand as they were written
+            unit, shape = _SHOWN_IN[base], ".0f"
         for part in rest:
             if _FORMAT.fullmatch(part):
                 shape = part

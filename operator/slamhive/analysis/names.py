@@ -3,17 +3,22 @@
 
 A column such as ``ate.rmse`` is what people type; ``name_of`` says what they call it where they read it. An
 axis of a chart has room for all of it ("ATE RMSE [m]", ``label_of``), the head of a table for less
-("ATE [m]", ``title_of``). Settings are called as their author called them.
+("ATE [m]", ``title_of``). Settings are called as their author called them, with the unit that the manifest
+of their algorithm gives them: a table of runs knows those (``Frame.units``), ``declared_units`` has them hold
+while it is shown.
 """
 
 from __future__ import annotations
 
 import re
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator, Mapping
 
 
 CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
@@ -115,9 +120,32 @@ _SHORT = {
 _SETTINGS = re.compile(r"(parameters|input|resources|dataset\.attributes|label)\.(.+)")
 
 
-@lru_cache(maxsize=4096)
+_DECLARED: ContextVar[Mapping[str, str]] = ContextVar("units of settings", default=MappingProxyType({}))
+
+
+@contextmanager
+def declared_units(units: Mapping[str, str]) -> Iterator[None]:
+    """Have settings named with their units inside.
+
+    Args:
+        units: by column.
+    """
+    before = _DECLARED.set(units)
+    try:
+        yield
+    finally:
+        _DECLARED.reset(before)
+
+
 def name_of(column: str) -> Name:
     """Return what people call a column; one without a name of its own is called as it is."""
+    name = _name_of(column)
+    unit = _DECLARED.get().get(column)
+    return name if unit is None else name._replace(unit=unit)
+
+
+@lru_cache(maxsize=4096)
+def _name_of(column: str) -> Name:
     if column in _NAMES:
         text, unit, *short = _NAMES[column]
         return Name(text, unit, short[0] if short else text)

@@ -15,6 +15,7 @@ import typer
 from slamhive import __version__
 from slamhive.analysis import Metric, Outcomes
 from slamhive.analysis.boards import COMPETITORS
+from slamhive.analysis.names import declared_units
 from slamhive.cli.choosing import Also, EvaluationName, Sweeps, Where, choose_runs, select
 from slamhive.cli.console import remark
 from slamhive.cli.results import Output, Superseded
@@ -220,10 +221,11 @@ def paper_table(
         *(f"Of the archive: {sentence}." for sentence in selection.sentences),
     )
     words = caption if caption is not None else given.caption if given else ""
-    if style is TableStyle.MARKDOWN:
-        text = markdown(table, told=words, origin=origin)
-    else:
-        text = latex(table, caption=words, label=label, origin=origin, rules=Rules(style.value))
+    with declared_units(frame.units):
+        if style is TableStyle.MARKDOWN:
+            text = markdown(table, told=words, origin=origin)
+        else:
+            text = latex(table, caption=words, label=label, origin=origin, rules=Rules(style.value))
     _write(text, output)
     for note in table.notes if output else ():
         remark(note)

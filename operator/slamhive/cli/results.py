@@ -15,6 +15,7 @@ import typer
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import Outcomes, aggregate, varying, where_equal
 from slamhive.analysis.metrics import Metric
+from slamhive.analysis.names import declared_units
 from slamhive.analysis.ordering import order_by, order_rows
 from slamhive.analysis.selection import Chosen, Selection, choose
 from slamhive.bridges.targets import Target
@@ -33,7 +34,7 @@ from slamhive.tables.text import (
     flat_cells,
     implied,
     key_text,
-    short_name,
+    key_title,
     table_lines,
     value_text,
 )
@@ -127,10 +128,11 @@ def list_results(
                     ", ".join(f"{name} {key_text(value)}" for name, value in same.items()), markup=False
                 )
             lines = [[value_text(metric, row[metric.column]) for metric in shown] for row in rows]
-            titles = [
-                short_name(one.column, names) if one.column.startswith("parameters.") else one.title
-                for one in shown
-            ]
+            with declared_units(frame.units):
+                titles = [
+                    key_title(one.column, names) if one.column.startswith("parameters.") else one.title
+                    for one in shown
+                ]
             _print(form, titles, lines)
             _remark(found)
 
@@ -203,7 +205,9 @@ def show_table(
                 out.print(
                     ", ".join(f"{name} {key_text(value)}" for name, value in shared.items()), markup=False
                 )
-            _print(form, *table_lines(found, across, metrics, {*shared, *implied(found, by or ())}))
+            with declared_units(frame.units):
+                written = table_lines(found, across, metrics, {*shared, *implied(found, by or ())})
+            _print(form, *written)
             for note in found.notes:
                 remark(note)
             _remark(chosen, found)

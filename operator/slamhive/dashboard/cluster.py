@@ -287,7 +287,8 @@ class ClusterSource:
         ]
         known = {one.uid for one in current}
         earlier = self._archive.sweeps if self._archive is not None else ()
-        return with_derived(columns, length, [*current, *(one for one in earlier if one.uid not in known)])
+        versions = [*current, *(one for one in earlier if one.uid not in known)]
+        return with_derived(columns, length, versions).declaring(archived.declared)
 
     def _follower(self, api: Api, watches: ClientSession, kind: Kind, namespace: str) -> Follower:
         def trouble(sentence: str | None) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.flattening import OF_RUN
 from slamhive.analysis.metrics import Metric
+from slamhive.analysis.names import declared_units
 from slamhive.dashboard.encoding import plain
 from slamhive.tables.text import PARTS
 
@@ -25,15 +26,16 @@ _MAX_NUMBERS = 40
 
 def heading(frame: Frame, name: str) -> dict[str, Any]:
     """Return what is to know of a column to show it."""
-    metric = Metric.parse(name) if ":" not in name else Metric(name, "", 1.0)
-    return {
-        "name": name,
-        "kind": str(frame.column(name).kind),
-        "title": metric.title,
-        "label": metric.label,
-        "unit": metric.unit or None,
-        "factor": metric.factor,
-    }
+    with declared_units(frame.units):
+        metric = Metric.parse(name) if ":" not in name else Metric(name, "", 1.0)
+        return {
+            "name": name,
+            "kind": str(frame.column(name).kind),
+            "title": metric.title,
+            "label": metric.label,
+            "unit": metric.unit or None,
+            "factor": metric.factor,
+        }
 
 
 def profile(frame: Frame, name: str) -> dict[str, Any]:

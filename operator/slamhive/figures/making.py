@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 from slamhive import __version__
+from slamhive.analysis.names import declared_units
 from slamhive.figures.asking import Kind
 from slamhive.model.errors import InputError
 from slamhive_eval.csv_writing import csv_text
@@ -46,6 +47,11 @@ def picture(
     """
     if published and wish.kind is not Kind.SCATTER:
         raise InputError("--published: published numbers are drawn by scatter alone")
+    with declared_units(frame.units):
+        return _picture(frame, wish, home, also, published=published)
+
+
+def _picture(frame: Frame, wish: Wish, home: Home, also: Sequence[Beside], *, published: bool) -> Picture:
     if wish.kind.is_of_files:
         # Readers of folders and ground truth: only some figures need them.
         from slamhive.figures.paths import paths  # noqa: PLC0415

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from slamhive import __version__
 from slamhive.analysis import Outcomes
 from slamhive.analysis.boards import COMPETITORS
+from slamhive.analysis.names import declared_units
 from slamhive.reporting.charts import study_chart
 from slamhive.reporting.drawing import legend
 from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
@@ -88,7 +89,11 @@ def report_html(frame: Frame, contents: Contents, now: datetime | None = None) -
         contents: what it shows.
         now: the time it says that it was made.
     """
-    stamp = now or datetime.now(UTC)
+    with declared_units(frame.units):
+        return _html(frame, contents, now or datetime.now(UTC))
+
+
+def _html(frame: Frame, contents: Contents, stamp: datetime) -> str:
     made = {
         "report made": f"{stamp:%Y-%m-%d} with slamhive {__version__}",
         "data revision": revision(frame),

@@ -26,7 +26,7 @@ from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.tables.reading import archive_url, read_archive
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from slamhive.archive import Cost
 
@@ -125,6 +125,7 @@ def together(frames: Sequence[tuple[str, Frame]]) -> Frame:
     seen: set[tuple[Any, ...]] = set()
     uids: dict[str, str | None] = {}
     last = 0.0
+    declared: dict[str, Mapping[str, str]] = {}
     for label, whole in frames:
         frame = _without(whole, seen)
         columns = {name: frame.glance(name) for name in frame.stored}
@@ -137,10 +138,13 @@ def together(frames: Sequence[tuple[str, Frame]]) -> Frame:
         columns["id"] = Column.of_numbers(ids, columns["id"].kind)
         last = float(ids.max())
         columns[COLUMN] = Column.of_codes(np.zeros(len(frame), dtype=np.int32), (label,))
+        for name, units in whole.declared.items():
+            declared.setdefault(name, units)
+            declared[told_name(name, label)] = units
         parts.append((columns, len(frame)))
     bound(parts, parts[0][0] if parts else (), MAX_COLUMNS)
     columns, length = stack(parts) if parts else ({}, 0)
-    return Frame(columns, length)
+    return Frame(columns, length, declared=declared)
 
 
 def costs_together(homes: Sequence[tuple[str, Sequence[Cost]]]) -> list[Cost]:

@@ -100,9 +100,11 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
         known = before.marks
         same = stamp is not None and stamp == before.stamp
         marks = known if same else _marks(connection) if known else None
-        sweeps = _sweeps(connection)
+        sweeps, declared = _sweeps(connection), _declared(connection)
         if marks is not None and marks == known:
             found_now = before if sweeps == before.sweeps else derived(before, sweeps)
+            if declared != found_now.frame.declared:
+                found_now = replace(found_now, frame=found_now.frame.declaring(declared))
             return replace(found_now, stamp=stamp)
         changed = None if marks is None else [run for run, mark in marks.items() if known.get(run) != mark]
         fresh, found = [], {} if marks is None else marks
@@ -113,7 +115,8 @@ def load(engine: Engine, before: Loaded | None = None, stamp: tuple[int, ...] | 
             _add_marks(found, [*columns[: len(_CHANGES)], columns[-1]], runs=True)
             _add_marks(found, measured[: len(_RESULT_CHANGES)], runs=False)
             fresh.append(_read(connection, columns, measured, shapes))
-    return Loaded(_merge(before.frame, set(changed or ()), found, fresh, sweeps), found, sweeps, stamp)
+    frame = _merge(before.frame, set(changed or ()), found, fresh, sweeps).declaring(declared)
+    return Loaded(frame, found, sweeps, stamp)
 
 
 def _sweeps(connection: Connection) -> tuple[SweepVersion, ...]:
@@ -123,6 +126,19 @@ def _sweeps(connection: Connection) -> tuple[SweepVersion, ...]:
         SweepVersion(row.uid, row.name, row.cluster, row.namespace, row.created and row.created.timestamp())
         for row in connection.execute(query.order_by(columns.uid))
     )
+
+
+def _declared(connection: Connection) -> dict[str, dict[str, str]]:
+    """Return the units of the parameters' columns by algorithm, as its latest manifest says them."""
+    columns = schema.algorithms.c
+    query = select(columns.name, columns.spec).order_by(columns.stored, columns.content_hash)
+    return {
+        name: {
+            f"parameters.{key}": str(one.get("unit") or "")
+            for key, one in (spec.get("parameters") or {}).items()
+        }
+        for name, spec in connection.execute(query)
+    }
 
 
 def _marks(connection: Connection) -> dict[int, int]:

@@ -57,7 +57,8 @@ def derived(before: Loaded, sweeps: tuple[SweepVersion, ...]) -> Loaded:
     """Return the same runs with what follows from other versions of their sweeps."""
     frame = before.frame
     columns = {name: frame.column(name) for name in frame.stored}
-    return Loaded(with_derived(columns, len(frame), sweeps), before.marks, sweeps, before.stamp)
+    found = with_derived(columns, len(frame), sweeps).declaring(frame.declared)
+    return Loaded(found, before.marks, sweeps, before.stamp)
 
 
 def file_for(folder: Path, url: str) -> Path:
@@ -112,6 +113,7 @@ def save(path: Path, loaded: Loaded) -> None:
         "rows": len(frame),
         "columns": described,
         "sweeps": loaded.sweeps,
+        "declared": frame.declared,
         "stamp": loaded.stamp,
     }
     arrays["head"] = _text_of(head)
@@ -186,11 +188,11 @@ def _read(path: Path) -> tuple[Loaded, tuple[SweepVersion, ...] | None] | None:
                 values = () if kind.is_numeric else tuple(loads(arrays[f"v{number}"].tobytes()))
                 columns[str(item["name"])] = _column(kind, arrays[f"c{number}"], values, int(head["rows"]))
             marks = dict(zip(arrays["ids"].tolist(), arrays["marks"].tolist(), strict=True))
-            told = head["sweeps"]
+            told, declared = head["sweeps"], dict(head["declared"])
             sweeps = None if told is None else tuple(SweepVersion(*one) for one in told)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None
-    frame = Frame(columns, int(head["rows"]))
+    frame = Frame(columns, int(head["rows"]), declared=declared)
     return Loaded(frame, marks, stamp=tuple(head["stamp"]) if head["stamp"] else None), sweeps
 
 

@@ -11,6 +11,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.metrics import Metric
+from slamhive.analysis.names import name_of, with_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -119,7 +120,7 @@ def table_lines(
     rows = [name for name in found.keys if name not in {*across, *left_out}]
     parts = [metric.title for metric in metrics] + ["coverage", "n", "failures"]
     sides = _distinct(tuple(cell.keys[name] for name in across) for cell in found.cells)
-    headings = [short_name(name, rows) for name in rows]
+    headings = [key_title(name, rows) for name in rows]
     for values in sides:
         prefix = "".join(f"{key_text(value)} " for value in values)
         headings += [prefix + part for part in parts]
@@ -191,6 +192,11 @@ def short_name(name: str, names: Sequence[str]) -> str:
             short = name.removeprefix(prefix)
             return name if sum(other.endswith(f".{short}") for other in names) > 1 else short
     return name
+
+
+def key_title(name: str, names: Sequence[str]) -> str:
+    """Return the heading of a configuration's column, with the unit of its numbers."""
+    return with_unit(short_name(name, names), name_of(name).unit)
 
 
 def _lines(cells: Sequence[Cell], rows: Sequence[str], across: Sequence[str]) -> Iterable[dict[str, Cell]]:

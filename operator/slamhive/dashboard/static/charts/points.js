@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Reading the columnar answer of /api/v1/analysis/points. */
-import { axisName, cell, clip, columnTitle, SUBJECT } from '../core/format.js';
+import { axisName, cell, clip, ownTitle, SUBJECT } from '../core/format.js';
 
 /**
  * An axis of points: numbers (shown unit) or categories.
@@ -71,8 +71,8 @@ export function facets(data) {
   if (!data.axes.facet) return [{ name: null, indices: all }];
   const axis = asCategories(readAxis(data.axes.facet), count, 24);
   if (!axis) return null;
-  const { name: column, title } = axis.heading;
-  const said = title === column ? columnTitle(column) : title;
+  const column = axis.heading.name;
+  const said = ownTitle(axis.heading);
   /** @param {string} value */
   const named = (value) => (SUBJECT.includes(column) ? value : `${said} ${value}`);
   const parts = axis.categories.map((value) => ({

@@ -99,13 +99,20 @@ const PREFIX = /^(parameters|input|resources|dataset\.attributes|label|provenanc
 export const columnTitle = (name) => TITLES.get(name) ?? name.replace(PREFIX, '');
 
 /**
+ * Return a heading's title; a setting is called as its author called it, with its unit.
+ * @param {Api.Heading} heading
+ */
+export const ownTitle = ({ name, title }) =>
+  title === name || title.startsWith(`${name} [`) ? columnTitle(name) + title.slice(name.length) : title;
+
+/**
  * Return headings in which settings are called as their author called them, where that is clear.
  * @template {Api.Heading} T
  * @param {T[]} headings
  * @returns {T[]}
  */
 export function shortTitles(headings) {
-  const short = headings.map(({ name, title }) => (title === name ? columnTitle(name) : title));
+  const short = headings.map(ownTitle);
   return headings.map((one, at) =>
     short.filter((title) => title === short[at]).length > 1 ? one : { ...one, title: short[at] },
   );
