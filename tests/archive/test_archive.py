@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import errno
+import re
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -16,7 +19,7 @@ from datetime import UTC, datetime, timedelta, timezone
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from sqlalchemy import create_engine, event, text
+from sqlalchemy import create_engine, event, exc, text
 
 from slamhive.archive import Archive, CatalogEntry, SweepRecord, Totals, schema
 from slamhive.archive.connection import failures, open_engine, parse
@@ -491,12 +494,53 @@ def test_a_full_disk_is_said_with_what_helps(tmp_path: Path) -> None:
     Archive.open(url).close()
     engine = open_engine(parse(url))
     large = text("CREATE TABLE maps AS SELECT zeroblob(10000000)")
-    helps = "database or disk is full; what it holds stays: make room, and the same command goes on"
+    disk = rf"the disk of {re.escape(str(tmp_path))} is full"
+    helps = rf"{disk}; what it holds stays: make room \(`slamhive home --size`"
     with engine.begin() as connection:
         connection.execute(text("PRAGMA max_page_count = 1"))  # of those that are there already
         with pytest.raises(SystemFault, match=rf"archive\.sqlite: {helps}"), failures(engine.url):
             connection.execute(large)
     engine.dispose()
+
+
+@pytest.mark.parametrize("free", [0, 1 << 30])
+def test_a_disk_without_room_for_the_files_beside_an_archive_is_full_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int
+) -> None:
+    url = parse(f"sqlite:///{tmp_path / 'archive.sqlite'}")
+    error = sqlite3.OperationalError("disk I/O error")
+    error.sqlite_errorcode = sqlite3.SQLITE_IOERR  # SQLite says no more where it can't make its log's index
+    usage = shutil.disk_usage(tmp_path)._replace(free=free)
+    monkeypatch.setattr("slamhive.archive.connection.shutil.disk_usage", lambda _: usage)
+    with pytest.raises(SystemFault) as refused, failures(url):
+        raise exc.OperationalError("", None, error)
+    assert ("is full" in str(refused.value)) == (not free)
+
+
+def test_an_archive_on_a_full_disk_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    url = f"sqlite:///{tmp_path / 'archive.sqlite'}"
+    with Archive.open(url) as archive:
+        archive.put_sweep(SweepRecord(uid="s", name="study", spec={}))
+    usage = shutil.disk_usage(tmp_path)._replace(free=0)
+    monkeypatch.setattr("slamhive.archive.connection.shutil.disk_usage", lambda _: usage)
+    (tmp_path / "archive.sqlite-wal").touch()  # of a command that could do no more
+    with Archive.open(url, read_only=True) as archive:
+        assert [one.name for one in archive.sweeps()] == ["study"]
+        assert not (tmp_path / "archive.sqlite-shm").exists()
+
+
+def test_a_disk_that_an_archive_does_not_fit_on_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("slamhive.archive.connection.publish", refuse)
+    with pytest.raises(
+        SystemFault, match=rf"archive\.sqlite: the disk of {re.escape(str(tmp_path))} is full"
+    ):
+        Archive.open(f"sqlite:///{tmp_path / 'archive.sqlite'}")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_server_that_does_not_answer() -> None:

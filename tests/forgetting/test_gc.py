@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +17,7 @@ from slamhive.data.store import made_folder
 from slamhive.local.catalog import load_workshop
 from slamhive.local.environments import Environments
 from slamhive.local.home import lock
+from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,6 +101,23 @@ def test_nothing_goes_while_a_runner_is_at_work_or_unasked(
     assert (said.code, "another slamhive run is at work" in said.err) == (2, True)
     assert "--yes removes this" in slamhive("gc").err
     assert there(variants) == [True, True]
+
+
+def test_a_full_disk_is_freed(
+    lab: Any, slamhive: Callable[..., Any], variants: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def refuse_to_open(_: object) -> None:
+        raise SystemFault("the disk is full")
+
+    usage = shutil.disk_usage(lab.home.path)._replace(free=0)
+    monkeypatch.setattr("slamhive.archive.connection.shutil.disk_usage", lambda _: usage)
+    monkeypatch.setattr("slamhive.cli.home.open_archive", refuse_to_open)
+    monkeypatch.setattr("slamhive.local.home.os.write", refuse)
+    assert slamhive("gc", "--all", "--yes").code == 0
+    assert there(variants) == [False, False]
 
 
 def test_folders_of_runs_that_are_missing_keep_the_variants(

@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import sqlite3
 import uuid
 from contextlib import contextmanager
@@ -56,23 +57,29 @@ _READ_ONLY = (
     "; it takes no writes: a replica, a server with default_transaction_read_only, a file or folder that "
     "this user can't write, or a file system mounted read-only"
 )
-_FULL = "; what it holds stays: make room, and the same command goes on"
+_FULL = "; what it holds stays: make room{}, and the same command goes on"
 _ADVICE: dict[str | int, str] = {
     "25006": _READ_ONLY,  # PostgreSQL's SQLSTATE, the same in every language of a server
-    "53100": _FULL,
+    "53100": _FULL.format(" on the server's disk"),
     sqlite3.SQLITE_READONLY: _READ_ONLY,
-    sqlite3.SQLITE_FULL: _FULL,
 }
+_OF_FULL_DISKS = (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN)
+"""What SQLite says too where a disk is full: it can't make the files beside its own."""
+
+_LEAST_BYTES = 1 << 16
+"""Room that SQLite needs to open an archive at all: its index of the log has 32 KiB."""
 _DAMAGED = ("malformed", "Could not decode to UTF-8")
 
 
-def connect(url: str, *, read_only: bool = False) -> Engine:
+def connect(url: str, *, read_only: bool = False, held: bool = False) -> Engine:
     """Return an engine for a database URL whose tables are of this version.
 
     Args:
         url: the database's URL.
-        read_only: let no connection write. A file in a folder that can't be written is read all the same.
-            Otherwise tables are made where there are none; those of another version are never changed.
+        read_only: let no connection write. A file in a folder that can't be written, or on a full disk, is
+            read all the same. Otherwise tables are made where there are none; those of another version are
+            never changed.
+        held: the engine is kept while others write: a disk that is full will not always be.
 
     Raises:
         InputError: the URL cannot be used, the file is damaged or emptied, the tables are of another version
@@ -87,7 +94,7 @@ def connect(url: str, *, read_only: bool = False) -> Engine:
         if not read_only and not file.exists():
             _make_file(file, parsed)
         require_content(file)
-    engine = open_engine(parsed, read_only=read_only)
+    engine = open_engine(parsed, read_only=read_only, held=held)
     try:
         with failures(parsed):
             _prepare(engine, read_only=read_only)
@@ -97,7 +104,7 @@ def connect(url: str, *, read_only: bool = False) -> Engine:
     return engine
 
 
-def open_engine(parsed: URL, *, read_only: bool = False) -> Engine:
+def open_engine(parsed: URL, *, read_only: bool = False, held: bool = False) -> Engine:
     """Return an engine with the settings of all archives, whatever tables it may find.
 
     Raises:
@@ -105,7 +112,7 @@ def open_engine(parsed: URL, *, read_only: bool = False) -> Engine:
     """
     options: dict[str, Any] = {}
     file = file_of(parsed)
-    if read_only and file is not None and not os.access(file.parent, os.W_OK, effective_ids=True):
+    if read_only and file is not None and not _takes_files(file.parent, held=held):
         place = _read_only_name(file)
         options["creator"] = lambda: sqlite3.connect(place, uri=True, check_same_thread=False)
     try:
@@ -169,6 +176,9 @@ def failures(url: URL) -> Iterator[None]:
             raise InputError(f"archive {shown(url)}: the file is not an SQLite database") from None
         if any(words in cause for words in _DAMAGED):
             raise _damaged(url, cause) from error
+        file = file_of(url)
+        if file is not None and _is_full(error.orig, file.parent):
+            raise _full(file) from error
         raise SystemFault(f"archive {shown(url)}: {cause}{_advice(error.orig)}") from error
     except exc.SQLAlchemyError as error:
         raise SystemFault(f"archive {shown(url)}: {error}") from error
@@ -320,6 +330,29 @@ def _advice(error: BaseException | None) -> str:
     return "" if code is None else _ADVICE.get(code & 0xFF, "")  # above it is the kind of the kind
 
 
+def _takes_files(folder: Path, *, held: bool) -> bool:
+    """Tell whether SQLite can make its files beside an archive's, now or, where it is held, later."""
+    return os.access(folder, os.W_OK, effective_ids=True) and (held or not _lacks_room(folder))
+
+
+def _lacks_room(folder: Path) -> bool:
+    try:
+        return shutil.disk_usage(folder).free < _LEAST_BYTES
+    except OSError:
+        return False
+
+
+def _is_full(error: BaseException | None, folder: Path) -> bool:
+    """Tell whether SQLite failed because the disk of its file is full."""
+    code = (getattr(error, "sqlite_errorcode", None) or 0) & 0xFF
+    return code == sqlite3.SQLITE_FULL or (code in _OF_FULL_DISKS and _lacks_room(folder))
+
+
+def _full(file: Path) -> SystemFault:
+    helps = _FULL.format(" (`slamhive home --size` says what takes how much)")
+    return SystemFault(f"archive {file}: the disk of {file.parent} is full{helps}")
+
+
 def _damaged(url: URL, cause: str) -> InputError:
     return InputError(
         f"archive {shown(url)}: the file is damaged ({cause}); `slamhive archive check` says where, "
@@ -331,8 +364,10 @@ def _read_only_name(file: Path) -> str:
     """Return how SQLite opens a file in a folder where it can't make its own beside it."""
     name = f"file:{quote(str(file.absolute()))}?mode=ro"
     log = file.with_name(f"{file.name}-wal")
-    # Whoever works with the file has its log there, and then the file alone is not the whole of it.
-    return name if log.exists() else f"{name}&immutable=1"
+    # Whoever works with the file has its log there, and then the file alone is not the whole of it. On a full
+    # disk an empty log is what somebody left who could do no more.
+    is_worked_with = log.exists() and (log.stat().st_size > 0 or not _lacks_room(file.parent))
+    return name if is_worked_with else f"{name}&immutable=1"
 
 
 def _beginning(url: str) -> str:
@@ -413,7 +448,11 @@ def _make_file(file: Path, parsed: URL) -> None:
         finally:
             engine.dispose()
         publish(aside, file)
+    except SystemFault as error:  # of a name that nobody knows
+        raise SystemFault(str(error).replace(str(aside), str(file))) from None
     except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise _full(file) from None
         raise InputError(f"archive {file}: {file.parent}: {error.strerror}") from None
     finally:
         remove_database(aside)
@@ -433,8 +472,9 @@ def publish(aside: Path, file: Path) -> bool:
     """
     # SQLite brings its log into the file as it closes, and says no failure.
     log = aside.with_name(f"{aside.name}-wal")
-    if log.exists() and log.stat().st_size:
-        raise OSError(errno.EIO, os.strerror(errno.EIO), str(aside))
+    if log.exists() and (left := log.stat().st_size):
+        code = errno.ENOSPC if shutil.disk_usage(aside.parent).free < left else errno.EIO
+        raise OSError(code, os.strerror(code), str(aside))
     flush(aside)
     try:
         os.link(aside, file)

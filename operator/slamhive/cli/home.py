@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -16,6 +17,7 @@ from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
 from slamhive.cli.tables import show, write_json
 from slamhive.local.extent import total
 from slamhive.local.home import Home
+from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -112,7 +114,8 @@ def _survey(place: Home, asked: Asked) -> list[Find]:
     from slamhive.local.collecting import survey
     from slamhive.tables.reading import read_archive
 
-    open_archive(place).close()  # brings an earlier version up to date, and refuses a newer one
+    with suppress(SystemFault):  # a full disk is to be freed; what else may be wrong, reading says
+        open_archive(place).close()  # brings an earlier version up to date, and refuses a newer one
     frame = read_archive(place.archive_url)
     datasets = {str(name) for name in frame.column("dataset").factorized()[1] if name is not None}
     return survey(place, load_workshop(place), known_runs(frame), datasets, asked)

@@ -282,7 +282,7 @@ class ArchiveData:
                 changed = not self.loaded_once
                 self.loaded_once = True
                 return changed
-            self._engine = connect(self._url, read_only=True)
+            self._engine = connect(self._url, read_only=True, held=True)
             self._held = self._engine.connect()
             self._mark = None
         if self._held is None:

@@ -21,7 +21,7 @@ import fcntl
 import json
 import os
 import platform
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -157,7 +157,10 @@ class Home:
             taken = leases.take((LeaseKind.WORKERS, f"{worker.node}-{worker.pid}-{held}")) or ()
             try:
                 for lease in taken:
-                    os.write(lease.descriptor, worker.text().encode())
+                    with suppress(
+                        OSError
+                    ):  # a full disk: others hear less of who is at work, and gc frees it
+                        os.write(lease.descriptor, worker.text().encode())
                 yield
             finally:
                 leases.give_back(taken)
