@@ -19,6 +19,7 @@ from slamhive.analysis.names import declared_units
 from slamhive.cli.choosing import Also, EvaluationName, Sweeps, Where, choose_runs, select
 from slamhive.cli.console import remark
 from slamhive.cli.results import Output, Superseded
+from slamhive.data.outputs import output_whole
 from slamhive.local.home import Home
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError, UnknownNameError
@@ -254,7 +255,5 @@ def _write(text: str, output: Path | None) -> None:
     if output is None:
         sys.stdout.write(text)
         return
-    try:
-        output.write_text(text, encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"--output: {output}: {error.strerror}") from None
+    with output_whole(output) as aside:
+        aside.write_text(text, encoding="utf-8", errors="replace")

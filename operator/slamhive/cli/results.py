@@ -25,6 +25,7 @@ from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import show_run
 from slamhive.cli.tables import Format, show, write_json, write_markdown
 from slamhive.cli.waiting import Work
+from slamhive.data.outputs import output_whole
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.tables.homes import COLUMN, homes_beside, read_homes
@@ -424,8 +425,5 @@ def _stream(output: Path | None) -> Iterator[TextIO]:
     if output is None:
         yield sys.stdout
         return
-    try:
-        with output.open("w", encoding="utf-8", newline="") as stream:
-            yield stream
-    except OSError as error:
-        raise InputError(f"--output: {output}: {error.strerror}") from None
+    with output_whole(output) as aside, aside.open("w", encoding="utf-8", newline="") as stream:
+        yield stream

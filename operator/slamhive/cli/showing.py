@@ -42,6 +42,7 @@ def show(
 
 
 def _write_page(name: str, path: Path) -> None:
+    from slamhive.data.outputs import output_whole
     from slamhive.data.overview import overview
     from slamhive.data.overviews import FOLDER
     from slamhive.data.store import HASHES
@@ -62,9 +63,7 @@ def _write_page(name: str, path: Path) -> None:
                 home.folder("truths"),
                 work.share,
             )
-    try:
-        path.write_text(dataset_page(made, entry.dataset.spec.description or ""), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"--output: {path}: {error.strerror or error}") from None
+    with output_whole(path) as aside:
+        aside.write_text(dataset_page(made, entry.dataset.spec.description or ""), encoding="utf-8")
     out.print(str(path), soft_wrap=True, markup=False)
     remark("the dashboard shows the same on the dataset's page")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from slamhive import __version__
 from slamhive.analysis.names import declared_units
+from slamhive.data.outputs import output_whole
 from slamhive.figures.asking import Kind
 from slamhive.model.errors import InputError
 from slamhive_eval.csv_writing import csv_text
@@ -117,8 +118,11 @@ def save(made: Picture, path: Path, paper: Paper, *, command: str, revision: str
 
     form = form_of(path)
     content = rendered(made, paper, form, _told(form, command, revision, caption))
-    _write(path, content)
-    _write(numbers_file(path), csv_text(made.columns).encode("utf-8", "replace"))
+    numbers = csv_text(made.columns).encode("utf-8", "replace")
+    # Both are written before either has its name: a figure never stands beside the numbers of another one.
+    with output_whole(path) as figure, output_whole(numbers_file(path)) as data:
+        figure.write_bytes(content)
+        data.write_bytes(numbers)
 
 
 def _told(form: str, command: str, revision: str, caption: str) -> dict[str, Any]:
@@ -134,10 +138,3 @@ def _told(form: str, command: str, revision: str, caption: str) -> dict[str, Any
             return {"Creator": by, "Title": what, "Description": f"{caption} {data}", "Date": None}
         case _:
             return {"Software": by, "Title": what, "Description": f"{caption} {data}"}
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        path.write_bytes(content)
-    except OSError as error:
-        raise InputError(f"--output: {path}: {error.strerror}") from None
