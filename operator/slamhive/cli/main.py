@@ -7,9 +7,10 @@ import atexit
 import gc
 import signal
 import sys
+from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperGroup
@@ -18,6 +19,9 @@ from slamhive import __version__
 from slamhive.cli.exits import FAILED, INTERRUPTED, WRONG_INPUT
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.uncollected import uncollected
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 class _Command(NamedTuple):
@@ -129,8 +133,30 @@ COMMANDS = {
 }
 
 
+class _Interrupted(BaseException):
+    """A KeyboardInterrupt that Typer doesn't see: it would end the command without a word."""
+
+
+@contextmanager
+def _interruption() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise _Interrupted from None
+
+
 class _Commands(TyperGroup):
     """A group whose commands are imported when they are called."""
+
+    def make_context(self, *words: Any, **options: Any) -> Any:
+        """Read the words of the command line."""
+        with _interruption():
+            return super().make_context(*words, **options)
+
+    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
+        """Call the command that was asked for."""
+        with _interruption():
+            return super().invoke(ctx)
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> tuple[str | None, Any, list[str]]:  # type: ignore[override]
         """Return the command that the first word names, its name, and the words that are left."""
@@ -197,7 +223,7 @@ def main() -> None:
         _end(str(error), WRONG_INPUT)
     except SlamHiveError as error:
         _end(str(error), FAILED)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, _Interrupted):
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is ending; another one must not break into that
         _end("interrupted", INTERRUPTED)
     except BrokenPipeError:
