@@ -16,7 +16,7 @@ from rich.table import Table
 
 from slamhive.cli import catalogue
 from slamhive.cli.console import bytes_text, complain, listing, open_workbench, out, plural, remark
-from slamhive.cli.exits import FAILED
+from slamhive.cli.exits import FAILED, INTERRUPTED
 from slamhive.cli.listing import show_catalog
 from slamhive.cli.showing import show
 from slamhive.cli.unlisting import remove_dataset, rename
@@ -123,7 +123,11 @@ def add(
     """
     home = Home.from_environment()
     if not source.exists() and catalogue.is_title(str(source)):
-        _add_sequence(str(source), name, home, replace=replace, keep_archive=keep_archive)
+        try:
+            _add_sequence(str(source), name, home, replace=replace, keep_archive=keep_archive)
+        except KeyboardInterrupt:
+            remark("interrupted; what was fetched stays, and the same command goes on from here")
+            raise typer.Exit(INTERRUPTED) from None
         return
     if not source.exists():
         raise InputError(f"{source}: no such file or folder")
