@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from slamhive.analysis.boards import Window
 from slamhive.analysis.columns import Column
-from slamhive.analysis.comparing import compare
+from slamhive.analysis.comparing import Comparison, Pair, compare
 from slamhive.analysis.derived import with_derived
 from slamhive.analysis.grouping import aggregate
 from slamhive.analysis.importance import importance
@@ -168,6 +169,49 @@ def test_pairs_are_corrected_for_their_number() -> None:
     assert [pair.p_holm for pair in boards[0].pairs] == pytest.approx([3 * 2 / 2**7] * 3)
 
 
+def test_of_many_competitors_the_best_are_shown_and_all_pairs_are_corrected_for() -> None:
+    factors = {f"a{k:02d}": 1.0 + (50 - k) / 10 for k in range(50)}  # the last one is the best
+    frame = frame_of(study(factors, 2, datasets=6))
+    (board,), notes = compare(frame)
+    names = {pair.a["algorithm"] for pair in board.pairs} | {pair.b["algorithm"] for pair in board.pairs}
+    assert names == {f"a{k:02d}" for k in range(38, 50)}
+    assert (board.competitors, board.shown, len(board.pairs)) == (50, 12, 66)
+    assert any("of 50 competitors the 12 best by mean rank are shown" in note for note in notes)
+    assert "p is corrected for all pairs, shown or not" in notes
+    assert {pair.p for pair in board.pairs} == {2 / 2**6}
+    assert {pair.p_holm for pair in board.pairs} == {1.0}
+    (next_ones,), _ = compare(frame, window=Window(3, 13))
+    assert [(pair.a["algorithm"], pair.b["algorithm"]) for pair in next_ones.pairs] == [
+        ("a35", "a36"),
+        ("a35", "a37"),
+        ("a36", "a37"),
+    ]
+    assert not compare(frame, window=Window(3, 51))[0][0].pairs
+
+
+def test_pairs_of_some_datasets_are_tested_like_those_of_all() -> None:
+    rows = study({"a": 1.0, "b": 2.0, "c": 4.0, "d": 4.5}, 2, datasets=7)
+    lacking = [row for row in rows if (row["algorithm"], row["dataset"]) != ("c", "dataset-2")]
+    (whole,), (part,) = compare(frame_of(rows))[0], compare(frame_of(lacking))[0]
+
+    def told(board: Comparison) -> dict[tuple[str, str], Pair]:
+        return {(pair.a["algorithm"], pair.b["algorithm"]): pair for pair in board.pairs}
+
+    for names, pair in told(part).items():
+        assert "dataset-2" not in pair.datasets or "c" not in names
+        assert pair.p == 2.0 ** (1 - (6 if "c" in names else 7))
+        alike = told(whole)[names]
+        assert (pair.effect, pair.wins[1:]) == (alike.effect, alike.wins[1:])
+        assert pair.ratio == pytest.approx(alike.ratio, rel=0.05)
+        assert pair.ratio_interval.low <= pair.ratio <= pair.ratio_interval.high
+
+
+def test_more_competitors_than_can_be_tested_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slamhive.analysis.comparing.MOST_TESTED", 2)
+    with pytest.raises(InputError, match=r"pairs by algorithm, sensors: 3 competitors .* at most 2"):
+        compare(frame_of(study({"a": 1.0, "b": 2.0, "c": 4.0})))
+
+
 def test_a_failure_outweighs_any_error() -> None:
     rows = [make_row("a", f"d{k}", 1.0 if k else None) for k in range(6)]
     rows += [make_row("b", f"d{k}", 1.1) for k in range(6)]
@@ -176,6 +220,13 @@ def test_a_failure_outweighs_any_error() -> None:
     assert pair.wins == (5, 1, 0)
     assert math.isnan(pair.ratio)
     assert pair.p > 0.3
+
+
+def test_those_without_a_cost_come_last_on_a_front_by_their_error() -> None:
+    rows = [make_row(name, "x", error) for name, error in (("far", 3.0), ("near", 1.0), ("mid", 2.0))]
+    rows.append(make_row("known", "x", 9.0, **{"usage.cpu.seconds": 1.0}))
+    ((front,), _) = pareto(frame_of(rows), "usage.cpu.seconds")
+    assert [spot.keys["algorithm"] for spot in front.spots] == ["known", "near", "mid", "far"]
 
 
 def test_the_front_holds_those_nobody_beats_in_both() -> None:

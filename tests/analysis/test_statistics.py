@@ -106,6 +106,11 @@ def test_many_pairs_are_tested_by_a_sample() -> None:
     assert sign_flip_test(np.zeros(5)) == 1.0
 
 
+def test_differences_that_cancel_say_nothing_whatever_their_rounding() -> None:
+    assert sum([0.1, 0.2, -0.3]) != 0
+    assert sign_flip_test(np.array([0.1, 0.2, -0.3])) == 1.0
+
+
 def test_holms_correction() -> None:
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
 

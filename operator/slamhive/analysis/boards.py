@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.cells import Places
 from slamhive.analysis.grouping import (
     LOAD,
     Groups,
@@ -16,14 +18,13 @@ from slamhive.analysis.grouping import (
     covered,
     disturbance_notes,
     pooling_notes,
-    ranked_errors,
     sound,
     unranked_notes,
     varies,
     varying,
     worst,
 )
-from slamhive.analysis.statistics import median_of_sorted
+from slamhive.analysis.statistics import Numbers, average_ranks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,6 +38,45 @@ VERSION = "algorithm.version"
 COMPETITORS = ("algorithm", "sensors")
 """Columns that tell competitors apart unless others are named."""
 
+READABLE = 12
+"""Competitors that are shown unless asked otherwise where nobody could read all of them."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """The competitors that are shown where there are too many, by their place in the order of mean ranks.
+
+    Attributes:
+        most: how many; None for all where they can be read, else for READABLE of them.
+        first: place of the first one, from 1 for the best.
+    """
+
+    most: int | None = None
+    first: int = 1
+
+    def of(self, medians: Floats, *, readable: bool) -> Indices:
+        """Return the numbers of the competitors that are shown, ascending.
+
+        Args:
+            medians: of competitors on datasets, failed runs' infinite, NaN where no run has a rank, (c, d).
+            readable: whether all of them can be shown.
+        """
+        if readable and self == Window():
+            return np.arange(len(medians))
+        # Scores that differ by rounding alone are equal; those of whom nothing is ranked come last.
+        order = np.argsort(np.round(scaled_ranks(medians[None])[0], 12), kind="stable")
+        begin = self.first - 1
+        return np.sort(order[begin : begin + (self.most or READABLE)])
+
+    def notes(self, shown: int, count: int) -> list[str]:
+        """Say which of the competitors are shown, where that isn't all of them."""
+        if shown == count:
+            return []
+        if not shown:
+            return [f"there are {count} competitors: none has place {self.first} by mean rank"]
+        best = f"the {shown} best" if self.first == 1 else f"places {self.first} to {self.first + shown - 1}"
+        return [f"of {count} competitors {best} by mean rank are shown: first and most choose others"]
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -48,12 +88,12 @@ class Grid:
         frame: the runs.
         competitors: what each is, by column, (c,).
         datasets: names, (d,).
-        members: rows of the runs of a competitor on a dataset.
+        places: the rows of the runs of a competitor on a dataset, where it has any.
+        at: the competitor and the dataset of each of these places, (places, 2).
         numbers: the metric of each row, (n,).
         counted: rows with a figure that counts, (n,).
         failed: rows that failed of themselves, (n,): they rank behind all figures.
         coverage: of each row, 0 where it failed of itself, NaN where that isn't known, (n,).
-        medians: (c, d), failed runs last: infinite for a failed one, NaN where no run has a rank.
     """
 
     metric: str
@@ -61,23 +101,45 @@ class Grid:
     frame: Frame
     competitors: list[dict[str, Any]]
     datasets: list[Any]
-    members: dict[tuple[int, int], Indices]
+    places: Places
+    at: Indices
     numbers: Floats
     counted: Mask
     failed: Mask
     coverage: Floats
-    medians: Floats
 
-    def ranked(self, place: tuple[int, int]) -> Floats:
-        """Return the sorted figures of a competitor on a dataset, failed runs last."""
-        rows = self.members[place]
-        return ranked_errors(self.numbers[rows], self.counted[rows], self.failed[rows])
+    @cached_property
+    def figures(self) -> Numbers:
+        """The figures that count, of each place."""
+        return self.places.numbers(self.numbers, self.counted)
 
-    def mean_coverage(self, place: tuple[int, int]) -> float | None:
-        """Return the mean coverage of a competitor on a dataset; None where nothing is known of it."""
-        known = self.coverage[self.members[place]]
-        known = known[~np.isnan(known)]
-        return float(known.mean()) if len(known) else None
+    @cached_property
+    def behind(self) -> Indices:
+        """How many failed runs of each place rank behind all its figures, (places,)."""
+        return self.places.counts(self.failed)
+
+    @cached_property
+    def medians(self) -> Floats:
+        """Medians with failed runs last, (c, d): infinite for a failed one, NaN where no run has a rank."""
+        found = np.full((len(self.competitors), len(self.datasets)), np.nan)
+        found[self.at[:, 0], self.at[:, 1]] = [
+            np.nan if median is None else median for median in self.figures.medians(self.behind)
+        ]
+        return found
+
+    def ranked(self, place: int) -> Floats:
+        """Return the sorted figures of a place, failed runs last."""
+        return np.concatenate([self.figures.ordered(place), np.full(self.behind[place], np.inf)])
+
+    def mean_coverages(self) -> list[float | None]:
+        """Return the mean coverage of each place; None where nothing is known of it."""
+        means = self.places.numbers(self.coverage, ~np.isnan(self.coverage)).means()
+        return [None if mean != mean else mean for mean in means.tolist()]  # noqa: PLR0124 - NaN
+
+    def failures(self) -> list[dict[str, int]]:
+        """Return what became of the runs of each place that don't count."""
+        status = self.frame.column("status")
+        return self.places.tallies(status.values, status.codes.astype(np.intp), ~self.counted)
 
 
 @dataclass(frozen=True)
@@ -166,14 +228,33 @@ def _comparable(frame: Frame, by: Sequence[str]) -> list[Mask]:
 
 def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], marks: Marks) -> Grid:
     competitors, datasets = Groups(frame, by), Groups(frame, ("dataset",))
-    medians = np.full((competitors.count, datasets.count), np.nan)
-    members: dict[tuple[int, int], Indices] = {}
-    for rows in Groups(frame, (*by, "dataset")).members():
-        place = (int(competitors.of_row[rows[0]]), int(datasets.of_row[rows[0]]))
-        members[place] = rows
-        ranked = ranked_errors(marks.numbers[rows], marks.counted[rows], marks.failed[rows])
-        if len(ranked):
-            medians[place] = median_of_sorted(ranked)
+    both = Groups(frame, (*by, "dataset"))
+    firsts = both.order[[begin for begin, _ in both.edges]]
+    at = np.stack([competitors.of_row[firsts], datasets.of_row[firsts]], axis=1)
     names = [key["dataset"] for key in datasets.keys]
-    told = (metric, facets, frame, competitors.keys, names, members)
-    return Grid(*told, **vars(marks), medians=medians)
+    told = (metric, facets, frame, competitors.keys, names, Places(both.order, both.edges), at)
+    return Grid(*told, **vars(marks))
+
+
+def scaled_ranks(medians: Floats) -> Floats:
+    """Return each competitor's mean rank over datasets, from 0 (best of all) to 1 (last of all), (draws, c).
+
+    Where a competitor has no run there is NaN, which is no one's rival.
+
+    Args:
+        medians: failed runs' are infinite, (draws, c, d).
+    """
+    there = ~np.isnan(medians)
+    # NaN is sorted behind all others, so that it moves no rank.
+    better = average_ranks(medians.swapaxes(1, 2)).swapaxes(1, 2) - 1
+    rivals = np.maximum(there.sum(axis=1, keepdims=True) - 1, 1)
+    return mean_of_known(np.where(there, better / rivals, np.nan))
+
+
+def mean_of_known(values: Floats) -> Floats:
+    """Return means along the last axis without NaN, and NaN where there is nothing else."""
+    there = ~np.isnan(values)
+    counts = there.sum(axis=-1)
+    sums = np.where(there, values, 0.0).sum(axis=-1)
+    found: Floats = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    return found

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.boards import COMPETITORS, prepare
+from slamhive.analysis.boards import COMPETITORS, Window, prepare
 from slamhive.analysis.grouping import Outcomes
 from slamhive.analysis.statistics import (
     Interval,
@@ -23,20 +23,28 @@ from slamhive.analysis.statistics import (
     holm,
     percentiles,
     resampled_medians,
-    sign_flip_test,
+    sign_flip_tests,
 )
+from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.analysis.boards import Grid
-    from slamhive.analysis.columns import Floats
+    from slamhive.analysis.columns import Floats, Indices
     from slamhive.analysis.frame import Frame
 
 MAX_COMPETITORS = 40
+"""Competitors whose pairs are shown at most: a table of 780."""
+
+MOST_TESTED = 500
+"""Competitors whose pairs are tested at most, as many as a leaderboard has."""
+
 DRAWS = 500
 LEVEL = 0.05
 _SEED = 20230529
+_RATIOS_AT_ONCE = 200_000
+"""Ratios reckoned with at once: what they need memory for."""
 
 
 @dataclass(frozen=True)
@@ -83,15 +91,19 @@ class Pair:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All pairs of one board.
+    """Pairs of one board.
 
     Attributes:
         facets: the values that all runs of the board share.
-        pairs: the surest first.
+        pairs: those of the competitors that are shown, the surest first.
+        competitors: how many there are in all.
+        shown: how many have their pairs shown.
     """
 
     facets: dict[str, Any]
     pairs: list[Pair]
+    competitors: int
+    shown: int
 
 
 def compare(
@@ -99,84 +111,132 @@ def compare(
     metric: str = "ate.rmse",
     by: Sequence[str] = COMPETITORS,
     outcomes: Outcomes = Outcomes.TRACKED,
+    window: Window | None = None,
 ) -> tuple[list[Comparison], list[str]]:
     """Compare competitors two by two; returns one comparison a board, and notes.
+
+    All pairs of a board are tested, and p is corrected for their number, whichever are shown.
 
     Args:
         frame: one row a run and evaluation.
         metric: a column of numbers, small is good.
         by: columns that tell competitors apart.
         outcomes: which runs have a figure that counts; all others are ranked last.
+        window: the competitors whose pairs are shown.
+
+    Raises:
+        InputError: a board would have more than MOST_TESTED.
     """
+    window = window or Window()
     found = prepare(frame, [metric], by, outcomes)
     notes = list(found.notes)
     boards = []
     for grid in found.grids:
-        if len(grid.competitors) > MAX_COMPETITORS:
-            notes.append(
-                f"of {len(grid.competitors)} competitors the {MAX_COMPETITORS} with most runs are compared"
+        count = len(grid.competitors)
+        if count > MOST_TESTED:
+            raise InputError(
+                f"pairs by {', '.join(by)}: {count} competitors on one board, at most {MOST_TESTED} can be "
+                "compared; fewer columns in by, or a condition on the runs, leave fewer"
             )
-        boards.append(Comparison(grid.facets, _pairs(grid)))
-    return boards, notes
+        chosen = window.of(grid.medians, readable=count <= MAX_COMPETITORS)
+        boards.append(_compared(grid, chosen))
+        if told := window.notes(len(chosen), count):
+            notes += [*told, "p is corrected for all pairs, shown or not"]
+    return boards, list(dict.fromkeys(notes))
 
 
-def _pairs(grid: Grid) -> list[Pair]:
-    runs = [0] * len(grid.competitors)
-    for (number, _), rows in grid.members.items():
-        runs[number] += len(rows)
-    chosen = sorted(sorted(range(len(runs)), key=lambda number: -runs[number])[:MAX_COMPETITORS])
-    generator = np.random.default_rng(_SEED)
-    drawn = {
-        place: resampled_medians(ordered, DRAWS, generator)
-        for place in grid.members
-        if place[0] in set(chosen) and len(ordered := grid.ranked(place))
-    }
-    pairs = [
-        pair
-        for a, b in combinations(chosen, 2)
-        if (pair := _pair(grid, (a, b), drawn, generator)) is not None
+def _compared(grid: Grid, chosen: Indices) -> Comparison:
+    medians = grid.medians
+    first, second = np.triu_indices(len(grid.competitors), 1)
+    common = ~np.isnan(medians[first]) & ~np.isnan(medians[second])
+    some = common.any(axis=1)
+    first, second, common = first[some], second[some], common[some]
+    lengths = common.sum(axis=1)
+    chances, effects = np.ones((2, len(first)))
+    wins = np.zeros((len(first), 3), dtype=np.intp)
+    for length in np.unique(lengths).tolist():
+        # Pairs of equally many datasets are lines of one matrix.
+        alike = np.flatnonzero(lengths == length)
+        for start in range(0, len(alike), most := max(1, _RATIOS_AT_ONCE // length)):
+            pairs = alike[start : start + most]
+            line = np.nonzero(common[pairs])[1].reshape(-1, length)
+            differences = log_ratios(medians[first[pairs, None], line], medians[second[pairs, None], line])
+            signs = signed_differences(differences)
+            chances[pairs], effects[pairs] = sign_flip_tests(signs), rank_biserial(signs)
+            wins[pairs] = np.stack([(signs > 0).sum(1), (signs < 0).sum(1), (signs == 0).sum(1)], axis=1)
+    corrected = holm(chances)
+    shown = np.flatnonzero(np.isin(first, chosen) & np.isin(second, chosen))
+    told = [(int(first[k]), int(second[k]), np.flatnonzero(common[k])) for k in shown]
+    pairs_shown = [
+        Pair(
+            a=grid.competitors[a],
+            b=grid.competitors[b],
+            datasets=[grid.datasets[place] for place in both.tolist()],
+            medians=list(zip(medians[a, both].tolist(), medians[b, both].tolist(), strict=True)),
+            ratio=_mean_ratio(medians[a, both], medians[b, both]),
+            ratio_interval=interval,
+            wins=(won, lost, even),
+            effect=effect,
+            p=p,
+            p_holm=p_holm,
+            least_p=min(1.0, 2.0 ** (1 - len(both))),
+        )
+        for (a, b, both), interval, (won, lost, even), effect, p, p_holm in zip(
+            told,
+            _ratio_intervals(grid, chosen, told),
+            wins[shown].tolist(),
+            effects[shown].tolist(),
+            chances[shown].tolist(),
+            np.array(corrected)[shown].tolist(),
+            strict=True,
+        )
     ]
-    corrected = holm([pair.p for pair in pairs])
-    finished = [
-        Pair(**{**vars(pair), "p_holm": p_holm}) for pair, p_holm in zip(pairs, corrected, strict=True)
-    ]
-    return sorted(finished, key=lambda pair: (pair.p_holm, -abs(pair.effect)))
+    pairs_shown.sort(key=lambda pair: (pair.p_holm, -abs(pair.effect)))
+    return Comparison(grid.facets, pairs_shown, len(grid.competitors), len(chosen))
 
 
-def _pair(
-    grid: Grid, who: tuple[int, int], drawn: dict[tuple[int, int], Floats], generator: np.random.Generator
-) -> Pair | None:
-    a, b = who
-    common = np.flatnonzero(~np.isnan(grid.medians[a]) & ~np.isnan(grid.medians[b])).tolist()
-    if not common:
-        return None
-    first, second = grid.medians[a, common], grid.medians[b, common]
+def _mean_ratio(first: Floats, second: Floats) -> float:
     differences = log_ratios(first, second)
-    finite = np.isfinite(differences)
-    signs = signed_differences(differences)
-    places = generator.integers(0, len(common), (DRAWS, len(common)))
-    samples = np.array([log_ratios(drawn[a, place], drawn[b, place]) for place in common])
-    with np.errstate(invalid="ignore"):
-        means = samples[places, np.arange(DRAWS)[:, None]].mean(axis=1)
-        mean = float(differences.mean()) if finite.all() else math.nan
-        interval = percentiles(np.exp(means))
-    return Pair(
-        a=grid.competitors[a],
-        b=grid.competitors[b],
-        datasets=[grid.datasets[place] for place in common],
-        medians=list(zip(first.tolist(), second.tolist(), strict=True)),
-        ratio=math.exp(mean) if math.isfinite(mean) else math.nan,
-        ratio_interval=interval,
-        wins=(int((signs > 0).sum()), int((signs < 0).sum()), int((signs == 0).sum())),
-        effect=rank_biserial(signs),
-        p=sign_flip_test(signs),
-        p_holm=1.0,
-        least_p=min(1.0, 2.0 ** (1 - len(common))),
-    )
+    if not np.isfinite(differences).all():
+        return math.nan
+    mean = float(differences.mean())
+    return math.exp(mean) if math.isfinite(mean) else math.nan
+
+
+def _ratio_intervals(
+    grid: Grid, chosen: Indices, pairs: Sequence[tuple[int, int, Indices]]
+) -> list[Interval]:
+    """Return where the ratios of pairs lie, by drawing datasets and then repetitions in each.
+
+    Args:
+        grid: the competitors.
+        chosen: those whose pairs these are.
+        pairs: two competitors and the datasets that both have, each.
+    """
+    generator = np.random.default_rng(_SEED)
+    row = np.full(len(grid.competitors), -1)
+    row[chosen] = np.arange(len(chosen))
+    drawn = np.full((len(chosen), len(grid.datasets), DRAWS), np.nan)
+    for group, (number, place) in enumerate(grid.at.tolist()):
+        if row[number] >= 0 and len(ordered := grid.ranked(group)):
+            drawn[row[number], place] = resampled_medians(ordered, DRAWS, generator)
+    found: list[Interval] = []
+    for length, alike in groupby(pairs, lambda pair: len(pair[2])):
+        rest = list(alike)
+        at_once = max(1, _RATIOS_AT_ONCE // (DRAWS * length))
+        for start in range(0, len(rest), at_once):
+            part = rest[start : start + at_once]
+            line = np.array([common for _, _, common in part])
+            first, second = (drawn[row[[pair[side] for pair in part], None], line] for side in (0, 1))
+            places = np.array([generator.integers(0, length, (DRAWS, length)) for _ in part])
+            samples = np.take_along_axis(log_ratios(first, second).swapaxes(1, 2), places, axis=2)
+            with np.errstate(invalid="ignore"):
+                found += percentiles(np.exp(np.ascontiguousarray(samples).mean(axis=2)))
+    return found
 
 
 def log_ratios(first: Floats, second: Floats) -> Floats:
-    """Return log(second / first), (n,): ±inf where one failed, 0 where both did or both are equal."""
+    """Return log(second / first), of the same shape: ±inf where one failed, 0 where both did or are equal."""
     with np.errstate(invalid="ignore", divide="ignore"):
         ratios = np.log(second / first)
     ratios[first == second] = 0.0
@@ -184,19 +244,23 @@ def log_ratios(first: Floats, second: Floats) -> Floats:
 
 
 def signed_differences(differences: Floats) -> Floats:
-    """Return differences with infinite ones made larger than all others, (n,): a failure outweighs."""
-    finite = np.abs(differences[np.isfinite(differences)])
-    beyond = 2 * float(finite.max(initial=0.0)) + 1.0
+    """Return differences, (…, n), infinite ones larger than all others in their line: a failure outweighs."""
+    finite = np.where(np.isfinite(differences), np.abs(differences), 0.0)
+    beyond = 2 * finite.max(axis=-1, keepdims=True, initial=0.0) + 1.0
     return np.where(np.isfinite(differences), differences, np.sign(differences) * beyond)
 
 
-def rank_biserial(differences: Floats) -> float:
-    """Return the matched-pairs rank-biserial correlation of differences, −1 … 1 (Kerby 2014)."""
-    moved = differences[differences != 0]
-    if not len(moved):
-        return 0.0
-    ranks = average_ranks(np.abs(moved))
-    return float((ranks * np.sign(moved)).sum() / ranks.sum())
+def rank_biserial(differences: Floats) -> Floats:
+    """Return matched-pairs rank-biserial correlations, −1 … 1, of lines of differences (Kerby 2014).
+
+    Args:
+        differences: (lines, n).
+    """
+    still = differences == 0
+    ranks = average_ranks(np.abs(differences)) - still.sum(axis=1, keepdims=True)
+    ranks[still] = 0.0  # the smallest, and of no weight
+    totals = ranks.sum(axis=1)
+    return (ranks * np.sign(differences)).sum(axis=1) / np.where(totals > 0, totals, 1.0)
 
 
 def _words(keys: dict[str, Any]) -> str:

@@ -443,15 +443,6 @@ def _figures(
     return error_figures(numbers, places.counts(worst(frame, name, outcomes)), single)
 
 
-def are_equal(frame: Frame, rows: Indices) -> bool:
-    """Tell whether rows are several of the very same trajectory, and none of another one."""
-    trajectory = frame.column("trajectory.sha256")
-    if trajectory.kind.is_numeric or len(rows) < 2:
-        return False
-    codes = trajectory.codes[rows]
-    return bool(codes[0] >= 0 and (codes == codes[0]).all())
-
-
 def tally(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:
     """Return how often each word occurs, by their codes, the words sorted."""
     counts = np.bincount(codes, minlength=len(words)).tolist()

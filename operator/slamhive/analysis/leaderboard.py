@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.boards import COMPETITORS, prepare
-from slamhive.analysis.grouping import ERRORS, Outcomes, are_equal, tally
+from slamhive.analysis.boards import COMPETITORS, mean_of_known, prepare, scaled_ranks
+from slamhive.analysis.grouping import ERRORS, Outcomes
 from slamhive.analysis.statistics import (
     Interval,
-    Numbers,
     Summary,
     average_ranks,
     percentiles,
@@ -27,10 +26,10 @@ from slamhive.analysis.statistics import (
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from slamhive.analysis.boards import Grid
-    from slamhive.analysis.columns import Floats, Indices
+    from slamhive.analysis.columns import Floats
     from slamhive.analysis.frame import Frame
 
 DRAWS = 1000
@@ -164,8 +163,8 @@ def _board(grid: Grid, draws: int) -> Board:
     generator = np.random.default_rng(_SEED)
     shape = grid.medians.shape
     drawn = np.full((draws, *shape), np.nan)
-    for number, place in grid.members:
-        ordered = grid.ranked((number, place))
+    for group, (number, place) in enumerate(grid.at.tolist()):
+        ordered = grid.ranked(group)
         if len(ordered):
             drawn[:, number, place] = resampled_medians(ordered, draws, generator)
     chosen = generator.integers(0, shape[1], (draws, shape[1]))
@@ -174,24 +173,23 @@ def _board(grid: Grid, draws: int) -> Board:
     for start in range(0, draws, some):
         part = slice(start, start + some)
         medians = np.take_along_axis(drawn[part], chosen[part, None, :], axis=2)
-        drawn_scores[part], drawn_ratios[part] = _scores(medians), _ratios(medians)
-    scores, ratios = _scores(grid.medians[None])[0], _ratios(grid.medians[None])[0]
+        drawn_scores[part], drawn_ratios[part] = scaled_ranks(medians), _ratios(medians)
+    scores, ratios = scaled_ranks(grid.medians[None])[0], _ratios(grid.medians[None])[0]
     drawn_ranks = average_ranks(np.nan_to_num(drawn_scores, nan=1.0))
     ranks, within = _places(scores), _dataset_ranks(grid.medians)
-    summaries = _summaries(grid)
+    rank_intervals, ratio_intervals = percentiles(drawn_ranks.T), percentiles(drawn_ratios.T)
+    standings: list[list[Standing]] = [[] for _ in grid.competitors]
+    for number, standing in _standings(grid, within):
+        standings[number].append(standing)
     entries = [
         Entry(
             keys=key,
             rank=float(ranks[number]),
-            rank_interval=percentiles(drawn_ranks[:, number]),
+            rank_interval=rank_intervals[number],
             score=float(scores[number]),
             ratio=float(ratios[number]),
-            ratio_interval=percentiles(drawn_ratios[:, number]),
-            standings=[
-                _standing(grid, (number, place), float(within[number, place]), summaries[number, place])
-                for place in range(shape[1])
-                if (number, place) in grid.members
-            ],
+            ratio_interval=ratio_intervals[number],
+            standings=standings[number],
         )
         for number, key in enumerate(grid.competitors)
     ]
@@ -199,37 +197,38 @@ def _board(grid: Grid, draws: int) -> Board:
     return Board(grid.facets, grid.datasets, entries)
 
 
-def _standing(grid: Grid, place: tuple[int, int], rank: float, summary: Summary | None) -> Standing:
-    rows = grid.members[place]
-    counted = grid.counted[rows]
-    status = grid.frame.column("status")
-    return Standing(
-        dataset=grid.datasets[place[1]],
-        runs=len(rows),
-        n=int(np.count_nonzero(counted)),
-        failures=tally(status.values, status.codes[rows][~counted]),
-        median=float(grid.medians[place]),
-        rank=rank,
-        summary=_without_spread(summary, grid, rows[counted]),
-        coverage=grid.mean_coverage(place),
+def _standings(grid: Grid, ranks: Floats) -> Iterator[tuple[int, Standing]]:
+    """Go through the competitors' standings, dataset by dataset, each with the competitor's number."""
+    places = grid.places
+    trajectory = grid.frame.column("trajectory.sha256")
+    same = [False] * places.count
+    if grid.metric.startswith(ERRORS) and not trajectory.kind.is_numeric:
+        same = places.agree(trajectory.codes.astype(np.intp), grid.counted).tolist()
+    lists = zip(
+        grid.at.tolist(),
+        places.counts(np.ones(len(grid.frame), dtype=bool)).tolist(),
+        places.counts(grid.counted).tolist(),
+        grid.failures(),
+        grid.figures.summaries(),
+        same,
+        grid.mean_coverages(),
+        strict=True,
     )
-
-
-def _summaries(grid: Grid) -> dict[tuple[int, int], Summary | None]:
-    """Return the figures of each competitor on each dataset in short."""
-    rows = np.concatenate(list(grid.members.values()))
-    of_row = np.repeat(np.arange(len(grid.members)), [len(mine) for mine in grid.members.values()])
-    values = grid.numbers[rows]
-    inside = grid.counted[rows] & ~np.isnan(values)
-    found = Numbers(values[inside], of_row[inside], len(grid.members)).summaries()
-    return dict(zip(grid.members, found, strict=True))
-
-
-def _without_spread(summary: Summary | None, grid: Grid, counted: Indices) -> Summary | None:
-    """Return a summary; without a spread where all runs that count are one and the same result."""
-    if summary is None or not grid.metric.startswith(ERRORS):
-        return summary
-    return replace(summary, std=None) if are_equal(grid.frame, counted) else summary
+    for (number, place), runs, n, failures, summary, single, coverage in lists:
+        yield (
+            number,
+            Standing(
+                dataset=grid.datasets[place],
+                runs=runs,
+                n=n,
+                failures=failures,
+                median=float(grid.medians[number, place]),
+                rank=float(ranks[number, place]),
+                # Where all runs that count are one and the same result there is no spread.
+                summary=replace(summary, std=None) if single and summary is not None else summary,
+                coverage=coverage,
+            ),
+        )
 
 
 def _dataset_ranks(medians: Floats) -> Floats:
@@ -248,18 +247,6 @@ def _places(scores: Floats) -> Floats:
     return ranks
 
 
-def _scores(medians: Floats) -> Floats:
-    """Return each competitor's mean scaled rank, (draws, competitors), from (draws, competitors, datasets).
-
-    Where a competitor has no run there is NaN, which is no one's rival.
-    """
-    there = ~np.isnan(medians)
-    # NaN is sorted behind all others, so that it moves no rank.
-    better = average_ranks(medians.swapaxes(1, 2)).swapaxes(1, 2) - 1
-    rivals = np.maximum(there.sum(axis=1, keepdims=True) - 1, 1)
-    return _mean(np.where(there, better / rivals, np.nan))
-
-
 def _ratios(medians: Floats) -> Floats:
     """Return the geometric mean of medians over the best of each dataset, (draws, competitors)."""
     best = np.min(np.where(np.isnan(medians), np.inf, medians), axis=1, keepdims=True)
@@ -267,12 +254,4 @@ def _ratios(medians: Floats) -> Floats:
         ratios = medians / best
         # All failed: nobody is worse than the best; an error of 0 is equalled by another one alone.
         ratios[(medians == best) & ~np.isnan(medians)] = 1.0
-        return np.exp(_mean(np.log(ratios)))
-
-
-def _mean(values: Floats) -> Floats:
-    there = ~np.isnan(values)
-    counts = there.sum(axis=-1)
-    sums = np.where(there, values, 0.0).sum(axis=-1)
-    found: Floats = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    return found
+        return np.exp(mean_of_known(np.log(ratios)))

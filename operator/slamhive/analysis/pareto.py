@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS, prepare
-from slamhive.analysis.grouping import Outcomes, sound, tally
+from slamhive.analysis.grouping import Outcomes, sound
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,38 +75,38 @@ def pareto(
 
 
 def _front(grid: Grid, x: str) -> Front:
-    costs = np.where(sound(grid.frame, x), grid.frame.column(x).floats(), np.nan)
-    spots = [_spot(grid, place, costs) for place in sorted(grid.members)]
-    best = nondominated(np.array([spot.x for spot in spots]), np.array([spot.y for spot in spots]))
-    marked = [Spot(**{**vars(spot), "front": bool(on)}) for spot, on in zip(spots, best, strict=True)]
-    return Front(grid.facets, sorted(marked, key=lambda spot: (np.isnan(spot.x), spot.x, spot.y)))
-
-
-def _spot(grid: Grid, place: tuple[int, int], costs: Floats) -> Spot:
-    rows = grid.members[place]
-    errors = grid.numbers[rows]
-    inside = grid.counted[rows] & ~np.isnan(errors)
-    cost = costs[rows]
     # What a run costs is known even where it failed, but then it says nothing of the algorithm.
-    cost = cost[inside & ~np.isnan(cost)]
-    coverage = grid.mean_coverage(place)
-    status = grid.frame.column("status")
-    return Spot(
-        keys=grid.competitors[place[0]],
-        x=float(np.median(cost)) if len(cost) else np.nan,
-        y=float(grid.medians[place]),
-        x_range=_range(cost),
-        y_range=_range(errors[inside]),
-        front=False,
-        runs=len(rows),
-        n=int(np.count_nonzero(grid.counted[rows])),
-        failures=tally(status.values, status.codes[rows][~grid.counted[rows]]),
-        coverage=np.nan if coverage is None else coverage,
+    inside = grid.counted & ~np.isnan(grid.numbers) & sound(grid.frame, x)
+    costs = grid.places.numbers(grid.frame.column(x).floats(), inside)
+    across = np.array([np.nan if median is None else median for median in costs.medians()])
+    up = grid.medians[grid.at[:, 0], grid.at[:, 1]]
+    lists = zip(
+        grid.at[:, 0].tolist(),
+        zip(across.tolist(), up.tolist(), nondominated(across, up).tolist(), strict=True),
+        *(zip(*map(np.ndarray.tolist, found.ends()), strict=True) for found in (costs, grid.figures)),
+        grid.places.counts(np.ones(len(grid.frame), dtype=bool)).tolist(),
+        grid.places.counts(grid.counted).tolist(),
+        grid.failures(),
+        grid.mean_coverages(),
+        strict=True,
     )
-
-
-def _range(values: Floats) -> tuple[float, float]:
-    return (float(values.min()), float(values.max())) if len(values) else (np.nan, np.nan)
+    spots = [
+        Spot(
+            keys=grid.competitors[number],
+            x=cost,
+            y=error,
+            x_range=x_range,
+            y_range=y_range,
+            front=front,
+            runs=runs,
+            n=n,
+            failures=failures,
+            coverage=np.nan if coverage is None else coverage,
+        )
+        for number, (cost, error, front), x_range, y_range, runs, n, failures, coverage in lists
+    ]
+    spots.sort(key=lambda spot: (math.isnan(spot.x), 0.0 if math.isnan(spot.x) else spot.x, spot.y))
+    return Front(grid.facets, spots)
 
 
 def nondominated(x: Floats, y: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     import numpy.typing as npt
 
@@ -28,6 +28,8 @@ ENOUGH = 10
 _MOST_EXACT = 14
 _LONG_SERIES = 400
 _FLIPS = 20_000
+_SUMS_AT_ONCE = 500_000
+"""Sums of differences with flipped signs that are made at once: what a test needs memory for."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,23 @@ class Numbers:
         """Return the numbers of a group, sorted, (n,)."""
         begin, end = self._edges[group]
         return self._ordered[begin:end]
+
+    def ends(self) -> tuple[Floats, Floats]:
+        """Return the smallest and largest number of each group, (groups,) each, NaN for those of nothing."""
+        low, high = np.full((2, len(self.counts)), np.nan)
+        some = np.flatnonzero(self.counts)
+        low[some] = self._ordered[self._starts[some]]
+        high[some] = self._ordered[(self._starts + self.counts - 1)[some]]
+        return low, high
+
+    def means(self) -> Floats:
+        """Return the mean of each group as NumPy has it, (groups,), NaN for those of nothing."""
+        found = np.full(len(self.counts), np.nan)
+        for count in np.unique(self.counts[self.counts > 0]).tolist():
+            # Of equally many numbers NumPy adds each row up as it does those of one group.
+            groups = np.flatnonzero(self.counts == count)
+            found[groups] = self._values[self._starts[groups, None] + np.arange(count)].mean(axis=1)
+        return found
 
     def medians(self, behind: Indices | None = None) -> list[float | None]:
         """Return the median of each group, None for those of nothing.
@@ -236,60 +255,79 @@ def resampled_medians(ordered: Floats, draws: int, generator: np.random.Generato
     return (first + second) / 2
 
 
-def percentiles(values: Floats) -> Interval:
-    """Return the middle 95 % of bootstrap figures, (draws,)."""
-    known = np.sort(values[~np.isnan(values)])
-    if not len(known):
-        return Interval(math.nan, math.nan, "bootstrap")
-    last = len(known) - 1
-    low, high = known[round((1 - LEVEL) / 2 * last)], known[round((1 + LEVEL) / 2 * last)]
-    return Interval(float(low), float(high), "bootstrap")
+def percentiles(values: Floats) -> list[Interval]:
+    """Return the middle 95 % of bootstrap figures, one for each row of (figures, draws); NaN is left out."""
+    ordered = np.sort(values, axis=1)  # NaN comes last
+    counts = np.count_nonzero(~np.isnan(values), axis=1).tolist()
+    found = []
+    for known, count in zip(ordered, counts, strict=True):
+        low = high = math.nan
+        if count:
+            low = float(known[round((1 - LEVEL) / 2 * (count - 1))])
+            high = float(known[round((1 + LEVEL) / 2 * (count - 1))])
+        found.append(Interval(low, high, "bootstrap"))
+    return found
 
 
 def sign_flip_test(differences: Floats) -> float:
-    """Return the two-sided p value of paired differences having mean 0, by flipping their signs.
+    """Return ``sign_flip_tests`` of one line of differences, (n,)."""
+    return float(sign_flip_tests(differences[None])[0])
+
+
+def sign_flip_tests(differences: Floats) -> Floats:
+    """Return the two-sided p values of paired differences having mean 0, by flipping their signs, (lines,).
 
     Exact up to 14 pairs: with n pairs it can't be below 2 / 2ⁿ.
 
     Args:
-        differences: one a pair, (n,).
+        differences: a line each, one a pair, (lines, n).
     """
-    count = len(differences)
-    if not count or not differences.any():
-        return 1.0
-    seen = abs(differences.sum())
-    if count <= _MOST_EXACT:
-        bits = np.arange(2**count)[:, None] >> np.arange(count) & 1
-        sums = np.abs((1 - 2 * bits) @ differences)
-        return float(np.mean(sums >= seen * (1 - 1e-12)))
-    signs = np.random.default_rng(0).integers(0, 2, (_FLIPS, count)) * 2 - 1
-    sums = np.abs(signs @ differences)
-    return float((np.sum(sums >= seen * (1 - 1e-12)) + 1) / (_FLIPS + 1))
+    lines, count = differences.shape
+    exact = count <= _MOST_EXACT
+    if exact:
+        # With all signs turned round a sum is as far from 0: the first one need not be flipped.
+        signs = 1.0 - 2.0 * (np.arange(2 ** max(count - 1, 0))[:, None] >> np.arange(count) & 1)
+    else:
+        signs = np.random.default_rng(0).integers(0, 2, (_FLIPS, count)) * 2.0 - 1.0
+    # Rounding is as large as the differences are, also where their sum is 0.
+    seen = np.abs(differences.sum(axis=1)) - 1e-12 * np.abs(differences).sum(axis=1)
+    found = np.ones(lines)
+    at_once = max(1, _SUMS_AT_ONCE // len(signs))
+    for start in range(0, lines, at_once):
+        part = slice(start, start + at_once)
+        sums = differences[part] @ signs.T
+        beyond = np.count_nonzero(np.abs(sums, out=sums) >= seen[part, None], axis=1)
+        found[part] = beyond / len(signs) if exact else (beyond + 1) / (_FLIPS + 1)
+    found[~differences.any(axis=1)] = 1.0
+    return found
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
+def holm(p_values: npt.ArrayLike) -> list[float]:
     """Return p values corrected for their number (Holm 1979)."""
-    order = sorted(range(len(p_values)), key=lambda place: p_values[place])
-    corrected = [0.0] * len(p_values)
-    highest = 0.0
-    for rank, place in enumerate(order):
-        highest = max(highest, min(1.0, (len(p_values) - rank) * p_values[place]))
-        corrected[place] = highest
-    return corrected
+    given = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(given, kind="stable")
+    corrected = np.empty(len(given))
+    weighted = np.minimum(1.0, (len(given) - np.arange(len(given))) * given[order])
+    corrected[order] = np.maximum.accumulate(weighted)
+    found: list[float] = corrected.tolist()
+    return found
 
 
 def average_ranks(values: Floats) -> Floats:
     """Return ranks from 1 along the last axis, equal values sharing the mean of theirs; the same shape."""
-    order = np.argsort(values, axis=-1, kind="stable")
+    count = values.shape[-1]
+    order = np.argsort(values, axis=-1)  # whichever of equal ones is first: they share a rank
     ordered = np.take_along_axis(values, order, axis=-1)
-    differs = ordered[..., 1:] != ordered[..., :-1]
-    always = np.ones((*values.shape[:-1], 1), dtype=bool)
-    places = np.arange(values.shape[-1])
-    first = np.maximum.accumulate(np.where(np.concatenate([always, differs], axis=-1), places, 0), axis=-1)
-    ends = np.where(np.concatenate([differs, always], axis=-1), places, len(places))
-    last = np.minimum.accumulate(ends[..., ::-1], axis=-1)[..., ::-1]
+    differs = np.empty((*values.shape[:-1], count + 1), dtype=bool)
+    differs[..., [0, -1]] = True
+    np.not_equal(ordered[..., 1:], ordered[..., :-1], out=differs[..., 1:-1])
+    places = np.arange(count, dtype=np.int32)
+    first = np.where(differs[..., :-1], places, np.int32(0))
+    np.maximum.accumulate(first, axis=-1, out=first)
+    last = np.where(differs[..., 1:], places, np.int32(count))[..., ::-1]
+    first += np.minimum.accumulate(last, axis=-1)[..., ::-1]
     ranks = np.empty(values.shape)
-    np.put_along_axis(ranks, order, (first + last) / 2 + 1, axis=-1)
+    np.put_along_axis(ranks, order, first / 2 + 1, axis=-1)
     return ranks
 
 
