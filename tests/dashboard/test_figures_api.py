@@ -112,8 +112,33 @@ async def test_a_table_of_shares_has_all_steps(judged: Any, monkeypatch: pytest.
 
 async def test_curves_beyond_number_are_refused(judged: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_CURVES", 2)
+    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_RANKED", 13)
     answer = await judged.get("/analysis/ecdf?by=uid", 413)
     assert "7 curves are asked for" in answer["error"]
+
+
+async def test_of_many_competitors_the_best_are_drawn_and_others_when_asked_for(
+    judged: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = await judged.get("/analysis/ecdf")
+    assert (whole["competitors"], whole["shown"]) == (2, 2)
+    # On hall b is better: every second run of a failed. It has a curve on yard, too.
+    best = await judged.get("/analysis/ecdf?most=1")
+    assert [curve["keys"] for curve in best["curves"]] == [
+        {"dataset": "hall", "algorithm": "b"},
+        {"dataset": "yard", "algorithm": "b"},
+    ]
+    assert (best["competitors"], best["shown"]) == (2, 1)
+    assert best["notes"][0].startswith("of 2 competitors the 1 best by mean rank are shown")
+    (other,) = (await judged.get("/analysis/ecdf?most=1&first=2"))["curves"]
+    assert other == whole["curves"][0]
+    beyond = await judged.get("/analysis/ecdf?first=3")
+    assert (beyond["curves"], beyond["shown"]) == ([], 0)
+    assert "none has place 3" in beyond["notes"][0]
+    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_CURVES", 2)
+    part = await judged.get("/analysis/ecdf?first=1")
+    assert part["curves"] == whole["curves"][:2]
+    assert "of 2 pictures the first 1 are shown: filter the runs for others" in part["notes"]
 
 
 PICTURES = ("ecdf", "paths", "timeline", "slices", "surface?x=parameters.nFeatures&y=seed")

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slamhive.analysis.boards import Window
+from slamhive.analysis.cells import Places
 from slamhive.analysis.columns import Column
 from slamhive.analysis.grouping import (
     Groups,
@@ -31,7 +33,7 @@ from slamhive.tables.queries import column, columns, number_column, outcomes, se
 from slamhive.tables.text import as_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from slamhive.analysis.columns import Floats, Indices, Mask
     from slamhive.analysis.frame import Frame
@@ -39,10 +41,15 @@ if TYPE_CHECKING:
     from slamhive.dashboard.sources import Snapshot
     from slamhive.tables.queries import Pairs
 
-ECDF_RESERVED = ("metric", "by", "over", "outcomes", "format")
+ECDF_RESERVED = ("metric", "by", "over", "outcomes", "most", "first", "format")
 SURFACE_RESERVED = ("x", "y", "metric", "outcomes", "format")
 SLICES_RESERVED = ("metric", "outcomes", "format")
 MOST_CURVES = 200
+"""Curves of an answer; where there are more, those of some competitors are shown, in some pictures."""
+
+MOST_RANKED = 200_000
+"""Competitors times pictures of which the best can be found."""
+
 MOST_BOARDS = 24
 """Most boards, told apart by what must not be pooled; more pictures than these say nothing."""
 
@@ -92,6 +99,12 @@ class Ranking:
         status = frame.column("status")
         self._words, self._status = status.values, status.codes
 
+    def medians(self, groups: Groups) -> Floats:
+        """Return the median of each group, failed runs last, (groups,): NaN where no run has a rank."""
+        places = Places(groups.order, groups.edges)
+        found = places.numbers(self._numbers, self._inside).medians(places.counts(self._failed))
+        return np.array([np.nan if median is None else median for median in found])
+
     def of(self, rows: Indices) -> Ranked:
         """Return the runs of some rows."""
         inside, failed, status = self._inside[rows], self._failed[rows], self._status[rows]
@@ -104,7 +117,13 @@ class Ranking:
 
 
 def ecdf(
-    snapshot: Snapshot, pairs: Pairs, metric: str, told: tuple[str | None, str | None], which: str
+    snapshot: Snapshot,
+    pairs: Pairs,
+    metric: str,
+    told: tuple[str | None, str | None],
+    which: str,
+    *,
+    window: Window | None = None,
 ) -> Body:
     """Return for each group of runs which share of them has a figure of at most so much.
 
@@ -118,6 +137,7 @@ def ecdf(
         told: list of columns that tell curves apart (default: algorithm), and of those whose values may be in
             one curve, such as dataset: a share of runs has a meaning where a mean of metres has none.
         which: tracked or all.
+        window: the competitors, told apart by ``by``, whose curves are shown where there are too many.
     """
     number_column(snapshot.frame, metric, "metric")
     by, over = told
@@ -126,13 +146,9 @@ def ecdf(
     counted = outcomes(which)
     pooled = [name for name in columns(snapshot.frame, over, "over", []) if name not in asked]
     frame, facets = apart(chosen.frame, [*asked, *pooled], [metric])
+    shown = _shown(frame, (facets, asked), Ranking(frame, metric, counted), window or Window())
+    frame = frame.select(shown.rows)
     groups = Groups(frame, [*facets, *asked])
-    if groups.count > MOST_CURVES:
-        raise TooLarge(
-            f"{groups.count:,} curves are asked for, and an answer has at most {MOST_CURVES}: choose fewer "
-            "columns to tell them apart, or fewer runs",
-            "by",
-        )
     ranking = Ranking(frame, metric, counted)
     found = [(keys, ranking.of(rows)) for rows, keys in zip(groups.members(), groups.keys, strict=True)]
     mixed = [name for name in varying(frame) if name not in (*groups.names, *pooled)]
@@ -141,9 +157,12 @@ def ecdf(
         "rows": len(frame),
         "metric": heading(frame, metric),
         "keys": [heading(frame, name) | {"facet": name in facets} for name in groups.names],
+        "competitors": shown.competitors,
+        "shown": shown.count,
         "curves": [_curve(ranked, keys) for keys, ranked in found],
         "notes": [
             *chosen.notes,
+            *shown.notes,
             *(note.replace("averaged over", "runs of") for note in pooling_notes(mixed)),
             *_unlike_notes(frame, groups, pooled),
             *disturbance_notes(frame, [metric]),
@@ -151,6 +170,63 @@ def ecdf(
         ],
     }
     return Body(content, lambda: as_columns(list(_steps(found))))
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """The part of the runs whose curves are shown.
+
+    Attributes:
+        rows: the runs, (n,).
+        competitors: how many competitors there are.
+        count: how many of them are shown.
+        notes: sentences on what is not.
+    """
+
+    rows: Mask
+    competitors: int
+    count: int
+    notes: list[str]
+
+
+def _shown(
+    frame: Frame, names: tuple[Sequence[str], Sequence[str]], ranking: Ranking, window: Window
+) -> _Shown:
+    """Choose the competitors and pictures whose curves are shown; all of them where that is few enough.
+
+    Args:
+        frame: the runs.
+        names: columns that tell pictures apart, and those that tell competitors apart.
+        ranking: of the runs.
+        window: what is asked for.
+
+    Raises:
+        TooLarge: there are too many to find the best ones.
+    """
+    pictures, competitors = (Groups(frame, columns_) for columns_ in names)
+    curves = Groups(frame, [*names[0], *names[1]])
+    if curves.count <= MOST_CURVES and window == Window():
+        return _Shown(np.ones(len(frame), dtype=bool), competitors.count, competitors.count, [])
+    if competitors.count * pictures.count > MOST_RANKED:
+        raise TooLarge(
+            f"{curves.count:,} curves are asked for, too many to find the best of them: choose fewer columns "
+            "to tell them apart, or fewer runs",
+            "by",
+        )
+    medians = np.full((competitors.count, pictures.count), np.nan)
+    firsts = curves.order[np.array([begin for begin, _ in curves.edges], dtype=np.intp)]
+    medians[competitors.of_row[firsts], pictures.of_row[firsts]] = ranking.medians(curves)
+    chosen = window.of(medians, readable=False)
+    rows = np.isin(competitors.of_row, chosen)
+    notes = window.notes(len(chosen), competitors.count)
+    held = pictures.of_row[firsts[np.isin(competitors.of_row[firsts], chosen)]]
+    kept = np.unique(held)
+    # Whole pictures, as long as their curves are not too many.
+    fitting = max(1, int(np.count_nonzero(np.cumsum(np.bincount(held)[kept]) <= MOST_CURVES)))
+    if len(kept) > fitting:
+        rows &= np.isin(pictures.of_row, kept[:fitting])
+        notes.append(f"of {len(kept)} pictures the first {fitting} are shown: filter the runs for others")
+    return _Shown(rows, competitors.count, len(chosen), notes)
 
 
 def _unlike_notes(frame: Frame, groups: Groups, pooled: list[str]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.boards import COMPETITORS
+from slamhive.analysis.boards import COMPETITORS, Window
 from slamhive.analysis.comparing import compare
 from slamhive.analysis.importance import importance
 from slamhive.analysis.pareto import pareto
@@ -33,24 +33,32 @@ if TYPE_CHECKING:
     from slamhive.dashboard.sources import Snapshot
     from slamhive.tables.queries import Pairs
 
-RESERVED = ("metric", "x", "y", "by", "outcomes", "format")
+RESERVED = ("metric", "x", "y", "by", "outcomes", "most", "first", "format")
 MAX_GROUPS = 1000
 
 
-def compared(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, which: str) -> Body:
-    """Return competitors two by two."""
+def compared(
+    snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, which: str, *, window: Window | None = None
+) -> Body:
+    """Return competitors two by two; the window says which, where there are too many to read."""
     number_column(snapshot.frame, metric, "metric")
     told = columns(snapshot.frame, by, "by", COMPETITORS)
     chosen = select(snapshot.frame, pairs, RESERVED)
     frame = chosen.frame
-    boards, notes = compare(frame, metric, told, outcomes(which))
+    boards, notes = compare(frame, metric, told, outcomes(which), window)
     content = {
         "revision": snapshot.revision,
         "rows": len(frame),
         "metric": heading(frame, metric),
         "by": told,
         "boards": [
-            {"facets": board.facets, "pairs": [_pair_json(pair) for pair in board.pairs]} for board in boards
+            {
+                "facets": board.facets,
+                "competitors": board.competitors,
+                "shown": board.shown,
+                "pairs": [_pair_json(pair) for pair in board.pairs],
+            }
+            for board in boards
         ],
         "notes": [*chosen.notes, *notes],
     }

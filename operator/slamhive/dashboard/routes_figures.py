@@ -6,10 +6,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
+from slamhive.analysis.boards import Window
 from slamhive.dashboard import api_common, api_figures, api_images, api_paths, api_search, api_timeline
 from slamhive.dashboard.costs import costs_little
 from slamhive.dashboard.routes import Filters, Names, Which
-from slamhive.dashboard.routes_studies import ERROR, Metric
+from slamhive.dashboard.routes_studies import ERROR, First, Metric
 from slamhive.dashboard.service import Service, client_of
 from slamhive.dashboard.sources import Snapshot
 
@@ -29,11 +30,21 @@ def router(service: Service) -> APIRouter:
         by: Names = None,
         over: Names = None,
         outcomes: Which = "tracked",
+        most: Annotated[
+            int | None,
+            Query(
+                ge=1,
+                le=api_figures.MOST_CURVES,
+                description="Competitors that are shown; default: all, the 12 best of more than 200 curves.",
+            ),
+        ] = None,
+        first: First = 1,
     ) -> Response:
         """Runs that failed of themselves are among those that the share is of, and never reach a value."""
+        window = Window(most, first)
         return await service.answer(
             request,
-            lambda data: api_figures.ecdf(data, filters, metric, (by, over), outcomes),
+            lambda data: api_figures.ecdf(data, filters, metric, (by, over), outcomes, window=window),
             lambda data: costs_little(data, request.url.query, by, ("algorithm",)),
         )
 

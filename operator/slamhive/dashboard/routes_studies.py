@@ -6,6 +6,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
+from slamhive.analysis.boards import Window
+from slamhive.analysis.comparing import MAX_COMPETITORS
 from slamhive.dashboard import api_common, api_studies, api_versions
 from slamhive.dashboard.routes import Filters, FormatName, Names, Where, Which, pairs
 from slamhive.dashboard.service import Service, client_of
@@ -13,6 +15,9 @@ from slamhive.dashboard.sources import Snapshot
 
 Metric = Annotated[str, Query(max_length=10_000, description="A column of numbers, small is good.")]
 ERROR = "ate.rmse"
+First = Annotated[
+    int, Query(ge=1, le=1_000_000, description="Place by mean rank of the first competitor that is shown.")
+]
 
 
 def router(service: Service) -> APIRouter:
@@ -27,10 +32,20 @@ def router(service: Service) -> APIRouter:
         metric: Metric = ERROR,
         by: Names = None,
         outcomes: Which = "tracked",
+        most: Annotated[
+            int | None,
+            Query(
+                ge=2,
+                le=MAX_COMPETITORS,
+                description="Competitors that are shown; default: all of up to 40, the 12 best of more.",
+            ),
+        ] = None,
+        first: First = 1,
     ) -> Response:
-        """The p values are exact up to 14 datasets and corrected after Holm."""
+        """The p values are exact up to 14 datasets and corrected after Holm for all pairs, shown or not."""
+        window = Window(most, first)
         return await service.answer(
-            request, lambda data: api_studies.compared(data, filters, metric, by, outcomes)
+            request, lambda data: api_studies.compared(data, filters, metric, by, outcomes, window=window)
         )
 
     @routes.get("/pareto", summary="Error against cost: who is beaten by nobody in both")

@@ -281,6 +281,8 @@ declare namespace Api {
   type Ecdf = {
     metric: Heading;
     keys: Array<Heading & { facet?: boolean }>;
+    competitors: number;
+    shown: number;
     curves: Curve[];
     notes: string[];
   };
@@ -347,7 +349,7 @@ declare namespace Api {
   type Compare = {
     metric: Heading;
     by: string[];
-    boards: Array<{ facets: Keys; pairs: Pair[] }>;
+    boards: Array<{ facets: Keys; competitors: number; shown: number; pairs: Pair[] }>;
     notes: string[];
   };
 

@@ -33,6 +33,8 @@ const OWN = new Set([
   'axes',
   'view',
   'figures',
+  'most',
+  'first',
 ]);
 
 /** @param {string} text */

@@ -87,6 +87,35 @@ export const Notes = ({ notes }) =>
     </ul>
   `;
 
+/**
+ * Which competitors are shown where there are too many to read, and a way to those before and behind them.
+ * @param {{competitors: number, shown: number, first: number, onChange: (first: string|null) => void}} props
+ */
+export const Places = ({ competitors, shown, first, onChange }) => {
+  if (shown >= competitors) return null;
+  const most = Math.max(1, shown);
+  /** @param {number} place */
+  const from = (place) => onChange(place > 1 ? String(place) : null);
+  return html`
+    <p class="row">
+      <span>
+        ${shown ? `Places ${first} to ${first + shown - 1}` : `Nobody has place ${first}`} of
+        ${` ${competitors} `}competitors by mean rank
+      </span>
+      <button type="button" disabled=${first <= 1} onClick=${() => from(Math.max(1, first - most))}>
+        before
+      </button>
+      <button
+        type="button"
+        disabled=${first + shown > competitors}
+        onClick=${() => from(first + most)}
+      >
+        next
+      </button>
+    </p>
+  `;
+};
+
 /** What to do where there are no results yet. */
 export const Empty = () => html`
   <section class="empty">

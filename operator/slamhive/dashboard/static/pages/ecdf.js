@@ -5,7 +5,7 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { cell } from '../core/format.js';
-import { NothingFits, Notes, Table, Tick, Waiting } from '../core/parts.js';
+import { NothingFits, Notes, Places, Table, Tick, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo } from '../core/ui.js';
 import { failureText } from './groups.js';
 
@@ -25,6 +25,8 @@ export function Ecdf({ set, filters, title, onError }) {
       over: together ? 'dataset' : null,
       metric: set.y,
       outcomes: set.outcomes,
+      most: query.get('most') || null,
+      first: query.get('first') || null,
     }),
   );
   const { current: data, error } = useData(url);
@@ -38,7 +40,15 @@ export function Ecdf({ set, filters, title, onError }) {
     [charts, limits],
   );
   if (!data) return !error && html`<${Waiting} />`;
-  if (data.curves.length === 0) return html`<${NothingFits} notes=${data.notes} />`;
+  const places = html`
+    <${Places}
+      competitors=${data.competitors}
+      shown=${data.shown}
+      first=${Number(query.get('first', '1'))}
+      onChange=${(first) => change({ first })}
+    />
+  `;
+  if (data.curves.length === 0) return html`${places}<${NothingFits} notes=${data.notes} />`;
   const table = curveTable(data);
   return html`
     <p class="row">
@@ -52,6 +62,7 @@ export function Ecdf({ set, filters, title, onError }) {
         reach a value, and their curve ends below 1.
       </span>
     </p>
+    ${places}
     <div class=${charts.length > 1 ? 'facets' : ''}>
       ${options.map(
         (option, at) => html`

@@ -8,7 +8,7 @@ import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
 import { cell, clip, columnTitle, keysText, number, SUBJECT, tellingKeys } from '../core/format.js';
-import { Choice, Fault, Link, Notes, Outcomes, Table, useTitle, Waiting } from '../core/parts.js';
+import { Choice, Fault, Link, Notes, Outcomes, Places, Table, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 import { Common, EACH_RUN, Narrowing } from './common.js';
 import { failureText } from './groups.js';
@@ -24,7 +24,7 @@ const STUDIES = {
     text: 'Pairs',
     path: 'compare',
     Shown: Pairs,
-    settings: ['metric', 'by', 'outcomes'],
+    settings: ['metric', 'by', 'outcomes', 'most', 'first'],
     says:
       'Competitors two by two over the datasets that both have: medians are paired, a failed median ' +
       'loses, p is of an exact test by flipping signs and corrected after Holm.',
@@ -102,8 +102,10 @@ export default function Studies() {
     metric: query.get('metric', 'ate.rmse'),
     by: query.get('by', usualCompetitors(query)),
     outcomes: query.get('outcomes', EVALUATED[kind] ?? 'tracked'),
+    most: query.get('most'),
+    first: query.get('first'),
   };
-  const asked = Object.fromEntries(study.settings.map((name) => [name, set[name]]));
+  const asked = Object.fromEntries(study.settings.map((name) => [name, set[name] || null]));
   const url = address(`/api/v1/analysis/${study.path}`, query.filters().with(asked));
   const state = useData(url);
   /** @param {string} name */
@@ -227,7 +229,16 @@ function Pairs({ data, csv, without }) {
         .map((board) => ({ board, option: pairsChart(board.pairs) })),
     [data],
   );
-  if (drawn.length === 0) return without;
+  const { query, change } = useAddress();
+  const largest = [...data.boards].sort((a, b) => b.competitors - a.competitors)[0];
+  const places = html`
+    <${Places}
+      ...${largest ?? { competitors: 0, shown: 0 }}
+      first=${Number(query.get('first', '1'))}
+      onChange=${(first) => change({ first })}
+    />
+  `;
+  if (drawn.length === 0) return [places, without];
   /** @type {TableColumn[]} */
   const columns = [
     { name: 'a', title: 'a', show: (keys) => clip(keysText(keys), 60) },
@@ -248,7 +259,7 @@ function Pairs({ data, csv, without }) {
     { name: 'p', title: 'p', kind: 'number', show: (p) => number(p, 3) },
     { name: 'pHolm', title: 'p after Holm', kind: 'number', show: small },
   ];
-  return drawn.map(
+  const sections = drawn.map(
     ({ board, option }) => html`
       <section>
         ${keysText(board.facets) && html`<h2>${clip(keysText(board.facets), 200)}</h2>`}
@@ -268,6 +279,7 @@ function Pairs({ data, csv, without }) {
       </section>
     `,
   );
+  return [places, ...sections];
 }
 
 /** @param {{data: Api.Importance, csv: string, without: Shown}} props */
