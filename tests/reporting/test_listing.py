@@ -63,6 +63,19 @@ def test_the_last_part_of_a_columns_name_is_enough(
     assert "506" in out
 
 
+@pytest.mark.parametrize("form", ["json", "markdown"])
+def test_an_export_written_some_rows_at_a_time_is_the_same(
+    records: Any, fill: Fill, slamhive: Slamhive, monkeypatch: pytest.MonkeyPatch, form: str
+) -> None:
+    home = fill([records.run(number) for number in range(5)])
+    _, whole, _ = slamhive(home, "results", "export", "--format", form)
+    monkeypatch.setattr("slamhive.cli.results._BLOCK", 2)
+    code, parts, _ = slamhive(home, "results", "export", "--format", form)
+    assert code == 0
+    assert "run-004" in parts
+    assert parts == whole
+
+
 def test_one_run_has_all_columns_and_so_has_what_programs_read(
     records: Any, fill: Fill, slamhive: Slamhive
 ) -> None:

@@ -31,6 +31,9 @@ _ROUNDING = 1e-12
 
 _MOST_WORD = 60
 
+_PLAIN = (str, int, bool, type(None))
+"""Types of which equal values are written alike."""
+
 
 def value_text(metric: Metric, value: Any) -> str:
     """Return a value of a column as people read it."""
@@ -45,6 +48,12 @@ def value_text(metric: Metric, value: Any) -> str:
 
 def key_text(value: Any) -> str:
     """Return a key of a group as people read it."""
+    kind = type(value)
+    if kind is str:  # a large table has millions of keys, nearly all of them plain
+        found: str = value
+        return found
+    if kind is int:
+        return str(value)
     return value_text(_AS_STORED, value) if not isinstance(value, float) else repr(value)
 
 
@@ -119,7 +128,7 @@ def table_lines(
     """
     rows = [name for name in found.keys if name not in {*across, *left_out}]
     parts = [metric.title for metric in metrics] + ["coverage", "n", "failures"]
-    sides = _distinct(tuple(cell.keys[name] for name in across) for cell in found.cells)
+    sides = _distinct(tuple(cell.keys[name] for name in across) for cell in found.cells) if across else [()]
     headings = [key_title(name, rows) for name in rows]
     for values in sides:
         prefix = "".join(f"{key_text(value)} " for value in values)
@@ -168,21 +177,28 @@ def constants(found: Aggregate, asked: Sequence[str]) -> dict[str, Any]:
     for name in found.keys:
         if name in asked or len(found.cells) <= 1:
             continue
-        first, *others = found.cells
-        value = _identity([first.keys[name]])
-        if all(_identity([cell.keys[name]]) == value for cell in others):
-            shared[name] = first.keys[name]
+        first = found.cells[0].keys[name]
+        # Nearly all are plain and equal or differ at once; only others need be written to be compared.
+        value, kind = _identity([first]), type(first)
+        if all(
+            (kind in _PLAIN and type(one) is kind and one == first) or _identity([one]) == value
+            for cell in found.cells
+            for one in (cell.keys[name],)
+        ):
+            shared[name] = first
     return shared
 
 
 def implied(found: Aggregate, asked: Sequence[str]) -> set[str]:
     """Return the keys that follow from the algorithm's name and that nobody asked for."""
     modes: dict[Any, Any] = {}
+    if "algorithm" not in found.keys or "sensors" in asked:
+        return set()
     follows = all(
         modes.setdefault(cell.keys.get("algorithm"), cell.keys.get("sensors")) == cell.keys.get("sensors")
         for cell in found.cells
     )
-    return {"sensors"} if follows and "algorithm" in found.keys and "sensors" not in asked else set()
+    return {"sensors"} if follows else set()
 
 
 def short_name(name: str, names: Sequence[str]) -> str:
@@ -200,10 +216,10 @@ def key_title(name: str, names: Sequence[str]) -> str:
 
 
 def _lines(cells: Sequence[Cell], rows: Sequence[str], across: Sequence[str]) -> Iterable[dict[str, Cell]]:
-    """Return the cells of each line by what lies side by side."""
+    """Go through the cells of each line by what lies side by side."""
     if not across:
         whole = _identity([])
-        return [{whole: cell} for cell in cells]
+        return ({whole: cell} for cell in cells)
     lines: dict[str, dict[str, Cell]] = {}
     for cell in cells:
         row = _identity(cell.keys[name] for name in rows)
