@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,6 +28,7 @@ from slamhive.cli.waiting import Work
 from slamhive.data.outputs import output_whole
 from slamhive.local.home import Home
 from slamhive.model.errors import InputError, UnknownNameError
+from slamhive.model.uncollected import uncollected
 from slamhive.tables.homes import COLUMN, homes_beside, read_homes
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import (
@@ -185,7 +185,7 @@ def show_table(
     metrics = [Metric.parse(text) for text in metric or usual_columns(TABLE_METRICS, frame, filled=True)]
     by, across = _columns(rows, frame, "--rows"), _columns(columns, frame, "--columns") or []
     frame.require([*(one.column for one in metrics), *(by or ()), *across])
-    with _uncollected():
+    with uncollected():
         found = aggregate(frame, [one.column for one in metrics], by, outcomes, across)
     if not metric:
         metrics = [one for one in metrics if any(cell.figures[one.column].summary for cell in found.cells)]
@@ -208,7 +208,7 @@ def show_table(
                 out.print(
                     ", ".join(f"{name} {key_text(value)}" for name, value in shared.items()), markup=False
                 )
-            with declared_units(frame.units), _uncollected():
+            with declared_units(frame.units), uncollected():
                 written = table_lines(found, across, metrics, {*shared, *implied(found, by or ())})
                 _print(form, *written)
             for note in found.notes:
@@ -288,18 +288,6 @@ def _records(frame: Frame, names: Sequence[str]) -> Iterator[Row]:
 def _parts(frame: Frame) -> Iterator[Frame]:
     for start in range(0, len(frame), _BLOCK):
         yield frame.select(np.arange(start, min(start + _BLOCK, len(frame))))
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Leave garbage where it is: going through a large table again and again takes a fifth of the time."""
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collecting:
-            gc.enable()
 
 
 def _hand_over(to: Target, output: Path | None, selection: Selection, unused: dict[str, Any]) -> None:

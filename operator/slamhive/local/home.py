@@ -157,9 +157,8 @@ class Home:
             taken = leases.take((LeaseKind.WORKERS, f"{worker.node}-{worker.pid}-{held}")) or ()
             try:
                 for lease in taken:
-                    with suppress(
-                        OSError
-                    ):  # a full disk: others hear less of who is at work, and gc frees it
+                    # On a full disk others hear less of who is at work; what frees it must go on all the same.
+                    with suppress(OSError):
                         os.write(lease.descriptor, worker.text().encode())
                 yield
             finally:
