@@ -10,7 +10,8 @@ import pytest
 from slamhive.archive import Archive, SweepRecord
 from slamhive.archive.connection import connect
 from slamhive.model.results import IntendedEvaluation, Outcome, Phase, Result
-from slamhive.tables.loading import Loaded, load
+from slamhive.tables.loading import load
+from slamhive.tables.snapshots import Loaded
 
 if TYPE_CHECKING:
     from collections.abc import Callable

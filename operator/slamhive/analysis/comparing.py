@@ -227,7 +227,9 @@ def _ratio_intervals(
         for start in range(0, len(rest), at_once):
             part = rest[start : start + at_once]
             line = np.array([common for _, _, common in part])
-            first, second = (drawn[row[[pair[side] for pair in part], None], line] for side in (0, 1))
+            first, second = (
+                drawn[row[np.array([pair[side] for pair in part])][:, np.newaxis], line] for side in (0, 1)
+            )
             places = np.array([generator.integers(0, length, (DRAWS, length)) for _ in part])
             samples = np.take_along_axis(log_ratios(first, second).swapaxes(1, 2), places, axis=2)
             with np.errstate(invalid="ignore"):
@@ -238,7 +240,7 @@ def _ratio_intervals(
 def log_ratios(first: Floats, second: Floats) -> Floats:
     """Return log(second / first), of the same shape: ±inf where one failed, 0 where both did or are equal."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratios = np.log(second / first)
+        ratios: Floats = np.log(second / first)
     ratios[first == second] = 0.0
     return ratios
 
@@ -260,7 +262,8 @@ def rank_biserial(differences: Floats) -> Floats:
     ranks = average_ranks(np.abs(differences)) - still.sum(axis=1, keepdims=True)
     ranks[still] = 0.0  # the smallest, and of no weight
     totals = ranks.sum(axis=1)
-    return (ranks * np.sign(differences)).sum(axis=1) / np.where(totals > 0, totals, 1.0)
+    found: Floats = (ranks * np.sign(differences)).sum(axis=1) / np.where(totals > 0, totals, 1.0)
+    return found
 
 
 def _words(keys: dict[str, Any]) -> str:

@@ -27,7 +27,8 @@ from slamhive.local.removed import absence, run_parts
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.results import IMPORTED
 from slamhive.tables import snapshots
-from slamhive.tables.loading import Loaded, change_mark, load
+from slamhive.tables.loading import change_mark, load
+from slamhive.tables.snapshots import Loaded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -157,7 +157,7 @@ class Home:
             taken = leases.take((LeaseKind.WORKERS, f"{worker.node}-{worker.pid}-{held}")) or ()
             try:
                 for lease in taken:
-                    # On a full disk others hear less of who is at work; what frees it must go on all the same.
+                    # On a full disk others hear less of who is at work: what frees it must go on.
                     with suppress(OSError):
                         os.write(lease.descriptor, worker.text().encode())
                 yield

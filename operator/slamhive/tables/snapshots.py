@@ -164,9 +164,10 @@ def unchanged(path: Path, stamp: tuple[int, ...] | None) -> Loaded | None:
     if stamp is None:
         return None
     kept = _read(path)
-    if kept is None or kept[0].stamp != stamp or kept[1] is None:
+    if kept is None:
         return None
-    return derived(*kept)
+    table, sweeps = kept
+    return derived(table, sweeps) if table.stamp == stamp and sweeps is not None else None
 
 
 def restore(path: Path) -> Loaded | None:
