@@ -216,10 +216,14 @@ def _status(row: Row) -> str:
 def superseded(tables: dict[str, list[Row]]) -> dict[int, str]:
     """Return why runs are superseded, by their id; the others are not there."""
     found = {}
+    # Once each: 80,000 runs that are each compared with all others take hours.
+    latest = {
+        (kind, key): _latest(tables["runs"], kind, key) for kind, keys in _VERSIONS.items() for key in keys
+    }
     for run in tables["runs"]:
         for reason, changed in (
-            (ALGORITHM_CHANGED, _changed(tables, run, "algorithm", ("algorithmHash", "environment"))),
-            (DATASET_CHANGED, _changed(tables, run, "dataset", ("datasetSha256", "preparation"))),
+            (ALGORITHM_CHANGED, _changed(latest, run, "algorithm")),
+            (DATASET_CHANGED, _changed(latest, run, "dataset")),
             (SWEEP_EDITED, _edited(tables, run)),
         ):
             if changed:
@@ -228,21 +232,31 @@ def superseded(tables: dict[str, list[Row]]) -> dict[int, str]:
     return found
 
 
-def _changed(tables: dict[str, list[Row]], run: Row, kind: str, keys: Sequence[str]) -> bool:
+_VERSIONS = {"algorithm": ("algorithmHash", "environment"), "dataset": ("datasetSha256", "preparation")}
+"""Keys of the provenance that say which version of an algorithm or dataset a run had."""
+
+
+def _latest(runs: Sequence[Row], kind: str, key: str) -> dict[tuple[Any, ...], Row]:
+    """Return the latest run of each algorithm or dataset in each place of which a key is known."""
+    found: dict[tuple[Any, ...], Row] = {}
+    for run in sorted(runs, key=lateness):
+        if run["provenance"].get(key) is not None:
+            found[_like(run, kind, key)] = run
+    return found
+
+
+def _like(run: Row, kind: str, key: str) -> tuple[Any, ...]:
+    """Return what runs have in common that are versions of the same: environments and images are none."""
+    return (_place(run), run[kind], _from_image(run) if key == "environment" else None)
+
+
+def _changed(latest: dict[tuple[str, str], dict[tuple[Any, ...], Row]], run: Row, kind: str) -> bool:
     """Tell whether the latest run of an algorithm or dataset in a place has another value of a key."""
-    for key in keys:
+    for key in _VERSIONS[kind]:
         mine = run["provenance"].get(key)
         if mine is None or run[kind] is None:
             continue
-        like = [
-            other
-            for other in tables["runs"]
-            if _place(other) == _place(run)
-            and other[kind] == run[kind]
-            and (key != "environment" or _from_image(other) == _from_image(run))
-            and other["provenance"].get(key) is not None
-        ]
-        if max(like, key=lateness)["provenance"][key] != mine:
+        if latest[kind, key][_like(run, kind, key)]["provenance"][key] != mine:
             return True
     return False
 
