@@ -23,12 +23,24 @@ from matplotlib import pyplot as plt
 Figures = dict[str, Any]
 
 
+POINTS = 100
+"""Points of a curve at most: the figures of ten seconds alone are as much noise as course."""
+
+
 def steps(samples: list[Figures]) -> list[tuple[Figures, Figures]]:
-    """Return pairs of samples between which runs have ended and nothing was started anew."""
+    """Return pairs of samples between which many runs ended and nothing was suspended or started anew."""
+    least = samples[-1]["ended"] / POINTS
+    kept: list[Figures] = []
+    for sample in samples:
+        # The loops of Jobs run while the Sweep is suspended: what they take is not its own.
+        if not kept or not sample["running"] or sample["ended"] - kept[-1]["ended"] >= least:
+            kept.append(sample)
     return [
         (one, other)
-        for one, other in pairwise(samples)
-        if other["ended"] > one["ended"]
+        for one, other in pairwise(kept)
+        if other["ended"] - one["ended"] >= least
+        and one["running"]
+        and other["running"]
         and other["seconds"] > one["seconds"]
         and other["operator_cpu"] >= one["operator_cpu"]
     ]
@@ -69,7 +81,10 @@ def draw(figures: Figures, path: Path) -> None:
         (
             axes[1, 1],
             "objects",
-            [(name, all_ended, [sample[name] for sample in samples]) for name in ("mappingruns", "pods")],
+            [
+                (label, ended, [other[name] for _, other in between])
+                for label, name in (("MappingRuns", "mappingruns"), ("pods", "pods"))
+            ],
         ),
     )
     for panel, label, lines in curves:
@@ -77,8 +92,10 @@ def draw(figures: Figures, path: Path) -> None:
             panel.plot(across, up, label=name, linewidth=1)
         panel.set(xlabel="runs that have ended", ylabel=label)
         panel.set_ylim(bottom=0)
-        panel.legend(frameon=False)
-    figure.savefig(path)
+        panel.xaxis.set_major_formatter("{x:,.0f}")
+        if len(lines) > 1:
+            panel.legend(frameon=False)
+    figure.savefig(path, metadata={"Date": None})
     plt.close(figure)
 
 
