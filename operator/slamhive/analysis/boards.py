@@ -115,7 +115,7 @@ class Grid:
 
     @cached_property
     def behind(self) -> Indices:
-        """How many failed runs of each place rank behind all its figures, (places,)."""
+        """Numbers of failed runs of each place, which rank behind all its figures, (places,)."""
         return self.places.counts(self.failed)
 
     @cached_property

@@ -64,7 +64,7 @@ _ADVICE: dict[str | int, str] = {
     sqlite3.SQLITE_READONLY: _READ_ONLY,
 }
 _OF_FULL_DISKS = (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN)
-"""What SQLite says too where a disk is full: it can't make the files beside its own."""
+"""Further errors of SQLite where a disk is full: it can't make the files beside its own."""
 
 _LEAST_BYTES = 1 << 16
 """Room that SQLite needs to open an archive at all: its index of the log has 32 KiB."""

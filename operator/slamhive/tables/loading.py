@@ -179,7 +179,7 @@ def _row_marks(columns: Sequence[Sequence[Any]]) -> list[int]:
     total = np.zeros(len(columns[0]), dtype=np.uint64)
     for place, values in enumerate(columns):
         numbers = _numbers_of(values)
-        total += (numbers ^ (numbers >> np.uint64(29))) * np.uint64(_FACTOR ** (2 * place + 1) % _MARKS)
+        total += (numbers ^ (numbers >> np.uint64(29))) * np.uint64(pow(_FACTOR, 2 * place + 1, _MARKS))
     marks: list[int] = (total ^ (total >> np.uint64(32))).tolist()
     return marks
 
@@ -202,7 +202,7 @@ def _numbers_of_texts(texts: Sequence[bytes]) -> npt.NDArray[np.uint64]:
     total = np.fromiter(map(len, texts), np.uint64, len(texts))
     for place in range(width):
         turned = (words[:, place] ^ (words[:, place] >> np.uint64(31))) * np.uint64(_FACTOR)
-        total += turned * np.uint64(_FACTOR ** (2 * place + 1) % _MARKS)
+        total += turned * np.uint64(pow(_FACTOR, 2 * place + 1, _MARKS))
     return total ^ (total >> np.uint64(29))
 
 
