@@ -32,8 +32,8 @@ def require_archive(home: Home, why: str = ": nothing is known of any run, so no
     Raises:
         InputError: there is none.
     """
-    if home.missing_archive:
-        raise InputError(f"no archive at {home.missing_archive}{why}")
+    if file := home.missing_archive:
+        raise InputError(f"no archive at {file}{why}")
 
 
 def agreed(question: str, *, yes: bool, dry_run: bool) -> bool:
