@@ -92,7 +92,7 @@ class Proxy:
         """Answer a request; where the server is away, by a broken connection."""
         try:
             return await self._answer(request)
-        except aiohttp.ClientConnectionError:
+        except (aiohttp.ClientConnectionError, aiohttp.ClientPayloadError):  # before or within its answer
             _abort(request)
             return _status(500)
 
