@@ -285,12 +285,19 @@ def test_an_image_is_pulled_once_for_all_runs(boxes: Boxes, registry: Registry, 
 
 @pytest.fixture
 def docker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, podman: Engine) -> None:
-    """A docker with a daemon, as far as its commands go: they are podman's."""
+    """A docker with a daemon, as far as its commands go: they are podman's.
+
+    The first question for a container fails, as podman's does where the container ends while it looks.
+    """
     folder = tmp_path / "bin"
     folder.mkdir()
     told = json.dumps({"ID": "a", "MemoryLimit": True, "CPUSet": True, "PidsLimit": True})
     program = folder / "docker"
-    program.write_text(f"""#!/bin/sh\n[ "$1" = info ] && echo '{told}' && exit\nexec podman "$@"\n""")
+    program.write_text(f"""#!/bin/sh
+[ "$1" = info ] && echo '{told}' && exit
+[ "$1" = inspect ] && mkdir {folder}/asked 2>/dev/null && echo "no such process" >&2 && exit 125
+exec podman "$@"
+""")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{folder}:/usr/sbin:/usr/bin:/sbin:/bin")
     engines._asked.cache_clear()

@@ -267,12 +267,17 @@ class Contained:
         waiting = self._name()
         ask_at = time.monotonic()
         deadline = time.monotonic() + COMMAND_SECONDS
+        why = "it said nothing"
         while time.monotonic() < deadline:
             self.reap()
             if self.ended:
                 return None
             if self._first is None and time.monotonic() >= ask_at:
-                asked = self._engine("inspect", "--format", "{{.State.Pid}}", self._container.identity)
+                # Podman can't answer about a container that ends while it looks: ask again, its end is told.
+                try:
+                    asked = self._engine("inspect", "--format", "{{.State.Pid}}", self._container.identity)
+                except LaunchError as error:
+                    asked, why = "", str(error)
                 if asked.strip().isdigit() and int(asked) > 0:
                     self._attend(int(asked), fresh=False)
                     return time.monotonic()
@@ -280,7 +285,7 @@ class Contained:
             if self._first is not None and self._name() != waiting:
                 return time.monotonic()
             time.sleep(_LOOK_SECONDS)
-        raise LaunchError(f"{self._container.engine[0]} didn't start it", Reason.SYSTEM_FAULT)
+        raise LaunchError(f"{self._container.engine[0]} didn't start it: {why}", Reason.SYSTEM_FAULT)
 
     def _name(self) -> bytes | None:
         if self._first is None:
