@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from slamhive.archive import Archive
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.homefiles import HomeFiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,23 +24,22 @@ class Here:
 
     Args:
         archive: the archive, open.
-        url: of the archive.
         home: folder that holds the runs' folders.
 
     Attributes:
         archive: the archive.
     """
 
-    def __init__(self, archive: Archive, url: str, home: Path) -> None:
+    def __init__(self, archive: Archive, home: Path) -> None:
         self.archive = archive
-        self._workstation = Workstation(url, home)
+        self._files = HomeFiles(home)
 
     @classmethod
     @contextmanager
     def open(cls, url: str, home: Path) -> Iterator[Here]:
         """Open a home's archive to read from it."""
         with Archive.open(url, read_only=True) as archive:
-            yield cls(archive, url, home)
+            yield cls(archive, home)
 
     def record(self, uid: str) -> RunRecord | None:
         """Return a run by its UID."""
@@ -48,12 +47,12 @@ class Here:
 
     def place(self, record: RunRecord) -> Place | None:
         """Return a run's folder, if it is there."""
-        return self._workstation.place(record)
+        return self._files.place(record)
 
     def truth(self, record: RunRecord) -> Truth | None:
         """Return the ground truth of a run's dataset, if it is at hand."""
         dataset = str((record.spec.get("datasetRef") or {}).get("name"))
-        return self._workstation.truth(dataset, record.labels.get("dataset"))
+        return self._files.truth(dataset, record.labels.get("dataset"))
 
     def algorithms(self) -> list[CatalogEntry]:
         """Return the algorithms as runs used them."""

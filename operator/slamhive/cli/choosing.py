@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
     from slamhive.tables.homes import Beside
 
 Where = Annotated[
-    str | None, typer.Option(metavar="EXPR", help='Only rows that meet it, as in "coverage >= 0.9".')
+    str | None,
+    typer.Option(metavar="EXPR", help='Only rows that meet it, as in "run in (126, 141) and scale < 1".'),
 ]
 Sweeps = Annotated[
     list[str] | None, typer.Option(metavar="NAME", help="Only runs of this sweep; may be repeated.")
@@ -29,6 +31,10 @@ Sweeps = Annotated[
 EvaluationName = Annotated[
     str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as se3 or sim3.")
 ]
+Superseded = Annotated[
+    bool, typer.Option("--superseded", help="Results of earlier versions too: of an edited algorithm, …")
+]
+Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to a file.")]
 
 Also = Annotated[
     list[str] | None,

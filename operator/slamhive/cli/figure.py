@@ -11,9 +11,8 @@ from typing import Annotated
 import typer
 
 from slamhive.analysis import Outcomes
-from slamhive.cli.choosing import Also, EvaluationName, Sweeps, Where, choose_runs, select
+from slamhive.cli.choosing import Also, EvaluationName, Superseded, Sweeps, Where, choose_runs, select
 from slamhive.cli.console import remark
-from slamhive.cli.results import Superseded
 from slamhive.figures.asking import Kind, Log, Wish
 from slamhive.figures.making import form_of, numbers_file, picture, save
 from slamhive.figures.paper import Paper

@@ -16,9 +16,8 @@ from slamhive import __version__
 from slamhive.analysis import Metric, Outcomes
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.names import declared_units
-from slamhive.cli.choosing import Also, EvaluationName, Sweeps, Where, choose_runs, select
+from slamhive.cli.choosing import Also, EvaluationName, Output, Superseded, Sweeps, Where, choose_runs, select
 from slamhive.cli.console import remark
-from slamhive.cli.results import Output, Superseded
 from slamhive.data.outputs import output_whole
 from slamhive.local.home import Home
 from slamhive.model.base import Choice

@@ -19,7 +19,7 @@ from slamhive.analysis.names import declared_units
 from slamhive.analysis.ordering import order_by, order_rows
 from slamhive.analysis.selection import Chosen, Selection, choose
 from slamhive.bridges.targets import Target
-from slamhive.cli.choosing import Also
+from slamhive.cli.choosing import Also, EvaluationName, Output, Superseded, Where
 from slamhive.cli.console import out, plural, remark
 from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import show_run
@@ -69,24 +69,13 @@ TABLE_METRICS = (
 _SAID_ONCE = ("sweep", "algorithm", "sensors", "dataset", "phase", "evaluation")
 _MOST_SETTINGS = 6
 
-Where = Annotated[
-    str | None,
-    typer.Option(metavar="EXPR", help='Only rows that meet it, as in "run in (126, 141) and scale < 1".'),
-]
 SweepName = Annotated[str | None, typer.Option(metavar="NAME", help="Only runs of this sweep.")]
-EvaluationName = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Only this evaluation, such as default or sim3.")
-]
 Sort = Annotated[
     str | None, typer.Option(metavar="COLUMN,…", help="Order by columns; a dash before one reverses it.")
 ]
 Columns = Annotated[
     str | None, typer.Option(metavar="COLUMN,…", help="What to show, each as COLUMN[:UNIT][:.3f].")
 ]
-Superseded = Annotated[
-    bool, typer.Option("--superseded", help="Results of earlier versions too: of an edited algorithm, …")
-]
-Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write to a file.")]
 
 
 @app.command("list")

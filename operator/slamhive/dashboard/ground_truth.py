@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.data.truthfolders import GroundTruthFolder
 from slamhive.model.errors import SlamHiveError
 from slamhive_eval import ControlPoints, EvaluationError, Trajectory, read_tum
 
@@ -89,6 +88,8 @@ class Truths:
         folders = [folder for folder in self._folders if folder.is_dir()]
         if not folders:
             return None
+        from slamhive.data.truthfolders import GroundTruthFolder  # noqa: PLC0415 - with the models of datasets
+
         for folder in folders:
             for name in dict.fromkeys((dataset, label)):
                 if name is None or "/" in name or name.startswith("."):

@@ -13,19 +13,15 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect, file_of, reading, require_version
-from slamhive.dashboard.artifacts import Place
-from slamhive.dashboard.ground_truth import Truths
+from slamhive.dashboard.homefiles import HomeFiles
 from slamhive.dashboard.problems import Unavailable
 from slamhive.dashboard.underway import UnderWay
-from slamhive.local.removed import absence, run_parts
 from slamhive.model.errors import SlamHiveError
-from slamhive.model.results import IMPORTED
 from slamhive.tables import snapshots
 from slamhive.tables.loading import change_mark, load
 from slamhive.tables.snapshots import Loaded
@@ -33,16 +29,15 @@ from slamhive.tables.snapshots import Loaded
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from concurrent.futures import Executor
+    from pathlib import Path
 
     from sqlalchemy import Connection, Engine
 
     from slamhive.analysis.derived import SweepVersion
     from slamhive.archive.records import CatalogEntry, SweepRecord
+    from slamhive.dashboard.artifacts import Place
     from slamhive.dashboard.ground_truth import Truth
     from slamhive.model.results import RunRecord
-
-_OF_IMPORTS = frozenset({"traj.txt", "profiling.csv", "config.yaml"})
-"""Files that may be read of a folder that was imported from elsewhere."""
 
 LOOK_SECONDS = 0.5
 """Least time between questions to the database whether anything was written."""
@@ -336,7 +331,7 @@ class Workstation:
         self._data = ArchiveData(url, cache or (home / "cache" if home is not None else None))
         self._under_way = UnderWay(home)
         self._home = home
-        self._truths = Truths(ground_truth, home)
+        self._files = HomeFiles(home, ground_truth)
         self._executor: Executor | None = None
 
     async def start(self, executor: Executor) -> None:
@@ -382,24 +377,15 @@ class Workstation:
 
     def place(self, record: RunRecord) -> Place | None:
         """Return the folder of a run in the home, or the one that it was imported from."""
-        if not record.folder:
-            return None
-        folder = Path(record.folder)
-        if record.labels.get("source") == IMPORTED:
-            return Place(folder, allowed=_OF_IMPORTS) if folder.is_dir() else None
-        parts = run_parts(record.folder)
-        if self._home is None or parts is None or self.absence(record) is not None:
-            return None
-        runs = self._home / "runs"
-        return Place(runs, parts) if runs.joinpath(*parts).is_dir() else None
+        return self._files.place(record)
 
     def absence(self, record: RunRecord) -> str | None:
         """Return why the files of a run are not here, where somebody removed them."""
-        return absence(self._home, record.folder)
+        return self._files.absence(record)
 
     def truth(self, dataset: str, label: str | None) -> Truth | None:
         """Return the ground truth of a dataset, if it is at hand."""
-        return self._truths.find(dataset, label)
+        return self._files.truth(dataset, label)
 
     def variants(self) -> Path | None:
         """Return the folder of prepared recordings in the home."""

@@ -13,8 +13,8 @@ from slamhive.analysis.grouping import Groups, counting
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect
 from slamhive.dashboard.clocks import clock_of, configuration_of
+from slamhive.dashboard.homefiles import HomeFiles
 from slamhive.dashboard.problems import Problem
-from slamhive.dashboard.sources import Workstation
 from slamhive.dashboard.trajectories import drawn, extrinsic_of, read_poses, usage_columns
 from slamhive.figures.asking import Kind, check_panels, error_of, nothing, parted
 from slamhive.figures.groups import Series
@@ -63,20 +63,20 @@ class Found:
         place: its folder.
         evaluation: what it was measured by.
         algorithms: versions of the Algorithms in the archive.
-        station: knows the ground truth.
+        files: of its home; they know the ground truth.
     """
 
     record: RunRecord
     place: Place
     evaluation: str | None
     algorithms: list[CatalogEntry]
-    station: Workstation
+    files: HomeFiles
 
     def path(self) -> tuple[dict[str, Any], float]:
         """Return the aligned path over its ground truth, and the zero of its dataset's clock."""
         record = self.record
         dataset = str((record.spec.get("datasetRef") or {}).get("name"))
-        truth = self.station.truth(dataset, record.labels.get("dataset"))
+        truth = self.files.truth(dataset, record.labels.get("dataset"))
         poses = read_poses(self.place)
         configuration = configuration_of(self.place)
         extrinsic = extrinsic_of(record, configuration, self.algorithms, truth)
@@ -242,23 +242,23 @@ def _stated(wish: Wish, frame: Frame, chosen: list[Choice]) -> str:
 def _located(chosen: list[Choice], home: Home, also: Sequence[Beside]) -> Iterator[Found | str]:
     """Go through the runs with their folders; a sentence for one that has none here."""
     places = {OWN: (home.archive_url, home.path), **{one.label: (one.url, one.path) for one in also}}
-    stations: dict[str, tuple[Archive, Workstation, list[CatalogEntry]]] = {}
+    homes: dict[str, tuple[Archive, HomeFiles, list[CatalogEntry]]] = {}
     with ExitStack() as stack:
         for choice in chosen:
             told = choice.frame.row(choice.row, ("uid", "evaluation", "name", COLUMN))
             label = str(told[COLUMN] or OWN)
-            if label not in stations:
+            if label not in homes:
                 url, path = places[label]
                 opened = stack.enter_context(closing(Archive(connect(url, read_only=True))))
-                stations[label] = opened, Workstation(url, path), opened.catalog("Algorithm")
-            archive, station, algorithms = stations[label]
+                homes[label] = opened, HomeFiles(path), opened.catalog("Algorithm")
+            archive, files, algorithms = homes[label]
             record = archive.get(uid_in(str(told["uid"]), places)[0])
             record = _computed(archive, record)
-            place = station.place(record) if record is not None else None
+            place = files.place(record) if record is not None else None
             if record is None or place is None:
                 yield f"{told['name']}: its folder is not here"
             else:
-                yield Found(record, place, told["evaluation"], algorithms, station)
+                yield Found(record, place, told["evaluation"], algorithms, files)
 
 
 def _computed(archive: Archive, record: RunRecord | None) -> RunRecord | None:
