@@ -197,11 +197,12 @@ class Pod:
         return json.loads((self.folder / "summary.json").read_text())
 
     def message(self) -> dict[str, Any]:
-        return json.loads((self.folder / "message").read_text())
+        """Return the last words; none before there are any: their file is made before it is written."""
+        file = self.folder / "message"
+        return json.loads((file.read_text() if file.exists() else "") or "{}")
 
     def finished(self) -> dict[str, Any]:
-        message = self.folder / "message"
-        wait_for(lambda: message.exists() and message.stat().st_size)  # it is made before it is written
+        wait_for(self.message)
         return self.summary()
 
     def others(self) -> list[bytes]:

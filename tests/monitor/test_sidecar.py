@@ -181,7 +181,7 @@ def test_once_killed_it_believes_nothing_and_ends_the_algorithm(
     (pod.folder / "summary.json").write_text('{"reason": null, "usage": {"cpu": {"seconds": 0.001}}}')
     again = pod.sidecar(at_once=True)
     algorithm.wait(50)
-    wait_for(lambda: (pod.folder / "message").exists() and pod.message()["reason"] == "SystemFault")
+    wait_for(lambda: pod.message().get("reason") == "SystemFault")
     summary = pod.end(again)
     assert (summary["reason"], summary["usage"]) == ("SystemFault", None)
     assert "the monitor was ended while the algorithm ran" in summary["message"]
