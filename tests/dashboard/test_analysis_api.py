@@ -55,6 +55,15 @@ def test_memory_of_different_kinds_is_not_mixed_in_silence(
     assert [item["column"] for item in mixtures(frame, ["seed", axis])] == told
 
 
+@pytest.mark.parametrize(
+    ("versions", "told"), [(["1", "2", "2"], []), (["1", "2", "3"], ["algorithm.version"])]
+)
+def test_two_algorithms_are_no_mixture_of_versions(versions: list[str], told: list[str]) -> None:
+    columns = {"algorithm": ["orb", "icp", "icp"], "algorithm.version": versions}
+    frame = Frame({name: Column.of(values) for name, values in columns.items()}, 3)
+    assert [item["column"] for item in mixtures(frame, ["seed"])] == told
+
+
 @pytest.mark.parametrize(("digits", "value"), [("3", 0.333), ("6", 0.333333), ("17", 1 / 3)])
 async def test_digits_of_points(api: Any, digits: str, value: float) -> None:
     answer = await api.get(

@@ -312,6 +312,18 @@ test('points without x are left out, and those without y where there is no place
   assert.equal(scatter(data, [0, 1, 2], { ...SCATTER, top: null }).series[0].data.length, 1);
 });
 
+test('the legend names the setting whose values it tells, with its unit', () => {
+  const data = points([1, 2, 3], [1, 2, 3]);
+  data.axes.colour = {
+    name: 'parameters.range',
+    title: 'parameters.range [m]',
+    kind: 'number',
+    values: [30, 60, null],
+  };
+  const names = ['range 30 m', 'range 60 m', 'range –'];
+  assert.deepEqual(scatter(data, [0, 1, 2], SCATTER).legend?.data, names);
+});
+
 test('values that read the same keep a colour each', () => {
   const data = points([1, 2, 3], [1, 2, 3]);
   data.axes.colour = { name: 'c', title: 'c', kind: 'number', values: [1.00001, 1.00002, null] };

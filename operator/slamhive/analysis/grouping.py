@@ -323,7 +323,7 @@ def apart(frame: Frame, asked: Iterable[str], metrics: Iterable[str]) -> tuple[F
     kept = []
     for name in facets:
         owner = OWNERS.get(name)
-        if owner is not None and (owner in facets or owner in given) and _follows(filled, name, owner):
+        if owner is not None and (owner in facets or owner in given) and follows(filled, name, owner):
             continue
         kept.append(name)
     return filled, kept
@@ -337,7 +337,8 @@ def _differ(frame: Frame, name: str) -> bool:
     return len(known) > 0 and bool((known != known[0]).any())
 
 
-def _follows(frame: Frame, name: str, owner: str) -> bool:
+def follows(frame: Frame, name: str, owner: str) -> bool:
+    """Tell whether a column has one value wherever another one has: a version, where an algorithm has one."""
     return Groups(frame, (owner, name)).count == Groups(frame, (owner,)).count
 
 

@@ -12,9 +12,11 @@ from slamhive.analysis.grouping import (
     FACETS,
     LOAD_FACETS,
     MEMORY_FACETS,
+    OWNERS,
     SUBJECT,
     Groups,
     aggregate,
+    follows,
     varies,
     varying,
 )
@@ -111,6 +113,9 @@ def mixtures(frame: Frame, told: list[str]) -> list[dict[str, Any]]:
         candidates.append((_KIND, frame.select(frame.column(_MEMORY[0]).present)))
     for name, rows in candidates:
         if name in told or not varies(rows, name):
+            continue
+        owner = OWNERS.get(name)
+        if owner in {*SUBJECT, *told} and follows(rows, name, owner):
             continue
         values = rows.column(name).factorized()[1]
         shown = ", ".join("unknown" if value is None else str(value) for value in values[:6])

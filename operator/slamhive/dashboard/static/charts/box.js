@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Boxes of quartiles with every run drawn over them; fewer than five runs get no box. */
 import { COLOURS } from '../core/chart.js';
-import { clip, number } from '../core/format.js';
+import { clip, namedText, number } from '../core/format.js';
 import { asCategories, axisOption, quantile, readAxis } from './points.js';
 
 const MOST_POINTS = 2000;
@@ -26,8 +26,8 @@ export function box(data, indices, { ylog, tracked }) {
   );
   const groups = colour
     ? colour.categories
-        .map((name, group) => ({
-          name,
+        .map((text, group) => ({
+          name: namedText(colour.heading, text),
           group,
           members: counted.filter((index) => colour.at(index) === group),
         }))

@@ -23,7 +23,8 @@ export function curveCharts(data, { facet, xlog }) {
    * @param {Api.Keys} keys
    * @param {string[]} names
    */
-  const told = (keys, names) => keysText(Object.fromEntries(names.map((name) => [name, keys[name]])));
+  const told = (keys, names) =>
+    keysText(Object.fromEntries(names.map((name) => [name, keys[name]])), data.keys);
   const factor = data.metric.factor ?? 1;
   const names = [...new Set(data.curves.map((curve) => told(curve.keys, within)))];
   /** @type {Map<string, DrawnCurve[]>} */

@@ -14,9 +14,8 @@ import { axisName, cell, clip, headingOf, keysText, number } from '../core/forma
  */
 export function lines(data, x, y, facet, facetValue) {
   const others = data.keys
-    .map((key) => key.name)
-    .filter((name) => name !== x && name !== facet)
-    .filter((name) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
+    .filter(({ name }) => name !== x && name !== facet)
+    .filter(({ name }) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
   const groups = data.groups.filter((group) => !facet || String(group.keys[facet]) === facetValue);
   return linesOf(groups, x, y, others);
 }
@@ -26,14 +25,15 @@ export function lines(data, x, y, facet, facetValue) {
  * @param {Api.Group[]} groups
  * @param {string} x
  * @param {string} y
- * @param {string[]} others the keys
+ * @param {Api.Heading[]} others the keys
  * @returns {Array<{name: string, points: LinePoint[]}>}
  */
 export function linesOf(groups, x, y, others) {
   /** @type {Map<string, LinePoint[]>} */
   const found = new Map();
   for (const group of groups) {
-    const name = keysText(Object.fromEntries(others.map((key) => [key, group.keys[key]]))) || 'runs';
+    const own = Object.fromEntries(others.map(({ name }) => [name, group.keys[name]]));
+    const name = keysText(own, others) || 'runs';
     const points = found.get(name) ?? [];
     found.set(name, points);
     points.push({ x: group.keys[x], figure: group.figures[y], group });

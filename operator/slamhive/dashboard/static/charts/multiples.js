@@ -42,9 +42,8 @@ export function arranged(data, set) {
   const factor = heading.factor ?? 1;
   const own = [set.x, set.down, set.across];
   const others = data.keys
-    .map((key) => key.name)
-    .filter((name) => !own.includes(name))
-    .filter((name) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
+    .filter(({ name }) => !own.includes(name))
+    .filter(({ name }) => new Set(data.groups.map((group) => String(group.keys[name]))).size > 1);
   const [down, across] = [valuesOf(data.groups, set.down), valuesOf(data.groups, set.across)];
   const names = [...new Set(linesOf(data.groups, set.x, set.y, others).map((one) => one.name))];
   const cells = down.flatMap((row, atRow) =>
@@ -188,7 +187,9 @@ export function multiples(data, set, found) {
               ...[
                 [set.down, down[one.atRow]],
                 [set.across, across[one.atColumn]],
-              ].flatMap(([name, value]) => (name ? [clip(namedValue(String(name), value), 60)] : [])),
+              ].flatMap(([name, value]) =>
+                name ? [clip(namedValue(headingOf(data.keys, String(name)), value), 60)] : [],
+              ),
               tell(item.data?.point, item.seriesName, heading, set.figure),
             ].join('\n');
           },
@@ -216,13 +217,17 @@ export function multiples(data, set, found) {
         graphic: [
           ...(set.across
             ? across.map((value, at) =>
-                words(clip(namedValue(set.across, value), fitting(wide)), left(at) + wide / 2, top - 12),
+                words(
+                  clip(namedValue(headingOf(data.keys, set.across), value), fitting(wide)),
+                  left(at) + wide / 2,
+                  top - 12,
+                ),
               )
             : []),
           ...(set.down
             ? down.map((value, at) =>
                 words(
-                  clip(namedValue(set.down, value), fitting(TALL)),
+                  clip(namedValue(headingOf(data.keys, set.down), value), fitting(TALL)),
                   width - EDGE.right + 16,
                   above(at) + TALL / 2,
                   -Math.PI / 2,

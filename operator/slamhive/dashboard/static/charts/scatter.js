@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Points, one a run; what failed is drawn above all others, as in the original SLAM Hive. */
 import { COLOURS } from '../core/chart.js';
-import { clip } from '../core/format.js';
+import { clip, namedText } from '../core/format.js';
 import { asCategories, axisOption, readAxis } from './points.js';
 
 /** @type {Record<string, string>} */
@@ -63,7 +63,9 @@ export function scatter(data, indices, { xlog, ylog, top }, beside = []) {
     itemStyle: { opacity: large ? 0.5 : 0.85 },
     progressive: 0,
   };
-  const named = groups ? [...groups.categories, '–'] : ['runs'];
+  const named = groups
+    ? [...groups.categories, null].map((text) => namedText(groups.heading, text))
+    : ['runs'];
   // By place, not by name: two values may read the same.
   /** @type {number[][]} */
   const parts = named.map(() => []);

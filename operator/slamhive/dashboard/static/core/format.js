@@ -137,24 +137,35 @@ export const axisName = (heading) => heading.label ?? heading.title;
 /**
  * Return a value of a column with its name, unless it says by itself what it is: "mono", "frame rate 7.5 Hz",
  * "reader not included".
- * @param {string} name
+ * @param {string|Api.Heading} column its name, or its heading, which knows units that manifests declare
  * @param {Api.Value|undefined} value
  */
-export function namedValue(name, value) {
-  if (name === 'usage.includesReader')
+export function namedValue(column, value) {
+  const heading = typeof column === 'string' ? { name: column, title: column } : column;
+  if (heading.name === 'usage.includesReader')
     return value === true ? 'reader included' : value === false ? 'reader not included' : 'reader unknown';
-  if (SUBJECT.includes(name)) return cell(value);
-  const [, title, unit] = /^(.*?)(?: \[([^[\]]*)\])?$/s.exec(columnTitle(name)) ?? [];
-  return `${title} ${cell(value)}${unit && value !== null && value !== undefined ? ` ${unit}` : ''}`;
+  return namedText(heading, value === null || value === undefined ? null : cell(value, heading));
+}
+
+/**
+ * Return the text of a column's value with its name and unit, as `namedValue` does.
+ * @param {Api.Heading} heading
+ * @param {string|null} text null: there is no value
+ */
+export function namedText(heading, text) {
+  if (SUBJECT.includes(heading.name)) return text ?? '–';
+  const [, title, unit] = /^(.*?)(?: \[([^[\]]*)\])?$/s.exec(ownTitle(heading)) ?? [];
+  return `${title} ${text ?? '–'}${unit && text !== null ? ` ${unit}` : ''}`;
 }
 
 /**
  * Return keys of a group as one text: "orb-slam3, mono, evaluation sim3".
  * @param {Api.Keys|null|undefined} keys
+ * @param {Api.Heading[]} [headings] of keys, where the answer has them: they know the units of parameters
  */
-export const keysText = (keys) =>
+export const keysText = (keys, headings = []) =>
   Object.entries(keys ?? {})
-    .map(([name, value]) => namedValue(name, value))
+    .map(([name, value]) => namedValue(headingOf(headings, name), value))
     .join(', ');
 
 /**

@@ -491,7 +491,7 @@ function lineParts(data, set) {
  */
 function facetName(data, facet, value) {
   const known = data.groups.find((group) => String(group.keys[facet]) === value);
-  return namedValue(facet, known?.keys[facet]);
+  return namedValue(headingOf(data.keys, facet), known?.keys[facet]);
 }
 
 /**

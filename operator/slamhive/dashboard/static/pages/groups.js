@@ -2,7 +2,7 @@
 /** What stands beside a chart so that nobody is misled: n, failures, coverage of each group. */
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
-import { clip, number } from '../core/format.js';
+import { clip, number, shortTitles } from '../core/format.js';
 import { Fault, Link, Notes, Table } from '../core/parts.js';
 import { html } from '../core/ui.js';
 
@@ -39,7 +39,7 @@ export function groupTable(data, which = FIGURES) {
   );
   return {
     columns: [
-      ...varied,
+      ...shortTitles(varied),
       { name: 'n', kind: 'integer', title: 'n' },
       { name: 'runs', kind: 'integer', title: 'runs' },
       { name: 'failures', title: 'failures' },
