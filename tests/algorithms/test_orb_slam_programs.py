@@ -31,6 +31,7 @@ from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Role, SensorMode
+from slamhive.model.templates import TemplateMistake
 from slamhive.plan.configuration import run_configuration
 from slamhive.templating.rendering import Renderer
 
@@ -241,7 +242,8 @@ def test_settings_are_the_calibration_in_the_program_s_words(
 ) -> None:
     more: dict[str, Any] = {} if mode.startswith("mono") else {"thDepth": 35}
     more |= {"virtualBaseline": 0.1} if mode == "rgbd" else {}
-    more |= {} if name == "orb-slam2" else {"loopClosing": False, "newWidth": 80}
+    more |= {} if name == "orb-slam2" else {"loopClosing": False}
+    more |= {} if name == "orb-slam2" or mode == "rgbd" else {"newWidth": 80}
     ran = run(recorded, tmp_path, name, mode, **ASKED, **more)
     assert (ran.status, ran.said) == (0, "")
     sensors, seen = recorded.sensors, dict(ran.seen)
@@ -287,6 +289,14 @@ def test_settings_are_the_calibration_in_the_program_s_words(
             assert seen[key] == value
         else:
             np.testing.assert_allclose(seen[key], value, rtol=1e-6, atol=1e-7, err_msg=key)
+
+
+@pytest.mark.parametrize("parameter", ["newWidth", "newHeight"])
+def test_a_size_that_its_settings_do_not_know_is_refused(
+    recorded: Recorded, tmp_path: Path, parameter: str
+) -> None:
+    with pytest.raises(TemplateMistake, match="doesn't read newWidth and newHeight in rgbd"):
+        run(recorded, tmp_path, "orb-slam3-program", "rgbd", **{parameter: 80})
 
 
 @pytest.mark.parametrize("name", ["orb-slam2", "orb-slam3-program"])
