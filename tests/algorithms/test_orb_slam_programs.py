@@ -128,8 +128,17 @@ class Ran:
         return {nanoseconds(stamp): matrix(np.array(row, float)) for stamp, *row in lines}
 
 
-def run(recorded: Recorded, folder: Path, name: str, mode: str, *, late: int = 0, **parameters: Any) -> Ran:
-    """Prepare the data, render the settings and run the script, as a run does."""
+def run(
+    recorded: Recorded,
+    folder: Path,
+    name: str,
+    mode: str,
+    *,
+    late: int = 0,
+    edit: tuple[str, str] = ("", ""),
+    **parameters: Any,
+) -> Ran:
+    """Prepare the data, render the settings, edited or not, and run the script, as a run does."""
     spec = algorithm(name).spec
     declared = spec.mode(SensorMode(mode))
     options = InputOptions.model_validate({})
@@ -152,7 +161,7 @@ def run(recorded: Recorded, folder: Path, name: str, mode: str, *, late: int = 0
     files = run_folder / "files"
     files.mkdir()
     for path, template in spec.templates:
-        (files / path).write_text(Renderer(told, str(run_folder), str(files)).text(template))
+        (files / path).write_text(Renderer(told, str(run_folder), str(files)).text(template.replace(*edit)))
     bin_folder = folder / "bin"
     bin_folder.mkdir()
     for program in PROGRAMS:
@@ -289,6 +298,12 @@ def test_settings_are_the_calibration_in_the_program_s_words(
             assert seen[key] == value
         else:
             np.testing.assert_allclose(seen[key], value, rtol=1e-6, atol=1e-7, err_msg=key)
+
+
+@pytest.mark.parametrize(("key", "mode"), [("ThDepth", "rgbd"), ("Stereo.ThDepth", "stereo")])
+def test_a_whole_number_is_no_real_one(recorded: Recorded, tmp_path: Path, key: str, mode: str) -> None:
+    ran = run(recorded, tmp_path, "orb-slam3-program", mode, edit=("thDepth|float", "thDepth|int"))
+    assert (ran.status, ran.said) == (1, f"{key} parameter must be a real number, aborting...\n")
 
 
 @pytest.mark.parametrize("parameter", ["newWidth", "newHeight"])

@@ -40,7 +40,8 @@ class Settings:
             sys.exit(f"{key} required parameter does not exist, aborting...")
         if kind is int and not node.isInt():
             sys.exit(f"{key} parameter must be an integer number, aborting...")
-        if kind is float and not (node.isReal() or node.isInt()):
+        # The old form takes no whole number for a real one, and some versions not in the new form either.
+        if kind is float and not node.isReal():
             sys.exit(f"{key} parameter must be a real number, aborting...")
         if kind is str and not node.isString():
             sys.exit(f"{key} parameter must be a string, aborting...")
@@ -53,6 +54,13 @@ class Settings:
         else:
             self.seen[key] = node.string() if kind is str else kind(node.real())
         return self.seen[key]
+
+    def number(self, key: str) -> None:
+        """Take a number of either kind, as OpenCV's conversion does; what isn't there would be 0."""
+        node = self._file.getNode(key)
+        if not (node.isReal() or node.isInt()):
+            sys.exit(f"{key} is no number")
+        self.seen[key] = node.real()
 
     def camera(self, name: str) -> None:
         for key in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"):
@@ -69,9 +77,10 @@ def read_settings(path: str, program: str) -> Settings:
         _read_new(settings, kind)
     else:
         settings.camera("Camera")
-        reals = ["Camera.fps"] + (["Camera.bf", "ThDepth"] if kind in {"stereo", "rgbd"} else [])
+        reals = ["Camera.bf", "ThDepth"] if kind in {"stereo", "rgbd"} else []
         for key in reals + (["DepthMapFactor"] if kind == "rgbd" else []):
             settings.read(key, float)
+        settings.number("Camera.fps")
         settings.read("Camera.RGB", int)
     for key, type_ in EXTRACTOR.items():
         settings.read(f"ORBextractor.{key}", type_)
