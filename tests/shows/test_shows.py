@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     import subprocess
     from collections.abc import Callable
 
+    from slamhive.local.engines import Engine
+
     Command = Callable[..., subprocess.CompletedProcess[str]]
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -60,6 +62,27 @@ def test_real_algorithms_follow_a_short_recording(slamhive: Command, tmp_path: P
         assert row["outcome"] == "Tracked"
         assert share(row) < 0.03  # of a coarse scanner on a path of 9 m; a wrong frame would be far off
         assert row["usage.cpu.seconds"] > 0
+
+
+@pytest.mark.slow
+def test_a_container_gives_what_a_process_gives(slamhive: Command, podman: Engine, tmp_path: Path) -> None:
+    """Results of a cluster are held to those of a process by tests/e2e."""
+    assert podman.is_podman
+    dataset, sweep = yaml.safe_load_all(SHORT)
+    sweep["spec"]["matrix"] = [{"path": "algorithm", "values": ["kiss-icp"]}]
+    path, rows = tmp_path / "sweep.yaml", {}
+    for container in ("none", "podman"):
+        sweep["metadata"]["name"] = container
+        path.write_text(yaml.safe_dump_all([dataset, sweep]))
+        result = slamhive("run", "--container", container, str(path))
+        assert result.returncode == 0, result.stderr
+        (rows[container],) = rows_of(slamhive, container)
+    process, contained = rows["none"], rows["podman"]
+    assert set(contained) == set(process) | {"provenance.imageID"}
+    for column in ("provenance.datasetSha256", "provenance.specHash", "trajectory.poses", "outcome"):
+        assert contained[column] == process[column]
+    for column in ("ate.rmse", "coverage"):
+        assert contained[column] == pytest.approx(process[column], rel=1e-9)
 
 
 @pytest.mark.slow
