@@ -20,8 +20,11 @@ export const COLOURS = [
   '#7570b3',
 ];
 
-/** Lines have a short line in the legend. */
-const LINES = { icon: 'roundRect', itemHeight: 4, itemWidth: 18 };
+/**
+ * Lines have a short line in the legend. It stands in a box as high as the text: where there are too many
+ * names for one row, the drawing library cuts the text off at the box.
+ */
+const LINES = { icon: 'path://M0 0L0 0M0 5L18 5L18 9L0 9ZM18 14L18 14', itemHeight: 14, itemWidth: 18 };
 
 /**
  * Return the legend of lines: of those that have names in it, or of all.

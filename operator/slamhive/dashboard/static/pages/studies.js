@@ -182,7 +182,7 @@ export default function Studies() {
     }
     ${elsewhere && html`<${Fault} error=${state.error} />`}
     <p class="quiet">
-      ${study.says}
+      ${study.says}${' '}
       ${
         state.current &&
         html`
