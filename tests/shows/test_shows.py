@@ -128,7 +128,7 @@ LIDAR_SHARES = {
     "mad-icp": 0.005,
     "liosam-odometry": 0.01,
 }
-CAMERA_SHARES = {"stereo": 0.005, "rgbd": 0.005, "mono": 0.01}
+CAMERA_SHARES = {"stereo": 0.003, "rgbd": 0.003, "mono": 0.003}
 STANDARD = [("standard-lidar", "algorithm", LIDAR_SHARES), ("standard-camera", "sensors", CAMERA_SHARES)]
 
 
