@@ -58,6 +58,9 @@ QUESTIONS = (
 )
 
 
+MANY = "by=algorithm,input.frameRate,parameters.p1,parameters.p2&parameters.p2%3C4000"
+"""Competitors of which there are 192, with half of the runs."""
+
 PICTURES = (
     (
         "small multiples: sensors by frame rate over a parameter, one dataset",
@@ -73,6 +76,10 @@ PICTURES = (
         500,
     ),
     ("slices of one algorithm on one dataset", "analysis/slices?algorithm=dso&dataset=sequence-00", 1000),
+    ("leaderboard of 192 competitors", f"analysis/leaderboard?{MANY}", 500),
+    ("192 competitors two by two, the best of them", f"analysis/compare?{MANY}", 1000),
+    ("cumulative shares of 192 competitors, the best of them", f"analysis/ecdf?{MANY}", 500),
+    ("error over cost of 192 competitors", f"analysis/pareto?{MANY}", 500),
     ("runs by words", "search?words=orb-slam3+parameters+2000", 1000),
 )
 """Questions of single pictures, measured one at a time; the crowd asks the above."""

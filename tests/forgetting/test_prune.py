@@ -42,6 +42,9 @@ def test_files_of_superseded_runs_go_and_every_number_stays(lab: Any, slamhive: 
     assert slamhive("results", "table", "--superseded", "--format", "json").out == tables
     again = slamhive("results", "prune", "--superseded", "--yes")
     assert (again.code, again.out) == (0, "no run has anything to remove")
+    assert re.search(r"removed files of runs 1 .*prune --records", slamhive("home", "--size").out)
+    assert slamhive("results", "prune", "--superseded", "--records", "--yes").code == 0
+    assert f"s/a-v1/{NOTE}" not in lab.files()
 
 
 def test_nothing_goes_unasked(lab: Any, slamhive: Callable[..., Any]) -> None:

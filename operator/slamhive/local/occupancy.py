@@ -9,6 +9,7 @@ from slamhive.data.store import MANIFEST
 from slamhive.local.collecting import CHECKS, MADE
 from slamhive.local.extent import Extent, Tally
 from slamhive.local.merging import ASIDE
+from slamhive.local.removed import NOTE, leftovers_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -91,6 +92,8 @@ def _kind_of_file(path: Path) -> tuple[str, str]:
 
 
 def _kind_of_run(path: Path) -> tuple[str, str]:
+    if (path / NOTE).exists() and not leftovers_in(path):
+        return "notes in the place of removed files of runs", f"{_PRUNE} --records"
     if "@" in path.name:
         return "files of runs set aside: earlier versions", f"{_PRUNE} --superseded"
     return "files of runs", _PRUNE
