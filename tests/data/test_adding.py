@@ -131,6 +131,8 @@ def test_what_no_suite_uses_is_kept_and_named(
     assert "modes that it serves: odometry, odometry-inertial, inertial" in " ".join(err.split())
     assert run_command("dataset", "add", "boat.yaml")[0] == 0
     assert run_command("dataset", "check", "boat")[0] == 0
+    code, _, err = run_command("dataset", "check", "boat.bag")
+    assert (code, "make it a dataset first: slamhive dataset add boat.bag" in err) == (2, True)
 
 
 def test_a_sensor_that_lasts_for_little_of_the_ground_truth(

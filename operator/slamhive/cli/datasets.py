@@ -38,7 +38,18 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Datasets: list, add, check, prepare and export them.")
 
-Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")]
+_MANIFESTS = {".yaml", ".yml"}
+_FILES = {".bag", ".mcap", ".db3", *_MANIFESTS}
+
+
+def _no_file(name: str) -> str:
+    """Return the name; a path is none, and what to do with one is said."""
+    if ("/" in name or Path(name).suffix in _FILES) and Path(name).exists():
+        raise InputError(f"NAME: {name} is a path; make it a dataset first: slamhive dataset add {name}")
+    return name
+
+
+Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.", callback=_no_file)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 FrameRate = Annotated[float | None, typer.Option("--frame-rate", min=0.001, help="Hz.")]
@@ -48,7 +59,6 @@ Length = Annotated[str | None, typer.Option("--duration", help="Length to keep, 
 MaxRange = Annotated[float | None, typer.Option("--max-range", min=0.01, help="LiDAR range in m.")]
 Rings = Annotated[int | None, typer.Option("--rings", min=1, help="LiDAR rings to keep.")]
 
-_MANIFESTS = {".yaml", ".yml"}
 _TRUTH_NOUNS = {
     "trajectory": "pose",
     "positions": "position",
