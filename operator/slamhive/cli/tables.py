@@ -37,21 +37,23 @@ def show(console: Console, headings: Sequence[str], lines: Iterable[Sequence[str
 
     Rich takes five minutes for 80,000 lines of 30 columns, this some seconds.
     """
-    kept = [tuple(map(_printable, line)) for line in lines]
     titles = [heading.replace(" [", "\n[").split("\n") for heading in headings]
     deep = max(map(len, titles), default=0)
-    head = list(zip(*([""] * (deep - len(title)) + title for title in titles), strict=True))
-    columns = zip(*head, *kept, strict=True)
-    widths = [max(map(_width, column)) for column in columns]
-
-    def aligned(line: Sequence[str]) -> str:
-        cells = [cell + " " * (width - _width(cell)) for cell, width in zip(line, widths, strict=True)]
-        return _GAP.join(cells) + "\n"
-
+    columns = list(zip(*lines, strict=True)) or [()] * len(titles)
+    widths, heads, bodies = [], [], []
+    for title, column in zip(titles, columns, strict=True):
+        head = [""] * (deep - len(title)) + title
+        # Columns repeat few texts: each is made fit once.
+        cells = {text: _printable(text) for text in set(column)}
+        width = max(map(_width, (*head, *cells.values())))
+        padded = {text: cell + " " * (width - _width(cell)) for text, cell in cells.items()}
+        widths.append(width)
+        heads.append([text + " " * (width - _width(text)) for text in head])
+        bodies.append(map(padded.__getitem__, column))
     bold, plain = ("\x1b[1m", "\x1b[0m") if console.is_terminal and not console.no_color else ("", "")
-    console.file.writelines(f"{bold}{aligned(line)[:-1]}{plain}\n" for line in head)
+    console.file.writelines(f"{bold}{_GAP.join(line)}{plain}\n" for line in zip(*heads, strict=True))
     console.file.write("─" * (sum(widths) + len(_GAP) * max(len(widths) - 1, 0)) + "\n")
-    console.file.writelines(map(aligned, kept))
+    console.file.writelines(f"{_GAP.join(line)}\n" for line in zip(*bodies, strict=True))
 
 
 def _printable(cell: str) -> str:
