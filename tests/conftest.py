@@ -188,7 +188,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Draw the seed, which workers are told as all must agree on the order, and have Ctrl-C work."""
+    """Draw the seed, which workers are told as all must agree on the order, and have Ctrl-C work.
+
+    Where a developer's shell has its home and archive is nothing to the tests.
+    """
+    for name in ("HOME", "ARCHIVE", "ALSO", "CONTAINER"):
+        os.environ.pop(f"SLAMHIVE_{name}", None)
     told = getattr(config, "workerinput", {}).get("order_seed", config.option.order_seed)
     config.option.order_seed = SystemRandom().randrange(2**32) if told is None else told
     config.option.loadscopereorder = False  # the order is ours
