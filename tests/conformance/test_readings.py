@@ -114,6 +114,18 @@ def test_stamps_of_another_day_are_told_to_meet_nothing(
     assert "header stamp + timeOffset" in found.help
 
 
+@pytest.mark.parametrize(("share", "answer"), [(0.0, Answer.FAIL), (0.1, Answer.FAIL), (0.2, Answer.WARNING)])
+def test_poses_of_a_player_that_dropped_frames_are_in_doubt(
+    share: float, answer: Answer, desk: tuple[Trajectory, Trajectory, Declared]
+) -> None:
+    truth, estimate, declared = desk
+    declared = replace(declared, dropped=int(share * len(declared.stamps)))
+    wrong = inverse(estimate)
+    result = measure(truth, wrong, EvaluationSettings(), Subject(SensorMode.RGBD, np.eye(4)))
+    found = {one.check: one for one in readings(declared, truth, wrong, result)}["accuracy"]
+    assert (found.answer, "frames dropped" in found.found) == (answer, answer is Answer.WARNING)
+
+
 def test_poses_that_are_wrong_in_two_ways_are_told_both(
     desk: tuple[Trajectory, Trajectory, Declared],
 ) -> None:

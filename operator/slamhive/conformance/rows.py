@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.conformance.findings import Answer, Finding, failed, passed, skipped, warned
+from slamhive.conformance.findings import Finding, failed, passed, skipped, warned
 from slamhive.model.algorithm import Poses
 from slamhive.model.results import Phase, Reason
 
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 _TAKEN_IN = 0.98
 """The share of the frames that have to be accounted for."""
 _PROCESSED = 0.5
-_DROPPED = 0.1
-"""The share of dropped frames above which a failed accuracy may be the machine's doing."""
 _END_SHARE, _END_SECONDS = 0.1, 1.0
 """The last pose may be this much before the end of the recording."""
 _EQUAL = 1e-9
@@ -73,27 +71,6 @@ def settings(spec: AlgorithmSpec, ended: Ended) -> Finding | None:
     if any(ended.settings[path] is None for path in wanted):
         return passed("settings", f"rendered: {', '.join(wanted)}; whether it was read can't be told here")
     return passed("settings", f"rendered and opened: {', '.join(wanted)}")
-
-
-def excused(finding: Finding, frames: int, ended: Ended) -> Finding:
-    """Turn a failed accuracy into a warning where many frames never reached the algorithm.
-
-    A player does not wait: on a busy machine frames are dropped, and what poses are worth then says little of
-    the program.
-
-    Args:
-        finding: about poses.
-        frames: how many frames the recording has.
-        ended: what came of a start.
-    """
-    counted = ended.record.frames
-    dropped = (counted.dropped or 0) if counted is not None else 0
-    if finding.answer is not Answer.FAIL or finding.check != "accuracy" or dropped <= _DROPPED * frames:
-        return finding
-    told = f"{finding.found}, with {dropped} of {frames} frames dropped"
-    return warned(
-        "accuracy", told, "is the machine busy, or the program too slow? try again when it is quiet"
-    )
 
 
 def data(frames: int, end: float, seconds: float, output: Output, ended: Ended) -> Finding:
