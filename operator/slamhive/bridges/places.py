@@ -24,19 +24,19 @@ class Here:
 
     Args:
         archive: the archive, open.
-        home: folder that holds the runs' folders.
+        home: folder that holds the runs' folders; None where there is an archive alone.
 
     Attributes:
         archive: the archive.
     """
 
-    def __init__(self, archive: Archive, home: Path) -> None:
+    def __init__(self, archive: Archive, home: Path | None) -> None:
         self.archive = archive
         self._files = HomeFiles(home)
 
     @classmethod
     @contextmanager
-    def open(cls, url: str, home: Path) -> Iterator[Here]:
+    def open(cls, url: str, home: Path | None) -> Iterator[Here]:
         """Open a home's archive to read from it."""
         with Archive.open(url, read_only=True) as archive:
             yield cls(archive, home)

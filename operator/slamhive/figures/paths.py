@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive.analysis.grouping import Groups, counting
-from slamhive.archive import Archive
-from slamhive.archive.connection import connect
+from slamhive.bridges.places import Here
 from slamhive.dashboard.clocks import clock_of, configuration_of
-from slamhive.dashboard.homefiles import HomeFiles
 from slamhive.dashboard.problems import Problem
 from slamhive.dashboard.trajectories import drawn, extrinsic_of, read_poses, usage_columns
 from slamhive.figures.asking import Kind, check_panels, error_of, nothing, parted
@@ -63,20 +61,19 @@ class Found:
         place: its folder.
         evaluation: what it was measured by.
         algorithms: versions of the Algorithms in the archive.
-        files: of its home; they know the ground truth.
+        here: its home, which knows the ground truth.
     """
 
     record: RunRecord
     place: Place
     evaluation: str | None
     algorithms: list[CatalogEntry]
-    files: HomeFiles
+    here: Here
 
     def path(self) -> tuple[dict[str, Any], float]:
         """Return the aligned path over its ground truth, and the zero of its dataset's clock."""
         record = self.record
-        dataset = str((record.spec.get("datasetRef") or {}).get("name"))
-        truth = self.files.truth(dataset, record.labels.get("dataset"))
+        truth = self.here.truth(record)
         poses = read_poses(self.place)
         configuration = configuration_of(self.place)
         extrinsic = extrinsic_of(record, configuration, self.algorithms, truth)
@@ -242,30 +239,29 @@ def _stated(wish: Wish, frame: Frame, chosen: list[Choice]) -> str:
 def _located(chosen: list[Choice], home: Home, also: Sequence[Beside]) -> Iterator[Found | str]:
     """Go through the runs with their folders; a sentence for one that has none here."""
     places = {OWN: (home.archive_url, home.path), **{one.label: (one.url, one.path) for one in also}}
-    homes: dict[str, tuple[Archive, HomeFiles, list[CatalogEntry]]] = {}
+    homes: dict[str, tuple[Here, list[CatalogEntry]]] = {}
     with ExitStack() as stack:
         for choice in chosen:
             told = choice.frame.row(choice.row, ("uid", "evaluation", "name", COLUMN))
             label = str(told[COLUMN] or OWN)
             if label not in homes:
                 url, path = places[label]
-                opened = stack.enter_context(closing(Archive(connect(url, read_only=True))))
-                homes[label] = opened, HomeFiles(path), opened.catalog("Algorithm")
-            archive, files, algorithms = homes[label]
-            record = archive.get(uid_in(str(told["uid"]), places)[0])
-            record = _computed(archive, record)
-            place = files.place(record) if record is not None else None
+                opened = stack.enter_context(Here.open(url, path))
+                homes[label] = opened, opened.algorithms()
+            here, algorithms = homes[label]
+            record = _computed(here, here.record(uid_in(str(told["uid"]), places)[0]))
+            place = here.place(record) if record is not None else None
             if record is None or place is None:
                 yield f"{told['name']}: its folder is not here"
             else:
-                yield Found(record, place, told["evaluation"], algorithms, files)
+                yield Found(record, place, told["evaluation"], algorithms, here)
 
 
-def _computed(archive: Archive, record: RunRecord | None) -> RunRecord | None:
+def _computed(here: Here, record: RunRecord | None) -> RunRecord | None:
     """Return the run that has the files of one that took over its result."""
     if record is None or record.folder or not record.provenance.reused_from:
         return record
-    return archive.get(record.provenance.reused_from) or record
+    return here.record(record.provenance.reused_from) or record
 
 
 def _line(number: int, table: Rows, reader: Reader, *, thin: bool = False) -> Line:
