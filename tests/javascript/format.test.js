@@ -128,6 +128,9 @@ const NAMED = [
   [['parameters.a [m] [s]', 3], 'a [m] 3 s'],
   [['parameters.a [', 3], 'a [ 3'],
 ];
+for (const [given, expected] of NAMED)
+  test(`${given.join(' = ')} is said ${expected}`, () => assert.equal(namedValue(...given), expected));
+
 const RANGE = { name: 'parameters.maxRange', title: 'parameters.maxRange [m]' };
 test('a heading knows the unit that a manifest declares', () => {
   assert.equal(namedValue(RANGE, 30), 'maxRange 30 m');
@@ -135,8 +138,6 @@ test('a heading knows the unit that a manifest declares', () => {
   const keys = { algorithm: 'icp', 'parameters.maxRange': 30 };
   assert.equal(keysText(keys, [RANGE]), 'icp, maxRange 30 m');
 });
-for (const [given, expected] of NAMED)
-  test(`${given.join(' = ')} is said ${expected}`, () => assert.equal(namedValue(...given), expected));
 
 test('keys of a group are one text, of none an empty one', () => {
   assert.equal(keysText({ algorithm: 'a', 'parameters.n': 500, evaluation: null }), 'a, n 500, evaluation –');

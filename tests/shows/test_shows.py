@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     import subprocess
     from collections.abc import Callable
 
-    from slamhive.local.engines import Engine
-
     Command = Callable[..., subprocess.CompletedProcess[str]]
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,9 +63,9 @@ def test_real_algorithms_follow_a_short_recording(slamhive: Command, tmp_path: P
 
 
 @pytest.mark.slow
-def test_a_container_gives_what_a_process_gives(slamhive: Command, podman: Engine, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("podman")
+def test_a_container_gives_what_a_process_gives(slamhive: Command, tmp_path: Path) -> None:
     """Results of a cluster are held to those of a process by tests/e2e."""
-    assert podman.is_podman
     dataset, sweep = yaml.safe_load_all(SHORT)
     sweep["spec"]["matrix"] = [{"path": "algorithm", "values": ["kiss-icp"]}]
     path, rows = tmp_path / "sweep.yaml", {}

@@ -97,6 +97,11 @@ export function tooMany({ down, across }, set) {
  */
 export function multiples(data, set, found) {
   const { down, across, names, cells, ends, limits } = found;
+  /**
+   * @param {string} name
+   * @param {Api.Value|undefined} value
+   */
+  const named = (name, value) => namedValue(headingOf(data.keys, name), value);
   const heading = headingOf(data.metrics, set.y);
   const xHeading = headingOf(data.keys, set.x);
   const legend = names.length > 1;
@@ -187,9 +192,7 @@ export function multiples(data, set, found) {
               ...[
                 [set.down, down[one.atRow]],
                 [set.across, across[one.atColumn]],
-              ].flatMap(([name, value]) =>
-                name ? [clip(namedValue(headingOf(data.keys, String(name)), value), 60)] : [],
-              ),
+              ].flatMap(([name, value]) => (name ? [clip(named(String(name), value), 60)] : [])),
               tell(item.data?.point, item.seriesName, heading, set.figure),
             ].join('\n');
           },
@@ -217,17 +220,13 @@ export function multiples(data, set, found) {
         graphic: [
           ...(set.across
             ? across.map((value, at) =>
-                words(
-                  clip(namedValue(headingOf(data.keys, set.across), value), fitting(wide)),
-                  left(at) + wide / 2,
-                  top - 12,
-                ),
+                words(clip(named(set.across, value), fitting(wide)), left(at) + wide / 2, top - 12),
               )
             : []),
           ...(set.down
             ? down.map((value, at) =>
                 words(
-                  clip(namedValue(headingOf(data.keys, set.down), value), fitting(TALL)),
+                  clip(named(set.down, value), fitting(TALL)),
                   width - EDGE.right + 16,
                   above(at) + TALL / 2,
                   -Math.PI / 2,
