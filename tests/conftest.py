@@ -44,6 +44,8 @@ NEEDS = {"node_cluster": "node", "ros": "ros", "helm": "helm", "podman": "contai
 """Markers of the tests that ask for a fixture."""
 LONG = ("slow", "image", "ros", "container")
 """Markers of tests that may take longer than a minute."""
+CHROMIUM = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+"""Programs of browsers that pages are tested in, the first choice first."""
 CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm", "ros1-player", "kiss-icp-ros")
 """Images that tests run in containers of a workstation, as images/build calls them."""
 POSTGRESQL = "SLAMHIVE_TEST_POSTGRESQL"
@@ -350,6 +352,15 @@ def postgresql_server() -> Iterator[str]:
         if own is None:
             pytest.skip(f"no PostgreSQL here: apt-get install postgresql, or let {POSTGRESQL} name a server")
         yield own.url
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """The program of a browser; the one that can't open a window takes two thirds of the processor time."""
+    found = next(filter(None, map(shutil.which, CHROMIUM)), None)
+    if found is None:
+        pytest.skip("no chromium here: apt-get install chromium-headless-shell, or chromium")
+    return found
 
 
 @pytest.fixture

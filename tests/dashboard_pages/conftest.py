@@ -8,7 +8,6 @@ import contextlib
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import threading
@@ -220,13 +219,10 @@ class Browser:
 
 
 @pytest.fixture(scope="session")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def browser(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     """A browser for all tests."""
     pytest.importorskip("websocket", reason="no websocket-client here: pip install websocket-client")
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if program is None:
-        pytest.skip("no chromium here: apt-get install chromium")
-    with Browser(program, tmp_path_factory.mktemp("profile")) as opened:
+    with Browser(chromium, tmp_path_factory.mktemp("profile")) as opened:
         yield opened
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 from typing import TYPE_CHECKING, Any
 
@@ -104,10 +103,9 @@ def test_still_and_short_estimates(wander: Callable[..., Trajectory], poses: int
 
 
 @pytest.fixture(name="browser", scope="session")
-def browser_fixture(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[str, str]]:
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if program is None:
-        pytest.skip("no chromium here: apt-get install chromium")
+def browser_fixture(
+    chromium: str, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[..., tuple[str, str]]:
     quiet = ("gpu", "quic", "background-networking", "component-update", "sync", "dev-shm-usage")
     options = ["--headless", "--no-sandbox", "--no-first-run", *(f"--disable-{part}" for part in quiet)]
     options += ["--enable-logging=stderr", "--virtual-time-budget=5000", "--dump-dom"]
@@ -120,7 +118,7 @@ def browser_fixture(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., t
             "--host-resolver-rules=MAP * ~NOTFOUND",
         ]
         done = subprocess.run(
-            [program, *options, *where, page.as_uri()],
+            [chromium, *options, *where, page.as_uri()],
             capture_output=True,
             text=True,
             check=True,
