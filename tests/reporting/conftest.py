@@ -156,7 +156,7 @@ def records() -> Any:
 
 
 @pytest.fixture(scope="session")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def browser(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A browser as the tests of the dashboard's pages have it."""
     pages = of_file("dashboard_pages_browser", TESTS / "dashboard_pages" / "conftest.py")
-    yield from pages.browser.__wrapped__(tmp_path_factory)
+    yield from pages.browser.__wrapped__(chromium, tmp_path_factory)
