@@ -213,8 +213,9 @@ class Browser:
         return self
 
     def __exit__(self, *_: object) -> None:
+        # The program may be a script that starts the browser: a signal would end the script alone.
+        self.call("Browser.close")
         self._socket.close()
-        self._process.terminate()
         self._process.wait(50)
 
 
