@@ -35,6 +35,9 @@ from slamhive.local.unavailable import Unavailable
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 
+sys.path.append(str(Path(__file__).parent))
+from browsers import MISSING, Browser, find_browser
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
 
@@ -44,8 +47,6 @@ NEEDS = {"node_cluster": "node", "ros": "ros", "helm": "helm", "podman": "contai
 """Markers of the tests that ask for a fixture."""
 LONG = ("slow", "image", "ros", "container")
 """Markers of tests that may take longer than a minute."""
-CHROMIUM = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
-"""Programs of browsers that pages are tested in, the first choice first."""
 CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm", "ros1-player", "kiss-icp-ros")
 """Images that tests run in containers of a workstation, as images/build calls them."""
 POSTGRESQL = "SLAMHIVE_TEST_POSTGRESQL"
@@ -356,11 +357,16 @@ def postgresql_server() -> Iterator[str]:
 
 @pytest.fixture(scope="session")
 def chromium() -> str:
-    """The program of a browser; the one that can't open a window takes two thirds of the processor time."""
-    found = next(filter(None, map(shutil.which, CHROMIUM)), None)
-    if found is None:
-        pytest.skip("no chromium here: apt-get install chromium-headless-shell, or chromium")
-    return found
+    """The program of a browser."""
+    return find_browser() or pytest.skip(MISSING)
+
+
+@pytest.fixture(scope="session")
+def browser(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A browser for all tests."""
+    pytest.importorskip("websocket", reason="no websocket-client here: pip install websocket-client")
+    with Browser(chromium, tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
 
 
 @pytest.fixture

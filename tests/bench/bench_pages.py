@@ -8,18 +8,17 @@ until the table below is filtered. The server is warm, the browser's cache is em
 from __future__ import annotations
 
 import argparse
-import shutil
 import statistics
 import sys
 import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "dashboard_pages")]
+sys.path[:0] = [str(HERE), str(HERE.parent)]
 
 from bench_dashboard import RUNS, Server, fill, report, wait_for_cache  # noqa: E402
 
-from conftest import Browser  # type: ignore[import-not-found]  # noqa: E402
+from browsers import MISSING, Browser, find_browser  # type: ignore[import-not-found]  # noqa: E402
 
 TURNS = 3
 READY = "document.querySelector('h1') && !document.body.innerText.includes('Loading…')"
@@ -84,9 +83,9 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("--keep", type=Path, help="SQLite file to keep the runs in, or to find them in")
     options = parser.parse_args()
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    program = find_browser()
     if program is None:
-        print("pages · no chromium here · apt-get install chromium", flush=True)
+        print(f"pages · {MISSING}", flush=True)
         return 0
     with tempfile.TemporaryDirectory() as folder:
         file = options.keep or Path(folder) / "archive.sqlite"

@@ -17,7 +17,7 @@ from slamhive.cli.main import main
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable
     from types import ModuleType
 
 TESTS = Path(__file__).parents[1]
@@ -153,10 +153,3 @@ def slamhive(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 def records() -> Any:
     """Module with the functions that make records."""
     return sys.modules[__name__]
-
-
-@pytest.fixture(scope="session")
-def browser(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A browser as the tests of the dashboard's pages have it."""
-    pages = of_file("dashboard_pages_browser", TESTS / "dashboard_pages" / "conftest.py")
-    yield from pages.browser.__wrapped__(chromium, tmp_path_factory)

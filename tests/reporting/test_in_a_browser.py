@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from browsers import poll
 from slamhive.analysis import Outcomes, Selection, choose
 from slamhive.reporting.page import Contents, report_html
 from slamhive.reporting.questions import usual_questions
@@ -69,8 +70,7 @@ def test_a_table_can_be_saved(browser: Any, address: str, tmp_path: Path) -> Non
     browser.click('a[download="runs.csv"]')
     browser.wait("true")
     saved = folder / "runs.csv"
-    pages = type(browser).open.__globals__
-    pages["poll"](lambda: saved.exists() and saved.stat().st_size, "the file")
+    poll(lambda: saved.exists() and saved.stat().st_size, "the file")
     assert saved.read_bytes() == base64.b64decode(expected.partition("base64,")[2])
 
 
