@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import math
 import statistics
+from collections import Counter
 from importlib import import_module
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -81,7 +83,7 @@ def test_the_interval_of_a_mean_is_students(stats: Any) -> None:
     assert (interval.low, interval.high) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 6, 40])
+@pytest.mark.parametrize("count", [1, 2, 5, 6, 40, 127, 128, 129, 600])
 def test_medians_without_samples_are_those_of_samples(count: int) -> None:
     generator = np.random.default_rng(3)
     ordered = np.sort(generator.lognormal(size=count))
@@ -89,6 +91,16 @@ def test_medians_without_samples_are_those_of_samples(count: int) -> None:
     slow = np.median(generator.choice(ordered, (20_000, count)), axis=1)
     assert np.quantile(fast, [0.1, 0.5, 0.9]) == pytest.approx(np.quantile(slow, [0.1, 0.5, 0.9]), rel=0.02)
     assert fast.mean() == pytest.approx(slow.mean(), rel=0.02)
+
+
+@pytest.mark.parametrize("numbers", [[0, 1, 10], [0, 1, 10, 100], [0, 1, 10, 100, 1000]])
+def test_medians_are_as_frequent_as_among_all_samples(numbers: list[float]) -> None:
+    every = Counter(np.median(list(product(numbers, repeat=len(numbers))), axis=1).tolist())
+    drawn = Counter(resampled_medians(np.array(numbers), 200_000, np.random.default_rng(7)).tolist())
+    assert drawn.keys() == every.keys()
+    for median, times in every.items():
+        share = times / every.total()
+        assert drawn[median] / 200_000 == pytest.approx(share, abs=4 * math.sqrt(share / 200_000))
 
 
 @pytest.mark.parametrize("values", [[1.0, 2.0, 3.0], [1.0, -0.5, 0.25, 2.0, 0.125], [-1.0] * 6])

@@ -64,7 +64,7 @@ class Window:
         if readable and self == Window():
             return np.arange(len(medians))
         # Scores that differ by rounding alone are equal; those of whom nothing is ranked come last.
-        order = np.argsort(np.round(scaled_ranks(medians[None])[0], 12), kind="stable")
+        order = np.argsort(np.round(mean_ranks(medians), 12), kind="stable")
         begin = self.first - 1
         return np.sort(order[begin : begin + (self.most or READABLE)])
 
@@ -237,18 +237,27 @@ def _grid(frame: Frame, facets: dict[str, Any], metric: str, by: Sequence[str], 
 
 
 def scaled_ranks(medians: Floats) -> Floats:
-    """Return each competitor's mean rank over datasets, from 0 (best of all) to 1 (last of all), (draws, c).
+    """Return ranks on one dataset, from 0 (best of all) to 1 (last of all); the same shape.
 
     Where a competitor has no run there is NaN, which is no one's rival.
 
     Args:
-        medians: failed runs' are infinite, (draws, c, d).
+        medians: failed runs' are infinite, (…, competitors).
     """
     there = ~np.isnan(medians)
     # NaN is sorted behind all others, so that it moves no rank.
-    better = average_ranks(medians.swapaxes(1, 2)).swapaxes(1, 2) - 1
-    rivals = np.maximum(there.sum(axis=1, keepdims=True) - 1, 1)
-    return mean_of_known(np.where(there, better / rivals, np.nan))
+    better = average_ranks(medians) - 1
+    rivals = np.maximum(there.sum(axis=-1, keepdims=True) - 1, 1)
+    return np.where(there, better / rivals, np.nan)
+
+
+def mean_ranks(medians: Floats) -> Floats:
+    """Return each competitor's scaled rank, averaged over the datasets it has runs on, (c,).
+
+    Args:
+        medians: failed runs' are infinite, NaN where there is no run, (c, d).
+    """
+    return mean_of_known(scaled_ranks(medians.T).T)
 
 
 def mean_of_known(values: Floats) -> Floats:

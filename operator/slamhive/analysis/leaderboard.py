@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.boards import COMPETITORS, mean_of_known, prepare, scaled_ranks
+from slamhive.analysis.boards import COMPETITORS, mean_of_known, mean_ranks, prepare, scaled_ranks
 from slamhive.analysis.grouping import ERRORS, Outcomes
 from slamhive.analysis.statistics import (
     Interval,
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 DRAWS = 1000
 MAX_COMPETITORS = 500
 """Rows of a table that a page can still show."""
-_RANKED_AT_ONCE = 100_000
-"""Medians whose ranks are found at once: what that needs memory for."""
 _SEED = 20230529
 
 
@@ -160,22 +158,8 @@ def leaderboard(
 
 
 def _board(grid: Grid, draws: int) -> Board:
-    generator = np.random.default_rng(_SEED)
-    shape = grid.medians.shape
-    drawn = np.full((draws, *shape), np.nan)
-    for group, (number, place) in enumerate(grid.at.tolist()):
-        ordered = grid.ranked(group)
-        if len(ordered):
-            drawn[:, number, place] = resampled_medians(ordered, draws, generator)
-    chosen = generator.integers(0, shape[1], (draws, shape[1]))
-    drawn_scores, drawn_ratios = np.empty((2, *drawn.shape[:2]))
-    some = max(1, _RANKED_AT_ONCE // max(1, grid.medians.size))
-    for start in range(0, draws, some):
-        part = slice(start, start + some)
-        medians = np.take_along_axis(drawn[part], chosen[part, None, :], axis=2)
-        drawn_scores[part], drawn_ratios[part] = scaled_ranks(medians), _ratios(medians)
-    scores, ratios = scaled_ranks(grid.medians[None])[0], _ratios(grid.medians[None])[0]
-    drawn_ranks = average_ranks(np.nan_to_num(drawn_scores, nan=1.0))
+    scores, ratios = mean_ranks(grid.medians), np.exp(mean_of_known(_log_ratios(grid.medians.T).T))
+    drawn_ranks, drawn_ratios = _bootstrap(grid, draws)
     ranks, within = _places(scores), _dataset_ranks(grid.medians)
     rank_intervals, ratio_intervals = percentiles(drawn_ranks.T), percentiles(drawn_ratios.T)
     standings: list[list[Standing]] = [[] for _ in grid.competitors]
@@ -195,6 +179,30 @@ def _board(grid: Grid, draws: int) -> Board:
     ]
     entries.sort(key=lambda entry: (np.isnan(entry.rank), entry.rank, entry.ratio))
     return Board(grid.facets, grid.datasets, entries)
+
+
+def _bootstrap(grid: Grid, draws: int) -> tuple[Floats, Floats]:
+    """Return ranks and ratios of samples: datasets are drawn, then repetitions in each, (draws, c) each."""
+    generator = np.random.default_rng(_SEED)
+    count, datasets = grid.medians.shape
+    chosen = generator.integers(0, datasets, (draws, datasets))
+    scores, logs, weights = np.zeros((3, draws, count))
+    for place in range(datasets):
+        times = np.count_nonzero(chosen == place, axis=1)
+        drawing = np.flatnonzero(times)
+        drawn = np.full((count, len(drawing)), np.nan)
+        for group in np.flatnonzero(grid.at[:, 1] == place).tolist():
+            ordered = grid.ranked(group)
+            if len(ordered):
+                drawn[grid.at[group, 0]] = resampled_medians(ordered, len(drawing), generator)
+        medians = np.ascontiguousarray(drawn.T)
+        weight = times[drawing, None] * ~np.isnan(medians)
+        scores[drawing] += weight * np.nan_to_num(scaled_ranks(medians))
+        logs[drawing] += np.where(weight > 0, times[drawing, None] * _log_ratios(medians), 0.0)
+        weights[drawing] += weight
+    with np.errstate(invalid="ignore", over="ignore"):
+        scores, ratios = scores / weights, np.exp(logs / weights)
+    return average_ranks(np.nan_to_num(scores, nan=1.0)), ratios
 
 
 def _standings(grid: Grid, ranks: Floats) -> Iterator[tuple[int, Standing]]:
@@ -247,11 +255,11 @@ def _places(scores: Floats) -> Floats:
     return ranks
 
 
-def _ratios(medians: Floats) -> Floats:
-    """Return the geometric mean of medians over the best of each dataset, (draws, competitors)."""
-    best = np.min(np.where(np.isnan(medians), np.inf, medians), axis=1, keepdims=True)
+def _log_ratios(medians: Floats) -> Floats:
+    """Return the logarithm of medians over the best one of a dataset; the same shape, (…, competitors)."""
+    best = np.fmin.reduce(medians, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        ratios = medians / best
-        # All failed: nobody is worse than the best; an error of 0 is equalled by another one alone.
-        ratios[(medians == best) & ~np.isnan(medians)] = 1.0
-        return np.exp(mean_of_known(np.log(ratios)))
+        logs = np.log(medians / best)
+    # All failed: nobody is worse than the best; an error of 0 is equalled by another one alone.
+    logs[medians == best] = 0.0
+    return logs

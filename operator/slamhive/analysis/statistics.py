@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
     Indices = npt.NDArray[np.intp]
+    Bytes = npt.NDArray[np.uint8]
 
 LEVEL = 0.95
 """Confidence of all intervals."""
@@ -28,6 +29,10 @@ ENOUGH = 10
 _MOST_EXACT = 14
 _LONG_SERIES = 400
 _FLIPS = 20_000
+_MOST_PLACED = 128
+"""Numbers whose sample's middle places are tabulated at most: a table of their square is made once."""
+_QUANTILES = 1 << 14
+"""Equally likely quantiles of such a table: finer than what the draws of an interval can tell."""
 _SUMS_AT_ONCE = 500_000
 """Sums of differences with flipped signs that are made at once: what a test needs memory for."""
 
@@ -236,14 +241,50 @@ def _normal_quantile(probability: float) -> float:
 def resampled_medians(ordered: Floats, draws: int, generator: np.random.Generator) -> Floats:
     """Return medians of bootstrap samples, (draws,), without drawing the samples.
 
-    The k-th smallest of n uniform numbers has a Beta(k, n + 1 − k) distribution, and a sample with
-    replacement is the data at uniform places: so the cost does not grow with n.
+    The places of a sample's middle numbers have an exact distribution (Efron 1982, chapter 10.3): each median
+    takes one random number, not n.
 
     Args:
         ordered: sorted numbers, (n,), failed runs as +inf.
         draws: number of samples.
         generator: source of randomness.
     """
+    count = len(ordered)
+    if count > _MOST_PLACED:
+        return _medians_of_many(ordered, draws, generator)
+    lower, upper = _middle_places(count)
+    chosen = generator.integers(0, _QUANTILES, draws)
+    first = ordered[lower[chosen]]
+    return first if count % 2 else (first + ordered[upper[chosen]]) / 2
+
+
+@cache
+def _middle_places(count: int) -> tuple[Bytes, Bytes]:
+    """Return the places of a sample's middle numbers at equally likely quantiles, (quantiles,) each.
+
+    Of n numbers drawn from n with replacement, the m-th smallest lies at or before place a (from 1) if at
+    least m were drawn from the first a: a binomial tail. With n = 2m, the m-th lies at or before a, and the
+    next one at or behind b > a, if m were drawn from the first a and m from place b on.
+    """
+    half = (count + 1) // 2
+    share = np.arange(count + 1) / count
+    several = np.arange(half, count + 1)
+    ways = np.array([float(math.comb(count, k)) for k in several.tolist()])
+    before = (ways * share[1:, None] ** several * (1 - share[1:, None]) ** (count - several)).sum(axis=1)
+    alone = np.diff(before, prepend=0.0)
+    chances = np.zeros((count, count))
+    if count % 2 == 0:
+        powers = np.diff(share**half)
+        chances = np.triu(ways[0] * powers[:, None] * powers[::-1], 1)
+    chances[np.diag_indices(count)] = np.maximum(alone - chances.sum(axis=1), 0.0)
+    reached = np.cumsum(chances)
+    quantiles = (np.arange(_QUANTILES) + 0.5) / _QUANTILES * reached[-1]
+    lower, upper = np.divmod(np.searchsorted(reached, quantiles), count)
+    return lower.astype(np.uint8), upper.astype(np.uint8)
+
+
+def _medians_of_many(ordered: Floats, draws: int, generator: np.random.Generator) -> Floats:
+    """Return medians of bootstrap samples: the k-th smallest of n uniform numbers is Beta(k, n + 1 − k)."""
     count = len(ordered)
     half = (count + 1) // 2
     lower = generator.beta(half, count + 1 - half, draws)
