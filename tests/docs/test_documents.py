@@ -43,6 +43,8 @@ FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"^# ([\w./-]+\.\w+)$")
 LINK = re.compile(r"(?<!!)\[[^\]]+\]\(([^)\s]+)\)")
 DIFF = re.compile(r"^--- a/(\S+)$", re.MULTILINE)
+HUNK = re.compile(r"^@@ -\d+,(\d+) \+\d+,(\d+) @@\n", re.MULTILINE)
+NAMED = re.compile(r"((?:`[\w.]+`(?:, | and )?)+) (?:in|of) `([\w.-]+/[\w./-]+\.\w+)`")
 MADE = {"output", "runs", "dist", "site", "velodyne"}
 """Folders that documents name and that are made by running something."""
 TEMPLATE = {"algorithmRef": {"name": "kiss-icp"}, "datasetRef": {"name": "synthetic-lidar"}}
@@ -121,6 +123,36 @@ def test_files_that_are_named_are_there(document: Path) -> None:
     changed = {path for block in blocks(document, "diff") for path in DIFF.findall(block.text)}
     named = {name for name in prose | changed if not set(name.split("/")) & {"NAME", *MADE}}
     assert [name for name in sorted(named) if not any((root / name).exists() for root in CODE)] == []
+
+
+def code_file(name: str) -> Path:
+    return next(root / name for root in CODE if (root / name).exists())
+
+
+@pytest.mark.parametrize("document", DEVELOP, ids=lambda path: path.name)
+def test_names_are_in_the_files_that_are_named_with_them(document: Path) -> None:
+    found = NAMED.findall(FENCE.sub("", document.read_text()))
+    missing = [
+        f"{name} in {file}"
+        for names, file in found
+        for name in re.findall(r"\w+", names.replace(" and ", " "))
+        if not re.search(rf"\b{name}\b", code_file(file).read_text())
+    ]
+    assert missing == []
+
+
+@pytest.mark.parametrize("document", DEVELOP, ids=lambda path: path.name)
+def test_examples_of_changes_can_be_made(document: Path) -> None:
+    for block in blocks(document, "diff"):
+        _, *files = DIFF.split(block.text)
+        for name, change in zip(files[::2], files[1::2], strict=True):
+            _, *hunks = HUNK.split(change)
+            for old, new, text in zip(hunks[::3], hunks[1::3], hunks[2::3], strict=True):
+                lines = [line or " " for line in text.removesuffix("\n").split("\n")]
+                before = [line[1:] for line in lines if line[0] in " -"]
+                after = [line[1:] for line in lines if line[0] in " +"]
+                assert (len(before), len(after)) == (int(old), int(new)), text
+                assert "\n".join(["", *before, ""]) in code_file(name).read_text(), text
 
 
 def test_every_decision_is_in_the_index() -> None:

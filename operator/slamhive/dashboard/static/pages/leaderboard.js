@@ -212,7 +212,7 @@ function Board({ board, metric, by, csv, suspects, beside }) {
   return html`
     <section>
       <h2>
-        ${clip(board.datasets.join(', '), 200)}
+        ${clip(board.datasets.join(', '), 200)}${' '}
         ${facets && html`<span class="quiet">${clip(facets, 200)}</span>`}
       </h2>
       <${Table}
