@@ -30,6 +30,8 @@ def event_body(
     """
     metadata = regarding["metadata"]
     message = message[:_LONGEST_NOTE]
+    # The same words again find the Event that is there: an object that fails for hours has one, not
+    # thousands.
     identity = "\0".join([metadata.get("uid", ""), event_type, reason, message])
     digest = hashlib.sha256(identity.encode()).hexdigest()[:16]
     moment = datetime.fromtimestamp(now, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

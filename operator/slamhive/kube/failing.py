@@ -87,6 +87,7 @@ async def _write(op: Operator, key: Key, told: dict[str, Any]) -> bool:
         return False
 
     def change(seen: dict[str, Any]) -> dict[str, Any]:
+        # Nobody reads the conditions of what is being deleted.
         if seen["metadata"].get("deletionTimestamp"):
             return {}
         patch = status_patch(seen, {}, [told], op.clock())

@@ -15,6 +15,7 @@ def problem(op: Operator) -> str:
     """Return why the operator should be started again; empty when it is well."""
     if ended := op.failed_tasks:
         return f"ended: {', '.join(ended)}"
+    # One object that takes long is its own trouble; when all workers wait, nothing goes on any more.
     stuck = op.stuck
     if op.ready and len(stuck) >= op.settings.workers:
         return f"all workers are stuck, the first with {stuck[0]}"

@@ -164,6 +164,7 @@ class _Live(Collector):
 
     def keep(self, uids: set[str]) -> None:
         """Drop all pods but these."""
+        # A copy, as dropping changes what is gone through.
         for uid in [*self._figures]:
             if uid not in uids:
                 self.drop(uid)

@@ -52,6 +52,7 @@ class Observed:
 
     def add(self, timestamp: str, cores: float, memory_bytes: float) -> None:
         """Take in a sample; the same one again changes nothing."""
+        # The API answers with the same sample until the kubelet's next one, some 15 s later.
         if timestamp and timestamp == self.timestamp:
             return
         self.timestamp = timestamp
@@ -108,6 +109,8 @@ class MetricsReader:
         for namespace in self._namespaces:
             live = self._live_pods(namespace)
             alive.update(live.values())
+            # The first time also an empty namespace is asked: people shall know before the first run whether
+            # live figures will come.
             if not live and before is not None:
                 continue
             try:
@@ -118,6 +121,7 @@ class MetricsReader:
             self.available = True
             for item in items:
                 self._take(namespace, item, live)
+        # One namespace that can't be read is reason enough to say so, whatever the others answer.
         if sentence:
             self.available = False
         elif before is None:
@@ -141,6 +145,8 @@ class MetricsReader:
         name = item["metadata"]["name"]
         uid = live.get(name)
         pod = self._store.get(Key(Kind.POD, namespace, name))
+        # The API knows pods by name and may still answer for one that is gone; the uid tells a later one of
+        # its name from it.
         if uid is None or pod is None or pod["metadata"]["uid"] != uid or _is_over(pod):
             return
         for container in item.get("containers") or ():

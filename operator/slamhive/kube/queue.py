@@ -95,6 +95,8 @@ class Queue:
 
     def retry(self, key: Key) -> float:
         """Have a key that failed handled again, later each time it fails; returns the seconds."""
+        # The wait doubles, up to a minute; a part of it is drawn, so that what failed together comes back
+        # apart.
         failures = self._failures.get(key, 0)
         self._failures[key] = failures + 1
         longest = min(LAST_BACKOFF_SECONDS, FIRST_BACKOFF_SECONDS * 2.0 ** min(failures, 20))
@@ -118,6 +120,7 @@ class Queue:
 
     def _schedule(self, key: Key, due: float) -> None:
         waiting = self._later.get(key)
+        # One alarm a key: the earlier one stands.
         if waiting is not None:
             if waiting[0] <= due:
                 return

@@ -57,6 +57,7 @@ def record_of(
             "sweep": labels.get(Label.SWEEP),
             "sweepUid": _owner(run),
             "namespace": meta.get("namespace"),
+            # Labels can be edited by anybody.
             "index": int(point) if point is not None and point.isdecimal() else None,
             "labels": labels,
             "spec": dict(spec or run["spec"]),
@@ -107,4 +108,5 @@ def _why_not_measured(run: Mapping[str, Any], status: MappingRunStatus) -> str |
 def _owner(run: Mapping[str, Any]) -> str | None:
     """Return the UID of the Sweep that made a run."""
     owners = run["metadata"].get("ownerReferences") or ()
+    # Not the label: a Sweep that was deleted and made anew has the same name.
     return next((owner["uid"] for owner in owners if owner.get("kind") == Kind.SWEEP), None)

@@ -51,6 +51,7 @@ class RefusedPods:
             ApiError: the server can't be asked, or may not be by this account.
         """
         async with self._listing[namespace]:
+            # Asked behind the lock: whoever waited for it finds the answer of the listing before.
             if self._clock() >= self._due.get(namespace, 0.0):
                 began = self._stopwatch()
                 events = await self._api.events(namespace, REASON)

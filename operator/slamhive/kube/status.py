@@ -178,6 +178,7 @@ def status_patch(
     before = seen.get("status") or {}
     generation = seen["metadata"].get("generation", 1)
     told = list(conditions)
+    # Without news the conditions are left out: their times would make a write of nothing.
     if told:
         after = merged(before.get("conditions") or (), told, generation, now)
         fields = {**fields, "conditions": after}

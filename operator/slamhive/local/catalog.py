@@ -191,5 +191,6 @@ def link_algorithm(folder: Path, home: Home, *, built: bool = True) -> str:
             f"algorithm {algorithms[0].name!r} is known already: {link}; forget it first: "
             f"slamhive algorithm remove {algorithms[0].name}"
         )
+    # A link, not a copy: the next run takes an edited file as it is.
     link.symlink_to(folder.resolve(), target_is_directory=True)
     return algorithms[0].name

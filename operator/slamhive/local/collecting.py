@@ -194,6 +194,7 @@ def _remove(find: Find) -> bool:
         case _ if (find.path / NOTE).exists():
             remove_files(find.path, find.extent.size)
         case _:
+            # A check that was killed may have left programs at work in it.
             if find.path.name == CHECKS:
                 end_left_behind(find.path / "runs")
             remove(find.path)
@@ -224,6 +225,7 @@ class _Surveyor:
                 elif leftovers_in(folder):
                     yield self._find(Kind.LEFTOVERS, folder, "a removal was interrupted", goes=True)
                 continue
+            # What it was made from stays with it, whether or not a record refers to it.
             self._refer(folder)
             if parts not in known:
                 busy = is_left_behind(folder)
@@ -235,6 +237,7 @@ class _Surveyor:
         """Yield folders that are made once; None: nobody knows what refers to them."""
         for folder in self._folders(self._home.path / kind):
             used = referred is None or folder.name in referred
+            # What can't be seen may refer to it: nothing is removed because something else is missing.
             if referred is not None and not used and self.referred.missing:
                 used, why = True, f"folders of {self.referred.missing} runs are missing that may refer to it"
             yield self._made(kind, folder, why if used else None)

@@ -81,5 +81,6 @@ def rendered_for(
     spec = resolve(asked, algorithm, declared, where="run")
     variant = bench.prepare(spec, algorithm)
     cores = whole_cores(spec["resources"]["cpu"])
+    # Asked for anew: only preparing generates or fetches it, and so completes its manifest.
     told = configured("render", spec, bench.dataset(dataset).dataset, variant, cores)
     return render(algorithm.spec.templates, told.as_json(), SHOWN_RUN, f"{SHOWN_RUN}/{SETTINGS_FOLDER}")

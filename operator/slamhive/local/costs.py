@@ -183,6 +183,7 @@ def planned_settings(
     bases: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {}
     lengths: dict[tuple[Any, ...], tuple[float | None, float | None]] = {}
     found = []
+    # Bases are the same for all rows of an algorithm, of which there may be thousands.
     for row in rows:
         settings = points.settings(row)
         spec = points.short_spec(settings)

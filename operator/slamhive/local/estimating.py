@@ -107,11 +107,13 @@ class Estimate:
 
         still = [max(0.0, each(self._row(index)) - elapsed) for index, elapsed in running.items()]
         total = sum(count * each(row) for row, count in rows.items()) + sum(still)
+        # Not sooner than the longest of those at work, however many cores are free for the others.
         return max([total / max(at_a_time, 1), *still])
 
     def _wall(self, row: int) -> float | None:
         if found := self._fresh.get(row):
             return median(found)
+        # Predicting from thousands of runs takes seconds: again when a quarter more have been measured.
         if not self._predicted or len(self._noted) >= self._due:
             self._due = max(len(self._noted) + 1, len(self._noted) * _AGAIN)
             self._predicted = self._predictions()

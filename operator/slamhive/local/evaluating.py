@@ -74,6 +74,7 @@ class Evaluator:
             window=(variant.start_time, variant.start_time + variant.duration_seconds),
         )
         subject = subject_of(algorithm.spec, SensorMode(spec["sensors"]), given)
+        # A system that lost track and began another map says so there: such maps have no common frame.
         segments = path.with_name(SEGMENTS)
         try:
             _require_plain(path)
@@ -119,6 +120,7 @@ class Evaluator:
         if not record.folder:
             return None
         parts = run_parts(record.folder)
+        # The home may have been moved or copied since the record was written.
         moved = [self._bench.home.path.joinpath("runs", *parts)] if parts else []
         for place in (Path(record.folder), *moved):
             path = place / "run" / "output" / "trajectory.txt"

@@ -79,6 +79,7 @@ def qualified(name: str) -> str:
     ('localhost/a', 'lab:5000/a')
     """
     first, slash, _ = name.partition("/")
+    # A first part without a dot, a colon or the name localhost is a folder of Docker Hub, not a registry.
     if slash and ("." in first or ":" in first or first == "localhost"):
         return name
     return f"docker.io/{name}" if slash else f"docker.io/library/{name}"
@@ -96,6 +97,7 @@ def inspect(engine: Engine, name: str) -> Image | None:
         words = [*(configuration.get("Entrypoint") or ()), *(configuration.get("Cmd") or ())]
         identity = str(told["Id"]).removeprefix("sha256:")
     except EngineError as error:
+        # Engines have no exit code of their own for this, and their words differ by version.
         if _UNKNOWN_IMAGE.search(str(error)):
             return None
         raise ImageMissing(f"image {name!r}: {error}") from None

@@ -94,6 +94,7 @@ class Teller:
         """Take a step."""
         with self._lock:
             self._step = step
+            # A log keeps every line: a few are enough, evenly over the packages.
             due = step.total and step.done * _LINES >= self._lines * step.total
             if self._to.isatty():
                 self._redraw()

@@ -52,6 +52,7 @@ def _large_files(root: Path) -> dict[str, int]:
     found: dict[str, int] = {}
     waiting = [""]
     seen = 0
+    # An algorithm can leave millions of files: what is not looked at only takes more room.
     while waiting and seen < _MOST_FILES:
         prefix = waiting.pop()
         with suppress(OSError), os.scandir(root / prefix) as entries:
@@ -69,6 +70,7 @@ def _large_files(root: Path) -> dict[str, int]:
 
 def _can_be_one(own: Path, old: Path) -> bool:
     mine, theirs = own.lstat(), old.lstat()
+    # Mode and owner belong to the file, not to its name: one file has one of each.
     alike = (mine.st_size, mine.st_dev, stat.S_IMODE(mine.st_mode), mine.st_uid) == (
         *(theirs.st_size, theirs.st_dev, stat.S_IMODE(theirs.st_mode), theirs.st_uid),
     )
@@ -84,6 +86,8 @@ def _equal(own: Path, old: Path) -> bool:
 
 
 def _opened(path: Path) -> IO[bytes]:
+    # What was a file when it was listed can be a link by now, or a pipe that would be waited for: what an
+    # algorithm left may still be at work.
     return os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb", 0)
 
 

@@ -51,6 +51,7 @@ def occupancy(home: Path) -> list[Room]:
     tally = Tally()
     found: dict[tuple[str, str], tuple[int, Extent]] = {}
     for what, path in _parts(home):
+        # They lie among variants and datasets, and are none.
         if path.name.endswith(".lock") or path.name == ".hashes":
             what = _OTHER  # noqa: PLW2901
         items, extent = found.get(what, (0, Extent()))
@@ -94,6 +95,7 @@ def _kind_of_file(path: Path) -> tuple[str, str]:
 def _kind_of_run(path: Path) -> tuple[str, str]:
     if (path / NOTE).exists() and not leftovers_in(path):
         return "notes in the place of removed files of runs", f"{_PRUNE} --records"
+    # RUN@DIGITS, as a later version of the run was put in its place.
     if "@" in path.name:
         return "files of runs set aside: earlier versions", f"{_PRUNE} --superseded"
     return "files of runs", _PRUNE

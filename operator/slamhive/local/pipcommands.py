@@ -89,6 +89,8 @@ def explained(what: str, told: str, *, by_itself: bool) -> SlamHiveError:
     lines = [line.strip() for line in told.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith("ERROR: ")]
     passing = [line for line in lines if _PASSING.search(line) and not line.startswith(_NOT_THERE)]
+    # An index that can't be reached ends in the same error as a package that doesn't exist: only what pip
+    # says before it tells them apart.
     if by_itself and errors and not passing:
         why = errors[-1].removeprefix("ERROR: ")
         return Unavailable(f"{what} can't be installed: {why}{_of_source(why)}")

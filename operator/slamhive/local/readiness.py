@@ -185,6 +185,7 @@ def engines() -> Iterator[Row]:
         how = "without root" if engine.rootless else "as root"
         yield there(choice.value, f"{how}; holds containers to their cores, memory and processes")
     costs = "algorithms that have an image alone do not run here, the others as processes of your user"
+    # One engine is enough: what the other one lacks then costs nothing.
     for name, said in rows:
         if usable:
             yield Row(name, State.UNNEEDED, said)
@@ -199,6 +200,7 @@ def accounting() -> Iterator[Row]:
     mounted = f"version {' and '.join(map(str, versions))}" if versions else "none is mounted"
     delegated = "run slamhive in a unit of its own: systemd-run --user --scope -p Delegate=yes slamhive run …"
     own = identify(os.getpid())
+    # No file says whether one can be made, so one is, and removed again.
     group = make_run_cgroup(own) if own is not None else None
     if group is None:
         yield limited(
@@ -332,6 +334,7 @@ def memory(facts: Path = Path("/proc/meminfo")) -> Row:
 def disk(home: Home) -> Row:
     """Look whether there is room for runs, and whether it can be written."""
     place = home.path
+    # A home that is not made yet will be on the disk of the first folder above it.
     while not place.exists() and place != place.parent:
         place = place.parent
     if not (place.is_dir() and os.access(place, os.W_OK | os.X_OK)):

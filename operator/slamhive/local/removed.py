@@ -88,6 +88,7 @@ def remove_files(folder: Path, size: int) -> None:
         SystemFault: the disk refuses.
     """
     try:
+        # Of a removal that was interrupted the first note stays: it knows the size of what is half gone.
         if removed_from(folder) is None:
             write_whole(folder / NOTE, json.dumps({"removed": datetime.now(UTC).isoformat(), "bytes": size}))
         for entry in list(folder.iterdir()):

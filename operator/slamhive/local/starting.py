@@ -74,6 +74,7 @@ def start_algorithm(name: str, kind: Kind, home: Home, workshop: Workshop, paren
         shutil.rmtree(aside, ignore_errors=True)
         raise
     try:
+        # Not before the folder has its name: the home would link to what is moved away.
         link_algorithm(folder, home, built=not left)
     except InputError:
         shutil.rmtree(folder, ignore_errors=True)
@@ -110,6 +111,7 @@ def _fill(folder: Path, name: str, kind: Kind) -> None:
 def _build(folder: Path, name: str) -> str:
     """Build the program, where there is a compiler; say what is left to do otherwise."""
     how = f"make -C {name}"
+    # No reason to refuse: whoever begins a program of their own may have another way to build it.
     if shutil.which("make") is None or shutil.which("cc") is None:
         return f"{how}   (apt-get install gcc libc6-dev make)"
     try:

@@ -47,6 +47,7 @@ def named_sweeps(sweeps: Iterable[SweepVersion]) -> list[Named]:
     found: dict[tuple[str, str | None, str | None], list[SweepVersion]] = {}
     for one in sorted(sweeps, key=lambda version: (version.created or 0.0, version.uid)):
         key = one.name, one.namespace, one.cluster
+        # Taken out and put in again, so that what was asked for last stands last.
         found[key] = [*found.pop(key, []), one]
     return [Named(*key, tuple(versions)) for key, versions in found.items()]
 

@@ -39,6 +39,8 @@ class Versions:
         path = self._path(digest)
         if path.exists():
             return
+        # Runners may note the same version at once: each writes its own file, and either may be the one that
+        # stays.
         aside = path.with_suffix(f".{os.getpid()}")
         with suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)

@@ -218,6 +218,7 @@ class Workbench:
         def progress(share: float) -> None:
             if self.gives_up:
                 raise GivenUp(what)
+            # Told when it is really made: what is there already calls nobody.
             if what not in self.making:
                 notify(what)
             self.making[what] = share

@@ -151,6 +151,7 @@ class Accounting:
             The cores used since the sample before.
         """
         elapsed = sample.time - self._last
+        # Samples may come late: each one's memory counts for as long as it was the last that was known.
         if self.samples:
             self._byte_seconds += self._memory * elapsed
             self._memory_seconds += elapsed
@@ -208,7 +209,9 @@ class Accounting:
         reader = min(reader_cpu_seconds or 0.0, total)
         whole = total / wall if wall > 0 else 0.0
         seconds = total - reader
+        # What a process took between the last sample and its end is in the kernel's record of it alone.
         peak = max(self._peak, largest_process or 0) or None
+        # A single sample has no time to be averaged over: its own figure stands for the mean below.
         mean = self._byte_seconds / self._memory_seconds if self._memory_seconds > 0 else 0.0
         return Usage(
             cpu=CpuUsage(

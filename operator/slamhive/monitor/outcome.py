@@ -69,6 +69,8 @@ def judge(ending: Ending) -> Outcome:
     code = os.WEXITSTATUS(status) if exited and status is not None else None
     number = os.WTERMSIG(status) if killed and status is not None else None
     stop = ending.stop
+    # Without a cgroup of the run's own nobody says whom the kernel killed for memory: a SIGKILL that nobody
+    # here sent, while it did so, is taken for that.
     if stop is None and (
         ending.group_oom_kills > 0 or (number == signal.SIGKILL and ending.machine_oom_kills > 0)
     ):

@@ -47,6 +47,7 @@ def played_mean_cores(output_directory: str | None, usage_path: str, started_at:
 
 
 def _rows(path: str) -> Iterator[tuple[float, float]]:
+    # The first line's cores count from the start on, as each line's from the one before.
     yield 0.0, 0.0
     with open(path, encoding="ascii") as file:  # noqa: PTH123
         next(file, None)

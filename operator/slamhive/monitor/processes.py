@@ -108,6 +108,7 @@ def children(pid: int) -> list[int]:
     """Return the children of all threads of a process, none if it is gone."""
     found: list[int] = []
     if not kernel_lists_children():
+        # Such a kernel tells parents alone: all processes are asked for theirs.
         parents = ((int(name), _parent(name)) for name in os.listdir("/proc") if name.isdigit())  # noqa: PTH208
         return [child for child, parent in parents if parent == pid]
     with suppress(OSError):

@@ -25,6 +25,7 @@ class Signals:
         self._poll.register(self.descriptor, select.POLLIN)
         signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
         for number in _NUMBERS:
+            # Without a handler the signal would end this process before the descriptor is read.
             signal.signal(number, lambda _number, _frame: None)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _NUMBERS)
 

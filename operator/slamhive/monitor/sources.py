@@ -188,6 +188,7 @@ def cgroup_source_at(root: str) -> Source | None:
     Returns:
         The source, or None where neither version has controllers for CPU and memory.
     """
+    # Distributions mount both controllers in one place, and differ in how they call it.
     for name in ("cpuacct", "cpu,cpuacct", "cpuacct,cpu"):
         try:
             return CgroupV1Source(f"{root}/{name}", f"{root}/memory")

@@ -77,6 +77,8 @@ class Watch:
             now = time.monotonic()
             if any(descriptor == self._container.pidfd for descriptor, _ in ready):
                 return self._ended(now)
+            # The first request leaves the algorithm time to end by itself, as the pod's grace goes on; a
+            # second one doesn't.
             if told := signals.take():
                 self._leave_at = now + _LEAVE_SECONDS if told == 1 and self._leave_at is None else now
             if self._leave_at is not None and now >= self._leave_at:
@@ -109,6 +111,7 @@ class Watch:
         spec, container = self._spec, self._container
         limit, tasks = spec.memory_limit_bytes, spec.task_limit
         self._state.oom_kills = max(self._state.oom_kills, container.oom_kills())
+        # A cgroup of its own has the kernel keep the limit; elsewhere these looks do.
         too_much = not container.exact and limit is not None and memory > limit
         if too_much or self._state.oom_kills:
             self._end(out_of_memory(limit), now)

@@ -112,6 +112,7 @@ def _attempt(kind: type[R], body: dict[str, Any]) -> R | InputError:
 
 def _remember(known: dict[str, V], key: str, make: Callable[[], V]) -> V:
     if key not in known:
+        # What is gone is never asked for again; to begin anew costs a parse of each that is still there.
         if len(known) >= _KEPT:
             known.clear()
         known[key] = make()

@@ -80,6 +80,7 @@ class Group:
     def has_result(self, run: Mapping[str, Any]) -> bool:
         """Tell whether a run has been measured like this."""
         results = run["status"].get("results") or ()
+        # Without a name the settings are the identity: another alignment is another result.
         if self.name is None:
             return any(result.get(SETTINGS_KEY) == self.hash for result in results)
         return any(
@@ -113,6 +114,7 @@ def group_of(op: Operator, key: Key) -> Group | None:
 
 def _of_sweep(op: Operator, key: Key, name: str) -> Group | None:
     body = op.store.get(Key(Kind.SWEEP, key.namespace, name))
+    # Jobs of a Sweep that is being deleted would go with it before they have measured.
     if body is None or body["metadata"].get("deletionTimestamp"):
         return None
     runs = op.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, name)

@@ -99,6 +99,7 @@ def problem_of(group: Group, run: Mapping[str, Any]) -> str | None:
     found = problems_noted(run).get(group.name or "")
     if not isinstance(found, dict):
         return None
+    # Of an Evaluation of the same name that was deleted, or with other settings, the note says nothing.
     same = found.get("of") == group.owner["uid"] and found.get("settings") == group.hash
     return str(found.get("why")) if same else None
 
@@ -118,6 +119,7 @@ def with_problem(group: Group, run: Mapping[str, Any], problem: str) -> dict[str
     """Return the annotation that notes why a run can't be measured by a group."""
     name = group.name or ""
     others = {key: value for key, value in problems_noted(run).items() if key != name}
+    # An object's annotations have a limit of their own: of too many Evaluations the earliest notes go.
     kept = dict([*others.items()][1 - _MOST_NOTES :])
     kept[name] = {"of": group.owner["uid"], "settings": group.hash, "why": problem[:_SENTENCE_LENGTH]}
     return {NOT_EVALUABLE: json.dumps(kept, ensure_ascii=False, separators=(",", ":"))}

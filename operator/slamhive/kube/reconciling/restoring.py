@@ -85,6 +85,7 @@ class Restoring:
         away = []
         for item in items:
             folder = item["folder"]
+            # A run's own folder is still on the volume: only archived runs are moved away.
             if _uid(folder) in {item["uid"], None} or folder in here:
                 found.ready.append(item)
             elif why := left.get(str(_uid(folder))):
@@ -112,6 +113,7 @@ class Restoring:
                 found.delays += [] if seconds is None else [seconds]
                 return None
             problem = waiting.message
+        # Read and then removed: its name follows from the folders, and the same ones may be asked for again.
         await op.delete(key_of(Kind.JOB, job))
         if problem is not None:
             self._trouble[group.key] = problem, op.clock() + _AGAIN_SECONDS
@@ -132,6 +134,7 @@ class Restoring:
         )
         try:
             await op.create(Kind.JOB, body)
+        # Made by an operator that ended before it heard so; the watch may be late.
         except AlreadyExists:
             await op.refresh(key_of(Kind.JOB, body))
 

@@ -129,6 +129,7 @@ def _contexts(files: str) -> tuple[dict[str, dict[str, Any]], dict[str, Any] | N
     try:
         found, current = list_kube_config_contexts(files)  # type: ignore[no-untyped-call]
     except ConfigException as error:
+        # A kubeconfig without a current context is usual, and has a remedy of its own.
         if "current-context" not in str(error):
             raise ClusterError(f"{files}: {error}") from None
         raise ClusterError(

@@ -128,6 +128,7 @@ class Fetcher:
         here = {record.uid: record for record in known if _is_here(record)}
         for number, run in enumerate(runs, 1):
             record, algorithm, dataset = self._records(run, sweep, uid)
+            # Its files are here already: the cluster's path of them means nothing on this machine.
             if before := here.get(record.uid):
                 record = record.replace(folder=before.folder, trajectory=before.trajectory)
             else:

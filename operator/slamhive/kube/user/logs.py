@@ -68,6 +68,7 @@ async def read_log(
     """
     [(_, run)] = await find(cluster, [name], [Kind.MAPPING_RUN])
     reader = _Reader(cluster, name, container, follow=follow, tail=tail)
+    # A run may have several pods, one an attempt: each look takes the newest, and goes on where it stopped.
     while True:
         seen = await reader.look(run)
         over = phase_of(status_of(run)).is_finished
@@ -123,6 +124,7 @@ class _Reader:
         selector = f"{Label.RUN}={label_value(self._name)},{Label.ROLE}={Role.RUN}"
         pods, _ = await self._cluster.api.list(Kind.POD, self._cluster.namespace, labels=selector)
         created = run["metadata"].get("creationTimestamp", "")
+        # Pods of an earlier run of this name may still be ending.
         own = [pod for pod in pods if pod["metadata"].get("creationTimestamp", "") >= created]
         if not own:
             return None

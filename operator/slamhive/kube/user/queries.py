@@ -107,6 +107,7 @@ async def look_at(cluster: Cluster, names: Sequence[str], before: Picture | None
     for sweep in by_kind[Kind.SWEEP]:
         name = name_of(sweep)
         count = status_of(sweep).get("failed", 0)
+        # A large Sweep's runs are megabytes: they are listed when there is another failure, not at each look.
         if before is not None and name in known and status_of(known[name]).get("failed", 0) == count:
             failed[name] = before.failed.get(name, [])
         elif count:
@@ -155,6 +156,7 @@ def troubles(kind: Kind, body: Mapping[str, Any], now: float) -> list[str]:
     status = status_of(body)
     conditions = status.get("conditions") or ()
     age = now - (moment(body["metadata"].get("creationTimestamp")) or now)
+    # An operator takes notice within a second: without one an object waits for ever and says nothing.
     if not conditions and age > _UNNOTICED_SECONDS:
         return ["no operator has taken notice of it; is one installed for this namespace?"]
     ended = kind is Kind.MAPPING_RUN and phase_of(status).is_finished
