@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from testcluster.kwok import NOW, Moment, Play, described, description, ended
-from testcluster.lab import dataset, manifest, run, status_of, sweep, until
+from testcluster.lab import condition_of, dataset, manifest, run, status_of, sweep, until
 
 from slamhive.jobs.messages import failed
 from slamhive.kube.kinds import Key, Kind
@@ -175,6 +175,39 @@ async def test_a_preparation_without_a_pod_says_why(fake_lab: Lab) -> None:
         fake_lab.delete("limitrange", "small")
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
     assert status["phase"] == "Succeeded"
+
+
+NO_IMAGE = {"waiting": {"reason": "ErrImagePull", "message": "no such image"}}
+UNPULLED = {"prepare": Moment("Pending", NO_IMAGE, NO_IMAGE)}
+"""Preparations whose image can't be pulled."""
+
+
+async def test_runs_say_why_their_preparation_does_not_begin(make_fake_lab: Callable[..., Lab]) -> None:
+    lab = make_fake_lab(ends=UNPULLED)
+    async with lab.operator(imagePullGraceSeconds=HOUR) as op:
+        lab.apply(run())
+        waits = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: condition_of(found, "Scheduled"))
+        [entry] = variants_of(op)
+        [pod] = op.store.of(Kind.POD, "lab")
+        lab.cluster.play_from_now(lab.pool, Play())
+        lab.cluster.end_pod(pod["metadata"]["name"], "lab", ended(0, described(description())))
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
+    told = condition_of(waits, "Scheduled")
+    assert (waits["phase"], told["status"], told["reason"]) == ("Preparing", "False", "PreparationWaits")
+    assert "no such image" in told["message"]
+    assert "no such image" in entry["message"]
+    assert status["phase"] == "Succeeded"
+    assert condition_of(status, "Scheduled")["status"] == "True"
+
+
+async def test_a_preparation_whose_image_cannot_be_had_is_given_up(make_fake_lab: Callable[..., Lab]) -> None:
+    lab = make_fake_lab(ends=UNPULLED)
+    async with lab.operator(imagePullGraceSeconds=0) as op:
+        lab.apply(run(retries=0))
+        status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
+        await until(lambda: not preparations(op), "its Job to go")
+    assert (status["phase"], status["reason"]) == ("Failed", "ImagePullFailed")
+    assert "no such image" in status["message"]
 
 
 async def test_the_use_of_a_variant_is_noted_and_an_unused_one_forgotten(fake_lab: Lab) -> None:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from fakeapi.evaluators import good, measuring
 from fakeapi.refusals import Refusal, conflict, forbidden
-from testcluster.kwok import description
+from testcluster.kwok import Moment, Play, description
 from testcluster.lab import condition_of, manifest, run, status_of, sweep, until
 
 from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.status import holds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -156,6 +157,27 @@ async def test_an_evaluator_without_a_pod_is_given_up(fake_lab: Lab, monkeypatch
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_told)
     message = condition_of(status, "Evaluated")["message"]
     assert "maximum cpu usage per Container is 2, but limit is 4" in message
+
+
+async def test_an_evaluator_whose_image_cannot_be_had_is_told_until_another_one_can(
+    make_fake_lab: Callable[..., Lab], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamhive.kube.queue.FIRST_BACKOFF_SECONDS", 0.01)
+    no_image = {"waiting": {"reason": "ErrImagePull", "message": "no such image"}}
+    lab = make_fake_lab(ends={"evaluate": Moment("Pending", no_image, no_image)})
+    lab.cluster.log = measuring()
+    async with lab.operator(evaluatorImage="example.test/mistyped:1", **SETTINGS) as op:
+        lab.apply(run(evaluate=True))
+        stuck = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: holds(found, "EvaluationError"))
+    lab.cluster.play_from_now(lab.pool, Play())
+    async with lab.operator(evaluatorImage="example.test/evaluator:1", **SETTINGS) as op:
+        await status_of(op, Kind.MAPPING_RUN, "one", lambda found: found.get("results"))
+        status = await status_of(
+            op, Kind.MAPPING_RUN, "one", lambda found: holds(found, "EvaluationError") is False
+        )
+    assert "the evaluator does not begin" in condition_of(stuck, "EvaluationError")["message"]
+    assert "no such image" in condition_of(stuck, "EvaluationError")["message"]
+    assert condition_of(status, "Evaluated")["status"] == "True"
 
 
 async def test_a_result_is_written_though_others_write_to_the_run(fake_lab: Lab) -> None:

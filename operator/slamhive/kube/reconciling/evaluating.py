@@ -19,11 +19,11 @@ from slamhive.jobs.requests import EvaluateRequest, RunItem
 from slamhive.kube.builders import batches, evaluator_job
 from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, NotFound
 from slamhive.kube.kinds import Key, Kind, Label, Object, Role, key_of
-from slamhive.kube.observing import EvaluatorObserved, observe_evaluator
+from slamhive.kube.observing import EvaluatorObserved, lacks_pod, observe_evaluator
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.evaluation_groups import Group, group_of, key_for
 from slamhive.kube.reconciling.evaluation_status import evaluation_status, is_full, problem_of, with_problem
-from slamhive.kube.reconciling.refusals import patience
+from slamhive.kube.reconciling.refusals import Patience, patience
 from slamhive.kube.reconciling.restoring import Restoring
 from slamhive.kube.status import condition, display, holds, moment, result_field, status_patch
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from slamhive.kube.reconciling.catalogue import Catalogue
 
 
-RUNS_ANNOTATION = "slamhive.io/runs"
+RUNS_ANNOTATION, IMAGES_ANNOTATION = "slamhive.io/runs", "slamhive.io/images"
 _MOST_FAILURES = 3
 _AT_ONCE = 8
 _LOOK_SECONDS = 2.0
@@ -87,6 +87,7 @@ class Evaluations:
         busy: set[str] = set()
         active = 0
         delays: list[float] = []
+        stuck: str | None = None
         for job in self._jobs(op, group):
             pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
             seen = observe_evaluator(job, pods)
@@ -94,16 +95,19 @@ class Evaluations:
                 await self._collect(op, group, job, seen)
                 continue
             waits = await self._wait(op, group, job, seen.waiting)
-            if waits is None or waits > 0:
+            if waits is not None:
                 active += 1
                 busy |= _names(job)
-                delays += [] if waits is None else [waits]
+                delays += [] if waits.seconds is None else [waits.seconds]
+                stuck = stuck or waits.why
         # Read again: what was collected above is a result now, and must not be measured twice.
         group = group_of(op, key) or group
         delays += await self._start_missing(op, group, busy, active)
         delays += await self._write(op, group)
         if (trouble := self._restoring.trouble(key)) is not None:
             raise SystemFault(trouble)  # the Evaluation, Sweep or run says so, until it is over
+        if stuck is not None:
+            raise SystemFault(f"the evaluator does not begin: {stuck}")
         return min(delays, default=None)
 
     @staticmethod
@@ -171,13 +175,21 @@ class Evaluations:
                 await self._give_up(op, group, run, problem)
         return []
 
-    async def _wait(self, op: Operator, group: Group, job: Object, waiting: Waiting | None) -> float | None:
-        """Return when to look again at a Job without a pod, None: not for that; 0: it is given up."""
-        waiting, seconds = await patience(op, job, waiting)
-        if waiting is not None and seconds == 0.0:
-            await self._failed(op, group, job, waiting.message)
+    async def _wait(self, op: Operator, group: Group, job: Object, seen: Waiting | None) -> Patience | None:
+        """Return how long a Job may still wait; None: it goes, and makes room for another."""
+        # A pod that does not begin is no run's fault, and no run is given up for it: the kubelet goes on
+        # trying. Where operator or Evaluation no longer name its image, there is another Job with today's.
+        has_pod = seen is not None and not lacks_pod(seen)
+        images = (job["metadata"].get("annotations") or {}).get(IMAGES_ANNOTATION)
+        if has_pod and images not in {None, _images(op, group)}:
             await op.delete(key_of(Kind.JOB, job))
-        return seconds
+            return None
+        waits = await patience(op, job, seen)
+        if waits.end is None or has_pod:
+            return waits
+        await self._failed(op, group, job, waits.end.message or "")
+        await op.delete(key_of(Kind.JOB, job))
+        return None
 
     async def _items(self, op: Operator, group: Group, runs: list[Object]) -> list[Object]:
         items = []
@@ -240,6 +252,7 @@ class Evaluations:
         )
         names = ",".join(run["name"] for run in batch)
         body["metadata"].setdefault("annotations", {})[RUNS_ANNOTATION] = names
+        body["metadata"]["annotations"][IMAGES_ANNOTATION] = _images(op, group)
         for meta in (body["metadata"], body["spec"]["template"]["metadata"]):
             labels = meta["labels"] | group.labels
             meta["labels"] = {name: value for name, value in labels.items() if value is not None}
@@ -426,6 +439,12 @@ def _unforeseen(op: Operator, name: str, error: Exception) -> str:
     op.metrics.count_error(str(Kind.EVALUATION), "unforeseen")
     _log.error("MappingRun %s: measuring it failed in an unforeseen way", name, exc_info=error)
     return f"{type(error).__name__}: {error}"[:1000]
+
+
+def _images(op: Operator, group: Group) -> str:
+    """Return the images of a Job that is made now, as they stand in its annotation."""
+    own = group.evaluator.image if group.evaluator else ""
+    return " ".join(filter(None, (op.settings.evaluator_image or op.settings.image, own)))
 
 
 def _names(job: Object) -> set[str]:

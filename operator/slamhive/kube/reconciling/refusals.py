@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refusals of the cluster that only Events show, such as a Job whose pod is not allowed."""
+"""Patience with Jobs of ours that do not begin: refused pods, which only Events show, and pods that wait."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slamhive.kube.errors import ApiError
 from slamhive.kube.observing import POD_SECONDS, explained, lacks_pod
 from slamhive.kube.reports import clean
 
 if TYPE_CHECKING:
+    from slamhive.engine import AttemptEnd
     from slamhive.kube.operator import Operator
     from slamhive.kube.pods import Waiting
 
 _AGAIN_SECONDS = 15.0
+_ROOM_SECONDS = 60.0
+"""Time for which a cluster that is full lets pods wait as a matter of course."""
 
 
 async def why_no_pod(op: Operator, job: dict[str, Any]) -> str | None:
@@ -32,30 +35,48 @@ async def why_no_pod(op: Operator, job: dict[str, Any]) -> str | None:
     return clean((message or "").removeprefix("Error creating: ")) or None
 
 
-async def patience(
-    op: Operator, job: dict[str, Any], waiting: Waiting | None
-) -> tuple[Waiting | None, float | None]:
-    """Return what a Job of ours waits for, and when to look at it again.
+class Patience(NamedTuple):
+    """What a Job of ours waits for, and how long it still may.
+
+    Attributes:
+        why: a sentence to be said of it; None where nothing keeps it from running, or a moment may help.
+        seconds: after how many seconds to look again; None: the events of its pod lead back.
+        end: what it ends with, as it has waited too long; None while it may wait.
+    """
+
+    why: str | None = None
+    seconds: float | None = None
+    end: AttemptEnd | None = None
+
+
+async def patience(op: Operator, job: dict[str, Any], waiting: Waiting | None) -> Patience:
+    """Return how long a Job may still wait, and why it does.
 
     Args:
         op: the operator.
         job: the Job.
         waiting: as it was seen.
 
-    Returns:
-        The waiting with the API server's reason, and seconds: 0 where its pod was refused for too long, None
-        where it has its pod.
-
     Raises:
         ApiError: the server can't be asked just now.
     """
-    if waiting is None or not lacks_pod(waiting):
-        return waiting, None
-    now = op.clock()
-    since = waiting.since or now
-    # A new Job has no pod for a moment: to ask for Events then would cost a call for each Job.
-    if now - since < POD_SECONDS:
-        return waiting, POD_SECONDS
-    waiting = explained(waiting, await why_no_pod(op, job))
-    left = since + op.settings.refusal_grace_seconds - now
-    return waiting, _AGAIN_SECONDS if waiting.end is None or left > 0 else 0.0
+    if waiting is None:
+        return Patience()
+    since = waiting.since or op.clock()
+    waited = op.clock() - since
+    if lacks_pod(waiting):
+        # A new Job has no pod for a moment: to ask for Events then would cost a call for each Job.
+        if waited < POD_SECONDS:
+            return Patience(seconds=POD_SECONDS)
+        waiting = explained(waiting, await why_no_pod(op, job))
+        left = op.settings.refusal_grace_seconds - waited
+        if waiting.end is None:
+            return Patience(waiting.message, _AGAIN_SECONDS)
+    elif waiting.end is None:
+        left = 0.0 if waiting.since is None else _ROOM_SECONDS - waited
+        return Patience(seconds=left) if left > 0 else Patience(waiting.message)
+    else:
+        left = 0.0 if waiting.hopeless else op.settings.image_pull_grace_seconds - waited
+    if left > 0:
+        return Patience(waiting.message, min(left, _AGAIN_SECONDS))
+    return Patience(waiting.message, end=waiting.end)

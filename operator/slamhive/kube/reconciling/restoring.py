@@ -108,11 +108,13 @@ class Restoring:
         seen = observe_restore(job, pods)
         problem = seen.problem[1] if seen.problem else None
         if seen.state is not AttemptState.ENDED:
-            waiting, seconds = await patience(op, job, seen.waiting)
-            if waiting is None or seconds != 0.0:
-                found.delays += [] if seconds is None else [seconds]
+            waits = await patience(op, job, seen.waiting)
+            if waits.end is None:
+                found.delays += [] if waits.seconds is None else [waits.seconds]
+                if waits.why is not None:
+                    self._trouble[group.key] = f"its Job does not begin: {waits.why}", 0.0
                 return None
-            problem = waiting.message
+            problem = waits.end.message
         # Read and then removed: its name follows from the folders, and the same ones may be asked for again.
         await op.delete(key_of(Kind.JOB, job))
         if problem is not None:

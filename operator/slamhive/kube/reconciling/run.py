@@ -381,7 +381,7 @@ class RunReconciler:
         if state.phase is Phase.RUNNING and attempted.started is None and not waits:
             return usual if usual > 0 else None  # the Job says that it was created
         status = state_fields(state) | MappingRunStatus(variant=facts.wanted.name)
-        fresh = [condition("Accepted", True, "Accepted"), *_scheduling(attempted, state)]
+        fresh = [condition("Accepted", True, "Accepted"), *_scheduling(facts, state)]
         if holds(facts.body["status"], "Admitted") is False:
             fresh.append(condition("Admitted", True, "Admitted"))
         if state.phase is Phase.RUNNING and attempted.started is None:
@@ -503,7 +503,15 @@ def _needing(run: dict[str, Any]) -> dict[str, Any]:
     return reference(Kind.MAPPING_RUN, run)
 
 
-def _scheduling(attempted: Attempted, state: RunState) -> list[dict[str, Any]]:
+def _scheduling(facts: RunFacts, state: RunState) -> list[dict[str, Any]]:
+    attempted = facts.attempted
+    if state.phase is Phase.PREPARING:
+        if facts.variant.waiting is not None:
+            told = f"its preparation does not begin: {facts.variant.waiting}"
+            return [condition("Scheduled", False, "PreparationWaits", told)]
+        # It began: whether the run itself finds a node is not known yet.
+        waited = holds(facts.body["status"], "Scheduled") is False
+        return [condition("Scheduled", None, "Preparing")] if waited else []
     if attempted.waiting_reason is not None and not state.phase.is_finished:
         return [condition("Scheduled", False, attempted.waiting_reason, attempted.waiting_message or "")]
     if attempted.node is not None:

@@ -72,11 +72,13 @@ class VariantSeen:
         state: whether it is there.
         description: what it is, when it is ready.
         problem: why it could not be made.
+        waiting: why its making does not begin; None where it does, or that isn't known yet.
     """
 
     state: VariantState
     description: dict[str, Any] | None = None
     problem: tuple[Reason, str] | None = None
+    waiting: str | None = None
 
 
 def look(op: Operator, namespace: str, wanted: Wanted, created: float) -> VariantSeen:
@@ -100,7 +102,8 @@ def look(op: Operator, namespace: str, wanted: Wanted, created: float) -> Varian
         if seen.state is VariantState.READY and seen.description is not None:
             return VariantSeen(VariantState.READY, seen.description.as_json())
         if seen.state is VariantState.MAKING:
-            return VariantSeen(VariantState.MAKING)
+            waiting = entry.message if entry and entry.phase is VariantPhase.PREPARING else None
+            return VariantSeen(VariantState.MAKING, waiting=waiting)
         if seen.problem is not None and _made(job) >= created:
             return VariantSeen(VariantState.FAILED, problem=seen.problem)
     if entry is not None and entry.phase is VariantPhase.FAILED:
@@ -192,7 +195,7 @@ class DatasetReconciler:
             name = job["metadata"].get("labels", {}).get(Label.VARIANT)
             if name is not None:
                 entry = self._entry(op, key.namespace, name, job, before.get(name))
-                after[name] = await self._without_pod(op, job, entry, delays)
+                after[name] = await self._while_waiting(op, job, entry, delays)
         after = _within(op, key.namespace, after)
         if after != before:
             await _write(op, dataset, after.values())
@@ -200,24 +203,22 @@ class DatasetReconciler:
         return min(delays, default=None)
 
     @staticmethod
-    async def _without_pod(
+    async def _while_waiting(
         op: Operator, job: dict[str, Any], entry: VariantEntry, delays: list[float]
     ) -> VariantEntry:
-        """Return an entry with why its Job has no pod; one whose pod is refused for long has failed."""
+        """Return an entry with why its Job does not begin; one that can't for long has failed."""
         if entry.phase is not VariantPhase.PREPARING:
             return entry
         pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
-        waiting, seconds = await patience(op, job, observe_variant(job, pods).waiting)
-        if waiting is None or seconds is None:
-            return entry.replace(message=None)
-        if seconds > 0:
-            delays.append(seconds)
-            return entry.replace(message=waiting.message)
+        waits = await patience(op, job, observe_variant(job, pods).waiting)
+        if waits.end is None:
+            delays += [] if waits.seconds is None else [waits.seconds]
+            return entry.replace(message=waits.why and waits.why[:MESSAGE_LENGTH])
         await op.delete(key_of(Kind.JOB, job))
         return entry.replace(
             phase=VariantPhase.FAILED,
-            reason=Reason.SYSTEM_FAULT,
-            message=waiting.message[:MESSAGE_LENGTH],
+            reason=waits.end.reason or Reason.SYSTEM_FAULT,
+            message=(waits.end.message or "")[:MESSAGE_LENGTH],
             changed_time=iso(op.clock()),
         )
 
@@ -243,7 +244,7 @@ class DatasetReconciler:
                 changed_time=now,
             )
         if seen.problem is None:
-            # One that prepares already has a message of its own: why its Job has no pod.
+            # One that prepares already has a message of its own: why its Job does not begin.
             if before.phase is VariantPhase.PREPARING:
                 return before
             return before.replace(phase=VariantPhase.PREPARING, reason=None, message=None, changed_time=now)
