@@ -209,11 +209,11 @@ def _without_pod(job: Object) -> Attempted:
     if has_failed(job) or has_completed(job):
         end = AttemptEnd(reason=Reason.NODE_LOST, message="its pod was deleted")
         return Attempted(AttemptState.ENDED, end, number)
+    begun = (job.get("status") or {}).get("startTime") or job["metadata"].get("creationTimestamp")
     # Queues such as Kueue hold a Job back this way, for as long as they choose.
     if (job.get("spec") or {}).get("suspend"):
-        waiting = Waiting("Suspended", "its Job waits in a queue")
+        waiting = Waiting("Suspended", "its Job waits in a queue", moment(begun))
     else:
-        begun = (job.get("status") or {}).get("startTime") or job["metadata"].get("creationTimestamp")
         waiting = Waiting(_NO_POD, "its Job has no pod yet", moment(begun))
     return Attempted(AttemptState.RUNNING, number=number, waiting=waiting)
 

@@ -71,7 +71,9 @@ async def patience(op: Operator, job: dict[str, Any], waiting: Waiting | None) -
         waiting = explained(waiting, await why_no_pod(op, job))
         left = op.settings.refusal_grace_seconds - waited
         if waiting.end is None:
-            return Patience(waiting.message, _AGAIN_SECONDS)
+            # Where nothing is refused the cluster is busy: as with a pod, that is said when it lasts.
+            busy = lacks_pod(waiting) and waited < _ROOM_SECONDS
+            return Patience(None if busy else waiting.message, _AGAIN_SECONDS)
     elif waiting.end is None:
         left = 0.0 if waiting.since is None else _ROOM_SECONDS - waited
         return Patience(seconds=left) if left > 0 else Patience(waiting.message)
