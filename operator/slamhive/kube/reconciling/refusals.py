@@ -36,7 +36,7 @@ async def why_no_pod(op: Operator, job: dict[str, Any]) -> str | None:
 
 
 class Patience(NamedTuple):
-    """What a Job of ours waits for, and how long it still may.
+    """Patience with a Job of ours: what it waits for, and how long it still may.
 
     Attributes:
         why: a sentence to be said of it; None where nothing keeps it from running, or a moment may help.
