@@ -151,6 +151,11 @@ class Settings(Model):
     log_format: LogFormat = LogFormat.PLAIN
     log_level: str = Field(default="INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$")
 
+    @property
+    def measuring_image(self) -> str:
+        """Image that measures finished runs: one of its own, or the operator's."""
+        return self.evaluator_image or self.image
+
 
 def load(path: Path) -> Settings:
     """Read the settings.

@@ -167,12 +167,12 @@ def _container(
 
 
 def _ours(settings: Settings) -> Manifest:
-    image = settings.evaluator_image or settings.image
+    image = settings.measuring_image
     return {"containers": [_container(EVALUATE, image, _MODULE, _mounts(), settings)]}
 
 
 def _custom(evaluator: Evaluator, settings: Settings) -> Manifest:
-    image = settings.evaluator_image or settings.image
+    image = settings.measuring_image
     report = ("python3", "-P", "-m", "slamhive.jobs.report")
     links = mount("runs", "/slamhive/runs")
     return {

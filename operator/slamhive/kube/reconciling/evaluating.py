@@ -444,7 +444,7 @@ def _unforeseen(op: Operator, name: str, error: Exception) -> str:
 def _images(op: Operator, group: Group) -> str:
     """Return the images of a Job that is made now, as they stand in its annotation."""
     own = group.evaluator.image if group.evaluator else ""
-    return " ".join(filter(None, (op.settings.evaluator_image or op.settings.image, own)))
+    return " ".join(filter(None, (op.settings.measuring_image, own)))
 
 
 def _names(job: Object) -> set[str]:
