@@ -372,9 +372,31 @@ def test_the_words_of_a_monitor_that_failed_are_kept() -> None:
     broken = without_report("ok")
     words = "Traceback\nModuleNotFoundError: No module named 'slamhive'\n"
     broken["status"]["initContainerStatuses"][0]["state"]["terminated"]["message"] = words
-    end = seen(broken).end
+    missing = (Reason.SYSTEM_FAULT, "runs/1/2/summary.json does not exist")
+    end = seen(broken).with_report(None, missing).end
     assert end is not None
-    assert end.message == "the monitor left no report: ModuleNotFoundError: No module named 'slamhive'"
+    assert end.message == (
+        "the monitor left no report: exit code 0: ModuleNotFoundError: No module named 'slamhive'; "
+        "runs/1/2/summary.json does not exist"
+    )
+
+
+def test_a_failure_without_figures_says_why_it_has_none() -> None:
+    failed = seen(without_report("crash"))
+    assert failed.end is not None
+    assert failed.end.message is not None
+    end = failed.with_report(None, (Reason.SYSTEM_FAULT, "summary.json does not exist")).end
+    assert end is not None
+    assert classify(end)[0] is Reason.ALGORITHM_FAILED
+    assert end.message == (
+        f"{failed.end.message}; the monitor left no report: exit code 0; summary.json does not exist"
+    )
+
+
+def test_what_the_kubelet_said_of_the_pod_stands_after_its_report_was_read() -> None:
+    read = seen(without_report("pod-deadline")).with_report(Report())
+    assert read.end is not None
+    assert read.end.reason is Reason.DEADLINE_EXCEEDED
 
 
 def test_what_the_monitor_did_comes_before_how_the_program_took_it() -> None:

@@ -41,7 +41,6 @@ from slamhive.kube.pods import (
 from slamhive.kube.reports import (
     Report,
     clean,
-    last_line,
     moment,
     read_description,
     read_failure,
@@ -65,6 +64,7 @@ _NO_POD = "NoPod"
 _POD_REFUSED = "PodRefused"
 POD_SECONDS = 5.0
 _HIDDEN_SECONDS = 2.0
+_SILENT = "the monitor left no report"
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,9 @@ class Attempted:
         report: what its monitor told.
         needs_read: whether the monitor told nothing though the program ran: what it left is to be read and
             given to `with_report`; ``end`` is what stands if nothing is found.
+        silence: how the monitor ended, where it told nothing.
         ending: how the algorithm's container ended.
+        told: what the kubelet made of its entire pod, if anything.
         pod: name of its pod.
         pod_uid: identity of its pod, by which its folder is named.
         node: the node it ran on.
@@ -95,7 +97,9 @@ class Attempted:
     waiting: Waiting | None = None
     report: Report | None = None
     needs_read: bool = False
+    silence: str = ""
     ending: Ending | None = None
+    told: AttemptEnd | None = None
     pod: str | None = None
     pod_uid: str | None = None
     node: str | None = None
@@ -156,11 +160,17 @@ class Attempted:
         """Return the attempt as ended by what it waits for; its Job is still there and is to be deleted."""
         return replace(self, state=AttemptState.ENDED, end=self.waiting.end if self.waiting else None)
 
-    def with_report(self, report: Report | None) -> Attempted:
-        """Return the attempt with what was read of it; None: nothing was found."""
+    def with_report(self, report: Report | None, problem: Problem | None = None) -> Attempted:
+        """Return the attempt with what was read of it.
+
+        Args:
+            report: what was found; None: nothing.
+            problem: why nothing was found.
+        """
         if report is None:
-            return replace(self, needs_read=False)
-        end = self.end if self.ending is None else _judged(self.ending, report)
+            end, why = self.end, self.silence + (f"; {problem[1]}" if problem else "")
+            return replace(self, needs_read=False, end=end and _unreported(end, why))
+        end = self.end if self.ending is None else _concluded(self.told, self.ending, report)
         return replace(self, report=report, needs_read=False, end=end)
 
 
@@ -261,20 +271,37 @@ def _ended(seen: Attempted, pod: Object) -> Attempted:
     fault = _interrupted(pod, ending) if told is None else None
     if fault is not None:
         return replace(seen, state=AttemptState.ENDED, end=fault, report=None)
-    if report is not None and report.reason is not None and ending is not None:
-        told = None  # what the monitor did comes before what followed from it
-    if told is not None:
-        end = told
-    elif ending is None:
-        end = _not_rendered(pod) or AttemptEnd(reason=Reason.SYSTEM_FAULT, message=_before_start(pod))
-    else:
-        end = _judged(ending, report)
-    if ending is not None and report is None and end.reason is Reason.SYSTEM_FAULT:
-        # A monitor that failed leaves the end of its log as its termination message: it says why.
-        words = last_line(message_of(pod, MONITOR))
-        end = replace(end, message=f"{end.message}: {words}" if words else end.message)
-    ran = ending is not None and not ending.was_unable and not ending.is_unknown
-    return replace(seen, state=AttemptState.ENDED, end=end, needs_read=ran and report is None)
+    if ending is None:
+        end = told or _not_rendered(pod)
+        end = end or AttemptEnd(reason=Reason.SYSTEM_FAULT, message=_before_start(pod))
+        return replace(seen, state=AttemptState.ENDED, end=end)
+    seen = replace(seen, state=AttemptState.ENDED, end=_concluded(told, ending, report), told=told)
+    if report is not None or ending.was_unable or ending.is_unknown:
+        return seen
+    # A monitor that failed leaves the end of its log as its termination message: it says why.
+    monitor = ending_of(pod, MONITOR)
+    return replace(
+        seen, needs_read=True, silence="nobody saw its end" if monitor is None else monitor.sentence
+    )
+
+
+def _concluded(told: AttemptEnd | None, ending: Ending, report: Report | None) -> AttemptEnd:
+    """Return how an attempt ended whose program ran.
+
+    Args:
+        told: what the kubelet made of the entire pod, if anything.
+        ending: how the algorithm's container ended.
+        report: its monitor's. What the monitor did comes before what followed from it.
+    """
+    if told is not None and (report is None or report.reason is None):
+        return told
+    return _judged(ending, report)
+
+
+def _unreported(end: AttemptEnd, why: str) -> AttemptEnd:
+    """Return an end with the reason why there is no report of the monitor, and so no figures."""
+    before = f"{end.message}; " if end.message and end.message != _SILENT else ""
+    return replace(end, message=clean(f"{before}{_SILENT}: {why}"))
 
 
 def _told_by_pod(pod: Object, ending: Ending | None) -> AttemptEnd | None:
@@ -349,7 +376,7 @@ def _watched(ending: Ending, report: Report | None) -> AttemptEnd:
         (ending.was_unable, *why_unable(ending.message)),
         (ending.is_unknown, Reason.NODE_LOST, "nobody saw how it ended"),
         (ending.exit_code != 0, None, ending.sentence),
-        (report is None, Reason.SYSTEM_FAULT, "the monitor left no report"),
+        (report is None, Reason.SYSTEM_FAULT, _SILENT),
         (_hid(ending, report), Reason.SYSTEM_FAULT, "the monitor never saw the algorithm, though it ran"),
     ):
         if holds:

@@ -25,7 +25,7 @@ from slamhive.kube.builders.player import player
 from slamhive.kube.builders.run import job_name
 from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, Forbidden
 from slamhive.kube.kinds import Key, Kind, Label, Role, key_of, reference
-from slamhive.kube.observing import POD_SECONDS, Attempted, observe_attempt, observe_read
+from slamhive.kube.observing import POD_SECONDS, Attempted, ReadObserved, observe_attempt, observe_read
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.refusals import why_no_pod
 from slamhive.kube.reconciling.run_status import (
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from slamhive.kube.reconciling.catalogue import Catalogue
     from slamhive.kube.reconciling.evaluating import Evaluations
     from slamhive.kube.reconciling.reuse import Twins
-    from slamhive.kube.reports import Report
     from slamhive.model.algorithm import Algorithm
     from slamhive.model.dataset import Dataset
     from slamhive.model.results import RunRecord
@@ -173,10 +172,10 @@ class RunReconciler:
         # The termination message is a copy that can be missing. The truth is summary.json on the results
         # volume, which the operator does not mount: a Job reads it.
         if attempted.needs_read:
-            report, waits = await self._read(op, facts)
-            if waits:
+            seen = await self._read(op, facts)
+            if not seen.ended:
                 return None
-            attempted = attempted.with_report(report)
+            attempted = attempted.with_report(seen.report, seen.problem)
             facts = replace(facts, attempted=attempted)
         now = op.clock()
         waits_for = []
@@ -337,8 +336,8 @@ class RunReconciler:
         return min(left, _QUOTA_SECONDS)
 
     @staticmethod
-    async def _read(op: Operator, facts: RunFacts) -> tuple[Report | None, bool]:
-        """Have a Job read what the pod did not tell; returns the report and whether to wait for it."""
+    async def _read(op: Operator, facts: RunFacts) -> ReadObserved:
+        """Have a Job read what the pod did not tell; returns what is seen of it."""
         body = read_job(run=_typed(facts.body), pod_uid=facts.attempted.pod_uid or "", settings=op.settings)
         key = key_of(Kind.JOB, body)
         job = op.store.get(key)
@@ -347,11 +346,8 @@ class RunReconciler:
                 job = await op.create(Kind.JOB, body)
             except AlreadyExists:
                 job = await op.refresh(key)
-        if job is None:
-            return None, True
-        pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
-        seen = observe_read(job, pods)
-        return seen.report, not seen.ended
+        owned = [] if job is None else op.store.owned(job["metadata"]["uid"])
+        return observe_read(job, [pod for kind, pod in owned if kind is Kind.POD])
 
     async def _refuse(
         self,
