@@ -22,7 +22,7 @@ from slamhive.kube.observing import (
     observe_variant,
 )
 from slamhive.kube.pods import why_unable
-from slamhive.kube.reports import Report
+from slamhive.kube.reports import Report, moment
 from slamhive.model.results import Reason
 
 PODS = json.loads((Path(__file__).parent / "golden" / "pods.json").read_text(encoding="utf-8"))
@@ -210,6 +210,17 @@ def test_an_image_without_a_program_is_given_up() -> None:
     end = seen(stuck).given_up().end
     assert end is not None
     assert end.reason is Reason.ALGORITHM_FAILED
+
+
+def test_a_node_whose_clock_is_behind_has_the_same_patience() -> None:
+    """The kubelet's times are an hour old; the scheduler's are not."""
+    behind = pod("no-image")
+    status = behind["status"]
+    began = moment(status["conditions"][0]["lastTransitionTime"])
+    assert began is not None
+    status["startTime"] = "2026-11-21T14:13:25Z"
+    status["initContainerStatuses"][0]["state"]["running"]["startedAt"] = "2026-11-21T14:13:26Z"
+    assert seen(behind).give_up_at(120) == began + 120
 
 
 def test_patience_ends_for_an_image_but_not_for_room() -> None:

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import base64
 import json
-import subprocess
-import sys
 import tarfile
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +19,6 @@ from testcluster.access import until
 from testcluster.fixtures import CRDS
 from testcluster.kwok import Kwok, Play
 from testcluster.lab import Lab, bound_volumes, status_of
-from testcluster.local import _processes
 
 from slamhive.kube.client import Api
 from slamhive.kube.kinds import Kind
@@ -35,26 +32,16 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.cluster, pytest.mark.timeout(900)]
 
-PUT = """
-import sys, urllib.request
-for line in sys.stdin:
-    request = urllib.request.Request("http://127.0.0.1:2379/v3/kv/put", line.encode())
-    urllib.request.build_opener(urllib.request.ProxyHandler({})).open(request).read()
-"""
-
 
 def store(local: Local, items: list[dict[str, Any]]) -> None:
     """Lay objects into a cluster's etcd."""
-    lines = []
+    pairs = []
     for item in items:
         metadata = item["metadata"]
         key = f"/registry/slamhive.io/{item['kind'].lower()}s/{metadata['namespace']}/{metadata['name']}"
         pair = {"key": key, "value": json.dumps(item)}
-        coded = {name: base64.b64encode(text.encode()).decode() for name, text in pair.items()}
-        lines.append(json.dumps(coded))
-    (inside,) = _processes(local.instance.folder)["init"]
-    command = ["nsenter", "--net", "--target", str(inside), sys.executable, "-c", PUT]
-    subprocess.run(command, input="\n".join(lines), text=True, check=True)
+        pairs.append({name: base64.b64encode(text.encode()).decode() for name, text in pair.items()})
+    local.tell_etcd("kv/put", pairs)
 
 
 def establish(cluster: Cluster, paths: list[Path]) -> None:
