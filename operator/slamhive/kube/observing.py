@@ -77,9 +77,8 @@ class Attempted:
         number: which attempt it is.
         waiting: why its program doesn't run yet.
         report: what its monitor told.
-        needs_read: whether the monitor told nothing though the program ran: what it left is to be read and
-            given to `with_report`; ``end`` is what stands if nothing is found.
-        silence: how the monitor ended, where it told nothing.
+        silence: how the monitor ended, if it told nothing though the program ran: what it left is to be read
+            and given to `with_report`; ``end`` is what stands if nothing is found.
         ending: how the algorithm's container ended.
         told: what the kubelet made of its entire pod, if anything.
         pod: name of its pod.
@@ -96,8 +95,7 @@ class Attempted:
     number: int | None = None
     waiting: Waiting | None = None
     report: Report | None = None
-    needs_read: bool = False
-    silence: str = ""
+    silence: str | None = None
     ending: Ending | None = None
     told: AttemptEnd | None = None
     pod: str | None = None
@@ -107,6 +105,11 @@ class Attempted:
     started: str | None = None
     finished: str | None = None
     log_tail: str | None = None
+
+    @property
+    def needs_read(self) -> bool:
+        """Tell whether what the monitor left is still to be read."""
+        return self.silence is not None
 
     @property
     def waiting_reason(self) -> str | None:
@@ -168,10 +171,10 @@ class Attempted:
             problem: why nothing was found.
         """
         if report is None:
-            end, why = self.end, self.silence + (f"; {problem[1]}" if problem else "")
-            return replace(self, needs_read=False, end=end and _unreported(end, why))
+            why = "; ".join(text for text in (self.silence, problem and problem[1]) if text)
+            return replace(self, silence=None, end=self.end and _unreported(self.end, why))
         end = self.end if self.ending is None else _concluded(self.told, self.ending, report)
-        return replace(self, report=report, needs_read=False, end=end)
+        return replace(self, report=report, silence=None, end=end)
 
 
 def lacks_pod(waiting: Waiting | None) -> bool:
@@ -280,9 +283,7 @@ def _ended(seen: Attempted, pod: Object) -> Attempted:
         return seen
     # A monitor that failed leaves the end of its log as its termination message: it says why.
     monitor = ending_of(pod, MONITOR)
-    return replace(
-        seen, needs_read=True, silence="nobody saw its end" if monitor is None else monitor.sentence
-    )
+    return replace(seen, silence="nobody saw its end" if monitor is None else monitor.sentence)
 
 
 def _concluded(told: AttemptEnd | None, ending: Ending, report: Report | None) -> AttemptEnd:

@@ -132,6 +132,11 @@ class Store:
         pairs = ((key.kind, self.get(key)) for key in self._owned.get(uid, ()))
         return [(kind, obj) for kind, obj in pairs if obj is not None]
 
+    def pods_of(self, job: Object | None) -> list[Object]:
+        """Return the pods of a Job, none where there is no Job."""
+        owned = [] if job is None else self.owned(job["metadata"]["uid"])
+        return [obj for kind, obj in owned if kind is Kind.POD]
+
     def narrowed(self, kind: Kind, obj: Object) -> Object:
         """Return an object narrowed: the one here if it is the same version."""
         present = self.get(key_of(kind, obj))

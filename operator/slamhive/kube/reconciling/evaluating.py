@@ -89,8 +89,7 @@ class Evaluations:
         delays: list[float] = []
         stuck: str | None = None
         for job in self._jobs(op, group):
-            pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
-            seen = observe_evaluator(job, pods)
+            seen = observe_evaluator(job, op.store.pods_of(job))
             if seen.state is AttemptState.ENDED:
                 await self._collect(op, group, job, seen)
                 continue

@@ -104,8 +104,7 @@ class Restoring:
 
     async def _look(self, op: Operator, group: Group, job: Object, found: Brought) -> dict[str, str] | None:
         """Return what a Job left away, and why; None while it runs."""
-        pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
-        seen = observe_restore(job, pods)
+        seen = observe_restore(job, op.store.pods_of(job))
         problem = seen.problem[1] if seen.problem else None
         if seen.state is not AttemptState.ENDED:
             waits = await patience(op, job, seen.waiting)

@@ -164,8 +164,7 @@ class RunReconciler:
             if kind is Kind.JOB and _label(job, Label.ROLE) == Role.RUN
         ]
         job = max(jobs, key=lambda found: int(_label(found, Label.ATTEMPT) or 0), default=None)
-        owned = op.store.owned(job["metadata"]["uid"]) if job else []
-        return job, observe_attempt(job, [pod for kind, pod in owned if kind is Kind.POD])
+        return job, observe_attempt(job, op.store.pods_of(job))
 
     async def _lead(self, op: Operator, facts: RunFacts, state: RunState) -> float | None:
         attempted = facts.attempted
@@ -346,8 +345,7 @@ class RunReconciler:
                 job = await op.create(Kind.JOB, body)
             except AlreadyExists:
                 job = await op.refresh(key)
-        owned = [] if job is None else op.store.owned(job["metadata"]["uid"])
-        return observe_read(job, [pod for kind, pod in owned if kind is Kind.POD])
+        return observe_read(job, op.store.pods_of(job))
 
     async def _refuse(
         self,

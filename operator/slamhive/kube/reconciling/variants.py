@@ -209,8 +209,7 @@ class DatasetReconciler:
         """Return an entry with why its Job does not begin; one that can't for long has failed."""
         if entry.phase is not VariantPhase.PREPARING:
             return entry
-        pods = [pod for kind, pod in op.store.owned(job["metadata"]["uid"]) if kind is Kind.POD]
-        waits = await patience(op, job, observe_variant(job, pods).waiting)
+        waits = await patience(op, job, observe_variant(job, op.store.pods_of(job)).waiting)
         if waits.end is None:
             delays += [] if waits.seconds is None else [waits.seconds]
             return entry.replace(message=waits.why and waits.why[:MESSAGE_LENGTH])
