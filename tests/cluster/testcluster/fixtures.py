@@ -96,11 +96,21 @@ def node_cluster(request: pytest.FixtureRequest) -> Cluster:
 
 
 @pytest.fixture(scope="session")
-def local_cluster(request: pytest.FixtureRequest, node_cluster: Cluster) -> Local:
+def local_cluster(node_cluster: Cluster) -> Local:
     """The same as a cluster whose programs can be stopped and started."""
-    if node_cluster.instance is None:
-        pytest.skip("only a local cluster's programs can be stopped")
-    return Local.named(node_cluster.instance)
+    return _local(node_cluster)
+
+
+@pytest.fixture(scope="session")
+def local_control_plane(control_plane: Cluster) -> Local:
+    """The control plane as one whose programs can be stopped, and whose etcd can be told something."""
+    return _local(control_plane)
+
+
+def _local(cluster: Cluster) -> Local:
+    if cluster.instance is None:
+        pytest.skip("only a local cluster's programs are ours")
+    return Local.named(cluster.instance)
 
 
 @pytest.fixture(scope="session")

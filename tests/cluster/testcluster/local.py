@@ -165,9 +165,12 @@ class Local:
             bodies: what is sent, a call each.
         """
         lines = "\n".join(map(json.dumps, bodies))
-        (inside,) = _processes(self.instance.folder)["init"]
-        command = ["nsenter", "--net", "--target", str(inside), sys.executable, "-c", _TELL_ETCD, method]
-        subprocess.run(command, input=lines, text=True, check=True)
+        self._inside(sys.executable, "-c", _TELL_ETCD, method, text=lines)
+
+    def _inside(self, *command: str, text: str = "") -> None:
+        """Run a program in the cluster's network, with a text for it to read."""
+        enter = ["nsenter", "--net", "--target", str(_processes(self.instance.folder)["init"][0])]
+        subprocess.run([*enter, *command], input=text, text=True, check=True, capture_output=True)
 
     def _clear(self, addresses: Addresses | None = None) -> None:
         folder = self.instance.folder
@@ -227,7 +230,6 @@ class Local:
 
     def _connect(self, addresses: Addresses) -> None:
         inside = str(_processes(self.instance.folder)["init"][0])
-        enter = ("--net", "--target", inside, "ip")
         _ip("link", "add", addresses.link, "type", "veth", "peer", "name", "node0", "netns", inside)
         _ip("address", "add", f"{addresses.machine}/30", "dev", addresses.link)
         _ip("link", "set", addresses.link, "up")
@@ -236,7 +238,7 @@ class Local:
             ("link", "set", "node0", "up"),
             ("route", "add", addresses.services, "via", addresses.machine),
         ):
-            subprocess.run(["nsenter", *enter, *command], check=True, capture_output=True)
+            self._inside("ip", *command)
         for network in (addresses.pods, addresses.services):
             _ip("route", "add", network, "via", addresses.node)
 
