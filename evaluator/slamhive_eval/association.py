@@ -185,7 +185,7 @@ def pair_up(
     offset_seconds: float = 0.0,
     max_gap_seconds: float = DEFAULT_GAP_SECONDS,
 ) -> tuple[Association, Trajectory, Trajectory]:
-    """Return what match does, but no error where no poses belong together, and the indices of those that do.
+    """Return the pairs of a match, none where no poses belong together, and the poses of those that do.
 
     Returns:
         The pairs, of the reference pose nearest in time where the ground truth is interpolated; and the m

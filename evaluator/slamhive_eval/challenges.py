@@ -66,7 +66,7 @@ class PointRule:
         return np.append(self.scores, 0.0)[band]
 
     def weight(self, sequence: str) -> int:
-        """Return how often a sequence counts."""
+        """Return the weight of a sequence in its score: 0, 1 or 2."""
         if sequence in self.uncounted:
             return 0
         return 2 if self.doubled is not None and sequence.startswith(self.doubled) else 1

@@ -103,7 +103,7 @@ def parse_columns(words: str, **settings: object) -> TableFormat:
 
 
 def _columns_problem(form: TableFormat) -> str:
-    """Return what is wrong with the columns, in a sentence; empty where nothing is."""
+    """Return the fault of the columns, in a sentence; empty where there is none."""
     names = [name for name in form.columns if name != "_"]
     for name in names:
         if name not in COLUMNS:

@@ -133,7 +133,7 @@ def _find(text: bytes) -> _Numbers | None:
 def _exponents(
     characters: npt.NDArray[np.uint8], first: IndexArray, end: IndexArray
 ) -> tuple[IndexArray, IndexArray | None]:
-    """Return where the digits end, and exponents of a sign and two digits behind them; None without any."""
+    """Return the ends of the digits, and exponents of a sign and two digits behind them; None without any."""
     letter, sign, tens, units = (characters[end - k].astype(np.intp) for k in (4, 3, 2, 1))
     has = (letter | 32 == _LETTER_E) & ((sign == _MINUS) | (sign == _PLUS)) & (end - 4 > first)
     tens, units = tens - _ZERO, units - _ZERO

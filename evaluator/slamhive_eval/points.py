@@ -298,7 +298,7 @@ def _in_window(points: ControlPoints, options: Options) -> ControlPoints:
 def _at(
     estimate: Trajectory, times: FloatArray, gap: float, options: Options
 ) -> tuple[npt.NDArray[np.bool_], Trajectory | None]:
-    """Return which of some times the estimate has a pose at, and its poses there; None without any."""
+    """Return a mask of the times with a pose of the estimate, (n,), and these poses; None without any."""
     met, positions, quaternions = interpolate(estimate, times, gap)
     close = nearest(estimate.stamps, times, options.max_difference_seconds)
     beside = ~met & (close >= 0)

@@ -120,7 +120,7 @@ class _Speed:
         self._gap = max(1.0, 2.0 * span)
 
     def between(self, begin: FloatArray, end: FloatArray) -> tuple[npt.NDArray[np.bool_], FloatArray]:
-        """Return which spans have a known speed, and it in rad/s, 0 elsewhere; shapes (n,)."""
+        """Return a mask of the spans with a known speed, and it in rad/s, 0 elsewhere; shapes (n,)."""
         early, _, q0 = interpolate(self._trajectory, begin, self._gap)
         late, _, q1 = interpolate(self._trajectory, end, self._gap)
         known = early & late
@@ -128,7 +128,7 @@ class _Speed:
         return known, np.where(known, speed, 0.0)
 
     def at(self, times: FloatArray) -> tuple[npt.NDArray[np.bool_], FloatArray]:
-        """Return which times have a known speed around them, and it in rad/s, 0 elsewhere; shapes (n,)."""
+        """Return a mask of the times amid a known speed, and it in rad/s, 0 elsewhere; shapes (n,)."""
         return self.between(times - self._span / 2.0, times + self._span / 2.0)
 
     def turns(self) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -30,7 +30,7 @@ _SECONDS = 30
 
 
 def unpinned() -> dict[str, str]:
-    """Return why each base without a digest has none, by name and tag."""
+    """Return the reason of each base without a digest, by name and tag."""
     lines = [line for line in UNPINNED.read_text().splitlines() if line and not line.startswith("#")]
     return {name: reason.strip() for name, _, reason in (line.partition(" ") for line in lines)}
 

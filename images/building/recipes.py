@@ -69,7 +69,7 @@ class Recipe:
         return sorted({file for path in named for file in _files(path)})
 
     def digest(self, base: str) -> str:
-        """Return what changes whenever the image would: a hash of all that goes into it.
+        """Return a hash of all that goes into the image; it changes whenever the image would.
 
         Args:
             base: Name and identity of the base image.

@@ -32,7 +32,7 @@ def add_alignment(parser: argparse.ArgumentParser) -> None:
 
 
 def options(asked: argparse.Namespace) -> evaluation.Options:
-    """Return how to measure; an alignment that scales leaves no scale to judge."""
+    """Return the options to measure with; an alignment that scales leaves no scale to judge."""
     return evaluation.Options(
         alignment=asked.align,
         max_difference_seconds=asked.max_diff,

@@ -20,7 +20,7 @@ WAIT_SECONDS = 120
 
 
 def get(path: str) -> Any:
-    """Return what the API server answers to a GET, with the pod's own account."""
+    """Return the API server's answer to a GET, asked with the pod's own account."""
     host, port = os.environ["KUBERNETES_SERVICE_HOST"], os.environ["KUBERNETES_SERVICE_PORT"]
     host = f"[{host}]" if ":" in host else host
     request = urllib.request.Request(

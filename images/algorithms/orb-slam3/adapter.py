@@ -123,7 +123,7 @@ def _scalar(value: Any) -> str:
 
 
 def inertial_settings(run: Run, camera: Pinhole) -> dict[str, Any]:
-    """Give what ORB-SLAM3 has to know of the IMU: noise as densities, and the first camera's pose in it."""
+    """Return the IMU's settings for ORB-SLAM3: noise as densities, and the first camera's pose in it."""
     imu = run.sensor("imu")
     names = {
         "NoiseGyro": "gyroscopeNoise",

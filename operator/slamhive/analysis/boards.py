@@ -137,7 +137,7 @@ class Grid:
         return [None if mean != mean else mean for mean in means.tolist()]  # noqa: PLR0124 - NaN
 
     def failures(self) -> list[dict[str, int]]:
-        """Return what became of the runs of each place that don't count."""
+        """Return the counts of each place's runs that don't count, by their status."""
         status = self.frame.column("status")
         return self.places.tallies(status.values, status.codes.astype(np.intp), ~self.counted)
 

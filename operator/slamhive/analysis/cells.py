@@ -108,11 +108,11 @@ class Places:
         return Numbers(mine[kept], self.of_row[kept], self.count)
 
     def counts(self, mask: Mask) -> Indices:
-        """Return how many rows of each group a mask has, (groups,)."""
+        """Return the number of rows of each group in a mask, (groups,)."""
         return np.bincount(self.of_row[mask[self.order]], minlength=self.count)
 
     def tallies(self, words: Sequence[str], codes: Indices, inside: Mask) -> list[dict[str, int]]:
-        """Return how often each word occurs in each group, the words sorted.
+        """Return the count of each word in each group, the words sorted.
 
         Args:
             words: what codes stand for.

@@ -34,7 +34,7 @@ _PLAIN = {int, float, type(None)}
 
 
 def sort_key(value: Any) -> tuple[int, float, str]:
-    """Return what values of any kind are sorted by: numbers, then texts, then what is missing."""
+    """Return a key to sort values of any kind by: numbers, then texts, then what is missing."""
     if isinstance(value, int | float):
         return (2, 0.0, "") if value != value else (0, float(value), "")  # noqa: PLR0124 - NaN
     return (3, 0.0, "") if value is None else (1, 0.0, str(value))
@@ -248,7 +248,7 @@ def _float(value: Any) -> float:
 
 
 def _identity(value: Any) -> Any:
-    """Return what tells values apart of which 1, 1.0 and true are three."""
+    """Return a key that tells values apart of which 1, 1.0 and true are three."""
     if isinstance(value, list | dict):
         return json.dumps(value, sort_keys=True)
     return type(value), value
@@ -286,6 +286,6 @@ def renumbered(
 
 
 def count_distinct(numbers: npt.NDArray[Any]) -> int:
-    """Return how many different numbers there are; sorted, which is faster than NumPy's hashing of many."""
+    """Return the count of different numbers; sorted, which is faster than NumPy's hashing of many."""
     ordered = np.sort(numbers)
     return int(np.count_nonzero(ordered[1:] != ordered[:-1])) + 1 if len(ordered) else 0

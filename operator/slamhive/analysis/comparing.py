@@ -206,7 +206,7 @@ def _mean_ratio(first: Floats, second: Floats) -> float:
 def _ratio_intervals(
     grid: Grid, chosen: Indices, pairs: Sequence[tuple[int, int, Indices]]
 ) -> list[Interval]:
-    """Return where the ratios of pairs lie, by drawing datasets and then repetitions in each.
+    """Return the intervals of the ratios of pairs, by drawing datasets and then repetitions in each.
 
     Args:
         grid: the competitors.

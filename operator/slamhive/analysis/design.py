@@ -87,11 +87,11 @@ class Setting(NamedTuple):
 
     @property
     def unit(self) -> Key:
-        """Return what runs have in common whose costs are compared without further ado."""
+        """Return the key of the runs whose costs are compared without further ado."""
         return self.algorithm, self.sensors, self.pace
 
     def work(self, quantity: Quantity) -> float | None:
-        """Return what a cost grows with in proportion; None where it isn't known."""
+        """Return the work that a cost grows with in proportion; None where it isn't known."""
         if quantity is Quantity.MEMORY:
             return 1.0
         if quantity is Quantity.WALL and self.pace == "Realtime" and self.seconds:

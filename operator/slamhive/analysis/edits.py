@@ -81,7 +81,7 @@ class Edit:
 
 
 def edits(frame: Frame, metrics: Sequence[str], names: Collection[str]) -> tuple[list[Edit], list[str]]:
-    """Return what the latest edits of some algorithms or datasets did, and notes.
+    """Return the effects of the latest edits of some algorithms or datasets, and notes.
 
     The current version is compared with the earlier one that has most settings in common with it, the latest
     of several: one that was edited again after its first runs tells little.
@@ -174,7 +174,7 @@ def _geometric_mean(values: Floats) -> float:
 
 
 def _failures(keys: dict[str, Any], change: Change) -> Line:
-    """Return how many runs of the paired settings have no figure that counts, tested within settings."""
+    """Return the share of the paired settings' runs without a figure that counts, tested within settings."""
     before = [_unsound(setting.before) for setting in change.settings]
     after = [_unsound(setting.after) for setting in change.settings]
     shares = [

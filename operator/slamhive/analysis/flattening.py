@@ -298,7 +298,7 @@ def _joined(columns: dict[str, Column], places: Indices, results: Results, left_
 
 
 def _values(results: Results, left_out: frozenset[str]) -> dict[str, Sequence[Any]]:
-    """Return what evaluators found, by joined names."""
+    """Return the values that evaluators found, by joined names."""
     found: dict[str, Sequence[Any]] = {}
     if not isinstance(results.values, Spread):
         spread(found, "", [*results.values, *results.more], left_out)

@@ -403,7 +403,7 @@ def _differs(column: Column, example: Indices) -> bool:
 
 
 def _cells(groups: Groups, metrics: Sequence[str], outcomes: Outcomes) -> list[Cell]:
-    """Return what the runs of each group came to."""
+    """Return the cell of each group: its runs, failures and figures."""
     frame, places = groups.frame, Places(groups.order, groups.edges)
     status = frame.column("status")
     codes = status.codes.astype(np.intp)
@@ -445,7 +445,7 @@ def _figures(
 
 
 def tally(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:
-    """Return how often each word occurs, by their codes, the words sorted."""
+    """Return the count of each word, by their codes, the words sorted."""
     counts = np.bincount(codes, minlength=len(words)).tolist()
     return dict(sorted((word, count) for word, count in zip(words, counts, strict=True) if count))
 

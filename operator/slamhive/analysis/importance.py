@@ -97,7 +97,7 @@ class Influences:
 def importance(
     frame: Frame, metric: str = "ate.rmse", adaptive: Collection[str] = ()
 ) -> tuple[list[Influences], list[str]]:
-    """Return what matters for each subject, and notes.
+    """Return the influences of settings on a metric for each subject, and notes.
 
     Args:
         frame: one row a run and evaluation.

@@ -54,7 +54,7 @@ class Limits:
 
 
 def robust_limits(numbers: npt.ArrayLike, *, log: bool = False) -> Limits | None:
-    """Return what an axis over some numbers has to hold; None where there is none.
+    """Return the limits of an axis over some numbers; None where there is none.
 
     Args:
         numbers: of any shape; what isn't finite is left out, and what isn't positive on a logarithmic axis.

@@ -105,7 +105,7 @@ def method(settings: EvaluationSettings, subject: Subject) -> Method:
 def intended_evaluations(
     settings: EvaluationSettings, mode: SensorMode, dataset: DatasetSpec | None, name: str | None = None
 ) -> list[IntendedEvaluation]:
-    """Return what a run is meant to be measured by: one evaluation, none where nothing can measure it.
+    """Return the evaluations that a run is meant for: one, or none where nothing can measure it.
 
     It is recorded with each run, so that one that fails counts in the evaluation that it would have had and
     in no other.
@@ -131,7 +131,7 @@ def intended_evaluations(
 
 
 def settings_hash(settings: EvaluationSettings) -> str:
-    """Return what tells apart settings that may give different results."""
+    """Return a hash that tells apart settings that may give different results."""
     return digest(normalize(EvaluationSettings.as_json(settings)))[:16]
 
 
@@ -210,7 +210,7 @@ def _options(settings: EvaluationSettings, subject: Subject) -> Options:
 def _measure_points(
     reference: ControlPoints, estimate: Trajectory | None, options: Options, pieces: Sequence[Piece] | None
 ) -> dict[str, Any]:
-    """Return what the evaluator finds of the estimate's map over the longest path; others share no frame."""
+    """Return the figures of the estimate's map over the longest path; others share no frame."""
     outside = 0
     if pieces is not None and estimate is not None:
         numbers, _ = number_poses(estimate, pieces)

@@ -67,7 +67,7 @@ class Metric:
 
     @property
     def title(self) -> str:
-        """Return what people call the column, with the unit."""
+        """Return the column's name for people, with the unit."""
         name = name_of(self.column)
         return with_unit(name.short, self.unit or name.unit)
 

@@ -138,7 +138,7 @@ def declared_units(units: Mapping[str, str]) -> Iterator[None]:
 
 
 def name_of(column: str) -> Name:
-    """Return what people call a column; one without a name of its own is called as it is."""
+    """Return the name of a column for people; one without a name of its own is called as it is."""
     name = _name_of(column)
     unit = _DECLARED.get().get(column)
     return name if unit is None else name._replace(unit=unit)

@@ -117,7 +117,7 @@ class Prediction:
         return scatter
 
     def each(self) -> tuple[Floats, Floats]:
-        """Return what a run of each asked setting costs at least and at most, in most cases, (a,) twice."""
+        """Return the least and the greatest cost of a run of each asked setting in most cases, (a,) twice."""
         middle, width = self.middles(), np.exp(self._edge() * self.scatter())
         return middle / width, middle * width
 
@@ -224,7 +224,7 @@ class Prediction:
 def predict(
     quantity: Quantity, known: Sequence[Known], asked: Sequence[Setting], rows: Design
 ) -> Prediction | None:
-    """Return what is thought of a cost; None where no run is known that has one.
+    """Return the prediction of a cost; None where no run is known that has one.
 
     Args:
         quantity: which cost.

@@ -47,7 +47,7 @@ class Selection:
 
     @property
     def sentences(self) -> list[str]:
-        """Return what was chosen, in words."""
+        """Return the choices in words, a phrase each."""
         parts = []
         if self.sweeps:
             parts.append(f"{'sweep' if len(self.sweeps) == 1 else 'sweeps'} {', '.join(self.sweeps)}")
@@ -143,7 +143,7 @@ def _why_alone(note: str) -> str:
 
 
 def count_runs(frame: Frame, mask: Mask) -> int:
-    """Return how many runs some rows are of."""
+    """Return the number of runs that some rows are of."""
     return count_distinct(frame.column("id").floats()[mask])
 
 
@@ -152,7 +152,7 @@ def _counted(count: int) -> str:
 
 
 def _why(frame: Frame, mask: Mask) -> str:
-    """Return why runs are superseded, each reason once."""
+    """Return the reasons of superseded runs, each once."""
     column = frame.column("superseded")
     return ", ".join(column.values[code] for code in np.unique(column.codes[mask]).tolist())
 

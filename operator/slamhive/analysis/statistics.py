@@ -381,6 +381,6 @@ def rank_correlation(first: Floats, second: Floats) -> float | None:
 
 
 def edges(codes: npt.NDArray[np.intp], count: int) -> list[tuple[int, int]]:
-    """Return where each of some groups begins and ends among sorted group numbers."""
+    """Return the begin and end of each of some groups among sorted group numbers."""
     bounds = np.searchsorted(codes, np.arange(count + 1))
     return list(pairwise(bounds.tolist()))

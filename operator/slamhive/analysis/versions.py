@@ -223,7 +223,7 @@ class Change:
 
 
 def verdict(p: float, least_p: float, corrected: str = "") -> str:
-    """Return what a test says, in words.
+    """Return the verdict of a test, in words.
 
     Args:
         p: that both are equally good.
@@ -289,7 +289,7 @@ class _Material:
         self._moments = self._latest()
 
     def _latest(self) -> dict[tuple[Any, Any], tuple[float, float]]:
-        """Return when each version last ran, by (what has it, version), over all of its rows."""
+        """Return the moment of each version's last run, by (what has it, version), over all of its rows."""
         created = self._frame.column("created").floats()
         moments = zip(
             self._frame.column(self._changed).tolist(),
@@ -305,7 +305,7 @@ class _Material:
         return latest
 
     def changes(self) -> list[Change]:
-        """Return what changed, the subjects sorted, the latest earlier version of each first."""
+        """Return the changes, the subjects sorted, the latest earlier version of each first."""
         groups = Groups(self._frame, self._subject)
         found = []
         for rows, keys in zip(groups.members(), groups.keys, strict=True):
@@ -441,7 +441,7 @@ def _differences(before: Floats, after: Floats) -> Floats:
 
 
 def _tested(settings: Sequence[Setting], signs: Floats) -> tuple[str | None, float, float]:
-    """Return what was tested, p and the least p there could be."""
+    """Return the name of the test, p and the least p there could be."""
     if not settings or all(setting.deterministic for setting in settings):
         return None, 1.0, 1.0
     if len(settings) >= ENOUGH_SETTINGS:

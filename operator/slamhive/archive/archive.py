@@ -316,7 +316,7 @@ class Archive:
             return connection.execute(query).scalar_one()
 
     def finished(self, sweep_uid: str) -> dict[str, FinishedPoint]:
-        """Return what became of the finished runs of a sweep, by UID.
+        """Return the ends of a sweep's finished runs, by UID.
 
         Args:
             sweep_uid: the sweep's identity; two sweeps may have one name.
@@ -386,7 +386,7 @@ class Archive:
     def costs(
         self, algorithms: Iterable[str], datasets: Iterable[str], each: int = 60, most: int = 6_000
     ) -> list[Cost]:
-        """Return what runs of some algorithms, or on some datasets, did cost, the latest first.
+        """Return the costs of runs of some algorithms, or on some datasets, the latest first.
 
         Those that took over a result are left out.
 

@@ -322,7 +322,7 @@ def require_content(file: Path) -> None:
 
 
 def _advice(error: BaseException | None) -> str:
-    """Return what is to be said beside a database's own words, as the end of a sentence."""
+    """Return the advice beside a database's own words, as the end of a sentence."""
     state = getattr(error, "sqlstate", None)
     if state is not None:
         return _ADVICE.get(state, "")
@@ -361,7 +361,7 @@ def _damaged(url: URL, cause: str) -> InputError:
 
 
 def _read_only_name(file: Path) -> str:
-    """Return how SQLite opens a file in a folder where it can't make its own beside it."""
+    """Return SQLite's name of a file in a folder where it can't make its own beside it."""
     name = f"file:{quote(str(file.absolute()))}?mode=ro"
     log = file.with_name(f"{file.name}-wal")
     # Whoever works with the file has its log there, and then the file alone is not the whole of it. On a full

@@ -170,7 +170,7 @@ def _catalog(connection: Connection, table: Any) -> Iterable[Mapping[str, Any]]:
 
 
 def _usage(usage: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return what a run cost, with what its memory is: records of version 1 did not say."""
+    """Return the usage of a run, with what its memory is: records of version 1 did not say."""
     try:
         return usage and Usage.model_validate(usage).as_json()
     except ValidationError:

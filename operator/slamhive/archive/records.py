@@ -62,7 +62,7 @@ class CatalogEntry(Model):
 
     @property
     def content_hash(self) -> str:
-        """Return what tells this entry from others of its name."""
+        """Return the hash that tells this entry from others of its name."""
         return digest(clean([self.labels, self.attributes, self.spec]))
 
 

@@ -76,7 +76,7 @@ class Handed:
 
     @property
     def began(self) -> float:
-        """Return when it started, or 0 where nothing is known."""
+        """Return the time of its start, s since the epoch, or 0 where nothing is known."""
         return self.started or self.finished or 0.0
 
     def digest(self) -> str:

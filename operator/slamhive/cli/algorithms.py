@@ -217,7 +217,7 @@ app.command("train-vocabulary")(train)
 
 
 def _surroundings(spec: AlgorithmSpec) -> Iterator[str]:
-    """Yield what an algorithm has around it: topics of its poses, image, settings files."""
+    """Yield the surroundings of an algorithm: topics of its poses, image, settings files."""
     if spec.ros1 is not None:
         for what, source in (("poses", spec.ros1.poses), ("keyframes", spec.ros1.keyframes)):
             if source is not None:

@@ -164,7 +164,7 @@ def _tell_of_merge(plan: Merge) -> None:
 
 
 def _telling(work: Work) -> keeping.Tell:
-    """Return what shows each step of some work as one of its own."""
+    """Return a function that shows each step of some work as one of its own."""
     last = ""
 
     def tell(what: str, share: float) -> None:

@@ -198,7 +198,7 @@ def _line(sentence: str, source: str) -> int:
 
 
 def _lost(one: Judged) -> Findings:
-    """Return what of a run may have been meant to be set by what was taken out of an object."""
+    """Return the fields of a run that may have been meant to be set by what was taken out of an object."""
     findings = Findings()
     for path in one.lost:
         words = [str(part) for part in path]

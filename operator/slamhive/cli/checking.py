@@ -163,7 +163,7 @@ class _Wish(NamedTuple):
 
 
 def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
-    """Return what can start the algorithm here, of what is asked for; the others are told of.
+    """Return the executors that can start the algorithm here, of those asked for; the others are told of.
 
     Raises:
         InputError: nothing can.

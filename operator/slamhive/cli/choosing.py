@@ -55,7 +55,7 @@ def select(
     *,
     superseded: bool,
 ) -> Selection:
-    """Return what the options of a command select, together with those of a published table."""
+    """Return the selection of a command's options, together with that of a published table."""
     conditions = [text for text in (given.where if given else None, where) if text and text.strip()]
     both = " and ".join(f"({text})" for text in conditions) if len(conditions) > 1 else "".join(conditions)
     chosen = evaluation if evaluation is not None else given.evaluation if given else None

@@ -237,7 +237,7 @@ def _tell(item: _Watched, record: RunRecord, total: int | None) -> None:
 
 
 def _shown(body: Object) -> dict[str, Any]:
-    """Return what a bar shows of an object."""
+    """Return the fields of an object's bar: total, completed, notes."""
     found = status_of(body)
     if body.get("kind") == Kind.MAPPING_RUN:
         over = is_over(Kind.MAPPING_RUN, body)

@@ -65,7 +65,7 @@ def remark(message: str) -> None:
 
 
 def command_name() -> str:
-    """Return how the user may call this command again: by its name when that is on the PATH."""
+    """Return the words to call this command again: its name when that is on the PATH."""
     return "slamhive" if shutil.which("slamhive") else sys.argv[0]
 
 

@@ -115,7 +115,7 @@ def _edited(job: Job) -> set[str]:
 
 
 def _why(job: Job, edit: Edit) -> str:
-    """Return what was edited, as far as it is known."""
+    """Return the parts that were edited, as far as they are known, as the end of a sentence."""
     if job.outlook is None:
         return ""
     words = dict.fromkeys(

@@ -111,7 +111,7 @@ def _nothing_known(names: Sequence[str], knowledge: Knowledge) -> str:
 
 
 def _costs(home: Home, also: Sequence[str] | None, names: list[str], datasets: list[str]) -> list[Cost]:
-    """Return what runs did cost, of one's own home and of others.
+    """Return the costs of runs, of one's own home and of others.
 
     Raises:
         InputError: an archive is not there, or is of another version.
@@ -136,7 +136,7 @@ def _costs(home: Home, also: Sequence[str] | None, names: list[str], datasets: l
 def _found(
     plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop, home: Home, parallelism: int | None
 ) -> _Found:
-    """Return which runs are to be done: those that `slamhive run` would begin."""
+    """Return the runs to do: those that `slamhive run` would begin."""
     found = _Found()
     outlooks = _outlooks(plans, workshop, home, found)
     for (sweep, points), outlook in zip(plans, outlooks, strict=True):

@@ -178,7 +178,7 @@ def new_algorithm(
 
 
 def _answer(question: str, given: Any, default: Any, read: Callable[[str], Any] = str.strip) -> Any:
-    """Return what an option gives, or else the answer to a question, or else its default.
+    """Return the value of an option, or else the answer to a question, or else its default.
 
     An answer that can't be read is asked for again, an option's ends the command.
     """

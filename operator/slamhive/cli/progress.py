@@ -66,7 +66,7 @@ class Naming:
         return {label: value for label, value in found.items() if label not in self._constant}
 
     def words(self, index: int) -> str:
-        """Return what tells a run from the others; empty where it is the only one."""
+        """Return the words that tell a run from the others; empty where it is the only one."""
         settings = self.settings(index)
         parts = [f"{short_name(label, list(settings))} {value}" for label, value in settings.items()]
         if self._points.repetitions > 1:
@@ -260,7 +260,7 @@ class Display:
                 err.print(f"[dim]{escape(what)}: {making[what]:.0%}, {clock_text(now - since)} so far[/]")
 
     def _rendered(self) -> RenderableType:
-        """Return what stands below the lines: a bar a sweep, the time, and what each run is at."""
+        """Return the lines below: a bar a sweep, the time, and the step of each run."""
         now = self._clock()
         times = f"{clock_text(now - self._began)} elapsed"
         left = self._left_text()
@@ -286,7 +286,7 @@ class Display:
         return f"{words}: {step} {clock_text(since)}{expected}"
 
     def _names(self, job: Job, index: int | None = None) -> dict[str, Any]:
-        """Return what says in a line of JSON which sweep or run it is about."""
+        """Return the fields of a line of JSON that name its sweep or run."""
         named: dict[str, Any] = {"sweep": job.sweep.name}
         if index is not None:
             point = job.points.point(index)
@@ -312,7 +312,7 @@ class Display:
         return job.count(PointState.PENDING) - job.left_out
 
     def _seconds_left(self) -> float | None:
-        """Return how long all jobs still take, s; None where nobody knows."""
+        """Return the time that all jobs still take, s; None where nobody knows."""
         now = self._clock()
         if self._left is not None and now - self._left[0] < _ESTIMATED_SECONDS:
             return self._left[1]
@@ -334,7 +334,7 @@ class Display:
 
 
 def elsewhere_text(cores: int, runs: int) -> str:
-    """Return what is waited for as other runners of the home have it; empty where that is nothing.
+    """Return a sentence on cores and runs that other runners of the home have; empty without any.
 
     >>> elsewhere_text(2, 0), elsewhere_text(1, 3)
     ("2 cores are at another runner's work", "1 core and 3 runs are at another runner's work")
@@ -389,7 +389,7 @@ def run_line(record: RunRecord, words: str | None = None, before: float | None =
 
 
 def _told(result: Result) -> str | None:
-    """Return what the evaluator said of a run, as of one that is lost."""
+    """Return the evaluator's message about a run, as of one that is lost."""
     found = result.values.get("message")
     return str(found) if found else None
 
@@ -405,7 +405,7 @@ def _against(error: float, before: float | None) -> str:
 
 
 def run_values(record: RunRecord) -> dict[str, Any]:
-    """Return what came out of a run, for a line of JSON."""
+    """Return the outcome of a run, for a line of JSON."""
     usage = record.usage
     found = record.results[0] if record.results else None
     return {

@@ -354,7 +354,7 @@ def _telling(frame: Frame) -> tuple[list[str], dict[str, Any]]:
 
 
 def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -> list[str]:
-    """Return what is shown unless told: mean cores only where the clock set the pace.
+    """Return the columns that are shown unless told: mean cores only where the clock set the pace.
 
     Args:
         names: what is shown otherwise.

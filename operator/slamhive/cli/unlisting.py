@@ -97,7 +97,7 @@ def _remove(home: Home, entry: Listed, *, yes: bool, dry_run: bool) -> None:
 
 
 def referring(home: Home, column: str, name: str) -> int:
-    """Return how many runs refer to an entry; refuses a home of a newer version."""
+    """Return the number of runs that refer to an entry; refuses a home of a newer version."""
     from slamhive.analysis.grouping import where_equal
     from slamhive.analysis.selection import count_runs
     from slamhive.archive import Archive

@@ -132,7 +132,7 @@ class Work:
             self._console.print(f"[dim]{escape(f'{self._step.what}: {self.told()}')}[/]", soft_wrap=True)
 
     def told(self) -> str:
-        """Return how far the work is, since when, and about how long it still takes."""
+        """Return the progress in words: step, share, time so far, and about the time it still takes."""
         now, step = self._clock(), self._step
         share, taken = step.share, now - step.since
         parts = [step.note]
@@ -179,7 +179,7 @@ class Work:
 
 
 def time_text(seconds: float) -> str:
-    """Return how long something takes as people say it.
+    """Return a duration as people say it.
 
     >>> time_text(9.6), time_text(83), time_text(7384)
     ('10 s', '1 min 23 s', '2 h 3 min')

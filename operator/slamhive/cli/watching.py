@@ -90,7 +90,7 @@ class Watched:
 
 
 def half_saved(entry: AlgorithmEntry) -> list[str]:
-    """Return what of an algorithm's Python can't be run by its interpreter: an editor is not done with it."""
+    """Return the files of an algorithm's Python that can't be run: an editor is not done with them."""
     program = entry.algorithm.spec.local
     if program is None or program.command is not None:
         return []

@@ -80,7 +80,7 @@ class Executor(Protocol):
 
     @property
     def name(self) -> str:
-        """Return what users call it."""
+        """Return the executor's name for users."""
 
     def objection(self, start: Start) -> str | None:
         """Say why something can't be started like this here, None where it can."""

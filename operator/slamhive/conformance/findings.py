@@ -72,5 +72,5 @@ def failed(check: str, found: str, help: str, did: str = "") -> Finding:  # noqa
 
 
 def skipped(check: str, found: str) -> Finding:
-    """Return what could not be looked at, with the reason."""
+    """Return the finding of a check that could not look, with the reason."""
     return Finding(Answer.SKIPPED, check, found)

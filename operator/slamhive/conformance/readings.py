@@ -175,7 +175,7 @@ def _fit(
     frame: str,
     shift: float = 0.0,
 ) -> Fit:
-    """Return how well poses fit as those of a frame, with their stamps moved."""
+    """Return the errors of poses taken as those of a frame, with their stamps moved."""
     settings = EvaluationSettings(association=Association(offset=shift))
     subject = Subject(
         declared.mode, declared.frames[frame], keyframes=declared.output.poses is Poses.KEYFRAMES

@@ -64,7 +64,7 @@ _WITHOUT_ROBOT = {*STAND_INS, *FOLLOWS, *FOLLOWS.values(), Role.LIDAR, Role.IMU}
 
 
 def recording_for(mode: Mode) -> str:
-    """Return which of them has the sensors of a mode."""
+    """Return the name of the recording that has the sensors of a mode."""
     if set(mode.needs) - _WITHOUT_ROBOT or set(mode.needs) == {Role.IMU}:
         return _ROBOT
     if Role.LIDAR in mode.needs:

@@ -125,7 +125,7 @@ class OnWorkstation:
 
     @classmethod
     def contained(cls, bench: Bench, name: str, dataset: str | None = None, *, pull: bool) -> OnWorkstation:
-        """Return what starts an algorithm's image as containers of this machine.
+        """Return the executor that starts an algorithm's image as containers of this machine.
 
         Args:
             bench: of the check; containers get one of their own.
@@ -230,7 +230,7 @@ def _runs(folder: Path) -> bool:
 
 
 def _ended(record: RunRecord, driver: RunDriver, folder: Path, took: float | None) -> Ended:
-    """Return what came of a start; its folder may be removed then."""
+    """Return the outcome of a start; its folder may be removed then."""
     end = driver.attempt_end()
     text, trajectory = b"", None
     if record.trajectory is not None:

@@ -300,7 +300,7 @@ class _Rows:
         return stamp, [stamp, cells[3], cells[7], cells[11], *turn]
 
     def _stamps(self) -> Callable[[bytes], bytes]:
-        """Return what makes seconds of a stamp's word."""
+        """Return a function that makes seconds of a stamp's word."""
         if self._source.stamps == FRAME_INDEX:
             return lambda word: _seconds_text(_frame_stamp(word, self._frames or array("q")))
         if self._source.stamps == SINCE_FIRST:

@@ -106,13 +106,13 @@ def open_folder(path: str | os.PathLike[str], folder: int | None = None, *, foll
 
 
 def read_regular(path: str, limit: int) -> bytes:
-    """Return what a file an algorithm wrote holds, cut at a limit of bytes; errors as of `open_regular`."""
+    """Return the bytes of a file an algorithm wrote, cut at a limit; errors as of `open_regular`."""
     with open_regular(path) as descriptor, open(descriptor, "rb", closefd=False) as file:
         return file.read(limit)
 
 
 def compression_problem(descriptor: int, name: str) -> str | None:
-    """Return what is wrong with an algorithm's text file that is compressed, None where it is not.
+    """Return the complaint about an algorithm's text file that is compressed, None where it is not.
 
     A megabyte can unpack to gigabytes, so none is unpacked: not in a pod, not on a workstation.
 

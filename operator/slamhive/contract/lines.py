@@ -31,22 +31,22 @@ class TextFault(Exception):  # noqa: N818 - never seen outside
 
     @classmethod
     def at(cls, name: str, message: str, line: int | None = None) -> TextFault:
-        """Return what is wrong with a file, or with a line of it."""
+        """Return the fault of a file, or of a line of it."""
         return cls(f"{name if line is None else f'{name}, line {line}'}: {message}")
 
 
 def named(relative: str) -> str:
-    """Return what sentences call a file of the output folder."""
+    """Return the name of a file of the output folder in sentences."""
     return f"output/{relative}"
 
 
 def missing(relative: str) -> str:
-    """Return what is to be said of a file of the output folder that isn't there."""
+    """Return the sentence on a file of the output folder that isn't there."""
     return f"{named(relative)} is missing or not a regular file"
 
 
 def absent(output_directory: str, relative: str) -> str:
-    """Return what is to be said of missing poses: a program may have written them to another name.
+    """Return the sentence on missing poses: a program may have written them to another name.
 
     Args:
         output_directory: Where the program wrote.

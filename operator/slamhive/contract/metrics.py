@@ -86,7 +86,7 @@ def read_metrics(output_directory: str, *, bounded: bool = True) -> Metrics:
 
 
 def frame_counts(metrics: Metrics, offered: int | None) -> dict[str, int | None]:
-    """Return how many frames were offered, processed and dropped, as the algorithm counted.
+    """Return the numbers of frames offered, processed and dropped, as the algorithm counted.
 
     Args:
         metrics: What metrics.json holds.
@@ -98,7 +98,7 @@ def frame_counts(metrics: Metrics, offered: int | None) -> dict[str, int | None]
 
 
 def keep_values(values: Mapping[str, Any]) -> Kept:
-    """Return which of an algorithm's values are recorded; what is kept is kept again as it is.
+    """Return the values of an algorithm's that are recorded; those that are kept are kept again as they are.
 
     Kept are finite numbers, flags and texts of one line, also in objects in objects, in the order of the file
     as long as they fit. A value of null says nothing and is passed over.
@@ -128,7 +128,7 @@ class _Keeping:
         self._more = 0
 
     def object(self, values: Mapping[str, Any], prefix: str, depth: int, waiting: int) -> dict[str, Any]:
-        """Return what is kept of an object.
+        """Return the values of an object that are kept.
 
         Args:
             values: The object.
@@ -183,7 +183,7 @@ class _Keeping:
 
 
 def _problem(name: str, value: Any, depth: int) -> str | None:
-    """Return why a value can't be kept, wherever it stands, None where it can."""
+    """Return the reason not to keep a value, wherever it stands, None where it can be kept."""
     if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
         return f"a name must have 1 to {LONGEST_NAME} printable characters"
     if isinstance(value, dict):

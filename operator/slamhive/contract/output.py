@@ -45,7 +45,7 @@ class Output(NamedTuple):
     fault: str | None = None
 
     def metrics_problem(self, reader: str | None) -> str | None:
-        """Return what is to be said of what lies beside the trajectory, metrics.json above all.
+        """Return the sentences on the files beside the trajectory, metrics.json above all.
 
         Args:
             reader: What was wrong with what it says of the reader, or with all of the file.

@@ -32,7 +32,7 @@ _LIVE = frozenset({"Pending", "Preparing", "Running"})
 
 
 def index(snapshot: Snapshot, source: Source) -> Body:
-    """Return what there is in numbers."""
+    """Return the contents of the archive in numbers."""
     return Body(state(snapshot, source) | {"version": __version__, "source": source.describe()})
 
 
@@ -67,7 +67,7 @@ def current(frame: Frame) -> Frame:
 
 
 def tally(column: Column) -> dict[str, int]:
-    """Return how often each value of a column of texts occurs."""
+    """Return the count of each value of a column of texts."""
     if column.kind.is_numeric:
         return {}
     counts = np.bincount(column.codes[column.present], minlength=len(column.values)).tolist()

@@ -109,7 +109,7 @@ class Material:
 
 
 def meant(snapshot: Snapshot, pairs: Pairs, by: str | None, which: str) -> Meant:
-    """Return which results a question means.
+    """Return the results that a question means.
 
     Args:
         snapshot: the data.

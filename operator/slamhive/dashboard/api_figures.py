@@ -302,7 +302,7 @@ def surface(snapshot: Snapshot, pairs: Pairs, axes: tuple[str, str], metric: str
 
 
 def slices(snapshot: Snapshot, pairs: Pairs, metric: str, which: str) -> Body:
-    """Return how a figure is distributed over the values of each setting, whatever the others are.
+    """Return the distribution of a figure over the values of each setting, whatever the others are.
 
     Args:
         snapshot: the data.

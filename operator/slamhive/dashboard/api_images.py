@@ -87,7 +87,7 @@ def _variant_of(place: Place) -> str:
 
 
 def images(snapshot: Snapshot, given: Prepared, moment: float) -> Body:
-    """Return what the cameras saw nearest to a moment, as JPEG.
+    """Return the cameras' images nearest to a moment, as JPEG.
 
     Args:
         snapshot: the data.

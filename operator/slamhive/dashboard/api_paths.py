@@ -32,7 +32,7 @@ _SHOWN = ("uid", "run", "status", "coverage", "ate.rmse")
 
 
 def meant(snapshot: Snapshot, pairs: Pairs, of: str | None) -> Meant:
-    """Return which runs a question means.
+    """Return the runs that a question means.
 
     Args:
         snapshot: the data.

@@ -32,5 +32,5 @@ def kept(source: Source, name: str) -> dict[str, Any]:
 
 
 def overview(snapshot: Snapshot, found: dict[str, Any]) -> Body:
-    """Return what is drawn of a dataset's recording."""
+    """Return the drawings of a dataset's recording."""
     return Body({"revision": snapshot.revision, **found})

@@ -129,13 +129,13 @@ def _table(
 
 
 def _question(pairs: Pairs) -> str:
-    """Return what a page belongs to: everything but which page it is and how it is shown."""
+    """Return the question that a page belongs to: all but which page it is and how it is shown."""
     kept = [(name, value) for name, value in pairs if name not in {"after", "limit", "columns", "format"}]
     return urlencode(sorted(kept))
 
 
 def columns_list(snapshot: Snapshot, pairs: Pairs, wanted: str | None) -> Body:
-    """Return what is to know of the columns: kinds, ranges, and values where they are few.
+    """Return the facts about the columns: kinds, ranges, and values where they are few.
 
     Args:
         snapshot: the data.

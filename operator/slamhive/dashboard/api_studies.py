@@ -157,7 +157,7 @@ def _flat(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def influences(snapshot: Snapshot, pairs: Pairs, metric: str, adaptive: Collection[str]) -> Body:
-    """Return which settings matter."""
+    """Return the influence of each setting."""
     number_column(snapshot.frame, metric, "metric")
     chosen = select(snapshot.frame, pairs, RESERVED)
     frame = chosen.frame

@@ -86,7 +86,7 @@ def timeline(
     given: tuple[float | None, float | None],
     clock: Callable[[], float] = time.time,
 ) -> Body:
-    """Return when runs were prepared and when they ran, by node and core.
+    """Return the times of runs' preparation and work, by node and core.
 
     Args:
         snapshot: the data.
@@ -149,7 +149,7 @@ def _with_what_goes_on(snapshot: Snapshot) -> Frame:
 
 
 def _spans(frame: Frame, clock: Callable[[], float], notes: list[str]) -> Spans:
-    """Return when runs were worked at, without those that nobody worked at."""
+    """Return the spans that runs were worked at, without runs that nobody worked at."""
     taken = frame.column("provenance.reusedFrom").present
     if taken.any():
         notes.append(
@@ -263,7 +263,7 @@ def _bars(spans: Spans) -> dict[str, Any]:
 
 
 def _bins(spans: Spans, extent: tuple[float | None, float | None]) -> dict[str, Any]:
-    """Return what was done in each lane in each of some equal parts of time, as shares of its length."""
+    """Return the work of each lane in each of some equal parts of time, as shares of its length."""
     low, high = extent
     edges = np.linspace(low or 0.0, high or 1.0, BINS + 1)
     start = np.where(np.isnan(spans.start), spans.end, spans.start)
@@ -290,7 +290,7 @@ def _bins(spans: Spans, extent: tuple[float | None, float | None]) -> dict[str, 
 
 
 def _busy(begin: Floats, end: Floats, edges: Floats) -> Floats:
-    """Return how much of some spans lies between each two edges, (bins,) in s."""
+    """Return the part of some spans that lies between each two edges, (bins,) in s."""
 
     def passed(moments: Floats) -> Floats:
         """Sum up how long ago each of the moments was, at each edge."""

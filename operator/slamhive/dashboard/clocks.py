@@ -52,7 +52,7 @@ class Clock:
 
 
 def configuration_of(place: Place) -> dict[str, Any]:
-    """Return what a run was told, empty where that can't be read: the run itself may have written it."""
+    """Return the configuration of a run, empty where it can't be read: the run itself may have written it."""
     for name in CONFIGURATIONS:
         try:
             content = place.read(name, _MAX_CONFIGURATION)

@@ -198,14 +198,14 @@ class _Sink(io.RawIOBase):
         return self._length
 
     def taken(self) -> bytes:
-        """Return what was written since the last time."""
+        """Return the bytes that were written since the last time."""
         found = b"".join(self._parts)
         self._parts.clear()
         return found
 
 
 def _arrow_type(arrow: Any, column: Column) -> Any:
-    """Return what all values of a column are, whichever block they are in."""
+    """Return the Arrow type of all values of a column, whichever block they are in."""
     match column.kind:
         case _ if column.is_empty:
             return arrow.null()

@@ -45,7 +45,7 @@ class HomeFiles:
         return Place(runs, parts) if runs.joinpath(*parts).is_dir() else None
 
     def absence(self, record: RunRecord) -> str | None:
-        """Return why the files of a run are not here, where somebody removed them: part of a sentence."""
+        """Return the reason that a run's files aren't here, if somebody removed them: part of a sentence."""
         return absence(self._home, record.folder)
 
     def truth(self, dataset: str, label: str | None) -> Truth | None:

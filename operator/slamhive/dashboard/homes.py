@@ -92,7 +92,7 @@ class Homes:
         self._rows, self._names = rows, told
 
     def _told(self, column: str, name: str, label: str) -> str:
-        """Return what a name of a home is called here."""
+        """Return the name here of something that a home has."""
         named = told_name(name, label)
         return named if label != OWN and named in self._names.get(column, ()) else name
 
@@ -147,7 +147,7 @@ class Homes:
         return self._stations[self._label(record.uid)].place(record)
 
     def absence(self, record: RunRecord) -> str | None:
-        """Return why the files of a run are not here, where somebody removed them."""
+        """Return the reason that a run's files aren't here, if somebody removed them."""
         return self._stations[self._label(record.uid)].absence(record)
 
     def truth(self, dataset: str, label: str | None) -> Truth | None:

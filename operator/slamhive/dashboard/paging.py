@@ -88,7 +88,7 @@ def read_token(text: str, question: str, length: int) -> list[Any]:
 
 
 def last_values(frame: Frame, place: int, sort: Sequence[str]) -> list[Any]:
-    """Return what the token of the page behind a row holds."""
+    """Return the values in the token of the page behind a row."""
     names = [name.removeprefix("-") for name in complete(sort)]
     row = frame.row(place, names)
     return [row[name] for name in names]

@@ -197,7 +197,7 @@ def _add_run(routes: APIRouter, service: Service) -> None:
 def _found(
     service: Service, uid: str, wanted: Callable[[Place], Iterable[str]] | None = None
 ) -> Callable[[Snapshot], Awaitable[api_run.Found]]:
-    """Return what looks a run up, and has files of it at hand."""
+    """Return a function that looks a run up, and has files of it at hand."""
 
     async def find(_: Snapshot) -> api_run.Found:
         return await service.run(lambda: api_run.found(service.source, uid, wanted))

@@ -143,7 +143,7 @@ class Service:
         compute: Callable[[Snapshot], Body],
         little: Callable[[Snapshot], bool] | None = None,
     ) -> Response:
-        """Return what is computed of the data, or 304 where the client has it already.
+        """Return an answer computed of the data, or 304 where the client has it already.
 
         Args:
             request: what is asked.
@@ -163,7 +163,7 @@ class Service:
         compute: Callable[[Snapshot, G], Body],
         little: Callable[[Snapshot], bool] | None = None,
     ) -> Response:
-        """Return what is computed of the data and of what is gathered for it beforehand.
+        """Return an answer computed of the data and of what is gathered for it beforehand.
 
         Args:
             request: what is asked.
@@ -293,7 +293,7 @@ async def _call(make: Callable[[], Awaitable[Answer]]) -> Answer:
 
 
 async def _departure(request: Request) -> None:
-    """Return when the client has left."""
+    """Wait until the client has left."""
     while (await request.receive())["type"] != "http.disconnect":
         pass
 

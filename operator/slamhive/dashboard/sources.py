@@ -109,7 +109,7 @@ class Source(Protocol):
         """Return the folder that holds a run's files, if it is there."""
 
     def absence(self, record: RunRecord) -> str | None:
-        """Return why the files of a run are not here, where somebody removed them: part of a sentence."""
+        """Return the reason that a run's files aren't here, if somebody removed them: part of a sentence."""
 
     def truth(self, dataset: str, label: str | None) -> Truth | None:
         """Return the ground truth of a dataset, if it is at hand."""
@@ -380,7 +380,7 @@ class Workstation:
         return self._files.place(record)
 
     def absence(self, record: RunRecord) -> str | None:
-        """Return why the files of a run are not here, where somebody removed them."""
+        """Return the reason that a run's files aren't here, if somebody removed them."""
         return self._files.absence(record)
 
     def truth(self, dataset: str, label: str | None) -> Truth | None:

@@ -25,7 +25,7 @@ _MAX_NUMBERS = 40
 
 
 def heading(frame: Frame, name: str) -> dict[str, Any]:
-    """Return what is to know of a column to show it."""
+    """Return the facts about a column that are needed to show it."""
     with declared_units(frame.units):
         metric = Metric.parse(name) if ":" not in name else Metric(name, "", 1.0)
         return {
@@ -64,7 +64,7 @@ def profile(frame: Frame, name: str) -> dict[str, Any]:
 
 
 def group_of(name: str) -> str:
-    """Return which part of a run a column belongs to."""
+    """Return the part of a run that a column belongs to."""
     for prefix, group in (
         ("parameters.", "parameters"),
         ("input.", "input"),

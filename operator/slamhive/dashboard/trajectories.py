@@ -285,7 +285,7 @@ def _samples(lines: bytes) -> Matrix:
 
 
 def _stretch(rows: Matrix) -> Matrix:
-    """Return what stands for the samples of a stretch each, as above, (n, k, 4) to (n, 4)."""
+    """Return one row for the samples of a stretch each, as above, (n, k, 4) to (n, 4)."""
     time, load, memory, anonymous = (rows[:, :, column] for column in range(4))
     return np.stack(
         [time[:, 0], load.mean(axis=1), memory.max(axis=1), np.fmax.reduce(anonymous, axis=1)], axis=1

@@ -72,7 +72,7 @@ class UnderWay:
 
 
 def _told(runs: Path, sweep: str, run: str) -> dict[str, Any]:
-    """Return what the folder of a run that is at work tells of it."""
+    """Return the facts that the folder of a run tells that is at work."""
     folder = runs / sweep / run
     given = configuration_of(Place(runs, (sweep, run)))
     dataset = given.get("dataset")

@@ -119,7 +119,7 @@ class _Worker:
             os.setpriority(os.PRIO_PROCESS, self.pid, _NICE)
 
     def cpu_seconds(self) -> float:
-        """Return what it has used so far."""
+        """Return the CPU time it has used so far, s."""
         try:
             fields = stat_fields(read_file(f"/proc/{self.pid}/stat"))
         except (OSError, ValueError):
@@ -146,7 +146,7 @@ class Workers:
         self.told: Callable[[Cost], None] | None = None
 
     async def compute_inside(self, work: Callable[[], T], client: str = "") -> T:
-        """Return what a function returns that costs little, computed in a thread of this process.
+        """Return the result of a function that costs little, computed in a thread of this process.
 
         A fork takes some 20 ms, and as long again until the worker has its own copy of what it looks at. What
         is computed here can't be ended.
@@ -178,7 +178,7 @@ class Workers:
         self._leave("inside")
 
     async def compute(self, work: Callable[[], T], client: str = "") -> T:
-        """Return what a function returns, computed in a worker.
+        """Return the result of a function, computed in a worker.
 
         Args:
             work: computes; what it returns can be pickled.
@@ -343,7 +343,7 @@ class Workers:
 
 
 def _problem(kind: bytes, part: bytes, budget: Budget) -> Problem:
-    """Return what a worker told instead of an answer."""
+    """Return the problem that a worker told instead of an answer."""
     if kind == REFUSED:
         return Refused(*pickle.loads(part))  # noqa: S301 - written by a process of ours
     if kind == MISTAKE:
@@ -355,7 +355,7 @@ def _problem(kind: bytes, part: bytes, budget: Budget) -> Problem:
 
 
 def _death(status: int, budget: Budget) -> Problem:
-    """Return why a worker ended that was not ended from here."""
+    """Return the problem for a worker that ended and was not ended from here."""
     number = os.waitstatus_to_exitcode(status)
     if number == -signal.SIGXCPU:
         return TooCostly(

@@ -131,7 +131,7 @@ def fetch_file(wanted: Wanted, place: Path, progress: Progress | None = None) ->
 
 
 def partial_path(url: str, folder: Path) -> Path:
-    """Return where the bytes of a file wait until it is whole."""
+    """Return the path of a file's bytes until it is whole."""
     return folder / f".fetching-{digest(url)[:24]}.part"
 
 
@@ -298,7 +298,7 @@ class _Order:
 
     @property
     def room(self) -> int:
-        """Return how many bytes more the disk takes."""
+        """Return the number of bytes that the disk still takes."""
         return shutil.disk_usage(self.partial.path.parent).free - LEFT_BYTES
 
 

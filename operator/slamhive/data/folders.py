@@ -264,7 +264,7 @@ def _plain(pixels: Pixels, encoding: str) -> Pixels:
 
 
 def _encoding(pixels: Pixels, encoding: str, where: str) -> str:
-    """Return what OpenCV reads of an image's PNG."""
+    """Return OpenCV's encoding of an image's PNG."""
     found = _ENCODINGS.get((pixels.dtype.str.lstrip("<>|="), pixels.ndim))
     if found is None:
         raise DataError(

@@ -63,7 +63,7 @@ class GroundTruthPoses:
 
     @property
     def kind(self) -> TruthKind:
-        """Return what it is, as a variant's description and the reports of datasets call it."""
+        """Return its kind, as a variant's description and the reports of datasets call it."""
         if isinstance(self.poses, Relations):
             return "relations"
         if isinstance(self.poses, ControlPoints):

@@ -127,7 +127,7 @@ def _require_https(target: str, source: str) -> None:
 
 
 def trusted() -> ssl.SSLContext:
-    """Return whom to trust.
+    """Return the certificates to trust.
 
     Raises:
         InputError: The file of `CERTIFICATES` can't be read.

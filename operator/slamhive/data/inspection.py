@@ -250,7 +250,7 @@ def require_usable(dataset: Dataset, root: Path, cache: Path | None = None) -> l
 
 
 def _rough_span(recording: Recording, sensors: Mapping[str, Sensor]) -> tuple[float, float] | None:
-    """Return when the sensors' messages begin and, by the times of recording, end at the latest, s."""
+    """Return the begin of the sensors' messages and, by the times of recording, their latest end, s."""
     begins = []
     for sensor in sensors.values():
         stamp_of = recording.stamp_reader(recording.topics[sensor.topic].message_type)

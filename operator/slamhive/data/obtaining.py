@@ -232,7 +232,7 @@ class _Shop:
         )
 
     def place(self, part: Part) -> Path:
-        """Return where a part's file is once it is here."""
+        """Return the path of a part's file once it is here."""
         if part.url is None:
             return self._downloads / self.sequence.family.name / part.name
         return self._downloads / f"{digest(part.url)[:16]}-{part.name.rpartition('/')[2]}"

@@ -105,7 +105,7 @@ def evict(parent: Path, limit_bytes: int, now: float | None = None) -> list[str]
 
 
 def leftovers(parent: Path) -> list[Path]:
-    """Return what is being made among the folders of a folder, or was left half made by dead processes."""
+    """Return the folders of a folder that are being made, or were left half made by dead processes."""
     return sorted(parent.glob(".*.making"))
 
 
@@ -120,7 +120,7 @@ def remove_free(folder: Path) -> bool:
 
 
 def last_use(folder: Path) -> float:
-    """Return when a folder was last asked for, s since the epoch; 0 when it never was."""
+    """Return the time a folder was last asked for, s since the epoch; 0 when it never was."""
     try:
         return folder.with_name(f".{folder.name}.lock").stat().st_mtime
     except FileNotFoundError:

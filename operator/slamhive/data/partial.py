@@ -84,7 +84,7 @@ class Partial:
 
     @property
     def held(self) -> int:
-        """Return how many bytes are there."""
+        """Return the number of bytes that are there."""
         return sum(end - first for first, end in self.spans)
 
     def held_from(self, start: int) -> int:
@@ -238,7 +238,7 @@ def _with(spans: list[Span], new: Span) -> list[Span]:
 
 
 def _boot() -> str:
-    """Return what this start of the machine is known by."""
+    """Return the identity of this start of the machine."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:

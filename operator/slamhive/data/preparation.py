@@ -77,7 +77,7 @@ class Variant:
 
     @property
     def told(self) -> Prepared:
-        """Return what is recorded of a run that was given the variant."""
+        """Return the record for a run that was given the variant."""
         return Prepared(
             frame_rate=self.frame_rate,
             resolution=self.resolution,
@@ -169,7 +169,7 @@ def _identified(
     *,
     topics: Sequence[str],
 ) -> tuple[Order, str, str]:
-    """Return what a variant is made from, the hash of its recording, and its key."""
+    """Return the order that a variant is made from, the hash of its recording, and its key."""
     spec = entry.dataset.spec
     recorded = DataFormat(spec.recording.format)
     target = DataFormat(recorded if recorded in formats else formats[0])

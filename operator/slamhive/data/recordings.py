@@ -186,7 +186,7 @@ class Recording:
         return bool(fields) and fields[0][1][1] == _HEADER
 
     def stamp_reader(self, message_type: str) -> Callable[[bytes], int] | None:
-        """Return what finds the header stamp (ns) in a raw message, or None for types without one."""
+        """Return a function that finds the header stamp (ns) in a raw message, None for types without one."""
         if not self.has_header(message_type):
             return None
         return _ros2_stamp if self.is_ros2 else _ros1_stamp

@@ -60,7 +60,7 @@ def rectify(views: Mapping[Role, SensorView]) -> tuple[dict[Role, SensorView], d
 
 
 def baseline(views: Mapping[Role, SensorView], first: Role) -> float:
-    """Return how far right of the first camera the right one of a rectified pair is, m."""
+    """Return the distance of the right camera of a rectified pair to the right of the first, m."""
     apart = np.linalg.inv(_pose(views[first])) @ _pose(views[Role.RIGHT])
     return float(apart[0, 3])
 

@@ -92,7 +92,7 @@ def _sending_parts(wanted: Wanted) -> str | None:
 
 
 def _spans(archive: zipfile.ZipFile, names: Sequence[str], what: str) -> list[Span]:
-    """Return where members stand in an archive, near ones together."""
+    """Return the spans of members in an archive, near ones together."""
     infos = sorted(archive.infolist(), key=lambda info: info.header_offset)
     ends = [info.header_offset for info in infos[1:]] + [archive.start_dir]
     spans: list[Span] = []

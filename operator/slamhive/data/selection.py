@@ -67,7 +67,7 @@ class Selection:
     record_window: tuple[int, int]
 
     def frames(self, stream: Stream) -> int:
-        """Return how many messages of a stream are kept."""
+        """Return the number of messages of a stream that are kept."""
         return int(np.count_nonzero(self.masks[stream.topic]))
 
     @property
@@ -202,7 +202,7 @@ def complete_frames(selection: Selection) -> Selection:
 
 
 def _distinct(selection: Selection, stream: Stream) -> npt.NDArray[np.intp]:
-    """Return which messages of a stream are kept, of those with one stamp the first."""
+    """Return the indices of a stream's messages that are kept, of those with one stamp the first."""
     kept = np.flatnonzero(selection.masks[stream.topic])
     _, first = np.unique(selection.scans[stream.topic].stamps[kept], return_index=True)
     return kept[first]
@@ -276,7 +276,7 @@ def _mask(length: int, index: npt.NDArray[np.intp]) -> Mask:
 
 
 def _half_period(stamps: npt.NDArray[np.int64]) -> float:
-    """Return how far apart, in ns, frames of a pair may be stamped."""
+    """Return the most that stamps of a pair's frames may differ, ns."""
     rate = rate_of(stamps)
     return 0.5e9 / rate if rate else 0.5e9
 

@@ -114,12 +114,12 @@ class OriginalRun:
 
     @property
     def uid(self) -> str:
-        """Return what tells this run from all others, the same at each import."""
+        """Return the identity of this run among all others, the same at each import."""
         return f"{SOURCE}-{digest([self.number, self.files_sha256])[:32]}"
 
     @property
     def configuration_hash(self) -> str:
-        """Return what runs of equal configuration share."""
+        """Return the hash that runs of equal configuration share."""
         return digest([self.algorithm_name, self.dataset_name, self.parameters, self.attributes])
 
     def read_trajectory(self) -> Trajectory:
@@ -279,7 +279,7 @@ def identify(name: str, topics: Iterable[str] = ()) -> tuple[str, SensorMode | N
 
 
 def read_usage(path: Path) -> Usage | None:
-    """Return what a run cost, None without samples.
+    """Return the usage of a run, None without samples.
 
     The mean is the plain mean of all samples, as the original's tables have it. Each sample's CPU is that
     since the one before; where samples are missing, CPU seconds and wall time stay unknown.

@@ -99,7 +99,7 @@ def chosen_messages(
 
 
 def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | None:
-    """Return what is done to the messages of a stream, None when they stay as they are."""
+    """Return the change of a stream's messages, None when they stay as they are."""
     where = f"{stream.topic} in {recording.label}"
     kind, scale = stream.message_type, changes.resolution
 

@@ -101,7 +101,7 @@ def unpack(
 
 
 def _held(archive: Path) -> int:
-    """Return what an archive takes on the disk: one that was fetched in parts has holes."""
+    """Return the space of an archive on the disk, bytes: one that was fetched in parts has holes."""
     known = archive.stat()
     return min(known.st_size, known.st_blocks * 512)
 

@@ -205,7 +205,7 @@ class Parts:
     panels: tuple[tuple[dict[str, Any], Frame], ...]
 
     def title(self, keys: dict[str, Any]) -> str:
-        """Return what a panel is called."""
+        """Return the title of a panel."""
         return keys_text(keys)
 
 

@@ -440,7 +440,7 @@ class Drawing:
                     axes.plot([x], [y], **self._at_edge(axes, side, 0.8), **self._look(style, hollow=hollow))
 
     def _at_edge(self, axes: Any, side: str, share: float) -> dict[str, Any]:
-        """Return how a mark is placed inside an edge of the axes, by a share of the font's size."""
+        """Return the options that place a mark inside an edge of the axes, by a share of the font's size."""
         across = side in {"above", "below"}
         edge = axes.get_xaxis_transform() if across else axes.get_yaxis_transform()
         moves = (share * part * self._points for part in _INWARDS[side])
@@ -448,7 +448,7 @@ class Drawing:
         return {"transform": placed, "linestyle": "none", "clip_on": False, "zorder": 6}
 
     def _look(self, style: Style, *, hollow: bool = False) -> dict[str, Any]:
-        """Return how a mark of a series is drawn."""
+        """Return the options that draw a mark of a series."""
         return {
             "marker": style.mark,
             "markersize": 0.5 * style.size * self._points,
@@ -487,7 +487,7 @@ class Drawing:
         self.figure.legend(handles, texts, loc="outside lower center", ncols=across)
 
     def _handle(self, number: int) -> Any:
-        """Return what stands for a series in the legend: a box, a line, a mark, or a line with marks."""
+        """Return the sign of a series in the legend: a box, a line, a mark, or a line with marks."""
         lines, patches, style = library("lines"), library("patches"), Style(number)
         own = [
             mark

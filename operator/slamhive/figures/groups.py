@@ -102,7 +102,7 @@ class Along:
         return Axis(", ".join(label_of(name) for name in self.names), categories=self.texts)
 
     def place(self, keys: dict[str, Any]) -> float:
-        """Return where some keys stand; NaN where the number is missing."""
+        """Return the place of some keys; NaN where the number is missing."""
         if self.texts or self._metric is None:
             return self._places[_identity({name: keys[name] for name in self.names})]
         value = keys[self.names[0]]
@@ -176,7 +176,7 @@ def _with_breadth(
 
 
 def _breadth(cells: Sequence[Cell], name: str, by: Sequence[str]) -> int:
-    """Return how many values the series with most of them has."""
+    """Return the number of values of the series with most of them."""
     found: dict[str, set[str]] = {}
     for cell in cells:
         series = _identity([cell.keys[one] for one in by])
@@ -204,7 +204,7 @@ def _line_marks(
 
 
 def _three(figure: Summed, statistic: Statistic) -> tuple[float, float, float]:
-    """Return what stands for some runs and the ends of its bar, NaN where there are none."""
+    """Return the middle of some runs and the ends of its bar, NaN where there are none."""
     if figure.summary is None:
         return (math.nan,) * 3
     if statistic is Statistic.MEAN:
@@ -323,7 +323,7 @@ def _one_box(number: int, at: float, room: float, values: Floats) -> list[Box | 
 
 
 def _beside(count: int) -> Floats:
-    """Return where runs stand beside the middle of a box, -1 … 1, (n,): not in a line, the same each time."""
+    """Return the places of runs beside a box's middle, -1 … 1, (n,): not in a line, the same each time."""
     if count < 2:
         return np.zeros(count)
     return (np.arange(count, dtype=np.float64) * 0.618034 % 1.0) * 2 - 1

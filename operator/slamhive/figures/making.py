@@ -34,7 +34,7 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]+")
 def picture(
     frame: Frame, wish: Wish, home: Home, also: Sequence[Beside] = (), *, published: bool = False
 ) -> Picture:
-    """Return what a figure shows.
+    """Return the picture that a figure shows.
 
     Args:
         frame: the runs.
@@ -96,7 +96,7 @@ def form_of(path: Path) -> str:
 
 
 def numbers_file(path: Path) -> Path:
-    """Return where the numbers of a figure stand: ``fig.pdf`` has ``fig.data.csv`` beside it."""
+    """Return the path of a figure's numbers: ``fig.pdf`` has ``fig.data.csv`` beside it."""
     return path.with_name(f"{path.stem}.data.csv")
 
 
@@ -126,7 +126,7 @@ def save(made: Picture, path: Path, paper: Paper, *, command: str, revision: str
 
 
 def _told(form: str, command: str, revision: str, caption: str) -> dict[str, Any]:
-    """Return what a file says of itself; no date, so that the same data give the same file."""
+    """Return a file's words on itself; no date, so that the same data give the same file."""
     by, what, data = (
         _CONTROL.sub(" ", text) for text in (f"slamhive {__version__}", command, f"data revision {revision}")
     )

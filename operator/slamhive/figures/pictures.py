@@ -234,7 +234,7 @@ def _settled(axis: Axis, numbers: Iterable[Floats]) -> Axis:
 
 
 def _numbers(mark: Mark, side: str, *, seen: bool = False) -> Sequence[Floats]:
-    """Return what a mark needs room for along one side.
+    """Return the numbers that a mark needs room for along one side.
 
     Args:
         mark: the mark.

@@ -144,7 +144,7 @@ def _require_plain(descriptor: int, path: str) -> None:
 
 
 def identity(item: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what every line begins with."""
+    """Return the fields that every line begins with."""
     return {"uid": item.get("uid"), "name": item.get("name")}
 
 
@@ -204,7 +204,7 @@ def _measure(item: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _data_bytes() -> int:
-    """Return what this process counts as data already, most of it shared with its parent."""
+    """Return the bytes that this process counts as data already, most of them shared with its parent."""
     for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith("VmData:"):
             return int(line.split()[1]) << 10

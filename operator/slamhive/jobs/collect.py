@@ -143,7 +143,7 @@ def _collect(options: argparse.Namespace) -> str:
 
 
 def _too_much(finds: list[Find], going: list[Find], most: int, percent: int) -> str | None:
-    """Return why so much is not removed at once: the objects or archive that referred to it may be lost."""
+    """Return the reason not to remove so much: the objects or archive that referred to it may be lost."""
     for kind in _BRAKED:
         count, total = (sum(find.kind == kind for find in some) for some in (going, finds))
         if count > most and 100 * count > percent * total:
@@ -164,7 +164,7 @@ def _sweep(data: Path) -> None:
 
 
 def known_now(options: argparse.Namespace) -> Known:
-    """Return what is referred to, by the API or by the file that is asked in its place.
+    """Return the names that are referred to, by the API or by the file that is asked in its place.
 
     Raises:
         SystemFault: there is no answer.
@@ -237,7 +237,7 @@ def _data(data: Path) -> Iterator[Find]:
 
 
 def entries_of(folder: Path) -> list[os.DirEntry[str]]:
-    """Return what lies in a folder of a volume, by name; nothing where there is no such folder."""
+    """Return the entries of a folder of a volume, by name; none where there is no such folder."""
     if folder.is_symlink():
         return []
     try:

@@ -78,7 +78,7 @@ class Lister(Protocol):
 
 
 def known_to(listing: Lister) -> Known:
-    """Return what the objects of a namespace know of.
+    """Return all that the objects of a namespace refer to.
 
     Raises:
         SystemFault: a list is not complete.
@@ -138,7 +138,7 @@ def _api(kubeconfig: str | None) -> Any:
 
 
 def known_to_api(namespace: str, kubeconfig: str | None = None) -> Known:
-    """Return what a namespace and its objects know of.
+    """Return all that a namespace and its objects refer to.
 
     Args:
         namespace: the namespace.
@@ -196,7 +196,7 @@ def tell_cronjob(
 
 
 def _lister(client: Any, namespace: str) -> Lister:
-    """Return what lists the objects of a namespace."""
+    """Return a function that lists the objects of a namespace."""
     api = client.CustomObjectsApi()
 
     def page(plural: str, token: str | None) -> dict[str, Any]:
@@ -273,7 +273,7 @@ def known_by_file(path: Path) -> Known:
 
 
 def archived(url: str, uids: Iterable[str]) -> Archived:
-    """Return what an archive knows of runs.
+    """Return the runs that an archive knows.
 
     Args:
         url: of the archive's database.

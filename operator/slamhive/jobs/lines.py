@@ -112,7 +112,7 @@ class Decoder:
 
 
 def decode(log: str) -> Decoder:
-    """Return what a whole log holds."""
+    """Return a decoder that has read a whole log."""
     decoder = Decoder()
     decoder.add(log)
     return decoder

@@ -16,7 +16,7 @@ _UNLIMITED = 1 << 60
 
 
 def usable_cores() -> int:
-    """Return how many processors may be kept busy: at least one, whole ones of a quota."""
+    """Return the number of processors that may be kept busy: at least one, whole ones of a quota."""
     cores, quota = len(os.sched_getaffinity(0)), cpu_quota()
     return max(1, cores if quota is None else min(cores, int(quota)))
 

@@ -111,7 +111,7 @@ class _Reading:
                 yield data
 
     def file(self) -> StoredFile:
-        """Return what was read.
+        """Return the file as it was read.
 
         Raises:
             DataError: somebody wrote to it meanwhile.

@@ -44,7 +44,7 @@ def opened(root: Path, relative: str, limit: int) -> Iterator[int]:
 
 
 def read_bytes(root: Path, relative: str, limit: int) -> bytes:
-    """Return what a file holds; errors as of `opened`."""
+    """Return the bytes of a file; errors as of `opened`."""
     with opened(root, relative, limit) as descriptor, open(descriptor, "rb", closefd=False) as file:
         return file.read(limit)
 

@@ -176,7 +176,7 @@ def _describe(
 
 
 def _teller(what: str) -> Callable[[float], None]:
-    """Return what tells the log how far something is, every few seconds."""
+    """Return a function that tells the log the progress of something, every few seconds."""
     told = float("-inf")
 
     def progress(share: float) -> None:

@@ -172,7 +172,7 @@ def _end(_signal: int, _frame: object) -> None:
 
 
 def _told(error: BaseException, refusal: Reason) -> tuple[Reason, str]:
-    """Return why a Job failed, in one word and in a sentence."""
+    """Return the reason of a Job's failure, in one word and in a sentence."""
     if isinstance(error, _Ended):
         return Reason.SYSTEM_FAULT, "the pod was taken away before it had finished"
     if isinstance(error, MemoryError):
@@ -190,7 +190,7 @@ def _told(error: BaseException, refusal: Reason) -> tuple[Reason, str]:
 
 
 def _disk_fault(error: BaseException | None) -> OSError | None:
-    """Return what says that the disk refused behind an error, whatever it was wrapped in."""
+    """Return the disk's refusal behind an error, whatever it was wrapped in."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in _DISK:
             return error

@@ -105,7 +105,7 @@ def _finite(text: str) -> float | None:
 
 
 def _content(line: Mapping[str, Any], evaluation: str | None, where: str) -> dict[str, Any]:
-    """Return what a line says of its run, in our own form."""
+    """Return the report of a line on its run, in our own form."""
     if "error" in line:
         return {"error": str(line["error"])[:1000]}
     given = line.get("result", line)

@@ -85,7 +85,7 @@ class Sign:
             self._path.touch()
 
     def wait(self, seconds: float) -> None:
-        """Return when no request came for some seconds."""
+        """Wait until no request came for some seconds."""
         begun = time.time()
         while True:
             given = begun

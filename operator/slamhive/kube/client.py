@@ -144,7 +144,7 @@ class Api(Transport):
         tail_lines: int | None = None,
         limit_bytes: int | None = None,
     ) -> str:
-        """Return what a container wrote; bytes that are not UTF-8 are replaced."""
+        """Return the log of a container; bytes that are not UTF-8 are replaced."""
         query = {"container": container, "tailLines": tail_lines, "limitBytes": limit_bytes}
         path = f"/api/v1/namespaces/{namespace}/pods/{pod}/log"
         content = await self.call(Request("get", "pods/log", f"{namespace}/{pod}", "GET", path, query=query))
@@ -173,7 +173,7 @@ class Api(Transport):
         return frozenset(resource["name"] for resource in answer.get("resources") or ())
 
     async def cluster_uid(self) -> str | None:
-        """Return what tells this cluster from every other one; None where the account may not see it.
+        """Return the identity of this cluster among all others; None where the account may not see it.
 
         It is the uid of the namespace that every cluster has.
         """

@@ -10,7 +10,7 @@ import orjson
 
 
 def decode(content: bytes) -> Any:
-    """Return what bytes of JSON hold.
+    """Return the value that bytes of JSON hold.
 
     Raises:
         ValueError: they are no JSON.

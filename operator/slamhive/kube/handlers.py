@@ -46,7 +46,7 @@ class NoDiffs(kopf.DiffBaseStorage):
         return {}
 
     def fetch(self, *, body: kopf.Body) -> kopf.BodyEssence | None:  # noqa: ARG002
-        """Return that nothing was remembered."""
+        """Return None: nothing was remembered."""
         return None
 
     def store(self, *, body: kopf.Body, patch: kopf.Patch, essence: kopf.BodyEssence) -> None:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def problem(op: Operator) -> str:
-    """Return why the operator should be started again; empty when it is well."""
+    """Return the reason to start the operator again; empty when it is well."""
     if ended := op.failed_tasks:
         return f"ended: {', '.join(ended)}"
     # One object that takes long is its own trouble; when all workers wait, nothing goes on any more.

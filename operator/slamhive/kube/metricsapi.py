@@ -86,7 +86,7 @@ class MetricsReader:
         self.sentence = ""
 
     def observed(self, pod_uid: str) -> Observed | None:
-        """Return what has been seen of a pod; kept until the pod is gone."""
+        """Return the observations of a pod; kept until the pod is gone."""
         return self._observed.get(pod_uid)
 
     def ended(self, pod_uid: str) -> None:

@@ -131,7 +131,7 @@ class Attempted:
         return self.waiting_reason == NO_CONTAINER_CONFIG
 
     def give_up_at(self, grace_seconds: float, refusal_seconds: float | None = None) -> float | None:
-        """Return when its waiting counts as its end, s since 1970; None when it never does.
+        """Return the time its waiting counts as its end, s since 1970; None when it never does.
 
         Args:
             grace_seconds: how long what may pass is waited for.
@@ -183,7 +183,7 @@ def lacks_pod(waiting: Waiting | None) -> bool:
 
 
 def explained(waiting: Waiting, message: str | None) -> Waiting:
-    """Return what a Job without a pod waits for.
+    """Return the wait of a Job without a pod, with its refusal.
 
     Args:
         waiting: as it was seen.
@@ -251,7 +251,7 @@ def _seen(job: Object | None, pod: Object) -> Attempted:
 
 
 def _going(pod: Object) -> Waiting:
-    """Return what a pod waits for that is to go: its containers' end, or its node's word about it."""
+    """Return the wait of a pod that is to go: for its containers' end, or its node's word about it."""
     told = (condition(pod, "DisruptionTarget") or {}).get("message")
     return Waiting("Terminating", clean(f"its pod is being taken away: {told or 'it was deleted'}"))
 
@@ -287,7 +287,7 @@ def _ended(seen: Attempted, pod: Object) -> Attempted:
 
 
 def _concluded(told: AttemptEnd | None, ending: Ending, report: Report | None) -> AttemptEnd:
-    """Return how an attempt ended whose program ran.
+    """Return the end of an attempt whose program ran.
 
     Args:
         told: what the kubelet made of the entire pod, if anything.
@@ -353,7 +353,7 @@ def _not_rendered(pod: Object) -> AttemptEnd | None:
 
 
 def _before_start(pod: Object) -> str:
-    """Return which container kept the algorithm from being started."""
+    """Return a sentence on the container that kept the algorithm from being started."""
     for status in pod["status"].get("initContainerStatuses") or ():
         ending = ending_of(pod, status["name"])
         if ending is not None and status["name"] != MONITOR and ending.exit_code != 0:
@@ -363,7 +363,7 @@ def _before_start(pod: Object) -> str:
 
 
 def _judged(ending: Ending, report: Report | None) -> AttemptEnd:
-    """Return how an attempt ended, from what the kubelet, the monitor and the player saw."""
+    """Return the end of an attempt, from what the kubelet, the monitor and the player saw."""
     return judge(_watched(ending, report), report.played if report else None)
 
 

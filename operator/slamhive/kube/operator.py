@@ -528,7 +528,7 @@ class Operator:
 
     @property
     def stuck(self) -> list[Key]:
-        """Return what has been reconciled for suspiciously long."""
+        """Return the keys that have been reconciled for suspiciously long."""
         now = time.monotonic()
         return [key for key, since in self._busy_since.items() if now - since > STUCK_SECONDS]
 

@@ -93,7 +93,7 @@ class Ending:
 
     @property
     def sentence(self) -> str:
-        """Return how it ended, with the last line of its log."""
+        """Return a sentence on its end, with the last line of its log."""
         if self.signal is not None:
             what = f"ended by signal {self.signal} ({_signal_name(self.signal)})"
         else:
@@ -161,7 +161,7 @@ def container_of(pod: Object, name: str) -> Mapping[str, Any]:
 
 
 def ending_of(pod: Object, name: str) -> Ending | None:
-    """Return how a container ended; None when it hasn't, or never was."""
+    """Return the end of a container; None when it hasn't ended, or never was."""
     found = (container_of(pod, name).get("state") or {}).get("terminated")
     if found is None:
         return None
@@ -192,7 +192,7 @@ def message_of(pod: Object, name: str) -> str | None:
 
 
 def what_waits(pod: Object, main: str) -> Waiting | None:
-    """Return what keeps a pod from running; None when nothing does.
+    """Return the obstacle that keeps a pod from running; None when nothing does.
 
     Args:
         pod: a pod that hasn't finished.
@@ -216,7 +216,7 @@ def what_waits(pod: Object, main: str) -> Waiting | None:
 
 
 def refused_by_node(pod: Object) -> str:
-    """Return why a node didn't run a pod that was assigned to it."""
+    """Return the reason that a node didn't run a pod that was assigned to it."""
     status = pod["status"]
     return clean(f"{status.get('reason') or 'its pod failed'}: {status.get('message') or 'no reason given'}")
 
@@ -255,13 +255,13 @@ def _ready_since(pod: Object, scheduled: Mapping[str, Any] | None) -> float | No
 
 
 def _short_pull(message: str) -> str:
-    """Return why a pull failed, without the wrapping that each layer of the kubelet adds."""
+    """Return the reason of a failed pull, without the wrapping that each layer of the kubelet adds."""
     text = message.rpartition("desc = ")[2] if "desc = " in message else message
     return clean(text, 300)
 
 
 def why_unable(message: str) -> tuple[Reason, str]:
-    """Return why a runtime couldn't start a container's program, without what it says of itself."""
+    """Return the reason that a runtime couldn't start a program, without what it says of itself."""
     place = _MOUNTING.search(message)
     if place is not None:
         return Reason.SYSTEM_FAULT, f"nothing could be mounted at {clean(place.group(1), 300)}"

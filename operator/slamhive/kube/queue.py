@@ -57,12 +57,12 @@ class Queue:
         self._failures: dict[Key, int] = {}
 
     def __len__(self) -> int:
-        """Return how many keys are ready to be handled."""
+        """Return the number of keys that are ready to be handled."""
         return len(self._queued)
 
     @property
     def delayed(self) -> int:
-        """Return how many keys wait for a later time."""
+        """Return the number of keys that wait for a later time."""
         return len(self._later)
 
     @property
@@ -105,7 +105,7 @@ class Queue:
         return delay
 
     def failures(self, key: Key) -> int:
-        """Return how often a key has failed in a row."""
+        """Return the number of times that a key has failed in a row."""
         return self._failures.get(key, 0)
 
     def forget(self, key: Key) -> None:

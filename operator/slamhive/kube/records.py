@@ -100,7 +100,7 @@ def problems_noted(run: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _why_not_measured(run: Mapping[str, Any], status: MappingRunStatus) -> str | None:
-    """Return what a workstation says of such a run in its message; None of one that was measured."""
+    """Return a workstation's message on such a run; None of one that was measured."""
     found = None if status.results else problems_noted(run).get("")
     return f"{NOT_EVALUATED}{found.get('why')}" if isinstance(found, dict) else None
 

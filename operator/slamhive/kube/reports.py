@@ -141,7 +141,7 @@ def _loaded(text: object, limit: int = MESSAGE_BYTES) -> dict[str, Any] | None:
 
 
 def read_report(text: object) -> Report | None:
-    """Return what a monitor's termination message tells; None when it is none."""
+    """Return the report in a monitor's termination message; None when it is none."""
     found = read_object(text)
     if found is None or found.get("v") != 1 or "error" in found:
         return None
@@ -191,7 +191,7 @@ def read_failure(text: object) -> Failure | None:
 
 
 def read_left(text: object) -> dict[str, str]:
-    """Return why folders were not brought back, by the UID of their run, as a termination message says."""
+    """Return the reasons for folders not brought back, by their run's UID, as a termination message says."""
     left = (read_object(text) or {}).get("left")
     if not isinstance(left, dict):
         return {}
@@ -199,7 +199,7 @@ def read_left(text: object) -> dict[str, str]:
 
 
 def read_description(text: object) -> VariantDescription | None:
-    """Return what a preparation's termination message says of its variant; None when it can't be read."""
+    """Return the variant in a preparation's termination message; None when it can't be read."""
     packed = (read_object(text) or {}).get("z")
     if not isinstance(packed, str):
         return None

@@ -72,7 +72,7 @@ _STARTING = frozenset({"ContainerCreating", "PodInitializing"})
 
 
 def _told_by_job(job: Object) -> Object:
-    """Return what a look at a run takes from its Job; nothing where it has only been made."""
+    """Return the part of a Job that a look at a run takes; nothing where it has only been made."""
     metadata, status = job["metadata"], job.get("status") or {}
     found = {
         "deleted": bool(metadata.get("deletionTimestamp")),
@@ -83,7 +83,7 @@ def _told_by_job(job: Object) -> Object:
 
 
 def _told_by_pod(pod: Object) -> Object:
-    """Return what a look at a run takes from its pod; nothing where that begins as pods do."""
+    """Return the part of a pod that a look at a run takes; nothing where that begins as pods do."""
     metadata, status = pod["metadata"], pod.get("status") or {}
     # What holds of a healthy pod says nothing; a disruption is told by a condition that holds.
     conditions = [

@@ -150,6 +150,6 @@ def pressures(spec: SyntheticRecording, trajectory: Trajectory, t: Array) -> Arr
 
 
 def _place(trajectory: Trajectory, name: str, t: Array) -> Array:
-    """Return where a sensor is in the world, m, shape (n, 3)."""
+    """Return the positions of a sensor in the world, m, shape (n, 3)."""
     motion = trajectory.at(t)
     return np.asarray(motion.position + motion.rotation @ rig.MOUNTINGS[name][:3, 3])

@@ -167,7 +167,7 @@ def scratch(name: str, size: str, *, memory: bool = False) -> Manifest:
 
 
 def mount(name: str, path: str, *, read_only: bool = False, **more: str) -> Manifest:
-    """Return where a container sees a volume; ``more`` is subPath or subPathExpr."""
+    """Return the mount of a volume in a container; ``more`` is subPath or subPathExpr."""
     return {"name": name, "mountPath": path} | more | ({"readOnly": True} if read_only else {})
 
 
@@ -221,7 +221,7 @@ def container(
 
 
 def pod_spec(settings: Settings) -> Manifest:
-    """Return what all our pods have in common; all run images or read data that others brought."""
+    """Return the common part of all our pods; all run images or read data that others brought."""
     pods = settings.pods
     body: Manifest = {
         "restartPolicy": "Never",

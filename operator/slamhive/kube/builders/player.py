@@ -38,7 +38,7 @@ def player(
     settings: Settings,
     image: str | None,
 ) -> Companion:
-    """Return what a player adds to a run's pod: nothing where the algorithm needs none.
+    """Return the additions of a player to a run's pod: none where the algorithm needs none.
 
     Args:
         run: the MappingRun as the API server returned it.

@@ -47,7 +47,7 @@ def store_words(store: StoreReference) -> list[str]:
 
 
 def store_mounts(store: StoreReference) -> list[Manifest]:
-    """Return where a container sees what tells of the storage."""
+    """Return the mounts of what tells a container of the storage."""
     found = [mount(STORE, _STORE_FOLDER, read_only=True)]
     return found + ([mount(STORE_SECRET, _SECRET_FOLDER, read_only=True)] if store.secret else [])
 

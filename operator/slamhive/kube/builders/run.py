@@ -108,7 +108,7 @@ def job_name(run: str, attempt: int) -> str:
 def configuration(
     run: str, spec: Mapping[str, Any], dataset: Dataset, description: Mapping[str, Any]
 ) -> RunConfiguration:
-    """Return what a run's algorithm is told: what a workstation would tell it of the same variant.
+    """Return the configuration for a run's algorithm: that of a workstation for the same variant.
 
     Args:
         run: name of the run.
@@ -255,7 +255,7 @@ def _assets(algorithm: AlgorithmSpec) -> list[Manifest]:
 
 
 def _settings_files(plan: _Plan) -> list[Manifest]:
-    """Return where the algorithm sees what was rendered for it."""
+    """Return the mount of the files that were rendered for the algorithm."""
     if not plan.algorithm.files:
         return []
     place = f"{plan.folder}/{SETTINGS_FOLDER}"

@@ -84,7 +84,7 @@ def variant_name(  # noqa: PLR0917 - all that makes a variant another
 
 
 def variant_request(dataset: Dataset, algorithm: Algorithm, spec: Mapping[str, Any]) -> PrepareRequest:
-    """Return what the preparation for a run is asked for.
+    """Return the request to the preparation for a run.
 
     Args:
         dataset: the Dataset that the run names.
@@ -118,7 +118,7 @@ def variant_job_name(variant: str) -> str:
 
 
 def _sources(wanted: PreparationJobs) -> list[tuple[str, str, str]]:
-    """Return what says where to fetch from and whom to trust: volume, folder, ConfigMap."""
+    """Return the sources to fetch from and certificates to trust: volume, folder, ConfigMap."""
     found = [
         ("catalogue", _CATALOGUE, wanted.catalogue),
         ("certificates", _CERTIFICATES, wanted.certificates),

@@ -36,7 +36,7 @@ class ArchiveAway(SystemFault):
 
 
 async def asked(method: Callable[P, T], *words: P.args, **options: P.kwargs) -> T:
-    """Return what a method of the archive returns; it may block.
+    """Return the result of a method of the archive; it may block.
 
     Raises:
         ArchiveAway: it can't; the sentence says why.

@@ -175,7 +175,7 @@ class Evaluations:
         return []
 
     async def _wait(self, op: Operator, group: Group, job: Object, seen: Waiting | None) -> Patience | None:
-        """Return how long a Job may still wait; None: it goes, and makes room for another."""
+        """Return the time that a Job may still wait; None: it goes, and makes room for another."""
         # A pod that does not begin is no run's fault, and no run is given up for it: the kubelet goes on
         # trying. Where operator or Evaluation no longer name its image, there is another Job with today's.
         has_pod = seen is not None and not lacks_pod(seen)
@@ -202,7 +202,7 @@ class Evaluations:
         return items
 
     def _item(self, op: Operator, run: Object) -> Object:
-        """Return what the evaluator is to know of a run.
+        """Return the evaluator's order for a run.
 
         Raises:
             InputError: a sentence about why it cannot be measured.

@@ -59,7 +59,7 @@ class Group:
     ongoing: int = 0
 
     def wait_seconds(self, delay: float) -> float:
-        """Return how long a batch that isn't full waits for more runs to end, s.
+        """Return the time that a batch that isn't full waits for more runs to end, s.
 
         The more runs are under way, the longer, up to five times the delay: others end soon, and each Job
         costs the cluster what a run's own does.
@@ -90,7 +90,7 @@ class Group:
 
 
 def key_for(run: Mapping[str, Any]) -> Key | None:
-    """Return what a finished run's own measurement is queued as; None when none is asked for."""
+    """Return the key of a finished run's own measurement in the queue; None when none is asked for."""
     status, meta = run["status"], run["metadata"]
     if phase_of(status) is not Phase.SUCCEEDED or not run["spec"].get("evaluate", True):
         return None

@@ -91,7 +91,7 @@ def _statistics(values: list[float]) -> Object:
 
 
 def problem_of(group: Group, run: Mapping[str, Any]) -> str | None:
-    """Return why a run can't be measured by a group; None when that is not known."""
+    """Return the reason that a run can't be measured by a group; None when that is not known."""
     if group.has_result(run):
         return None
     if is_full(run, group.name):

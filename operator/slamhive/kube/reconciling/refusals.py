@@ -50,7 +50,7 @@ class Patience(NamedTuple):
 
 
 async def patience(op: Operator, job: dict[str, Any], waiting: Waiting | None) -> Patience:
-    """Return how long a Job may still wait, and why it does.
+    """Return the time that a Job may still wait, and the reason.
 
     Args:
         op: the operator.

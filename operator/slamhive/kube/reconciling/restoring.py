@@ -57,7 +57,7 @@ class Restoring:
         self._trouble.pop(key, None)
 
     def trouble(self, key: Key) -> str | None:
-        """Return why folders of a group can't be had at present; None where nothing is in the way."""
+        """Return the reason that a group's folders can't be had now; None where nothing is in the way."""
         found = self._trouble.get(key)
         return found and f"run folders can't be brought back from object storage: {found[0]}"
 
@@ -103,7 +103,7 @@ class Restoring:
         return found
 
     async def _look(self, op: Operator, group: Group, job: Object, found: Brought) -> dict[str, str] | None:
-        """Return what a Job left away, and why; None while it runs."""
+        """Return the folders that a Job left away, with reasons; None while it runs."""
         seen = observe_restore(job, op.store.pods_of(job))
         problem = seen.problem[1] if seen.problem else None
         if seen.state is not AttemptState.ENDED:

@@ -218,7 +218,7 @@ class RunReconciler:
 
     @staticmethod
     def _observed(facts: RunFacts, state: RunState, twin: RunRecord | None) -> RunObserved:
-        """Return what the engine is to know."""
+        """Return the engine's view of a run."""
         attempted, spec = facts.attempted, facts.spec
         attempt, end, number = attempted.state, attempted.end, attempted.number
         if _is_lost(attempt, state):
@@ -398,7 +398,7 @@ class RunReconciler:
     def _finished(
         self, op: Operator, facts: RunFacts, state: RunState, twin: RunRecord | None
     ) -> tuple[MappingRunStatus, list[dict[str, Any]]]:
-        """Return what is recorded of a run that has ended."""
+        """Return the record of a run that has ended."""
         attempted, now = facts.attempted, op.clock()
         fresh = [condition("Complete", True, str(state.reason or state.phase), state.message or "")]
         if twin is not None and state.phase is Phase.SUCCEEDED:

@@ -64,7 +64,7 @@ class RunFacts:
 
 
 def attempt_fields(uid: str, attempted: Attempted, now: float) -> MappingRunStatus:
-    """Return what an attempt left: usage, frames, metrics, trajectory, folder and times.
+    """Return the remains of an attempt: usage, frames, metrics, trajectory, folder and times.
 
     Args:
         uid: the run's uid.
@@ -107,7 +107,7 @@ def attempt_fields(uid: str, attempted: Attempted, now: float) -> MappingRunStat
 def provenance(
     attempted: Attempted, facts: RunFacts, *, algorithm_hash: str, content_hash: str | None
 ) -> Provenance:
-    """Return what exactly produced a result.
+    """Return the exact origin of a result.
 
     Args:
         attempted: what is seen of the attempt.
@@ -134,14 +134,14 @@ def provenance(
 
 
 def _recording(facts: RunFacts) -> dict[str, Any]:
-    """Return what a run was given of its recording, and which options had no effect."""
+    """Return the recording that a run was given, and the options that had no effect."""
     prepared = Prepared.model_validate(facts.variant.description) if facts.variant.description else None
     mode = facts.algorithm.spec.mode(SensorMode(facts.spec["sensors"]))
     return recording_fields(facts.spec["input"], asked_of(facts.body), facts.dataset, mode, prepared)
 
 
 def reused_fields(equal: RunRecord, facts: RunFacts, processors: Collection[str]) -> MappingRunStatus:
-    """Return what a run takes over from an equal one.
+    """Return the fields that a run takes over from an equal one.
 
     Args:
         equal: the equal run.

@@ -368,7 +368,7 @@ class SweepReconciler:
 
 
 def _backlog(op: Operator, seen: _Picture, window: int) -> str | None:
-    """Return why nothing more may start now: runs end faster than they are measured and archived.
+    """Return the reason to start nothing more now: runs end faster than they are measured and archived.
 
     Without this their objects would fill the cluster, however small the window is.
     """
@@ -460,7 +460,7 @@ def _figures(memory: SweepMemory, tally: Tally) -> SweepStatus:
 def _standing(
     op: Operator, seen: _Picture, decision: SweepDecision, settled: bool, blocked: str | None
 ) -> tuple[str, list[Object]]:
-    """Return where a Sweep stands: its phase, for printing, and its conditions."""
+    """Return the standing of a Sweep: its phase, for printing, and its conditions."""
     verdict = decision.verdict
     final = verdict.is_final
     phase = str(verdict) if settled or not final else "Evaluating"

@@ -132,7 +132,7 @@ class Finished(NamedTuple):
 
     @classmethod
     def of(cls, run: dict[str, Any]) -> Finished:
-        """Return what a finished run adds."""
+        """Return the sum of one finished run."""
         status = run.get("status") or {}
         results = status.get("results") or ()
         reused = bool((status.get("provenance") or {}).get("reusedFrom"))

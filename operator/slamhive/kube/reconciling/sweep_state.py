@@ -67,7 +67,7 @@ class SweepMemory:
 
 
 def choose(sweep: Sweep, catalog: FixedCatalog, status: SweepStatus) -> list[AxisSelection]:
-    """Return what each selector of a matrix chooses; what a status says was chosen before stays.
+    """Return the choice of each selector of a matrix; one that a status says was made before stays.
 
     Without that, an Algorithm added later would give every point another meaning.
     """

@@ -82,7 +82,7 @@ class VariantSeen:
 
 
 def look(op: Operator, namespace: str, wanted: Wanted, created: float) -> VariantSeen:
-    """Return what is known of a variant.
+    """Return the state of a variant.
 
     Args:
         op: the operator.
@@ -329,7 +329,7 @@ def _within(op: Operator, namespace: str, known: dict[str, VariantEntry]) -> dic
 
 
 def _entry_of(op: Operator, key: Key, name: str) -> VariantEntry | None:
-    """Return what a Dataset's status says of one variant; the others are not even read."""
+    """Return the entry of one variant in a Dataset's status; the others are not even read."""
     return variant_of(op.store.get(key) or {}, name)
 
 
@@ -346,7 +346,7 @@ def described(op: Operator, key: Key, name: str) -> dict[str, Any] | None:
 
 
 def _problem_of(entry: VariantEntry) -> tuple[Reason, str]:
-    """Return why a variant could not be made."""
+    """Return the reason that a variant could not be made."""
     reason, message = entry.reason, entry.message or "preparation failed"
     if reason is None:  # earlier versions wrote it before the sentence
         first, _, rest = message.partition(": ")
