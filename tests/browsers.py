@@ -49,7 +49,7 @@ def find_browser() -> str | None:
 
 
 def poll(probe: Callable[[], Any], what: str) -> Any:
-    """Return what a probe gives once that is true; fail after PATIENCE."""
+    """Return the value of a probe once it is true; fail after PATIENCE."""
     deadline = time.monotonic() + PATIENCE
     pause = threading.Event()
     while not (found := probe()):

@@ -261,7 +261,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def rank(name: str) -> int:
-    """Return when it is a file's turn: the place of what takes longest, and all others after that."""
+    """Return the turn of a file: the place of what takes longest, and all others after that."""
     return next((place for place, start in enumerate(SLOWEST) if name.startswith(start)), len(SLOWEST))
 
 

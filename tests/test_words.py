@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("operator", "evaluator", "images", "helm", "tests")
-RIDDLES = re.compile(r"(What|Whether|Where|Who|Whom|Whose|Which|How|When|Why|That|If|As)\b")
+QUESTIONS = "what|whether|where|who|whom|whose|which|how|when|why|that|if"
+RIDDLES = re.compile(rf"((Return|Yield|Give)s?,? )?({QUESTIONS})\b|As\b", re.IGNORECASE)
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
@@ -26,7 +27,10 @@ def test_a_docstring_begins_with_a_noun_or_a_verb(folder: str) -> None:
         for line, text in docstrings(ast.parse(path.read_text(encoding="utf-8")))
         if RIDDLES.match(text)
     ]
-    assert not wrong, "say what it is, as in 'Queue of objects to handle: …', or what it does: 'Return …'"
+    assert not wrong, (
+        "say what it is, as in 'Queue of objects to handle: …', or what it does, with its noun: "
+        "'Return the token of the next page.'"
+    )
 
 
 def docstrings(module: ast.Module) -> Iterator[tuple[int, str]]:

@@ -359,7 +359,7 @@ def published() -> list[Any]:
 
 
 def told_of(config: dict[str, Any], mode: str, spec: Any) -> dict[str, Any]:
-    """Return what our run of a published configuration is told: calibration, and parameters."""
+    """Return the configuration of our run of a published one: calibration, and parameters."""
     given, asked = config["dataset-parameters"], dict(config["algorithm-parameters"])
     names = [key for key in ("k1", "k2", "p1", "p2", "k3") if key in given]
     size = {"width": given.get("width") or given.get("Camera_width") or 752}

@@ -71,7 +71,7 @@ def camera_of(told: dict[str, Any], prefix: str, pose: Any, topic: str) -> dict[
 
 
 def configuration(config: dict[str, Any], mode: str, spec: AlgorithmSpec) -> dict[str, Any]:
-    """Return what our run of the same experiment is told; the body is the IMU, as in EuRoC."""
+    """Return the configuration of our run of the same experiment; the body is the IMU, as in EuRoC."""
     told, asked = config["dataset-parameters"], config["algorithm-parameters"] | config["dataset-parameters"]
     cameras = [role for role in ROLES[SensorMode(mode)] if role != "imu"]
     sensors = {}
@@ -110,7 +110,7 @@ def configuration(config: dict[str, Any], mode: str, spec: AlgorithmSpec) -> dic
 
 
 def value_in(folder: Path, key: str) -> Any:
-    """Return what OpenCV reads for a key of theirs, wherever it stands in the files of ours."""
+    """Return OpenCV's reading of a key of theirs, wherever it stands in the files of ours."""
     file, name = "vins.yaml", key
     if key[:5] in {"cam0_", "cam1_"}:
         file, name = f"{key[:4]}.yaml", key[5:]

@@ -37,7 +37,7 @@ def setting(algorithm: str = "icp", dataset: str = "hall", size: float = 1000, *
 
 
 def truth(one: Setting) -> float:
-    """Return what a run costs: 1 CPU s for 100 frames and the usual size, the root of another size."""
+    """Return the cost of a run: 1 CPU s for 100 frames and the usual size, the root of another size."""
     factor = {"icp": 1.0, "slam": 6.0}[one.algorithm]
     return factor * (one.frames or 0) / 100 * (one.option("parameters.size") / 1000) ** 0.5
 

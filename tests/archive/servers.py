@@ -70,7 +70,7 @@ class PostgreSQL:
 
 
 def programs() -> Path | None:
-    """Return where PostgreSQL's programs are, None where it is not installed."""
+    """Return the folder of PostgreSQL's programs, None where it is not installed."""
     found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), key=_version)
     other = shutil.which("initdb")
     found = found or ([Path(other)] if other else [])

@@ -37,7 +37,7 @@ DOCUMENTS = st.dictionaries(KEYS, VALUES, max_size=5)
 
 
 def held_as(document: Any, shapes: dict[int, Any]) -> Any:
-    """Return what a row would hold of a document, and note its shape."""
+    """Return a document as a row would hold it, and note its shape."""
     found = divide("values", document)
     if found is None:
         return document

@@ -364,7 +364,7 @@ def test_who_only_reads_makes_no_archive(url: str) -> None:
 
 
 def files_in(folder: Path) -> frozenset[tuple[str, bytes]]:
-    """Return what the files of a folder hold: most statements change none of them."""
+    """Return the names and bytes of a folder's files: most statements change none of them."""
     return frozenset((path.name, path.read_bytes()) for path in folder.iterdir())
 
 

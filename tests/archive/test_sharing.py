@@ -57,7 +57,7 @@ def a_sweep(place: tuple[str | None, str | None]) -> Sweep:
 
 
 async def recalled(url: str, place: tuple[str | None, str | None]) -> SweepMemory:
-    """Return what an operator that starts in a place knows of its Sweep from the archive."""
+    """Return the memory of its Sweep that an operator which starts in a place has from the archive."""
     catalog = FixedCatalog({"icp": ALGORITHM}, {"hall": DATASET})
     with Archive.open(url) as archive:
         return await remember(

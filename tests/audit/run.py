@@ -60,7 +60,7 @@ def scripts() -> list[Package]:
 
 
 def audit_python(wanted: list[Package], service: str) -> list[str]:
-    """Return what is known of Python packages, a line an advisory.
+    """Return the known advisories on Python packages, a line each.
 
     Raises:
         NotChecked: pip-audit failed, or has no answer for some.
@@ -96,7 +96,7 @@ def _audit_batch(batch: dict[str, str], service: str) -> list[str]:
 
 
 def audit_scripts(wanted: list[Package]) -> list[str]:
-    """Return what is known of JavaScript packages, a line an advisory.
+    """Return the known advisories on JavaScript packages, a line each.
 
     Raises:
         NotChecked: npm failed, or checked another number of packages.

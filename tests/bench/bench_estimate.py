@@ -140,7 +140,7 @@ def replay(title: str, runs: Sequence[Recorded]) -> None:
 
 
 def _groups(runs: Sequence[Recorded], left: Left) -> list[tuple[list[Known], list[Known]]]:
-    """Return what is left out together and what is known then, where something as near is left."""
+    """Return the runs left out together and those known then, where something as near is left."""
     together: dict[Any, list[Known]] = defaultdict(list)
     near: dict[Any, set[Any]] = defaultdict(set)
     for one in runs:
@@ -155,7 +155,7 @@ def _groups(runs: Sequence[Recorded], left: Left) -> list[tuple[list[Known], lis
 
 
 def _planned(one: Known) -> Setting:
-    """Return what is asked: it would run later than all that is known."""
+    """Return the setting that is asked for: it would run later than all that is known."""
     return one.setting._replace(occasion=None if one.setting.occasion is None else NOW)
 
 

@@ -73,7 +73,7 @@ def record(folder: Path, roles: tuple[Role, ...]) -> DatasetEntry:
 
 
 def copied(source: Path, target: Path) -> float:
-    """Return how long a copy takes, through to the disk as an export goes."""
+    """Return the seconds that a copy takes, through to the disk as an export goes."""
     begin = time.perf_counter()
     target.mkdir()
     shutil.copyfile(source, target / source.name)

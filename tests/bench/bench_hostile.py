@@ -39,7 +39,7 @@ GROUPS = Path("/sys/fs/cgroup")
 
 
 def traps() -> list[str]:
-    """Return what a review found to stop or kill the dashboard, and more of the kind."""
+    """Return questions that were found to stop or kill the dashboard, and more of the kind."""
     uid = make_record(0).uid
     nines = ",".join(["9"] * 3900)
     compared = " or ".join(
@@ -126,7 +126,7 @@ ANALYSES = (
 
 
 def honest(chance: random.Random) -> str:
-    """Return what somebody who looks at the pages asks."""
+    """Return a question of somebody who looks at the pages."""
     algorithm, dataset = chance.choice(ALGORITHMS), f"sequence-{chance.randrange(10):02d}"
     return chance.choice(
         (

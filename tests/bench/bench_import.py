@@ -117,7 +117,7 @@ def imported(source: Path, target: Path, layout: str) -> tuple[float, float]:
 
 
 def copied(source: Path, target: Path) -> float:
-    """Return how long a copy takes, through to the disk as an import goes."""
+    """Return the seconds that a copy takes, through to the disk as an import goes."""
     begin = time.perf_counter()
     shutil.copytree(source, target)
     settle(target, read_only=False)

@@ -102,13 +102,13 @@ def apply(access: Cluster, body: dict[str, Any]) -> float:
 
 
 def first_instruction(access: Cluster, pod: str, container: str) -> float:
-    """Return when a program began, s since 1970."""
+    """Return the time a program began, s since 1970."""
     said = access.kubectl("logs", "-n", WHERE, pod, "-c", container)
     return float(said.partition("begun:")[2].split()[0])
 
 
 def of_run(access: Cluster, name: str) -> float:
-    """Return how long a MappingRun takes to its algorithm's first instruction, s."""
+    """Return the time from a MappingRun to its algorithm's first instruction, s."""
     began = apply(access, run(name, resources=SIZE))
 
     def ended() -> bool:
@@ -123,7 +123,7 @@ def of_run(access: Cluster, name: str) -> float:
 
 
 def of_job(access: Cluster, name: str) -> float:
-    """Return how long a plain Job takes to its program's first instruction, s."""
+    """Return the time from a plain Job to its program's first instruction, s."""
     began = apply(access, job(name))
     operating.until(
         lambda: access.get("job", name, "-n", WHERE).get("status", {}).get("succeeded"), name, 120, 0.5

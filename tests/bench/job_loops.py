@@ -41,7 +41,7 @@ class Cost:
 
 
 def measured(access: Cluster, count: int, client: Callable[[], float], work: Callable[[], None]) -> Cost:
-    """Return what bringing a number of runs or Jobs to their end costs."""
+    """Return the cost of bringing a number of runs or Jobs to their end."""
     times = operating.ProgramTimes(access)
     before, own, started = times.read(), client(), time.perf_counter()
     work()

@@ -171,15 +171,15 @@ class OperatorProcess:
         return self._log.read_text(errors="replace")[-4000:]
 
     def calls(self) -> Counter[str]:
-        """Return how often it has called the API so far, by verb and resource."""
+        """Return the number of its calls of the API so far, by verb and resource."""
         return self._series("slamhive_api_calls_total", "verb", "resource")
 
     def reconciled(self) -> Counter[str]:
-        """Return how often it has looked at an object so far, by kind."""
+        """Return the number of its looks at objects so far, by kind."""
         return self._series("slamhive_reconcile_seconds_count", "kind")
 
     def queued(self) -> Counter[str]:
-        """Return how many objects wait for a look or get one now, by state."""
+        """Return the number of objects that wait for a look or get one now, by state."""
         return self._series("slamhive_queue_depth", "state")
 
     def _series(self, name: str, *labels: str) -> Counter[str]:
@@ -261,6 +261,6 @@ def settled(read: Callable[[], int], seconds: float = 3.0) -> None:
 
 
 def played_pods(pool: str) -> dict[str, Any]:
-    """Return what sends pods to a pool of played nodes."""
+    """Return the fields that send pods to a pool of played nodes."""
     toleration = {"key": POOL, "operator": "Equal", "value": pool, "effect": "NoSchedule"}
     return {"nodeSelector": {POOL: pool}, "tolerations": [toleration]}

@@ -101,7 +101,7 @@ class Desk:
             return [looking.content(plan.point(index)) for index in indices]
 
     def estimate(self, *words: str) -> dict[str, Any]:
-        """Return what is estimated."""
+        """Return the estimate."""
         code, out, err = self.run(
             "plan", self.file, self.home.path / "tiny.yaml", "--estimate", "--json", *words
         )
@@ -110,13 +110,13 @@ class Desk:
         return found  # type: ignore[no-any-return]
 
     def text(self, *words: str) -> str:
-        """Return what is printed."""
+        """Return the printed estimate."""
         code, out, err = self.run("plan", self.file, self.home.path / "tiny.yaml", "--estimate", *words)
         assert code == 0, err
         return out
 
     def refused(self, *words: str) -> str:
-        """Return why it is refused."""
+        """Return the refusal's words."""
         code, out, err = self.run("plan", self.file, self.home.path / "tiny.yaml", "--estimate", *words)
         assert (code, out) == (2, "")
         return err

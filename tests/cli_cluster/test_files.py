@@ -113,7 +113,7 @@ class Volume:
         return self.pods, ""
 
     async def log_lines(self, *_: Any) -> AsyncGenerator[tuple[str, str], None]:
-        """Yield what an algorithm printed."""
+        """Yield the lines that an algorithm printed."""
         for text in ("first", "second"):
             yield "", text
 

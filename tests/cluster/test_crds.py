@@ -40,7 +40,7 @@ def _dry(cluster: Cluster, body: dict[str, Any]) -> tuple[int, str]:
 
 
 def _validate(folder: Path, body: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> str:
-    """Return what `slamhive validate` objects to, empty when it has nothing to object."""
+    """Return the objections of `slamhive validate`, empty when it has none."""
     monkeypatch.setenv("SLAMHIVE_HOME", str(folder / "home"))
     path = folder / "manifest.json"
     path.write_text(json.dumps(body))

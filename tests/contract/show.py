@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 
 
 def process(_: str) -> dict[str, Row]:
-    """Return what a workstation makes of the table."""
+    """Return the table's outcomes on a workstation."""
     return workstation(Process)
 
 
 def container(_: str) -> dict[str, Row]:
-    """Return what it makes of the table in containers."""
+    """Return the table's outcomes in containers."""
     return workstation(InContainers)
 
 
 def workstation(kind: type[Process]) -> dict[str, Row]:
-    """Return what an executor on a home of its own makes of the table."""
+    """Return the table's outcomes on an executor with a home of its own."""
     folder = Path(tempfile.mkdtemp())
     try:
         (dataset,) = load_file(TINY)
@@ -57,7 +57,7 @@ def workstation(kind: type[Process]) -> dict[str, Row]:
 
 
 def cluster(namespace: str) -> dict[str, Row]:
-    """Return what the cluster of $KUBECONFIG makes of the table."""
+    """Return the table's outcomes on the cluster of $KUBECONFIG."""
     from executors.cluster import OnCluster
     from onnode.documents import Desk
     from onnode.lab import Lab

@@ -66,7 +66,7 @@ def rows_of(frame: Frame) -> list[dict[str, Any]]:
 
 
 def lines_of(record: RunRecord) -> list[tuple[Any, ...]]:
-    """Return what a run's rows must have in the columns SHOWN."""
+    """Return the values that a run's rows must have in the columns SHOWN."""
     have = {
         one.evaluation: (one.values.get("alignment"), one.outcome, (one.values.get("ate") or {}).get("rmse"))
         for one in record.results

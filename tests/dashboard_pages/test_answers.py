@@ -30,7 +30,7 @@ def shortened(value: Any) -> Any:
 
 
 def shape(value: Any) -> Any:
-    """Return what an answer is made of: names and kinds, not values."""
+    """Return the shape of an answer: names and kinds, not values."""
     if isinstance(value, dict):
         return {name: shape(one) for name, one in value.items()}
     if isinstance(value, list):

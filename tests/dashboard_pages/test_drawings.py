@@ -35,7 +35,7 @@ KEEP = """window.kept = []; window.texts = [];
 
 
 def picture_of(selector: str) -> str:
-    """Return what gives a number that differs with what is drawn on a canvas."""
+    """Return an expression for a number that differs with what is drawn on a canvas."""
     drawn = f"document.querySelector({selector!r}).toDataURL()"
     return f"[...{drawn}].reduce((sum, one) => (sum * 31 + one.charCodeAt(0)) % 1000003, 7)"
 

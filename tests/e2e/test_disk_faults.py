@@ -57,7 +57,7 @@ def wait(lab: Lab, name: str, seconds: float) -> None:
 
 
 def problems(lab: Lab, name: str) -> list[str]:
-    """Return what is not as it should be after a Sweep under faults."""
+    """Return the faults of a Sweep after disk faults, a sentence each."""
     runs, found = lab.runs(name), []
     if len(runs) != REPETITIONS:
         found.append(f"{len(runs)} runs of {REPETITIONS}")

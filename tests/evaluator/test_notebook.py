@@ -27,7 +27,7 @@ Output = dict[str, Any]
 
 
 def words(text: str) -> list[str]:
-    """Return what is printed but for its numbers: how many digits they have decides where lines break."""
+    """Return the printed words but for numbers: how many digits they have decides where lines break."""
     return NUMBER.sub("#", text).split()
 
 

@@ -77,7 +77,7 @@ class Call:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Return what it can fail with."""
+        """Return the kinds of failure that it can have."""
         found = _ALLOWED.get(self.name, KINDS[:-1])
         return found if self.what == "sized" else tuple(kind for kind in found if kind != "short")
 

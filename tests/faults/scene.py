@@ -54,7 +54,7 @@ _FORMS = (
 
 
 def form_of(path: str) -> str:
-    """Return what kind of file a path is: what differs from run to run is an asterisk."""
+    """Return the form of a path: what differs from run to run is an asterisk."""
     for pattern, form in _FORMS:
         path = re.sub(pattern, form, path)
     return path
@@ -133,7 +133,7 @@ def look(home: Path) -> End:
 
 
 def _verdict(database: Path) -> tuple[str, int]:
-    """Return what SQLite says of a database, and the number of its tables."""
+    """Return SQLite's verdict on a database, and the number of its tables."""
     connection = sqlite3.connect(database)
     try:
         tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
@@ -145,7 +145,7 @@ def _verdict(database: Path) -> tuple[str, int]:
 
 
 def comparable(record: RunRecord) -> Any:
-    """Return what of a run is the same whenever it is made."""
+    """Return the part of a run that is the same whenever it is made."""
     found = record.as_json()
     for name in ("attempts", "created", "started", "finished", "usage", "folder", "logTail", "message"):
         found.pop(name, None)

@@ -172,7 +172,7 @@ class Fuzzer:
 
 
 def verdict(method: str, answer: Any) -> str:
-    """Return what is wrong with an answer; empty if nothing is."""
+    """Return the fault of an answer; empty if it has none."""
     if answer.status_code >= 500 and (answer.status_code != 503 or "retry-after" not in answer.headers):
         return f"was answered {answer.status_code}"
     if method not in {"GET", "HEAD"} and answer.status_code < 400:

@@ -49,7 +49,7 @@ class Meter:
         self._resident = _status("VmRSS")
 
     def end(self) -> str:
-        """Return what was too much since it began; empty where nothing was."""
+        """Return the excess since it began; empty where there was none."""
         cpu = _cpu_seconds() - self._began
         peak = _status("VmHWM")
         mine = peak if peak > self._peak else _status("VmRSS")
@@ -57,7 +57,7 @@ class Meter:
         return self.judge(cpu, max(peaks) - self._resident)
 
     def judge(self, cpu_seconds: float, mib: float) -> str:
-        """Return what is too much of some figures; empty where nothing is."""
+        """Return the excess of some figures; empty where there is none."""
         self.largest = [max(self.largest[0], cpu_seconds), max(self.largest[1], mib)]
         if cpu_seconds > self._most[0]:
             return f"took {cpu_seconds:.1f} s of CPU time, and may take {self._most[0]:g}"

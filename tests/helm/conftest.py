@@ -70,7 +70,7 @@ class Helm:
         return done.stderr if code else done.stdout
 
     def text(self, *words: str, chart: Path = CHART, code: int = 0) -> str:
-        """Return what a chart renders for the release ``slamhive`` in the namespace ``lab``, or the error."""
+        """Return a chart's text for the release ``slamhive`` in the namespace ``lab``, or the error."""
         return self._template((*words,), chart, code)
 
     def objects(self, *words: str, chart: Path = CHART) -> list[dict[str, Any]]:

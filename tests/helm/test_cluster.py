@@ -189,7 +189,7 @@ def test_accounts_may_do_what_they_need_and_nothing_else(kinds: Cluster, tenant:
 
 
 def may(cluster: Cluster, tenant: str, account: str, namespace: str) -> set[tuple[str, str]]:
-    """Return what the API server says that an account of a namespace may do in a namespace."""
+    """Return the rights of a namespace's account in a namespace, as the API server says them."""
     review = {
         "apiVersion": "authorization.k8s.io/v1",
         "kind": "SelfSubjectRulesReview",

@@ -24,7 +24,7 @@ _LAST_DIGIT = 0.50001e-5
 
 
 def problems(views: Views, question: Question, rows: Sequence[Row], names: Iterable[str]) -> list[str]:
-    """Return what some views show wrongly.
+    """Return the faults of some views, a sentence each.
 
     Args:
         views: the project, on an archive.

@@ -214,7 +214,7 @@ def _status(row: Row) -> str:
 
 
 def superseded(tables: dict[str, list[Row]]) -> dict[int, str]:
-    """Return why runs are superseded, by their id; the others are not there."""
+    """Return the reasons for superseded runs, by their id; the others are not there."""
     found = {}
     # Once each: 80,000 runs that are each compared with all others take hours.
     latest = {
@@ -246,7 +246,7 @@ def _latest(runs: Sequence[Row], kind: str, key: str) -> dict[tuple[Any, ...], R
 
 
 def _like(run: Row, kind: str, key: str) -> tuple[Any, ...]:
-    """Return what runs have in common that are versions of the same: environments and images are none."""
+    """Return a key that versions of the same share: environments and images are none."""
     return (_place(run), run[kind], _from_image(run) if key == "environment" else None)
 
 
@@ -281,7 +281,7 @@ def _place(row: Row) -> tuple[str | None, str | None]:
 
 
 def lateness(run: Row) -> tuple[float, int]:
-    """Return what orders runs from the first to the latest."""
+    """Return a key to order runs from the first to the latest."""
     return _time(run["created"]), run["id"]
 
 
@@ -497,7 +497,7 @@ def groups(rows: Sequence[Row], question: Question) -> list[Group]:
 
 
 def group_of(rows: Sequence[Row], keys: Row, question: Question) -> Group:
-    """Return what the rows of a group came to."""
+    """Return the figures of a group's rows."""
     counting = [row for row in rows if counts(row, question.outcomes)]
     same = is_deterministic(counting)
     return Group(
@@ -688,7 +688,7 @@ def _by_standing(rows: Sequence[Row], question: Question) -> dict[tuple[Any, Any
 
 
 def rankable(row: Row, question: Question) -> float | None:
-    """Return what a row is ranked by: infinite where it failed, None where it says nothing."""
+    """Return the number that a row is ranked by: infinite where it failed, None where it says nothing."""
     metric = question.metrics[0]
     if counts(row, question.outcomes):
         number = number_of(row, metric)

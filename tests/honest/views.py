@@ -88,7 +88,7 @@ class Views:
         self._source.now = Workstation(f"sqlite:///{self.home / 'archive.sqlite'}")
 
     def command(self, *words: str) -> str:
-        """Return what a ``slamhive`` command prints, called in this process."""
+        """Return the output of a ``slamhive`` command, called in this process."""
         stream, complaints = io.StringIO(), io.StringIO()
         environment = {"SLAMHIVE_HOME": str(self.home), "SLAMHIVE_ARCHIVE": ""}
         with patch.dict(os.environ, environment), redirect_stdout(stream), redirect_stderr(complaints):
@@ -101,7 +101,7 @@ class Views:
         return stream.getvalue()
 
     def shell(self, *words: str) -> str:
-        """Return what a ``slamhive`` command prints, called as a program."""
+        """Return the output of a ``slamhive`` command, called as a program."""
         command = [sys.executable, "-c", "from slamhive.cli.main import main; main()", *words]
         environment = os.environ | {"SLAMHIVE_HOME": str(self.home), "SLAMHIVE_ARCHIVE": ""}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
@@ -218,7 +218,7 @@ class Views:
         return [_cell(group) for group in self.get("analysis/aggregate", pairs)["groups"]]
 
     def left_out(self, question: Question) -> tuple[int, int]:
-        """Return how many runs ``/api/v1/analysis/aggregate`` says it leaves out: superseded, equal ones."""
+        """Return the numbers of runs ``/api/v1/analysis/aggregate`` leaves out: superseded, equal ones."""
         notes = " ".join(self.get("analysis/aggregate", filters(question))["notes"])
         said = (
             r"([\d,]+) runs? of earlier versions left out",

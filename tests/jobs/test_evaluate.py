@@ -212,7 +212,7 @@ def test_results_are_those_of_the_workstation(  # noqa: PLR0917 - fixtures
 
 
 def on_the_workstation(home: Home, algorithm: Algorithm, dataset: Dataset, folder: Path) -> Any:
-    """Return what measures a trajectory as ``slamhive run`` does."""
+    """Return a function that measures a trajectory as ``slamhive run`` does."""
 
     def measure(spec: dict[str, Any], estimate: Path, window: tuple[float, float]) -> Any:
         workshop = Workshop()

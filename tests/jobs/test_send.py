@@ -31,7 +31,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def asked(root: Path, *requests: Any) -> list[dict[str, Any]]:
-    """Return what is told, the bytes of each file under ``data``."""
+    """Return the messages that are told, the bytes of each file under ``data``."""
     out = io.BytesIO()
     lines = b"".join((json.dumps(one) if isinstance(one, dict) else one).encode() + b"\n" for one in requests)
     assert Sender(root / "results", out, Sign(root / "sign")).serve(io.BytesIO(lines)) == 0

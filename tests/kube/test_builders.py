@@ -495,7 +495,7 @@ def test_a_custom_evaluator_writes_nothing_but_its_output() -> None:
 
 
 def told_to_the_monitor(**output: Any) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return what a run's monitor is told, and what it has mounted."""
+    """Return the order of a run's monitor, and its mounts."""
     declared = algorithm(output={"frame": "lidar"} | output)
     monitor = built(declared=declared)["spec"]["template"]["spec"]["initContainers"][0]
     variables = {one["name"]: one.get("value") for one in monitor["env"]}

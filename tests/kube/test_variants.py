@@ -99,7 +99,7 @@ async def test_a_variant_stays_until_its_runs_are_measured(cluster: Cluster, *, 
 
 
 def failed(cluster: Cluster, changed: dict[str, Any]) -> VariantSeen:
-    """Return what a run made long ago is told of a variant that failed."""
+    """Return the state of a variant that failed, as a run made long ago sees it."""
     key = cluster.apply(Kind.DATASET, "hall", DATASET, variants=[])
     known = parse(Algorithm, cluster.objects[Key(Kind.ALGORITHM, "lab", "icp")])
     dataset = parse(Dataset, cluster.objects[key])

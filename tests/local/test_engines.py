@@ -21,7 +21,7 @@ DOCKER = {"ID": "a", "MemoryLimit": True, "CPUSet": True, "PidsLimit": True, "Cg
 
 
 def of_podman(**changes: Any) -> str:
-    """Return what podman says of itself."""
+    """Return podman's description of itself."""
     host = {
         "cgroupControllers": CONTROLLERS,
         "cgroupVersion": "v2",

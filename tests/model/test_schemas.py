@@ -32,7 +32,7 @@ spec:
 
 @cache
 def validator(name: str) -> Any:
-    """Return what checks values by a schema; importing it takes seconds, which every worker would spend."""
+    """Return a validator by a schema; importing it takes seconds, which every worker would spend."""
     from jsonschema import Draft7Validator
 
     return Draft7Validator(schema(name))

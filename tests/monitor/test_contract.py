@@ -52,7 +52,7 @@ def test_what_an_algorithm_left_is_judged_the_same_here_and_there(
 
 
 def _told(name: str, frames: Path) -> dict[str, Any] | None:
-    """Return what a monitor is told of the files of a behaviour; write the frames' stamps."""
+    """Return the description of a behaviour's files for a monitor; write the frames' stamps."""
     output = table.OWN_FILES.get(table.BEHAVIOURS[name].asked.get("sensors", ""))
     if output is None:
         return None

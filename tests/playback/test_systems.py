@@ -143,7 +143,7 @@ def frames_of(record: RunRecord) -> Path:
 
 
 def measured(record: RunRecord) -> dict[str, Any]:
-    """Return what a run was measured to be, after making sure that it was."""
+    """Return the measured values of a run, after making sure that there are any."""
     assert record.phase == "Succeeded", f"{record.message}\n{record.log_tail}"
     return record.results[0].values
 

@@ -74,7 +74,7 @@ def run(number: int, **changes: Any) -> RunRecord:
 
 
 def meant(*names: str) -> list[dict[str, str]]:
-    """Return what a run was meant to be measured by."""
+    """Return the evaluations that a run was meant to be measured by."""
     return [{"evaluation": name, "alignment": name} for name in names]
 
 

@@ -66,7 +66,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def rerun(*words: str) -> str:
-    """Return what Rerun's own command says of a file."""
+    """Return the words of Rerun's own command on a file."""
     done = subprocess.run(
         [sys.executable, "-m", "rerun", "rrd", *words], capture_output=True, text=True, check=False
     )

@@ -46,7 +46,7 @@ class Frame:
         return np.where(known, depth, 0.0)
 
     def places(self, points: Any) -> tuple[Any, Any]:
-        """Return where points are, `(n, 3)` m, and which of them are known."""
+        """Return the places of points, `(n, 3)` m, and a mask of those that are known."""
         depths = self.depths(points)
         rays = cv2.undistortPoints(points[:, None].astype(float), self.matrix, self.lens)[:, 0]
         return np.column_stack([rays, np.ones(len(rays))]) * depths[:, None], (depths > 0.2) & (depths < 30)

@@ -43,7 +43,7 @@ HEADER = {"apiVersion": "slamhive.io/v1alpha1"}
 
 
 def wait_until(condition: Callable[[], Any], what: str, seconds: float = DEADLINE_SECONDS) -> Any:
-    """Return what a condition says as soon as it holds."""
+    """Return the value of a condition as soon as it holds."""
     deadline = time.monotonic() + seconds
     while not (found := condition()):
         if time.monotonic() > deadline:
@@ -100,7 +100,7 @@ class System:
         return code, (self.folder / "out").read_text(), (self.folder / "err").read_text()
 
     def _order(self, out: str, err: str, *arguments: str | Path) -> dict[str, Any]:
-        """Return what a fork is told."""
+        """Return the order to a fork."""
         return {
             "module": "slamhive.cli.main",
             "function": "main",
@@ -116,7 +116,7 @@ class System:
         return environment() | {"SLAMHIVE_HOME": str(self.home.path), "COLUMNS": "200"}
 
     def printed(self, process: subprocess.Popen[str] | Fork) -> tuple[str, str]:
-        """Return what a command has printed so far to standard output and standard error."""
+        """Return the output of a command so far, to standard output and standard error."""
         number = self._started.index(process)
         return (self.folder / f"{number}.out").read_text(), (self.folder / f"{number}.err").read_text()
 
@@ -135,7 +135,7 @@ class System:
         return path
 
     def journal(self, event: str | None = None) -> list[dict[str, Any]]:
-        """Return what the actors noted, in order."""
+        """Return the entries that the actors noted, in order."""
         path = self.home.path / "journal"
         lines = path.read_text().splitlines() if path.exists() else []
         found = [json.loads(line) for line in lines]

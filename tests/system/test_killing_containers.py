@@ -66,7 +66,7 @@ def sweep_of(system: Any, algorithm: str, runs: int) -> Any:
 
 
 def ended(system: Any) -> dict[str, str]:
-    """Return when each attempt began that has ended by itself."""
+    """Return the begin of each attempt that has ended by itself."""
     found = {}
     for path in system.home.path.glob("runs/s/*/summary.json"):
         with suppress(FileNotFoundError):

@@ -67,7 +67,7 @@ def evaluator(wheels: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def call(program: Path, *arguments: str | Path, cwd: Path, home: Path) -> str:
-    """Return what a program prints; it must end well."""
+    """Return the output of a program; it must end well."""
     environment = clean() | {
         "SLAMHIVE_HOME": str(home),
         "PATH": "/usr/local/bin:/usr/bin:/bin",

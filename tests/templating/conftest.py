@@ -41,7 +41,7 @@ RIGHT = LEFT | {"fx": 457.587, "fy": 456.134, "cx": 379.999, "cy": 255.238}
 
 
 def euroc() -> dict[str, Any]:
-    """Return what a stereo-inertial run on EuRoC is told."""
+    """Return the configuration of a stereo-inertial run on EuRoC."""
     sensors = {
         "imu": {
             "name": "imu0",

@@ -56,7 +56,7 @@ def call(tmp_path: Path) -> Iterator[Callable[..., tuple[int, str, str]]]:
 
 @pytest.fixture
 def rows(call: Callable[..., tuple[int, str, str]]) -> Callable[[Path], dict[str, dict[str, Any]]]:
-    """Returns what is known of a home's runs, by name."""
+    """Return a function that lists a home's runs by name."""
 
     def known(home: Path) -> dict[str, dict[str, Any]]:
         columns = "run,phase,reason,outcome,ate.rmse,started,parameters.number,parameters.act,sweep"

@@ -50,7 +50,7 @@ def establish(cluster: Cluster, paths: list[Path]) -> None:
 
 
 def objects(cluster: Cluster) -> dict[tuple[str, str], dict[str, Any]]:
-    """Return what there is, by kind and name."""
+    """Return the objects, by kind and name."""
     items = [item for kind in KINDS for item in cluster.get(f"{kind}.slamhive.io", "-n", NAMESPACE)["items"]]
     return {(item["kind"], item["metadata"]["name"]): item for item in items}
 

@@ -86,7 +86,7 @@ def since(status: Mapping[str, Any], kind: str, *, standing: bool) -> float | No
 
 
 def run_state(status: MappingRunStatus) -> RunState:
-    """Return what a MappingRun's status remembers for the engine."""
+    """Return the engine's state of a run, as a MappingRun's status remembers it."""
     return RunState(
         phase=status.phase or Phase.PENDING,
         reason=Reason(status.reason) if status.reason in set(Reason) else None,
@@ -107,7 +107,7 @@ def phase_of(status: Mapping[str, Any]) -> Phase:
 
 
 def state_fields(state: RunState) -> MappingRunStatus:
-    """Return what is kept of the engine's state in a status."""
+    """Return the fields of a status that keep the engine's state."""
     return MappingRunStatus(
         phase=state.phase,
         reason=state.reason,
@@ -186,7 +186,7 @@ def status_patch(
 
 
 def variant_of(dataset: Mapping[str, Any], name: str) -> VariantEntry | None:
-    """Return what a Dataset's status says of one variant; the others are not even read."""
+    """Return the entry of one variant in a Dataset's status; the others are not even read."""
     variants = (dataset.get("status") or {}).get("variants") or ()
     same = [item for item in variants if item.get("name") == name]
     return next(iter(DatasetStatus.of({"status": {"variants": same}}).variants), None)

@@ -111,7 +111,7 @@ class Store:
         return list(self._objects[kind, namespace].values())
 
     def count(self, kind: Kind, namespace: str) -> int:
-        """Return how many objects of a kind there are in a namespace."""
+        """Return the number of objects of a kind in a namespace."""
         return len(self._objects[kind, namespace])
 
     def select(self, kind: Kind, namespace: str, label: str, value: str) -> list[Object]:

@@ -141,7 +141,7 @@ class Transport:
         return cls(ApiClient(configuration), **options)
 
     async def access(self) -> Access:
-        """Return how the server is reached, with a fresh token, for kopf's watches."""
+        """Return the access to the server, with a fresh token, for kopf's watches."""
         configuration = self._client.configuration
         authorization = await configuration.get_api_key_with_prefix("BearerToken") or ""
         return Access(

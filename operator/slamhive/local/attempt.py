@@ -112,7 +112,7 @@ class Attempt:
         self._program.end()
 
     def end(self) -> AttemptEnd:
-        """Return how the attempt ended."""
+        """Return the end of the attempt."""
         summary = self._checked()
         if summary is None:
             if self._stopping:
@@ -148,7 +148,7 @@ class Attempt:
         return None
 
     def usage(self) -> Usage | None:
-        """Return what the attempt cost."""
+        """Return the usage of the attempt."""
         summary = self._summary() or {}
         found = summary.get("usage")
         if not found:
@@ -157,7 +157,7 @@ class Attempt:
         return Usage.model_validate(found | {"processors": processors_text(asked.get("cpus"))})
 
     def times(self) -> tuple[str | None, str | None]:
-        """Return when the program started and ended, as ISO 8601."""
+        """Return the times that the program started and ended, as ISO 8601."""
         summary = self._summary() or {}
         return summary.get("startedAt"), summary.get("finishedAt")
 
@@ -172,7 +172,7 @@ class Attempt:
         return found if isinstance(found, dict) else {}
 
     def frames(self, offered: int | None = None) -> Frames:
-        """Return how many frames were offered, processed and dropped.
+        """Return the numbers of frames offered, processed and dropped.
 
         Args:
             offered: how many the recording has, for an attempt that an earlier version made, which didn't
@@ -182,13 +182,13 @@ class Attempt:
         return found if found.offered is not None else found.replace(offered=offered)
 
     def trajectory(self) -> TrajectoryInfo | None:
-        """Return what is to say of trajectory.txt, or None when it can't be used."""
+        """Return the facts about trajectory.txt, or None when it can't be used."""
         found = (self._checked() or {}).get("trajectory")
         path = str(self.output / "trajectory.txt")
         return TrajectoryInfo.model_validate(found).replace(path=path) if found else None
 
     def _reported(self) -> dict[str, Any]:
-        """Return what metrics.json said, as summary.json has it."""
+        """Return the contents of metrics.json, as summary.json has them."""
         summary = self._summary() or {}
         if not self._player.took_part:
             return summary
@@ -199,7 +199,7 @@ class Attempt:
         return {"frames": frame_counts(found, offered), "metrics": keep_values(found.values).values}
 
     def _checked(self) -> dict[str, Any] | None:
-        """Return how the attempt ended, with what can be said of its trajectory."""
+        """Return the end of the attempt, with the facts about its trajectory."""
         summary = self._summary()
         if summary is None or not self._player.took_part:
             return summary
@@ -208,7 +208,7 @@ class Attempt:
         return kept | check_trajectory(str(self.output)).as_json()
 
     def _summary(self) -> dict[str, Any] | None:
-        """Return how the attempt ended: as its supervisor said, where we started that."""
+        """Return the end of the attempt: as its supervisor said, where we started that."""
         return self._program.summary() if self._program.started else self._kept_summary()
 
     def _kept_summary(self) -> dict[str, Any] | None:

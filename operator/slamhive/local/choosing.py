@@ -137,7 +137,7 @@ def first_of(order: Iterable[int], outlook: Outlook, pending: set[int], first: i
 
 
 def twins_among(twins: Mapping[int, int], chosen: set[int] | None, done: set[int]) -> dict[int, int]:
-    """Return which runs wait for an equal one, when some are left out: for none that isn't done at all.
+    """Return the runs that wait for an equal one, when some are left out: for none that isn't done at all.
 
     Args:
         twins: the runs that come out as an earlier one does, with its index.

@@ -119,7 +119,7 @@ def survey(
     *,
     now: float | None = None,
 ) -> list[Find]:
-    """Return what a home holds beside its runs' files, its datasets and its archive, and what of it may go.
+    """Return the finds beside a home's run files, datasets and archive, each with whether it may go.
 
     Args:
         home: the home.
@@ -323,7 +323,7 @@ class _Surveyor:
                 yield self._find(Kind.LEFTOVERS, path, why, goes=not stays)
 
     def leftovers(self) -> Iterator[Find]:
-        """Yield what killed work left half made."""
+        """Yield the finds that killed work left half made."""
         path = self._home.path
         for name in ("variants", "datasets", "truths"):
             for folder in leftovers(path / name):
@@ -371,7 +371,7 @@ class _Surveyor:
         return Find(kind, path, goes, why, (self._freed if goes else self._taken).of(path))
 
     def _linked(self, path: Path) -> str | None:
-        """Return why what is in a folder of the home stays that is a link."""
+        """Return the reason that things in a folder of the home stay: it is a link."""
         top = self._home.path / path.relative_to(self._home.path).parts[0]
         return f"{top.name} is a link: other homes may use it" if top.is_symlink() else None
 
@@ -394,7 +394,7 @@ class _Surveyor:
             )
 
     def _doubt(self) -> str | None:
-        """Return why the catalog may lack algorithms; None where it lacks none."""
+        """Return the reason that the catalog may lack algorithms; None where it lacks none."""
         lost = [
             entry.name
             for entry in sorted((self._home.path / "algorithms").glob("*"))

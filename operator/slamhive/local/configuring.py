@@ -29,7 +29,7 @@ SHOWN_RUN = "/slamhive"
 def configured(
     run: str, spec: Mapping[str, Any], dataset: Dataset, variant: Variant, cores: int
 ) -> RunConfiguration:
-    """Return what a run's algorithm is told.
+    """Return the configuration of a run's algorithm.
 
     Args:
         run: name of the run.

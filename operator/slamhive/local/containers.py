@@ -178,7 +178,7 @@ class Containers:
         return self.identity()
 
     def identity(self) -> str:
-        """Return what tells this home from all others, a copy of it elsewhere included."""
+        """Return the identity of this home among all others, a copy of it elsewhere included."""
         path = self._home.folder("containers") / "identity"
         with self._lock:
             if not path.exists():
@@ -228,7 +228,7 @@ class ContainerProgram(ImageProgram):
     player_image: Image | None = None
 
     def run_folder(self, run: Path) -> str:  # noqa: ARG002
-        """Return where the contract says the run folder is."""
+        """Return the run folder's path as the contract has it."""
         return RUN
 
     def lay_out(self, order: AttemptOrder, folder: Path) -> None:
@@ -323,7 +323,7 @@ def _give(folder: Path) -> None:
 
 
 def _closed_to_others(folder: Path) -> Path | None:
-    """Return what others than its owner can't read of a folder."""
+    """Return the first path of a folder that others than its owner can't read."""
     for path in (folder, *sorted(folder.rglob("*"))):
         mode = path.stat().st_mode
         needed = stat.S_IROTH | (stat.S_IXOTH if stat.S_ISDIR(mode) else 0)

@@ -65,7 +65,7 @@ def create_words(
     variables: Mapping[str, str],
     player: str | None,
 ) -> list[str]:
-    """Return what an engine's `create` is told: what the pod of a run has, in its words.
+    """Return the words of an engine's `create`: the pod of a run, said to an engine.
 
     Args:
         program: what runs.
@@ -99,7 +99,7 @@ def create_words(
 def player_words(
     program: ImageProgram, image: Image, order: AttemptOrder, folder: Path, pod: PlayerPod
 ) -> list[str]:
-    """Return what an engine's `create` is told of a player.
+    """Return the words of an engine's `create` for a player.
 
     Raises:
         SystemFault: a path can't be said to it.
@@ -196,7 +196,7 @@ def limits() -> list[str]:
 
 
 def mounts(order: AttemptOrder, folder: Path) -> list[str]:
-    """Return what of this machine the algorithm sees: the run folder's parts, each by itself.
+    """Return the mounts of what the algorithm sees of this machine: the run folder's parts, each by itself.
 
     Raises:
         SystemFault: a path can't be said to an engine.

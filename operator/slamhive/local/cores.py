@@ -51,7 +51,7 @@ def within(cores: list[tuple[int, ...]], limit: float | None) -> list[tuple[int,
 
 
 def cores_here() -> int:
-    """Return how many cores runs of this process may have: as many as a quota allows."""
+    """Return the number of cores that runs of this process may have: as many as a quota allows."""
     return len(within(whole_cores(), cpu_quota()))
 
 
@@ -124,7 +124,7 @@ class CorePool:
             return tuple(self._mine[core].descriptor for core in cores)
 
     def elsewhere(self) -> int:
-        """Return how many of the cores other runners have, while any is waited for."""
+        """Return the number of our cores that other runners have, while any is waited for."""
         held = self._leases.held(LeaseKind.CORES, self._cores)
         with self._changed:
             mine = {lease.name for lease in (*self._mine.values(), *self._gathered)}
@@ -150,13 +150,13 @@ class CorePool:
 
 
 def _name(core: tuple[int, ...]) -> str:
-    """Return what a core is called on all machines that may share a home, whichever part of it is ours."""
+    """Return the name of a core on all machines that may share a home, whichever part of it is ours."""
     return f"{_machine()}-{_siblings(core[0]).split(',')[0].split('-')[0]}"
 
 
 @cache
 def _machine() -> str:
-    """Return what tells this machine from others, in all of its containers."""
+    """Return the identity of this machine among others, the same in all of its containers."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:

@@ -55,7 +55,7 @@ class Knowledge:
 
     @classmethod
     def of(cls, costs: Iterable[Cost]) -> Knowledge:
-        """Return what finished runs tell."""
+        """Return the knowledge that finished runs give."""
         found = cls()
         for cost in costs:
             prepared = cost.prepared or {}
@@ -124,7 +124,7 @@ class Knowledge:
         )
 
     def starting_seconds(self) -> float:
-        """Return how long runs were made ready before their programs began, s: the median."""
+        """Return the time that runs were made ready before their programs began, s: the median."""
         found = [
             (cost.started - cost.created).total_seconds()
             for cost in self.costs
@@ -149,7 +149,7 @@ class Combinations(Points, Protocol):
         """Return the fields of a combination by path, as they take effect."""
 
     def short_spec(self, settings: Settings) -> dict[str, str | None]:
-        """Return what a combination's spec names."""
+        """Return the names in a combination's spec: algorithm, dataset and sensor mode."""
 
     def basis(self, algorithm: str) -> dict[str, Any]:
         """Return the spec of the runs of an algorithm before anything is set."""
@@ -172,7 +172,7 @@ class Planned(NamedTuple):
 def planned_settings(
     points: Combinations, rows: Sequence[int], knowledge: Knowledge, processor: str | None
 ) -> list[Planned]:
-    """Return what combinations of a plan need.
+    """Return the needs of a plan's combinations.
 
     Args:
         points: the plan.

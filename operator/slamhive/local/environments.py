@@ -63,7 +63,7 @@ class Environment:
         return self.path / "bin" / "python"
 
     def run_folder(self, run: Path) -> str:
-        """Return where the run folder is."""
+        """Return the path of the run folder."""
         return str(run)
 
     def lay_out(self, order: AttemptOrder, folder: Path) -> None:
@@ -88,7 +88,7 @@ class Environment:
     def supervision(
         self, order: AttemptOrder, folder: Path, variables: Mapping[str, str]
     ) -> Mapping[str, Any]:
-        """Return how the adapter is started with its interpreter, or the program of its own."""
+        """Return the start of the adapter with its interpreter, or of the program of its own."""
         program, own = order.entry.algorithm.spec.local, order.entry.folder
         if program is not None and program.command is not None:
             argv = (str(own / program.command[0]), *program.command[1:])
@@ -142,11 +142,11 @@ class Environments:
         self._impossible: dict[Path, str] = {}
 
     def digest(self, entry: AlgorithmEntry) -> str:
-        """Return what tells apart environments and adapters: equal digests run the same program."""
+        """Return the digest of environment and adapter: equal ones run the same program."""
         return digest_of(self.parts(entry))
 
     def parts(self, entry: AlgorithmEntry) -> list[Part]:
-        """Return what the digest is made of: each part by what people call it, the checksums of files.
+        """Return the parts that the digest is made of, each by its name for people, with checksums of files.
 
         Raises:
             Unavailable: this machine can't run it.
@@ -189,7 +189,7 @@ class Environments:
         return environment
 
     def folder_of(self, entry: AlgorithmEntry) -> Path | None:
-        """Return where an algorithm's environment is, made or not; None where it has none.
+        """Return the folder of an algorithm's environment, made or not; None where it has none.
 
         Raises:
             Unavailable: this machine can't run the algorithm, or a file of it can't be read.

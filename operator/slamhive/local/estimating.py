@@ -35,7 +35,7 @@ class Costs(Protocol):
     def costs(
         self, algorithms: Iterable[str], datasets: Iterable[str], each: int = ..., most: int = ...
     ) -> Sequence[Cost]:
-        """Return what runs did cost, the latest first."""
+        """Return the costs of runs, the latest first."""
 
 
 class Estimate:
@@ -79,12 +79,12 @@ class Estimate:
         self._beside.append(max(0.0, took - wall))
 
     def seconds(self, index: int) -> float | None:
-        """Return how long a run takes, s; None where nobody knows."""
+        """Return the time that a run takes, s; None where nobody knows."""
         wall = self._wall(self._row(index))
         return None if wall is None else wall + self._overhead()
 
     def left(self, waiting: Iterable[int], running: Mapping[int, float], at_a_time: int) -> float | None:
-        """Return how long the rest takes, s; None where nobody knows.
+        """Return the time that the rest takes, s; None where nobody knows.
 
         Args:
             waiting: runs that have not begun.

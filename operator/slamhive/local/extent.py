@@ -45,7 +45,7 @@ class Tally:
         self._met: dict[tuple[int, int], int] = {}
 
     def of(self, *paths: Path) -> Extent:
-        """Return what files and folders take beyond what was counted before; nothing where nothing is."""
+        """Return the room of files and folders beyond what was counted before; none where nothing is."""
         size = files = 0
         for path in paths:
             for status in _below(path):

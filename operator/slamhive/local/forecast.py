@@ -94,7 +94,7 @@ class Forecast:
 def forecast(
     wanted: Sequence[Wanted], knowledge: Knowledge, processor: str | None, cores: int | None
 ) -> Forecast:
-    """Return what sweeps are expected to cost, done one after another.
+    """Return the expected cost of sweeps, done one after another.
 
     Args:
         wanted: their runs.
@@ -179,7 +179,7 @@ def _predict(found: Forecast, known: Sequence[Known], regression: Design, asked:
 
 
 def makespan(walls: Iterable[float], cores: Iterable[int], slots: int, room: int | None) -> float:
-    """Return how long runs take that begin one after another as soon as there is room for them, s.
+    """Return the time of runs that begin one after another as soon as there is room for them, s.
 
     Args:
         walls: of each run, s, in the order of being started.
@@ -236,7 +236,7 @@ def _wall(
 def _planned(
     wanted: Sequence[Wanted], knowledge: Knowledge, processor: str | None
 ) -> tuple[list[Planned], list[Integers]]:
-    """Return what combinations need, and for each sweep the place of that of each of its runs."""
+    """Return the needs of combinations, and for each sweep the place of that of each of its runs."""
     planned: list[Planned] = []
     rows = []
     for sweep in wanted:
@@ -265,7 +265,7 @@ class Recordings:
 
 
 def recordings_needed(bench: Workbench, wanted: Sequence[Wanted]) -> Recordings:
-    """Return which prepared recordings runs need, of the datasets that are here."""
+    """Return the prepared recordings that runs need, of the datasets that are here."""
     found = Recordings()
     met: set[tuple[Any, ...]] = set()
     folders: set[Path] = set()

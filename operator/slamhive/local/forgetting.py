@@ -83,12 +83,12 @@ class Forgetting:
 
     @property
     def extent(self) -> Extent:
-        """Return what it gives back."""
+        """Return the room that it gives back."""
         return total(one.extent for one in self.going)
 
     @property
     def by_sweep(self) -> Mapping[str | None, tuple[int, Extent]]:
-        """Return how many runs go of each sweep, and what they give back, the largest first."""
+        """Return the number of runs that go and the room that they give back, by sweep, the largest first."""
         found: dict[str | None, tuple[int, Extent]] = {}
         for one in self.going:
             count, extent = found.get(one.run.sweep, (0, Extent()))
@@ -128,7 +128,7 @@ def plan_forgetting(
     records: bool = False,
     larger: float | None = None,
 ) -> Forgetting:
-    """Return what goes when some runs are forgotten.
+    """Return the plan of all that goes when some runs are forgotten.
 
     Args:
         home: the home.

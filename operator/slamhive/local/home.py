@@ -97,7 +97,7 @@ class Home:
 
     @property
     def leases(self) -> Leases:
-        """Return what runners in this home hold."""
+        """Return the leases of runners in this home."""
         return Leases(self.path / "leases")
 
     @contextmanager
@@ -187,7 +187,7 @@ class Worker(NamedTuple):
 
     @classmethod
     def read(cls, text: str) -> Worker:
-        """Return what a lease says.
+        """Return the worker that a lease names.
 
         Raises:
             ValueError: it says nothing, or something else.
@@ -199,12 +199,12 @@ class Worker(NamedTuple):
         return cls(int(found["pid"]), str(found["node"]), str(found["what"]), since)
 
     def text(self) -> str:
-        """Return what its lease says."""
+        """Return the text of its lease."""
         return json.dumps(self._asdict() | {"since": self.since.isoformat()})
 
     @property
     def sentence(self) -> str:
-        """Return what it is, as the subject of a sentence."""
+        """Return its name, as the subject of a sentence."""
         place = "" if self.node == platform.node() else f" on {self.node}"
         return f"{self.what} (process {self.pid}{place}, since {self.since.astimezone():%H:%M})"
 

@@ -86,7 +86,7 @@ def qualified(name: str) -> str:
 
 
 def inspect(engine: Engine, name: str) -> Image | None:
-    """Return what an engine knows of an image, None where it has none of that name.
+    """Return an engine's image of a name, None where it has none.
 
     Raises:
         ImageMissing: it doesn't say.

@@ -58,7 +58,7 @@ class PipSteps:
         self._seen = 0
 
     def step(self, line: str) -> Step | None:
-        """Return what a line says that is being done; None where it says nothing of that."""
+        """Return the step that a line of pip's is about; None where it is about none."""
         found = _STEP.match(line)
         if found is None:
             return None

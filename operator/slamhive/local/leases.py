@@ -136,7 +136,7 @@ class Leases:
             self._let_go(leases)
 
     def held(self, kind: LeaseKind, names: Iterable[str] | None = None) -> set[str]:
-        """Return which are held, by anyone; files that nobody holds are removed on the way.
+        """Return the names that are held, by anyone; files that nobody holds are removed on the way.
 
         Args:
             kind: what they are.
@@ -171,7 +171,7 @@ class Leases:
         return bool(self.held(kind, [name]))
 
     def text(self, kind: LeaseKind, name: str) -> str:
-        """Return what a lease says; empty where it is gone."""
+        """Return the text of a lease; empty where it is gone."""
         try:
             return (self._folder / kind / name).read_text(encoding="utf-8")
         except (OSError, ValueError):

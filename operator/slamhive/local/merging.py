@@ -116,7 +116,7 @@ class Merge:
 
     @property
     def extent(self) -> Extent:
-        """Return what is copied."""
+        """Return the room of what is copied."""
         return total(one.extent for one in self.coming)
 
 
@@ -156,7 +156,7 @@ def opened(label: str, url: str, path: Path | None, home: Home) -> Iterator[Othe
 
 
 def plan_merge(home: Home, archive: Archive, other: Other) -> Merge:
-    """Return what a merge does.
+    """Return the plan of a merge.
 
     Args:
         home: one's own home.
@@ -235,7 +235,7 @@ class _Planner:
         self._found = Merge()
 
     def plan(self) -> Merge:
-        """Return what is done."""
+        """Return the plan of the merge."""
         for record in self._other.archive.runs():
             mine = self._mine.get(_key(record))
             if mine is None:
@@ -305,7 +305,7 @@ class _Planner:
 
 
 def origin_of(folder: Path) -> Mapping[str, str] | None:
-    """Return where a run's folder was merged from; None where it was made here."""
+    """Return the origin of a run's folder that was merged; None where it was made here."""
     try:
         found = json.loads(read_regular(str(folder / NOTE), _MOST))
     except (OSError, ValueError, RecursionError):
@@ -380,7 +380,7 @@ def _bring(home: Path, source: Path, target: Parts, identity: str) -> list[str]:
 
 
 def _special(folder: str, names: list[str]) -> set[str]:
-    """Return what is neither a file, a folder nor a link: pipes and sockets that a program left."""
+    """Return the names of neither files, folders nor links: pipes and sockets that a program left."""
     found = set()
     for name in names:
         path = Path(folder, name)

@@ -47,7 +47,7 @@ class Room(NamedTuple):
 
 
 def occupancy(home: Path) -> list[Room]:
-    """Return what takes a home's room, the largest first; what a link leads to counts as if it were here."""
+    """Return the rooms of a home, the largest first; what a link leads to counts as if it were here."""
     tally = Tally()
     found: dict[tuple[str, str], tuple[int, Extent]] = {}
     for what, path in _parts(home):

@@ -64,10 +64,10 @@ class Points(Protocol):
 
     @property
     def repetitions(self) -> int:
-        """Return how often each setting comes, one after the other."""
+        """Return the number of times that each setting comes, one after the other."""
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of points."""
 
     def point(self, index: int) -> Planned:
         """Return one of them."""
@@ -115,7 +115,7 @@ class Outlook:
     seen: dict[str, datetime | None] = field(default_factory=dict)
 
     def count(self, *kinds: Standing) -> int:
-        """Return how many runs stand so."""
+        """Return the number of runs that stand so."""
         return sum(self.standing.count(kind) for kind in kinds)
 
     def of(self, kind: Standing) -> list[int]:
@@ -138,7 +138,7 @@ class Looking:
         self._checksums: dict[str, str | None] = {}
 
     def look(self, sweep: str, sweep_uid: str, points: Points, uids: Callable[[int], str]) -> Outlook:
-        """Return how the runs of a sweep stand.
+        """Return the outlook of a sweep's runs.
 
         Args:
             sweep: its name.
@@ -213,7 +213,7 @@ class Looking:
         return self._bench.archive.reusable(points.algorithm_names(), points.dataset_names())
 
     def _now(self, point: Point) -> Now | None:
-        """Return what a run would be made from; None where that can't be known."""
+        """Return the parts that a run would be made from now; None where they can't be known."""
         names = point.short_spec
         program = self._program(names["algorithm"] or "")
         checksum = self._checksum(names["dataset"] or "")
@@ -254,7 +254,7 @@ class Looking:
     def _why(
         self, point: Point, before: dict[str, str | None], after: dict[str, str | None]
     ) -> tuple[str, ...]:
-        """Return what has changed, in words."""
+        """Return the parts that have changed, in words."""
         changed = {name for name in after if before.get(name) != after[name]}
         words: list[str] = []
         if "environment" in changed or "imageID" in changed:
@@ -271,7 +271,7 @@ class Looking:
 
 
 def sentences(outlook: Outlook, points: Points, *, again: Iterable[int] = (), left_out: int = 0) -> list[str]:
-    """Return how the runs of a sweep stand, in words.
+    """Return the standing of a sweep's runs, in sentences.
 
     Args:
         outlook: how they stand.
@@ -316,7 +316,7 @@ def _stale(outlook: Outlook, points: Points, asked: set[int]) -> list[str]:
 
 
 def _new(outlook: Outlook, points: Points) -> list[str]:
-    """Return what is new: by the values that only new runs have, as far as that tells them."""
+    """Return the sentences on new runs: by the values that only they have, as far as that tells them."""
     new = outlook.of(Standing.NEW)
     if not new:
         return []
@@ -352,7 +352,7 @@ def _settings(point: Planned) -> list[tuple[str, Any]]:
 
 
 def moment_text(moment: datetime, now: datetime | None = None) -> str:
-    """Return when something was: the time of day, with the day unless it was today."""
+    """Return a moment in words: the time of day, with the day unless it was today."""
     here = moment.astimezone()
     today = (now or datetime.now().astimezone()).date()
     return here.strftime("%H:%M" if here.date() == today else "%Y-%m-%d %H:%M")

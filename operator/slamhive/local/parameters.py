@@ -30,7 +30,7 @@ class Uses(NamedTuple):
 
 
 def parameter_uses(entry: AlgorithmEntry) -> Uses:
-    """Return which parameters of an algorithm nothing reads: looked for by name, as words of the text."""
+    """Return the parameters of an algorithm that nothing reads: looked for as words of the text."""
     spec = entry.algorithm.spec
     left = set(spec.parameters)
     for _, template in spec.templates:

@@ -79,7 +79,7 @@ def run_command(
 
 
 def explained(what: str, told: str, *, by_itself: bool) -> SlamHiveError:
-    """Return why a command failed: `Unavailable` where pip says what no other try would change.
+    """Return the error of a failed command: `Unavailable` where pip says what no other try would change.
 
     Args:
         what: what it was to make.

@@ -109,7 +109,7 @@ class Player:
         self._program.wait()
 
     def played(self) -> Played | None:
-        """Return how playing ended, None where nothing was to be played."""
+        """Return the end of playing, None where nothing was to be played."""
         if not self._folder.is_dir():
             return None
         # Asked before the report is read: the report lies where the algorithm can write.

@@ -62,7 +62,7 @@ class Prepared(Protocol):
     """A program that can be started: what differs between executors."""
 
     def run_folder(self, run: Path) -> str:
-        """Return where the program sees its run folder."""
+        """Return the path of the run folder as the program sees it."""
 
     def lay_out(self, order: AttemptOrder, folder: Path) -> None:
         """Lay into an attempt's folder what this executor needs there beside the contract's files.

@@ -37,7 +37,7 @@ class Executor(Protocol):
     """Executor that prepares algorithms' programs, to run as processes or in containers."""
 
     def digest(self, entry: AlgorithmEntry) -> str:
-        """Return what tells apart programs: equal digests run the same.
+        """Return the digest of a program: equal ones run the same.
 
         Raises:
             SlamHiveError: it can't be found out.
@@ -74,15 +74,15 @@ class Programs:
         self.containers = Containers(home, container, notify)
 
     def executor(self, entry: AlgorithmEntry) -> str:
-        """Return which executor runs an algorithm, ``process`` or ``container``."""
+        """Return the name of the executor that runs an algorithm, ``process`` or ``container``."""
         return CONTAINER if in_container(entry.algorithm.spec, self._choice) else PROCESS
 
     def digest(self, entry: AlgorithmEntry) -> str:
-        """Return what tells apart programs: the digest of an environment and adapter, or of an image."""
+        """Return the digest of a program: that of an environment and adapter, or of an image."""
         return self._of(entry).digest(entry)
 
     def parts(self, entry: AlgorithmEntry) -> list[Part] | None:
-        """Return what a program that runs as a process is made of; None for an image.
+        """Return the parts of a program that runs as a process; None for an image.
 
         Raises:
             Unavailable: it can't run here.

@@ -106,7 +106,7 @@ def packages(distribution: str = "slamhive") -> Iterator[Row]:
 
 
 def _lacking(lines: Iterable[str]) -> list[str]:
-    """Return which requirements are not met here, with the version that is there."""
+    """Return the requirements that are not met here, with the version that is there."""
     found = []
     for line in lines:
         match = _REQUIREMENT.match(line)

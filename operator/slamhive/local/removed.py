@@ -41,7 +41,7 @@ class Removed(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Return that they are gone, as part of a sentence."""
+        """Return the fact that they are gone, as part of a sentence."""
         return f"its files were removed on {self.when:%Y-%m-%d}"
 
 
@@ -57,7 +57,7 @@ def run_parts(folder: str | None) -> tuple[str, str] | None:
 
 
 def removed_from(folder: Path) -> Removed | None:
-    """Return what is noted of a run folder's files; None where nothing was removed."""
+    """Return the note on a run folder's removed files; None where nothing was removed."""
     try:
         found = json.loads(read_regular(str(folder / NOTE), _MOST))
         return Removed(datetime.fromisoformat(found["removed"]), int(found["bytes"]))
@@ -66,7 +66,7 @@ def removed_from(folder: Path) -> Removed | None:
 
 
 def absence(home: Path | None, folder: str | None) -> str | None:
-    """Return why a run's files are not in a home, as part of a sentence; None where nothing is noted.
+    """Return the reason that a run's files are not in a home, as part of a sentence; None without a note.
 
     Args:
         home: the home; None for none.
@@ -99,7 +99,7 @@ def remove_files(folder: Path, size: int) -> None:
 
 
 def leftovers_in(folder: Path) -> list[Path]:
-    """Return what a removal that was interrupted left beside its note."""
+    """Return the files that an interrupted removal left beside its note."""
     if removed_from(folder) is None:
         return []
     return [entry for entry in folder.iterdir() if entry.name != NOTE]

@@ -100,7 +100,7 @@ class Point(Protocol):
 
     @property
     def short_spec(self) -> dict[str, str | None]:
-        """Return what the spec names: algorithm, dataset and sensors."""
+        """Return the names in the spec: algorithm, dataset and sensors."""
 
     @property
     def spec_hash(self) -> str:
@@ -194,7 +194,7 @@ class RunDriver:
         self._attempt.stop()
 
     def attempt_end(self) -> AttemptEnd | None:
-        """Return how the last attempt ended, None where there was none."""
+        """Return the end of the last attempt, None where there was none."""
         return self._attempt.end() if self._progress.attempt_state is AttemptState.ENDED else None
 
     def drive(self) -> RunRecord:
@@ -457,7 +457,7 @@ class RunDriver:
         return intended_evaluations(self._order.settings, SensorMode(self._spec["sensors"]), dataset)
 
     def _provenance(self) -> Provenance:
-        """Return what made the result, with what the recording gave of what was asked of it."""
+        """Return the provenance of the result, with what the recording gave of what was asked of it."""
         return self._progress.provenance.replace(**self._recording())
 
     def _recording(self) -> dict[str, Any]:

@@ -115,7 +115,7 @@ class Job:
         self.cursor = 0
 
     def count(self, state: PointState) -> int:
-        """Return how many points are in a state."""
+        """Return the number of points in a state."""
         return self.states.count(state)
 
 
@@ -334,7 +334,7 @@ class Runner:
         return False
 
     def _done_meanwhile(self, job: Job, index: int, uid: str) -> PointState | None:
-        """Return what became of a point that another runner finished since the job began, if it did."""
+        """Return the state of a point that another runner finished since the job began, if it did."""
         record = self._bench.archive.get(uid)
         seen = job.outlook.seen if job.outlook is not None else {}
         if record is None or not record.phase.is_finished or (uid in seen and seen[uid] == record.finished):

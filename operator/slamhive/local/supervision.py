@@ -104,7 +104,7 @@ class Supervised:
                         end_orphans(self.record)
 
     def summary(self) -> dict[str, Any] | None:
-        """Return what the supervisor said as it ended, None where it did not end by itself."""
+        """Return the supervisor's last word as it ended, None where it did not end by itself."""
         if self._process is None or self._process.returncode != 0:
             return None
         try:
@@ -118,7 +118,7 @@ class Supervised:
         return self._words.last(count) if self._words else ""
 
     def fault(self) -> str | None:
-        """Return why there is no summary, None where nothing is to be said of it."""
+        """Return the reason for a missing summary, None where nothing is to be said of it."""
         code = None if self._process is None else self._process.returncode
         if code is None or code >= 0:
             return self.last_words(3) or None

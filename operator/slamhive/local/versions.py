@@ -51,7 +51,7 @@ class Versions:
                 aside.unlink(missing_ok=True)
 
     def parts(self, digest: str | None) -> dict[str, str] | None:
-        """Return what a version was made of, by name; None where nobody noted it."""
+        """Return the parts of a version, by name; None where nobody noted them."""
         if digest is None:
             return None
         try:
@@ -61,7 +61,7 @@ class Versions:
         return found if isinstance(found, dict) else None
 
     def changed(self, before: str | None, after: str | None) -> list[str]:
-        """Return what two versions differ in, by name; nothing where that isn't known."""
+        """Return the names of the parts that two versions differ in; none where that isn't known."""
         old, new = self.parts(before), self.parts(after)
         if old is None or new is None:
             return []

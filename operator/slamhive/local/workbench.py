@@ -146,7 +146,7 @@ class Workbench:
         self._notify(sentence)
 
     def program(self, name: str) -> Program:
-        """Return what an algorithm is on this machine right now.
+        """Return the program of an algorithm on this machine right now.
 
         Raises:
             SlamHiveError: it isn't known, or can't be run here.
@@ -162,7 +162,7 @@ class Workbench:
         return Program(hashed, digest)
 
     def provenance(self, spec: dict[str, Any], spec_hash: str, program: Program) -> Provenance:
-        """Return what makes a run's result what it is.
+        """Return the provenance of a run's result.
 
         Args:
             spec: the run's resolved spec.
@@ -184,7 +184,7 @@ class Workbench:
         )
 
     def circumstances(self, spec_hash: str) -> Provenance:
-        """Return what is known of any run on this machine."""
+        """Return the circumstances of any run on this machine."""
         return Provenance(
             spec_hash=spec_hash,
             node=platform.node(),

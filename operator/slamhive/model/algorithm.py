@@ -179,7 +179,7 @@ class Output(Model):
     )
 
     def pose_files(self, frames: str) -> dict[str, Any] | None:
-        """Return what supervisor and sidecar are told of these files; None where there is nothing to tell.
+        """Return these files' description for supervisor and sidecar; None where there is nothing to tell.
 
         Args:
             frames: Where they find the stamps of the recording's frames.
@@ -414,7 +414,7 @@ class AlgorithmSpec(Model):
         return [form for form in fitting if not (mode.topics and form.is_folder)]
 
     def plays(self, pace: str) -> Ros1 | None:
-        """Return how a run of a pace is played to as a ROS 1 node, None when it reads by itself."""
+        """Return the ROS 1 node that a run of a pace is played to, None when it reads by itself."""
         return self.ros1 if pace == Pace.REALTIME else None
 
     def mode(self, name: SensorMode | None) -> Mode:
@@ -433,7 +433,7 @@ class AlgorithmSpec(Model):
         raise UnknownNameError("sensor mode", name, [mode.name for mode in self.modes], "sensors")
 
     def output_of(self, mode: Mode) -> Output:
-        """Return what the poses mean in a mode."""
+        """Return the output of a mode: the poses and their meaning."""
         if mode.output is None:
             return self.output
         changes = {name: value for name, value in mode.output if value is not None}

@@ -157,7 +157,7 @@ def meaning(pattern: str) -> str | None:
 
 
 def explain(error: ErrorDetails) -> str:
-    """Return what a mistake found by pydantic is, patterns put in words."""
+    """Return the sentence on a mistake found by pydantic, patterns put in words."""
     pattern = error.get("ctx", {}).get("pattern")
     return meaning(str(pattern)) or error["msg"].removeprefix("Value error, ")
 

@@ -131,7 +131,7 @@ class Family:
         return self.head.name
 
     def attributes(self, sequence: str) -> dict[str, Scalar]:
-        """Return what a sequence is selected by."""
+        """Return the attributes that a sequence is selected by."""
         return self.head.attributes | dict(self.rows[sequence].get("attributes") or {})
 
     def size(self, sequence: str) -> int | None:

@@ -128,7 +128,7 @@ class TruthTable(Model):
 
     @property
     def form(self) -> TableFormat:
-        """Return what the evaluator's reader is given.
+        """Return the format for the evaluator's reader.
 
         Raises:
             OptionError: columns that make no position over time.
@@ -195,7 +195,7 @@ class GroundTruth(Model):
 
     @property
     def columns(self) -> TruthTable | None:
-        """Return what the columns of a table are; None for other formats."""
+        """Return the columns of a table; None for other formats."""
         if self.format is TruthFormat.CONTROL_POINTS:
             return self.table or TruthTable()
         return self.table
@@ -268,7 +268,7 @@ class DatasetSpec(Model):
 
 
 def sensor_for(role: Role, sensors: Iterable[str], remap: Mapping[str, str] | None = None) -> str:
-    """Return which of a dataset's sensors fills a role.
+    """Return the name of the dataset's sensor that fills a role.
 
     Args:
         role: the role.

@@ -80,7 +80,7 @@ class SystemFault(SlamHiveError):  # noqa: N818 - a fault of the machine, not an
 
 
 def sentence(error: Exception) -> str:
-    """Return what an error says, an operating system's without its number."""
+    """Return the sentence of an error, an operating system's without its number."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)

@@ -88,7 +88,7 @@ def misfit(formats: Sequence[DataFormat], roles: Collection[Role], what: str) ->
 
 
 def folder_files(form: DataFormat, encodings: Mapping[Role, str | None]) -> dict[str, str]:
-    """Return where in a folder the data of each sensor are, and what else it has.
+    """Return the paths of each sensor's data in a folder, and of all else that it has.
 
     Args:
         form: the form of the folder.

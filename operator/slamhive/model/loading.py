@@ -69,7 +69,7 @@ def load_file(path: Path) -> list[Kind]:
 
 
 def empty(source: str) -> str:
-    """Return what is wrong with a file that holds no object."""
+    """Return the complaint about a file that holds no object."""
     return f"{source}: empty; expected an object with apiVersion: {API_VERSION}"
 
 
@@ -120,7 +120,7 @@ class Judged:
 
 
 def judge(document: Document) -> Judged:
-    """Return what a document is, and all that is wrong with it."""
+    """Return the object of a document, and all that is wrong with it."""
     value = document.value
     judged = Judged(document, problems=list(document.problems))
     if not isinstance(value, dict):
@@ -197,7 +197,7 @@ class _Judge:
         return True
 
     def _original(self, path: Path_) -> Path_:
-        """Return where a field stood before items of lists were taken out."""
+        """Return the path of a field before items of lists were taken out."""
         result: Path_ = ()
         for part in path:
             kept = self._judged.places.get(result)

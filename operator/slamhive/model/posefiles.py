@@ -90,7 +90,7 @@ class PoseFile(Model):
 
     @property
     def told(self) -> posefiles.PoseFile:
-        """Return what supervisor and sidecar are told of it."""
+        """Return its description for supervisor and sidecar."""
         columns = None
         if self.format is PoseFormat.CSV:
             columns = (self.columns or PoseColumns()).model_dump()
@@ -100,7 +100,7 @@ class PoseFile(Model):
 
 
 def told_files(trajectory: PoseFile | None, keyframes: PoseFile | None, frames: str) -> dict[str, Any] | None:
-    """Return what supervisor and sidecar are told of a program's files; None where there is nothing to tell.
+    """Return the description of a program's files for supervisor and sidecar; None for no files.
 
     Args:
         trajectory: The file with the final estimate.

@@ -146,7 +146,7 @@ class _Reader:
         return key
 
     def _merged(self, key: yaml.Node, node: yaml.Node) -> dict[str, Any]:
-        """Return what << takes in, the mappings that win first."""
+        """Return the values that << takes in, the mappings that win first."""
         result: dict[str, Any] = {}
         for source in _sources(node):
             extra = self.value(source)

@@ -165,7 +165,7 @@ class Usage(Model):
 
 
 def remark_of(usage: Usage | None, problem: str | None) -> str | None:
-    """Return what is to be said of a run that ended well.
+    """Return the remark on a run that ended well.
 
     Args:
         usage: what it cost.

@@ -115,7 +115,7 @@ def _copied(value: Any) -> Any:
 
 
 def _way(value: Any, place: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return how far a place of an error leads: it ends in missing fields and in members of unions."""
+    """Return the part of an error's place that leads somewhere: it ends in missing fields and in unions."""
     way = []
     for step in place:
         if isinstance(value, list):

@@ -68,7 +68,7 @@ class Axis(Model):
 
     @property
     def label(self) -> str:
-        """Return what include and exclude call the axis."""
+        """Return the axis's name in include and exclude."""
         return self.name or self.path or ""
 
 

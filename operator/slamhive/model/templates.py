@@ -89,7 +89,7 @@ class Template:
 def read_template(
     text: str, parameters: Collection[str] | None = None, roles: Collection[str] | None = None
 ) -> Template:
-    """Return what a template takes of the run, after looking for all that shows without rendering it.
+    """Return the fields of the run that a template takes, after looking for all that shows unrendered.
 
     Args:
         text: the template.

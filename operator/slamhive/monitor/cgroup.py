@@ -59,7 +59,7 @@ class RunCgroup(Protocol):
         """Limit memory and number of tasks; tell whether the kernel enforces the memory limit."""
 
     def oom_kills(self) -> int:
-        """Return how often the kernel killed a process in it for want of memory."""
+        """Return the number of its processes that the kernel killed for want of memory."""
 
     def throttled(self) -> float | None:
         """Return the seconds in which a CPU quota held its processes back, None where nothing counts that."""

@@ -144,7 +144,7 @@ class Account:
         return None if self._closed else self._source.pressure()
 
     def oom_kills(self) -> int:
-        """Return how often the kernel killed one of its processes for want of memory."""
+        """Return the number of its processes that the kernel killed for want of memory."""
         if not self._closed:
             self._oom_kills = max(self._group.oom_kills(), self._oom_kills)
         return self._oom_kills
@@ -356,11 +356,11 @@ class Contained:
         return f"the container {self._container.identity[:12]} could not be removed: {problem}"
 
     def oom_kills(self) -> int:
-        """Return what its cgroup counted."""
+        """Return the kills that its cgroup counted."""
         return self._account.oom_kills() if self._account else 0
 
     def throttled(self) -> float | None:
-        """Return what its cgroup counted."""
+        """Return the throttled time that its cgroup counted, s."""
         return self._account.throttled() if self._account else None
 
     def largest_ended(self) -> int | None:
@@ -368,7 +368,7 @@ class Contained:
         return None
 
     def explain(self, last_line: str) -> str | None:
-        """Return why the algorithm was never started inside of its container, None where it was."""
+        """Return the reason that the algorithm never started inside of its container, None where it did."""
         found = _NEVER_RAN.search(last_line)
         if found is None:
             return None

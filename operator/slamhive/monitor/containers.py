@@ -91,7 +91,7 @@ class Finder:
         return None
 
     def _lasting(self, now: float) -> int:
-        """Return how many other containers are known; what a probe runs in one ends at once."""
+        """Return the number of other containers that are known; what a probe runs in one ends at once."""
         lasting = [pid for pid, since in self._known.items() if now - since > _HIDDEN_SECONDS]
         return sum(identify(pid) is not None for pid in lasting)
 
@@ -176,7 +176,7 @@ class Container:
         return set()
 
     def tasks(self) -> int:
-        """Return how many processes and, where the kernel counts them, threads there are."""
+        """Return the number of processes and, where the kernel counts them, threads."""
         if self._group is not None:
             for directory in self._group.directories:
                 if (count := read_number(f"{directory}/pids.current")) is not None:
@@ -184,7 +184,7 @@ class Container:
         return len(self.source.processes())
 
     def oom_kills(self) -> int:
-        """Return how often the kernel killed one of its processes for want of memory."""
+        """Return the number of its processes that the kernel killed for want of memory."""
         return self._group.oom_kills() if self._group else 0
 
     def throttled(self) -> float | None:
@@ -293,14 +293,14 @@ def _let_go(directories: Iterable[str]) -> None:
 
 
 def _mount_namespace(pid: int) -> int | None:
-    """Return which file systems a process sees, None if it is gone or not ours to know."""
+    """Return the mount namespace of a process, None if it is gone or not ours to know."""
     with suppress(OSError):
         return os.stat(f"/proc/{pid}/ns/mnt").st_ino  # noqa: PTH116
     return None
 
 
 def _spared() -> set[int]:
-    """Return whom we never end: the pod's first process, ourselves, those above and below us."""
+    """Return the processes that we never end: the pod's first, ourselves, those above and below us."""
     mine, pid = {_PAUSE, os.getpid()}, os.getpid()
     with suppress(OSError, ValueError):
         while pid > _PAUSE:

@@ -68,7 +68,7 @@ def hierarchies_of(process: int | str) -> list[Hierarchy]:
 
 
 def cpu_quota() -> float | None:
-    """Return how many processors' time cgroups allow us, as containers limit it; None for no limit."""
+    """Return the number of processors that cgroups allow us, as containers limit it; None for no limit."""
     limits = []
     try:
         trees = own_hierarchies()

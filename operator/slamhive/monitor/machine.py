@@ -29,7 +29,7 @@ def cpu_model() -> str:
 
 
 def process_start(pid: int) -> float:
-    """Return when a process was made, on the monotonic clock, s; the kernel tells it to a tick.
+    """Return the time a process was made, on the monotonic clock, s; the kernel tells it to a tick.
 
     Raises:
         OSError: The process is gone.

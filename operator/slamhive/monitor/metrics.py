@@ -79,7 +79,7 @@ class ReaderReport:
 
 
 def reader_report(metrics: Metrics) -> ReaderReport:
-    """Return what an algorithm says about its reader."""
+    """Return the algorithm's own report about its reader."""
     seconds, includes = metrics.values.get("readerCpuSeconds"), metrics.values.get("includesReader")
     included = includes if isinstance(includes, bool) else None
     if seconds is None:

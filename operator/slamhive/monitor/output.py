@@ -145,7 +145,7 @@ def _listing(folder: str) -> AbstractContextManager[Iterator[os.DirEntry[str]]]:
 
 
 def held_open(directory: str, processes: Iterable[int]) -> Held:
-    """Return what processes hold open of a folder's volume that no folder has any more."""
+    """Return the bytes that processes hold open of a folder's volume and no folder has any more."""
     try:
         device = os.stat(directory).st_dev  # noqa: PTH116
     except OSError:
@@ -169,7 +169,7 @@ def held_open(directory: str, processes: Iterable[int]) -> Held:
 
 
 def _used(directory: str) -> int:
-    """Return how many bytes of its volume are used, 0 where that is unknown."""
+    """Return the number of its volume's bytes that are used, 0 where that is unknown."""
     with suppress(OSError):
         volume = os.statvfs(directory)
         return (volume.f_blocks - volume.f_bfree) * volume.f_frsize
@@ -177,7 +177,7 @@ def _used(directory: str) -> int:
 
 
 def _lack_of_room(directory: str, size: int, entries: int) -> str | None:
-    """Return that the volume is nearly full, where this run has more of it than is left."""
+    """Return the complaint that the volume is nearly full, where this run has more of it than is left."""
     with suppress(OSError):
         volume = os.statvfs(directory)
         total, free = volume.f_blocks * volume.f_frsize, volume.f_bavail * volume.f_frsize

@@ -61,7 +61,7 @@ def _prctl(option: int, value: int) -> None:
 
 
 def read_file(path: str) -> bytes:
-    """Return what a file of /proc holds.
+    """Return the bytes of a file of /proc.
 
     Raises:
         OSError: The process is gone or not ours to see.
@@ -90,7 +90,7 @@ def is_alive(process: ProcessIdentity) -> bool:
 
 
 def boot_id() -> str:
-    """Return what tells this boot of the machine from every other."""
+    """Return the identity of this boot of the machine among all others."""
     return read_file("/proc/sys/kernel/random/boot_id").decode().strip()
 
 

@@ -72,7 +72,7 @@ class Program(Protocol):
         """Send SIGTERM to all of it, stopped processes included."""
 
     def left(self) -> int:
-        """Return how many processes outlived the first one."""
+        """Return the number of processes that outlived the first one."""
 
     def end(self, deadline: float, idle: Callable[[], None]) -> str | None:
         """End all of it by force, and return what is to be noted where that failed.
@@ -83,7 +83,7 @@ class Program(Protocol):
         """
 
     def oom_kills(self) -> int:
-        """Return how often the kernel killed one of its processes for want of memory."""
+        """Return the number of its processes that the kernel killed for want of memory."""
 
     def throttled(self) -> float | None:
         """Return the seconds in which a CPU quota of its own held it back, None where nothing counts that."""
@@ -92,7 +92,7 @@ class Program(Protocol):
         """Return the resident peak of its largest process that ended, bytes, None where that is unknown."""
 
     def explain(self, last_line: str) -> str | None:
-        """Return why it never ran, where its last line is that of who was to start it."""
+        """Return the reason that it never ran, where its last line is that of who was to start it."""
 
     def close(self) -> str | None:
         """Let go of what was made for it, and return what is to be noted where that failed."""
@@ -157,7 +157,7 @@ class OwnProcesses:
                     os.kill(pid, number)
 
     def left(self) -> int:
-        """Return how many descendants there are."""
+        """Return the number of descendants."""
         return len(descendants([self._me.pid]))
 
     def end(self, deadline: float, idle: Callable[[], None]) -> str | None:  # noqa: ARG002
@@ -174,15 +174,15 @@ class OwnProcesses:
         return None
 
     def oom_kills(self) -> int:
-        """Return what the cgroup counted."""
+        """Return the kills that the cgroup counted."""
         return self._cgroup.oom_kills() if self._cgroup else 0
 
     def throttled(self) -> float | None:
-        """Return what the cgroup counted."""
+        """Return the throttled time that the cgroup counted, s."""
         return self._cgroup.throttled() if self._cgroup else None
 
     def largest_ended(self) -> int | None:
-        """Return what the kernel counted of those that we waited for."""
+        """Return the kernel's figure for those that we waited for."""
         return largest_ended()
 
     def explain(self, last_line: str) -> str | None:  # noqa: ARG002

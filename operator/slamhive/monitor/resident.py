@@ -138,6 +138,6 @@ def largest_ended() -> int | None:
 
 
 def _bytes_of(text: bytes, key: bytes) -> int:
-    """Return what /proc says in kB, as bytes; 0 where there is no such line, as of a process that ended."""
+    """Return a figure of /proc in kB, as bytes; 0 where there is no such line, as of a process that ended."""
     _, found, rest = text.partition(key)
     return int(rest[: rest.index(b"\n")].split()[0]) * 1024 if found else 0

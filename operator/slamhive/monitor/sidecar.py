@@ -209,7 +209,7 @@ def _end_left(container: Container, state: SidecarState) -> None:
 
 
 def _played(output: str) -> dict[str, Any]:
-    """Return what the player says of a run that it played to."""
+    """Return the player's report on a run that it played to."""
     found = read_report(output)
     return {} if found is None else {"played": found._asdict()}
 

@@ -30,7 +30,7 @@ class Signals:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _NUMBERS)
 
     def take(self) -> int:
-        """Return how many came since the last time."""
+        """Return the number that came since the last time."""
         count = 0
         with suppress(BlockingIOError):
             count = sum(number in _NUMBERS for number in os.read(self.descriptor, 4096))

@@ -48,7 +48,7 @@ _SHORTEST_TEXT = 40
 
 
 def termination_message(summary: Mapping[str, Any]) -> bytes:
-    """Return what of a summary.json goes to the kubelet: compact JSON of at most `LIMIT_BYTES`."""
+    """Return the part of a summary.json for the kubelet: compact JSON of at most `LIMIT_BYTES`."""
     told = {"v": VERSION, **{name: _rounded(summary[name]) for name in _TAKEN_OVER if name in summary}}
     for name in _GIVEN_UP:
         surplus = len(_encode(told)) - _OTHER_BYTES

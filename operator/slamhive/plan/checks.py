@@ -55,7 +55,7 @@ class _Use:
 
 
 def plan_problems(plan: Plan, limit: int = 20) -> list[str]:
-    """Return what in a plan the catalog doesn't allow: one sentence each, naming the field.
+    """Return the parts of a plan that the catalog doesn't allow: one sentence each, naming the field.
 
     Every distinct name, mode, pace, parameter value and sensor is looked at once.
 

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 def whole_cores(cpu: str) -> int:
-    """Return how many threads a run with so many processors is told to use: at least one."""
+    """Return the number of threads that a run with so many processors is told to use: at least one."""
     return max(1, math.ceil(quantity(cpu)))
 
 
 def run_configuration(
     run: str, spec: Mapping[str, Any], dataset: Dataset, recording: PreparedRecording, cores: int
 ) -> RunConfiguration:
-    """Return what a run's algorithm is told.
+    """Return the configuration for a run's algorithm.
 
     Args:
         run: name of the run.
@@ -63,7 +63,7 @@ def run_configuration(
 
 
 def recording_place(recording: PreparedRecording, path: str) -> RecordingPlace:
-    """Return where a prepared recording is, and in a folder of files, where the data of each sensor are.
+    """Return the place of a prepared recording and, in a folder of files, those of each sensor's data.
 
     Args:
         recording: the recording.

@@ -114,7 +114,7 @@ def options_of(given: Mapping[str, Any]) -> Options:
 def recorded(
     dataset: Dataset, mode: Mode, options: Mapping[str, Any], prepared: Prepared | None = None
 ) -> Recorded:
-    """Return what is known of a dataset's recording.
+    """Return the known facts about a dataset's recording.
 
     Args:
         dataset: the Dataset.

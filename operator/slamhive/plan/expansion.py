@@ -76,7 +76,7 @@ class Point:
 
     @property
     def short_spec(self) -> dict[str, str | None]:
-        """Return what the spec names: algorithm, dataset and sensors; all of it takes 20 times as long."""
+        """Return the names in the spec: algorithm, dataset and sensors; all of it takes 20 times as long."""
         return self._plan.short_spec(self.settings)
 
     @property
@@ -197,7 +197,7 @@ class Plan:
         return reading.idle if reading else ()
 
     def reading(self, row: int) -> Reading | None:
-        """Return what a combination asks of its recording; None where nothing is asked or known."""
+        """Return the reading that a combination asks of its recording; None where none is asked or known."""
         return self._reading(self.given(row))
 
     def _reading(self, given: Settings) -> Reading | None:
@@ -263,14 +263,14 @@ class Plan:
         }
 
     def _sameness(self, row: int) -> object:
-        """Return what is equal for combinations of the same spec; hashing specs takes many times as long."""
+        """Return a key that is equal for equal specs; hashing specs takes many times as long."""
         settings = self.settings(row)
         fields = {path: item for path, item in settings.items() if path[0] != INPUT}
         fields |= {path: self.assembler.value(settings, path) for path in self._inputs}
         return frozenset((path, type(item), item) for path, item in fields.items())
 
     def remarks(self, limit: int = 20) -> list[str]:
-        """Return what runs ask for without effect, and how many are done once for several.
+        """Return remarks on options without effect, and on the number of runs done once for several.
 
         Args:
             limit: the most sentences about options; one more tells how many were left out.
@@ -293,7 +293,7 @@ class Plan:
         return result | self.grid.addition(row).coordinates
 
     def short_spec(self, settings: Settings) -> dict[str, str | None]:
-        """Return what a combination's spec names: algorithm, dataset and sensor mode."""
+        """Return the names in a combination's spec: algorithm, dataset and sensor mode."""
         assembler = self.assembler
         return {
             "algorithm": assembler.value(settings, ALGORITHM),

@@ -140,7 +140,7 @@ class Grid:
         return [*self._additions, *self._extra]
 
     def addition(self, row: int) -> Addition:
-        """Return what include adds to a row, which for a combination of its own is all there is."""
+        """Return the addition of include to a row, which for a combination of its own is all there is."""
         if row >= self.matrix_rows:
             return self._extra[row - self.matrix_rows]
         return self._additions[0 if self._addition_of is None else int(self._addition_of[row])]

@@ -90,7 +90,7 @@ def run_name(sweep: str, uid: str, index: int) -> str:
 
 @lru_cache(maxsize=64)
 def prefix(sweep: str) -> str:
-    """Return what the names of a Sweep's runs begin with."""
+    """Return the begin of the names of a Sweep's runs."""
     return sweep.replace(".", "-")[: NAME_LENGTH - _HASH_LENGTH - 1].rstrip("-")
 
 
@@ -118,7 +118,7 @@ def canonical_text(value: Any) -> str:
 
 
 def sort_key(key: str) -> bytes:
-    """Return what RFC 8785 sorts keys by: UTF-16 code units."""
+    """Return the key that RFC 8785 sorts by: UTF-16 code units."""
     return key.encode("utf-16-be", "surrogatepass")
 
 

@@ -109,7 +109,7 @@ def run_problems(
 
 
 def parameter_problem(algorithm: Algorithm, name: str, value: Any) -> Iterator[str]:
-    """Yield what is wrong with a value of a parameter."""
+    """Yield the faults of a parameter's value."""
     declared = algorithm.spec.parameters.get(name)
     if declared is None:
         hint = suggestion(name, algorithm.spec.parameters)
@@ -121,7 +121,7 @@ def parameter_problem(algorithm: Algorithm, name: str, value: Any) -> Iterator[s
 
 
 def pace_problem(algorithm: Algorithm, pace: str | None) -> Iterator[str]:
-    """Yield what is wrong with a pace."""
+    """Yield the faults of a pace."""
     paces = [str(item) for item in algorithm.spec.paces]
     if pace is not None and pace not in paces:
         yield f"input.pace: {algorithm.name} does not run in {pace}, allowed: {', '.join(paces)}"

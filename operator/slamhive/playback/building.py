@@ -33,7 +33,7 @@ def play_request(
     port: int = 0,
     stay: bool = False,
 ) -> PlayRequest | None:
-    """Return what the player does for a run, None where the algorithm needs none.
+    """Return the order to the player for a run, None where the algorithm needs none.
 
     Args:
         algorithm: The run's Algorithm.
@@ -79,7 +79,7 @@ def play_request(
 
 
 def _calibrations(configuration: RunConfiguration, ros: Ros1) -> dict[str, str]:
-    """Return how the camera_info beside each camera's topic is renamed with it."""
+    """Return the new names of the camera_info beside each camera's topic, by the old ones."""
     renamed = {}
     for role, view in configuration.sensors.items():
         new = ros.topics.get(role, view.topic)
@@ -95,7 +95,7 @@ def _sibling(topic: str) -> str:
 def _source(
     poses: Ros1Poses, configuration: RunConfiguration, first: SensorView, output: Output
 ) -> PoseSource:
-    """Return where poses come from, and how far the stamps of their messages are to be moved."""
+    """Return the source of poses, with the seconds that their messages' stamps are to be moved."""
     moved = 0.0
     if poses.stamp is not None:
         # A scan lasts as long as it did when it was recorded, however many are left out.
@@ -111,7 +111,7 @@ def _source(
 
 
 def _match(sensor: SensorView, stamp: str) -> str:
-    """Return which frame a pose belongs to: poses may be stamped with another instant of a scan."""
+    """Return the frame that a pose belongs to: poses may be stamped with another instant of a scan."""
     frame = sensor.stamp.share if sensor.type in {SensorType.LIDAR, SensorType.LASER_SCAN} else None
     pose = _POSE_WHEN.get(PoseStamp(stamp))
     if frame is None or pose is None or frame == pose:

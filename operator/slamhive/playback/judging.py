@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def judge(end: AttemptEnd, played: Played | None) -> AttemptEnd:
-    """Return how an attempt ended in the light of how playing did.
+    """Return the end of an attempt in the light of playing's.
 
     Args:
         end: As its supervisor says.

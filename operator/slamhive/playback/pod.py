@@ -40,7 +40,7 @@ class PlayerPod:
 
 
 def player_pod(algorithm: AlgorithmSpec, configuration: RunConfiguration, container: str) -> PlayerPod | None:
-    """Return what a run's pod needs for its player, None where the algorithm needs none.
+    """Return the needs of a run's pod for its player, None where the algorithm needs none.
 
     The player needs /slamhive/dataset and /slamhive/output as the algorithm has them, a folder of its own at
     `FOLDER` and one at /tmp.

@@ -88,7 +88,7 @@ def _remember(frame: Frame, home: Home, others: Sequence[Beside]) -> str:
 
 
 def source(frame: Any) -> tuple[Frame, Home, Sequence[Beside]] | None:
-    """Return what a data frame of pandas was made from; None where it is none of the last ones.
+    """Return the rows that a data frame of pandas was made from; None where it is none of the last ones.
 
     These are the rows of the archive's table and the homes that have the files of their runs: one's own, and
     the other ones.

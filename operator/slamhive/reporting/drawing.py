@@ -133,7 +133,7 @@ class Style:
 
 
 def legend(names: Sequence[str], only: Container[str] | None = None) -> Markup:
-    """Return which mark stands for what.
+    """Return the legend of marks.
 
     Args:
         names: in the order of their styles.

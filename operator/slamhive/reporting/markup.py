@@ -79,5 +79,5 @@ def shown(value: Any, metric: Metric | None = None) -> str:
 
 
 def parse_metric(column: str) -> Metric:
-    """Return how a column's numbers are shown."""
+    """Return the metric of a column, which shows its numbers."""
     return Metric(column, "", 1.0) if ":" in column else Metric.parse(column)

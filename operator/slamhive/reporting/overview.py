@@ -48,7 +48,7 @@ def runs_of(frame: Frame) -> int:
 
 
 def overview_section(frame: Frame, notes: Sequence[str] = ()) -> Markup:
-    """Return what was compared: sweeps, algorithms, datasets, settings, and what became of the runs.
+    """Return the section on all that was compared: sweeps, algorithms, datasets, settings, ends of runs.
 
     Args:
         frame: the rows.
@@ -145,7 +145,7 @@ def _cell(name: str, value: Any) -> Any:
 
 
 def provenance_section(frame: Frame, made: Mapping[str, str], filters: Sequence[str]) -> Markup:
-    """Return where the figures come from.
+    """Return the section on the origin of the figures.
 
     Args:
         frame: the runs.
@@ -164,7 +164,7 @@ def provenance_section(frame: Frame, made: Mapping[str, str], filters: Sequence[
 
 
 def _versions(frame: Frame) -> list[Markup]:
-    """Return which software and data each algorithm and dataset stands for."""
+    """Return tables of the software and data that each algorithm and dataset stands for."""
     sheets = []
     for name, columns in (
         ("algorithm", ("provenance.version", "provenance.imageID", "provenance.environment")),

@@ -93,7 +93,7 @@ class Study:
         return {dot.series for dot in panel.dots} or {self.series_of(cell.keys) for cell in panel.cells}
 
     def place(self, value: Any) -> float:
-        """Return where a value of x stands: the number itself, or a text's place; NaN where missing."""
+        """Return the place of a value of x: the number itself, or a text's place; NaN where missing."""
         if self.categories is not None:
             return float(next(k for k, one in enumerate(self.categories) if _plain(one) == _plain(value)))
         return math.nan if value is None else float(value)
@@ -150,7 +150,7 @@ def _worth_drawing(made: Study, panels: list[Panel]) -> list[Panel]:
 
 
 def _breadth(made: Study, panel: Panel) -> int:
-    """Return how many x the series with most of them has."""
+    """Return the number of x of the series with most of them."""
     if panel.dots:
         return len({dot.x for dot in panel.dots})
     if made.categories is not None:

@@ -31,7 +31,7 @@ def key_title(name: str, names: Sequence[str]) -> str:
 
 
 def column_words(names: Sequence[str], values: Sequence[Any]) -> str:
-    """Return what stands above a column: values, with name and unit where they don't explain themselves."""
+    """Return the heading of a column: values, with name and unit where they don't explain themselves."""
     return keys_text(dict(zip(names, values, strict=True)), SUBJECT, plain)
 
 
@@ -103,7 +103,7 @@ def parts_text(datasets: tuple[int, int]) -> str:
 
 
 def count_text(n: int, runs: int) -> str:
-    """Return how many runs are in a figure."""
+    """Return the number of runs in a figure, as text."""
     return str(n) if n == runs else f"{n}/{runs}"
 
 

@@ -16,7 +16,7 @@ _READER = {True: "reader included", False: "reader not included"}
 
 
 def column_title(name: str, among: Iterable[str] = ()) -> str:
-    """Return what people call a column, with its unit.
+    """Return a column's name for people, with its unit.
 
     Args:
         name: of the column.
@@ -28,7 +28,7 @@ def column_title(name: str, among: Iterable[str] = ()) -> str:
 def keys_text(
     keys: Mapping[str, Any], bare: Iterable[str] = SUBJECT, text: Callable[[Any], str] = shown
 ) -> str:
-    """Return what some runs share, in one line: each value with its column's name.
+    """Return the values that some runs share, in one line, each with its column's name.
 
     Args:
         keys: values by column.

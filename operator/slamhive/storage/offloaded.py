@@ -83,12 +83,12 @@ class Offloaded(Model):
 
 
 def folder_of(uid: str) -> str:
-    """Return where a run's files lie, on the volume as in the store."""
+    """Return the path of a run's files, on the volume as in the store."""
     return f"runs/{uid}"
 
 
 def look_up(store: Store, uid: str) -> Offloaded | None:
-    """Return what of a run lies in a store; None where it was not, or not wholly, moved there.
+    """Return the files of a run in a store; None where it was not, or not wholly, moved there.
 
     Raises:
         StorageUnavailable: the store doesn't say.

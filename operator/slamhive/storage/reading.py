@@ -43,7 +43,7 @@ class Bucket:
         self._lock = threading.Lock()
 
     def run(self, uid: str) -> Offloaded | None:
-        """Return what of a run lies in the store; None where it was not moved there. It is asked rarely.
+        """Return the files of a run in the store; None where it was not moved there. It is asked rarely.
 
         Raises:
             StorageUnavailable: the store doesn't say.
@@ -123,7 +123,7 @@ class Cache:
         self._room = threading.Lock()
 
     def held(self, file: StoredFile) -> Path | None:
-        """Return where a file is here, None where it is not."""
+        """Return the path of a file here, None where it is not here."""
         path = self._folder / file.sha256
         try:
             os.utime(path)

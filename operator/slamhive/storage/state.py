@@ -43,7 +43,7 @@ class OffloadState(Model):
     stays: int = 0
 
     def sentence(self) -> str | None:
-        """Return what an owner has to know; None where all is well."""
+        """Return the sentence that an owner has to know; None where all is well."""
         when = f"{self.since:%Y-%m-%d %H:%M} UTC"
         if self.problem:
             return (
@@ -71,7 +71,7 @@ class Offloading:
         self._sentence: str | None = None
 
     def sentence(self) -> str | None:
-        """Return what an owner has to know; None where all is well, or nothing is said."""
+        """Return the sentence that an owner has to know; None where all is well, or nothing is said."""
         now = time.monotonic()
         if self._results is not None and now >= self._next:
             self._next = now + _LOOK_SECONDS
@@ -81,7 +81,7 @@ class Offloading:
 
 
 def read_state(results: Path) -> OffloadState | None:
-    """Return how the last walk ended; None where nothing, or nothing that can be read, says so."""
+    """Return the end of the last walk; None where nothing, or nothing that can be read, says it."""
     try:
         with (results / STATE).open("rb") as file:
             return OffloadState.model_validate_json(file.read(_BYTES))

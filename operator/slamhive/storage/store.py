@@ -79,7 +79,7 @@ class StoreSettings(Model):
 
 
 def _secrets(folder: Path) -> dict[str, str]:
-    """Return what the files of a mounted Secret hold, by their names."""
+    """Return the texts of a mounted Secret's files, by their names."""
     try:
         # Kubernetes has folders beside them whose names begin with two dots.
         files = [path for path in sorted(folder.iterdir()) if path.is_file() and path.name[0] != "."]

@@ -148,7 +148,7 @@ def together(frames: Sequence[tuple[str, Frame]]) -> Frame:
 
 
 def costs_together(homes: Sequence[tuple[str, Sequence[Cost]]]) -> list[Cost]:
-    """Return what the runs of several homes did cost, each run once, names told apart as in tables.
+    """Return the costs of several homes' runs, each run once, names told apart as in tables.
 
     Args:
         homes: each with its label, one's own first.
@@ -183,7 +183,7 @@ def uid_in(uid: str, labels: Collection[str]) -> tuple[str, str | None]:
 
 
 def told_name(name: str, label: str) -> str:
-    """Return what a name is called that means something else in a home."""
+    """Return the name of something that means something else in a home."""
     return f"{name} @{label}"
 
 

@@ -142,7 +142,7 @@ def _declared(connection: Connection) -> dict[str, dict[str, str]]:
 
 
 def _marks(connection: Connection) -> dict[int, int]:
-    """Return what each run looks like in short, by its id."""
+    """Return a short mark of each run's look, by its id."""
     runs, results = schema.runs.c, schema.results.c
     asked_for = [_cheap(connection, runs[name]) for name in ("id", *_CHANGES[:-1])]
     query = select(*asked_for, _raw(connection, runs.evaluations)).order_by(runs.id)

@@ -59,7 +59,7 @@ class Published:
 
     @property
     def where(self) -> str:
-        """Return where it was published: venue, year and place."""
+        """Return the place of publication: venue, year and place."""
         source = self.source
         name = f"{source.venue} {source.year}" if source.venue and source.year else source.title
         return f"{name}, {self.table.place}"
@@ -189,7 +189,7 @@ def table_of(found: Sequence[Published], metrics: Sequence[Metric]) -> tuple[lis
 
 
 def differences_of(found: Iterable[Published]) -> list[str]:
-    """Return why own numbers may differ from published ones, each sentence once."""
+    """Return the reasons that own numbers may differ from published ones, each once."""
     return list(dict.fromkeys(sentence for item in found for sentence in item.differences))
 
 

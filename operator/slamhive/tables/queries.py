@@ -88,7 +88,7 @@ def select(frame: Frame, pairs: Pairs, reserved: Iterable[str], *, each: bool = 
 
 
 def condition(frame: Frame, pairs: Pairs, reserved: Iterable[str]) -> Node | None:
-    """Return what the filters of a query string ask of a row; None for nothing.
+    """Return the condition on a row in the filters of a query string; None for none.
 
     Raises:
         QueryError: with the parameter that is wrong.
@@ -194,7 +194,7 @@ def number_column(frame: Frame, name: str, field: str) -> str:
 
 
 def outcomes(text: str) -> Outcomes:
-    """Return which runs count.
+    """Return the outcomes that count.
 
     Raises:
         QueryError: the word is unknown.

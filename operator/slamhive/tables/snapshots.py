@@ -67,7 +67,7 @@ def file_for(folder: Path, url: str) -> Path:
 
 
 def stamp_of(url: str) -> tuple[int, ...] | None:
-    """Return what an SQLite database's files look like; None where that can't tell whether they changed.
+    """Return a stamp of an SQLite database's files; None where it can't tell whether they changed.
 
     Times of files are coarse: a file that was written just now may be written again at the same time.
     """

@@ -91,7 +91,7 @@ def number_text(value: float | None, shape: str = ".3g") -> str:
 
 
 def interval_text(interval: Interval | None) -> str:
-    """Return where something lies."""
+    """Return an interval as text."""
     if interval is None:
         return "–"
     return f"{number_text(interval.low)} – {number_text(interval.high)}"
@@ -103,12 +103,12 @@ def counts_text(counts: Mapping[str, int]) -> str:
 
 
 def n_text(cell: Cell) -> str:
-    """Return how many runs count, with = where all of them are one and the same result."""
+    """Return the number of runs that count, with = where all of them are one and the same result."""
     return f"{cell.n} =" if cell.deterministic else str(cell.n)
 
 
 def failures_text(cell: Cell) -> str:
-    """Return what became of the runs that don't count, and of those that do without being tracked."""
+    """Return the ends of the runs that don't count, and of those that do without being tracked."""
     failures = counts_text(cell.failures) or "0"
     return f"{failures}; in n: {counts_text(cell.untracked)}" if cell.untracked else failures
 

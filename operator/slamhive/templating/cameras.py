@@ -118,7 +118,7 @@ def orb_slam_camera(fields: Mapping[str, Any], role: str, name: str = "Camera1")
 
 
 def kalibr_camera(fields: Mapping[str, Any], role: str) -> dict[str, Any]:
-    """Return what a Kalibr camchain says of one camera but for transforms and topic.
+    """Return one camera's entry in a Kalibr camchain but for transforms and topic.
 
     ``pinhole`` has intrinsics fx fy cx cy, ``omni`` xi fx fy cx cy; distortion is ``radtan`` (k1 k2 p1 p2),
     ``equidistant`` (k1 to k4) or ``none``.

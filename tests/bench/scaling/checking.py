@@ -28,7 +28,7 @@ CPU_SECONDS = 8.0
 
 
 def problems(url: str, sweep: Object, live: Sequence[Object], count: int, retained: int) -> list[str]:
-    """Return what is wrong with a Sweep that is over, a sentence each.
+    """Return the faults of a Sweep that is over, a sentence each.
 
     Args:
         url: the archive.
@@ -105,7 +105,7 @@ def _rows(url: str, sweep_uid: str) -> list[dict[str, Any]]:
 
 
 def _twice(url: str, sweep_uid: str, live: Iterable[Object]) -> list[str]:
-    """Return which points were done by two runs; one run may be in the archive and live for a moment."""
+    """Return the points that two runs did; one run may be in the archive and live for a moment."""
     runs = {run["metadata"]["uid"]: point_of(run) for run in live}
     with Archive.open(url, read_only=True) as archive:
         for record in archive.runs({"sweep_uid": sweep_uid}):

@@ -106,7 +106,7 @@ def parts(
     watches: Watches,
     database: PostgreSQL | None,
 ) -> dict[str, Callable[[float], None]]:
-    """Return what can be killed; each is started again after some seconds."""
+    """Return the parts that can be killed; each is started again after some seconds."""
 
     def operator(seconds: float) -> None:
         process.end(signal.SIGKILL)

@@ -34,7 +34,7 @@ class PlayedApi(Api):
         return await super().create(kind, body, namespace)
 
     async def logs(self, namespace: str, pod: str, container: str, **_: Any) -> str:
-        """Return what an evaluator would have written."""
+        """Return the log that an evaluator would have written."""
         request = await evaluation_of(self, namespace, pod, container)
         points = {run["name"]: await self._point(namespace, run["name"]) for run in request.runs}
         return evaluator_log(request, lambda run: error_at(points[run["name"]]))

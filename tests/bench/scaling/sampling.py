@@ -104,7 +104,7 @@ class Sampler:
         self._file.close()
 
     def raw(self, path: str) -> Any:
-        """Return what the API server answers, None where it doesn't."""
+        """Return the API server's answer, None where it gives none."""
         try:
             answer = self._access.run("get", "--raw", path)
         except OSError as error:

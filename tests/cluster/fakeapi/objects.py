@@ -282,7 +282,7 @@ def _content(obj: Object) -> Object:
 
 
 def _grace(resource: Resource, obj: Object, options: Object) -> int:
-    """Return how long an object has to end, s: only a pod that may be running has any time."""
+    """Return the time that an object has to end, s: only a pod that may be running has any."""
     if resource is not PODS or not (obj.get("spec") or {}).get("nodeName"):
         return 0
     if (obj.get("status") or {}).get("phase") in ENDED:

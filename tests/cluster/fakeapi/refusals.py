@@ -32,27 +32,27 @@ class Refusal(Exception):  # noqa: N818 - a fake server's answer, not a fault of
 
 
 def not_found(resource: str, name: str) -> Refusal:
-    """Return that an object is not there."""
+    """Return the refusal of an object that is not there."""
     return Refusal(404, "NotFound", f'{resource} "{name}" not found', {"name": name})
 
 
 def conflict(resource: str, name: str, why: str) -> Refusal:
-    """Return that an object is not the one that was meant."""
+    """Return the refusal of an object that is not the one that was meant."""
     return Refusal(
         409, "Conflict", f'Operation cannot be fulfilled on {resource} "{name}": {why}', {"name": name}
     )
 
 
 def forbidden(resource: str, name: str, why: str) -> Refusal:
-    """Return that something is not allowed."""
+    """Return the refusal of something that is not allowed."""
     return Refusal(403, "Forbidden", f'{resource} "{name}" is forbidden: {why}', {"name": name})
 
 
 def expired(message: str) -> Refusal:
-    """Return that a version is too old to be known."""
+    """Return the refusal of a version that is too old to be known."""
     return Refusal(410, "Expired", message)
 
 
 def bad_request(message: str) -> Refusal:
-    """Return that a call makes no sense."""
+    """Return the refusal of a call that makes no sense."""
     return Refusal(400, "BadRequest", message)

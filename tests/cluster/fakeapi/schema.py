@@ -34,7 +34,7 @@ _KEPT_AT_ROOT = ("apiVersion", "kind", "metadata")
 
 
 def loads(text: str | bytes) -> Any:
-    """Return what JSON says, as a real server reads and writes it: whole numbers without a fraction."""
+    """Return the value of JSON as a real server reads and writes it: whole numbers without a fraction."""
 
     def number(digits: str) -> float:
         value = float(digits)
@@ -75,7 +75,7 @@ def _settled(schema: Schema, value: Any) -> Any:
 
 
 def problems(schema: Schema, body: dict[str, Any], before: dict[str, Any] | None = None) -> list[Problem]:
-    """Return what is wrong with an object.
+    """Return the faults of an object.
 
     Args:
         schema: the schema.

@@ -20,7 +20,7 @@ _EXISTS = re.compile(r"^(?P<word>!?)(?P<key>[^=!\s]+)$")
 
 
 def selecting(labels: str | None, fields: str | None) -> Callable[[Object], bool]:
-    """Return what tells whether an object is selected.
+    """Return a function that tells whether an object is selected.
 
     Raises:
         Refusal: a selector can't be read.

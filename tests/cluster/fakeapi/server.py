@@ -282,7 +282,7 @@ def _addressed(path: str) -> tuple[Resource, str, str, str]:
 
 
 def _discovered(path: str) -> Object | None:
-    """Return what the server says of itself under an address; None where objects are meant."""
+    """Return the server's description of itself under an address; None where objects are meant."""
     groups = {resource.group: resource.version for resource in resources()}
     if path == "/version":
         return dict(_VERSION)

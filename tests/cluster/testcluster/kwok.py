@@ -57,7 +57,7 @@ class Pool:
 
 
 def run_message(**changes: Any) -> str:
-    """Return what the monitor says of a run that succeeded, with some fields changed."""
+    """Return the monitor's message on a run that succeeded, with some fields changed."""
     usage = Usage(
         cpu=CpuUsage(
             mean_cores=0.8, max_cores=1.0, seconds=8.0, seconds_per_data_second=0.4, total_seconds=8.0
@@ -161,7 +161,7 @@ class Moment:
 
 
 def moment_of(play: Play, role: str) -> Moment:
-    """Return how a pod of a role ends, or that it goes on; times in it are ``NOW``."""
+    """Return the end of a role's pod, or the moment from which it goes on; times in it are ``NOW``."""
     if role in play.ends:
         return play.ends[role]
     if role == "prepare":
@@ -179,7 +179,7 @@ def moment_of(play: Play, role: str) -> Moment:
 
 
 def ended(exit_code: int, message: str | None = None) -> Moment:
-    """Return how a pod ended, all of its containers alike."""
+    """Return the end of a pod, all of its containers alike."""
     told = _terminated(exit_code, message)
     return Moment("Failed" if exit_code else "Succeeded", told, told)
 

@@ -56,7 +56,7 @@ def _output(*command: str) -> list[str]:
 
 
 def snapshot(folder: Path) -> dict[str, Any]:
-    """Return what there is of links, filters, mounts, control groups, processes, settings and files."""
+    """Return the links, filters, mounts, control groups, processes, settings and files that there are."""
     processes = []
     for path in Path("/proc").glob("[0-9]*"):
         try:

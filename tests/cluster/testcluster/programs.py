@@ -58,7 +58,7 @@ def _digest(module: str) -> str:
 
 
 def path_of(program: str) -> Path:
-    """Return where a program is once it has been built."""
+    """Return the path of a program once it has been built."""
     module, _ = PROGRAMS[program]
     return home() / "programs" / f"{module}-{_digest(module)}" / program
 

@@ -25,5 +25,5 @@ class InContainers(Process):
         return in_image(IMAGE, text)
 
     def label(self) -> str:
-        """Return what its containers are labelled with."""
+        """Return the label of its containers."""
         return Containers(self.home).identity()

@@ -50,14 +50,14 @@ class Executor(Protocol):
         """
 
     def faults(self, sweep: str) -> Mapping[str, int]:
-        """Return how many attempts of a sweep's behaviours the machine ended, by behaviour, if any.
+        """Return the number of attempts that the machine ended, by behaviour, if any.
 
         A busy node ends some, and each is followed by another attempt.
         """
 
 
 def outcomes(archive: str, sweep: str, faults: Mapping[str, int] = MappingProxyType({})) -> dict[str, Row]:
-    """Return what came of each behaviour in a sweep: its columns with a value that are no matter of chance.
+    """Return the outcome of each behaviour in a sweep: its columns with a value that are no matter of chance.
 
     Args:
         archive: URL of an archive.

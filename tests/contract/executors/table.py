@@ -88,7 +88,7 @@ class Behaviour:
     differs: Mapping[str, Difference] = field(default_factory=dict)
 
     def on(self, executor: str) -> Behaviour:
-        """Return what must come of it on an executor."""
+        """Return the behaviour as it must be on an executor."""
         difference = self.differs.get(executor)
         return self if difference is None else replace(self, **difference.changes)
 
@@ -495,7 +495,7 @@ def _object(kind: str, name: str, spec: dict[str, Any]) -> dict[str, Any]:
 
 
 def carry_out(executor: Executor, behaviours: Iterable[str] = BEHAVIOURS) -> dict[str, Row]:
-    """Return what an executor made of the behaviours; those of the second sweep are called `again: …`."""
+    """Return an executor's outcomes of the behaviours; those of the second sweep are called `again: …`."""
     algorithm, first, second = study(executor, behaviours)
     found = outcomes(executor.run(algorithm, first), "behaviours", executor.faults("behaviours"))
     again = outcomes(executor.run(algorithm, second), "again", executor.faults("again"))
@@ -503,7 +503,7 @@ def carry_out(executor: Executor, behaviours: Iterable[str] = BEHAVIOURS) -> dic
 
 
 def expected(executor: str, behaviours: Iterable[str] = BEHAVIOURS) -> dict[str, Row]:
-    """Return what an executor must make of them."""
+    """Return the outcomes that an executor must make of them."""
     rows = {name: BEHAVIOURS[name].on(executor).columns() for name in behaviours}
     taken_over = {REUSED: True, "attempts": 0}
     again = {name: rows[name] | (taken_over if rows[name]["phase"] == SUCCEEDED else {}) for name in AGAIN}

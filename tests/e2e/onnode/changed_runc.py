@@ -24,7 +24,7 @@ KINDS = ("ENOSPC", "EIO", "EROFS", "EDQUOT", "short")
 
 
 def number() -> int:
-    """Return which container of the plan this is, from 0."""
+    """Return the number of this container in the plan, from 0."""
     with (FOLDER / "containers").open("a+") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         file.write("x")

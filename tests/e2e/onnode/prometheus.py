@@ -36,7 +36,7 @@ class Prometheus:
         self._address = f"http://127.0.0.1:{port}"
 
     def ask(self, path: str, **parameters: Any) -> Any:
-        """Return what its HTTP API answers."""
+        """Return the answer of its HTTP API."""
         address = f"{self._address}/api/v1/{path}?{urllib.parse.urlencode(parameters)}"
         with urllib.request.urlopen(address, timeout=10) as answer:  # noqa: S310 - our own process
             return json.load(answer)["data"]

@@ -72,7 +72,7 @@ async def test_two_work_side_by_side(arena: Arena, name: str) -> None:
 
 
 def _names(created: Object) -> Object:
-    """Return which objects there were, however often."""
+    """Return the names of the objects there were, however often."""
     return {kind: sorted(objects) for kind, objects in created.items()}
 
 

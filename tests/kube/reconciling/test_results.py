@@ -26,7 +26,7 @@ SETTINGS = {"evaluation": {"delaySeconds": 0.1}}
 
 
 def refuses(verb: str, resource: str, refusal: Refusal, **labels: str) -> Any:
-    """Return what refuses one kind of call, where the body has labels."""
+    """Return a function that refuses one kind of call, where the body has labels."""
 
     def refusing(asked: str, of: str, body: dict[str, Any]) -> Refusal | None:
         there = (body.get("metadata") or {}).get("labels") or {}

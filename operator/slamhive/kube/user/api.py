@@ -119,7 +119,7 @@ class Session:
                 self._status = data.decode(errors="replace")
 
     def _end(self) -> str:
-        """Return how the program ended, as far as that is known."""
+        """Return the end of the program in words, as far as it is known."""
         said = self._said.decode(errors="replace").strip()
         try:
             status = json.loads(self._status)
@@ -259,6 +259,6 @@ class UserApi(Api):
 
 
 def _order(stamp: str) -> tuple[str, str]:
-    """Return what RFC 3339 time stamps in UTC are ordered by: their fractions drop trailing zeros."""
+    """Return a key to order RFC 3339 time stamps in UTC by: their fractions drop trailing zeros."""
     whole, _, fraction = stamp.rstrip("Z").partition(".")
     return whole, fraction.ljust(9, "0")

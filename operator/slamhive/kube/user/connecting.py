@@ -68,7 +68,7 @@ class Cluster:
 
 
 def find_target(context: str | None, namespace: str | None) -> Target:
-    """Return what the options and the kubeconfig mean, as kubectl would take them.
+    """Return the cluster that the options and the kubeconfig mean, as kubectl would take them.
 
     Args:
         context: name of a context; default: the current one.

@@ -119,7 +119,7 @@ class Fetcher:
         return Fetched(Kind.MAPPING_RUN, name_of(body), stored, int(finished), waiting, int(not finished))
 
     def _address(self, sweep: str, meta: Object) -> str:
-        """Return what a sweep is called in the archive here, with its namespace where that is needed."""
+        """Return the name of a sweep in the archive here, with its namespace where that is needed."""
         places = {record.namespace for record in self._archive.runs(sweep=sweep)}
         return f"{meta['namespace']}/{sweep}" if places - {meta["namespace"]} else sweep
 

@@ -120,7 +120,7 @@ class _Reader:
         return text
 
     async def look(self, run: Object) -> _Seen | None:
-        """Return what is seen of the container in the run's newest pod."""
+        """Return the state of the container in the run's newest pod."""
         selector = f"{Label.RUN}={label_value(self._name)},{Label.ROLE}={Role.RUN}"
         pods, _ = await self._cluster.api.list(Kind.POD, self._cluster.namespace, labels=selector)
         created = run["metadata"].get("creationTimestamp", "")
@@ -144,7 +144,7 @@ class _Reader:
         return _Seen(name_of(pod), attempt, state, why)
 
     async def read(self, seen: _Seen) -> AsyncGenerator[tuple[Part, str], None]:
-        """Yield what was not read yet of a container that has begun."""
+        """Yield the parts of a container's log that were not read yet; it has begun."""
         self.problem = None
         if seen.pod in self.shown:
             return
@@ -184,7 +184,7 @@ def _waiting(run: Object, seen: _Seen | None) -> str:
 
 
 def _kept(run: Object, seen: _Seen | None, container: str) -> list[tuple[Part, str]]:
-    """Return what is known of the log of a run without a pod."""
+    """Return the known parts of the log of a run without a pod."""
     status, name = status_of(run), name_of(run)
     phase = phase_of(status)
     if not phase.is_finished:

@@ -66,7 +66,7 @@ class Manifest:
 
     @property
     def body(self) -> Object:
-        """Return what is sent."""
+        """Return the object that is sent."""
         return {"metadata": self.metadata, "spec": self.spec}
 
 

@@ -75,7 +75,7 @@ class Picture:
 
 
 async def look_around(cluster: Cluster) -> Picture:
-    """Return what there is in the namespace."""
+    """Return the picture of all that is in the namespace."""
     lists = await together(
         (
             cluster.api.list(Kind.SWEEP, cluster.namespace),
@@ -88,7 +88,7 @@ async def look_around(cluster: Cluster) -> Picture:
 
 
 async def look_at(cluster: Cluster, names: Sequence[str], before: Picture | None = None) -> Picture:
-    """Return what is known by some names, with the failed runs of Sweeps.
+    """Return the picture of all of some names, with the failed runs of Sweeps.
 
     Args:
         cluster: where.
@@ -181,7 +181,7 @@ def is_over(kind: Kind, body: Mapping[str, Any]) -> bool:
 
 
 def is_stuck(kind: Kind, body: Mapping[str, Any]) -> str | None:
-    """Return why an object will not go on unless someone does something; None when it does."""
+    """Return the reason that an object will not go on unless someone does something; None when it does."""
     status = status_of(body)
     if holds(status, "Accepted") is False and not is_over(kind, body):
         return "; ".join(troubles(kind, body, 0.0))

@@ -35,7 +35,7 @@ _RIGHTS = (
 
 
 async def look(context: str | None = None, namespace: str | None = None) -> list[Row]:
-    """Return what there is of a cluster; one that doesn't answer costs a few seconds.
+    """Return the parts of a cluster that are there; one that doesn't answer costs a few seconds.
 
     Args:
         context: name of a context of the kubeconfig; default: the current one.

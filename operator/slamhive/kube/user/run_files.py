@@ -102,7 +102,7 @@ class RunFolder:
 
     @property
     def trajectory(self) -> Path:
-        """Return where its trajectory is when it has one."""
+        """Return the path of its trajectory when it has one."""
         return self.path / _RUN / TRAJECTORY
 
     @property
@@ -111,7 +111,7 @@ class RunFolder:
         return self.path.is_dir()
 
     def held(self) -> dict[str, int]:
-        """Return how many bytes are here of each file that is not whole, by its path on the volume."""
+        """Return the number of bytes here of each file that is not whole, by its path on the volume."""
         found = {}
         for folder, _, names in os.walk(self._making):
             for name in names:

@@ -43,7 +43,7 @@ class Pose(NamedTuple):
 
 
 def reader(source: PoseSource) -> Callable[[Any], Iterator[Pose]]:
-    """Return what takes the poses out of a source's messages; of a Path all of them, the newest last."""
+    """Return a function that takes the poses out of a source's messages; of a Path all, the newest last."""
     if source.type == "TF":
         return Chain(source.parent or "", source.frame or "").take
     return {

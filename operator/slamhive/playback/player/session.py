@@ -159,11 +159,11 @@ class Session:
         return False
 
     def _last_word(self) -> float:
-        """Return when the algorithm was done: with its last pose, or when nothing more was played to it."""
+        """Return the time the algorithm was done, s: of its last pose, or of the last played to it."""
         return (self._latest() or time.time_ns()) / 1e9
 
     def _latest(self) -> int | None:
-        """Return when the last pose came, that of a keyframe included."""
+        """Return the time of the last pose, ns, that of a keyframe included."""
         tracks = (self._recorder, self._keyframes)
         return max((track.latest for track in tracks if track and track.latest is not None), default=None)
 

@@ -58,7 +58,7 @@ _NUMBERS = itertools.count()
 
 
 async def played_logs(api: Api, namespace: str, pod: str, container: str, **_: Any) -> str:
-    """Return what the evaluator of a played pod would have written, in the place of its kubelet.
+    """Return the log that a played pod's evaluator would have written, in the place of its kubelet.
 
     Everything else of an evaluation is real. The figures follow from the runs' uids.
     """
@@ -67,14 +67,14 @@ async def played_logs(api: Api, namespace: str, pod: str, container: str, **_: A
 
 
 async def evaluation_of(api: Api, namespace: str, pod: str, container: str) -> EvaluateRequest:
-    """Return what an evaluator's pod is asked to measure."""
+    """Return the request of an evaluator's pod."""
     path = f"/api/v1/namespaces/{namespace}/pods/{pod}"
     body = await api.json(Request("get", "pods/log", f"{namespace}/{pod}/{container}", "GET", path))
     return EvaluateRequest.model_validate_json(body["metadata"]["annotations"]["slamhive.io/request"])
 
 
 def evaluator_log(request: EvaluateRequest, error: Callable[[Object], float]) -> str:
-    """Return what an evaluator would have written that found an ATE for each run, m."""
+    """Return the log of an evaluator that found an ATE for each run, m."""
     hashed = settings_hash(request.settings)
     records = [
         {
@@ -162,7 +162,7 @@ class Instance:
         return [record for record in runs if record.namespace == self.namespace]
 
     def outcome(self) -> Outcome:
-        """Return what there is now, in a form that is the same whenever all went the same way."""
+        """Return the outcome by now, in a form that is the same whenever all went the same way."""
         seen, namespace = self.arena.seen, self.namespace
         ends = [(_place(run), _end(run)) for run in seen.alive("mappingruns", namespace)]
         records = self.records()
@@ -186,7 +186,7 @@ class Instance:
         )
 
     def _created(self) -> Object:
-        """Return how many objects there ever were of each sort that may be made once."""
+        """Return the number of objects there ever were of each sort that may be made once."""
         seen = self.arena.seen
         runs = Counter(_place(run) for run in seen.ever["mappingruns", self.namespace].values())
         jobs: Counter[str] = Counter()
@@ -273,7 +273,7 @@ class Arena:
                 self.namespaces.give_back(name)
 
     async def undisturbed(self, scenario: Scenario) -> Outcome:
-        """Return what comes of a scenario without any trouble; it is played once a session."""
+        """Return the outcome of a scenario without any trouble; it is played once a session."""
 
         async def course(instance: Instance) -> Outcome:
             return await instance.finish()
@@ -337,7 +337,7 @@ def _end(run: Object) -> tuple[Any, ...]:
 
 
 def _conditions(status: Object) -> tuple[tuple[str, str, str], ...]:
-    """Return what the conditions say, without their sentences and times, and without trouble on the way."""
+    """Return the conditions without their sentences and times, and without trouble on the way."""
     return tuple(
         sorted(
             (item["type"], item["status"], item["reason"])
