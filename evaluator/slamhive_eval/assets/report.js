@@ -262,7 +262,7 @@
   }
 
   /**
-   * Return where a point is seen; drawSolid says from where.
+   * Return the place that a point is seen at; drawSolid says from where.
    * @type {(p: number[]) => number[]}
    */
   let project = () => [0, 0];

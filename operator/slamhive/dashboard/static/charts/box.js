@@ -97,7 +97,7 @@ export function box(data, indices, { ylog, tracked }) {
 }
 
 /**
- * Return how far the boxes of one series stand from the middle of their category: as ECharts lays several of
+ * Return the distance of one series' boxes from the middle of their category: as ECharts lays several of
  * them out.
  * @param {number} at
  * @param {number} count

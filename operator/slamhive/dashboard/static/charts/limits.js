@@ -12,7 +12,7 @@ const MOST = 0.2;
 const GAIN = 2;
 
 /**
- * Return what an axis over some values has to hold, and how many lie beyond.
+ * Return the limits of an axis over some values, and the number of those beyond.
  * @param {Array<number|null|undefined>} values
  * @param {{log?: boolean}} [how] log: distances are those of an axis of logarithms, which has no place for 0
  * @returns {Limits|null} null where there is no value

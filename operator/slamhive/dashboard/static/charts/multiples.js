@@ -32,7 +32,7 @@ export function valuesOf(groups, name) {
 }
 
 /**
- * Return what is drawn: values of rows and columns, lines of each chart, limits that all share.
+ * Return the drawing: values of rows and columns, lines of each chart, limits that all share.
  * @param {Api.Aggregate} data answer of analysis/aggregate
  * @param {MultiplesSettings} set
  * @returns {Multiples}
@@ -71,7 +71,7 @@ export function arranged(data, set) {
 }
 
 /**
- * Return why the charts can't be drawn, or null.
+ * Return the reason that the charts can't be drawn, or null.
  * @param {Multiples} found
  * @param {MultiplesSettings} set
  */

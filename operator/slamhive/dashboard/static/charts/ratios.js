@@ -14,7 +14,7 @@ const SIGNS = {
 };
 
 /**
- * Return what became of a setting.
+ * Return the verdict on a setting.
  * @param {Api.Setting} setting
  * @returns {'better'|'worse'|'same'}
  */

@@ -2,7 +2,7 @@
 /** Charts of one row for each competitor or setting: names at the left, lines between two values. */
 
 /**
- * Return how wide names left of a chart may be, in pixels: a phone keeps most of its width for the chart.
+ * Return the width for names left of a chart, in pixels: a phone keeps most of its width for the chart.
  * @param {number} width
  * @param {number} most
  */

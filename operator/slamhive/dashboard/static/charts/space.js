@@ -87,7 +87,7 @@ export function projector(found, view, width, height, margin = 34) {
 }
 
 /**
- * Return what stands on paper, the farthest first.
+ * Return the lines, texts and dots on paper, the farthest first.
  * @param {Scene} found of scene
  * @param {View} view
  * @param {number} width

@@ -70,7 +70,7 @@ export function timelineChart(data) {
 }
 
 /**
- * Return where a rectangle between two times lies in its lane.
+ * Return the place of a rectangle between two times in its lane.
  * @param {any} api of ECharts
  * @param {number} lane
  * @param {number} from ms

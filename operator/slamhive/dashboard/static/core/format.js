@@ -93,7 +93,7 @@ const TITLES = new Map(
 const PREFIX = /^(parameters|input|resources|dataset\.attributes|label|provenance)\./;
 
 /**
- * Return what people call a column, with its unit.
+ * Return the name of a column for people, with its unit.
  * @param {string} name
  */
 export const columnTitle = (name) => TITLES.get(name) ?? name.replace(PREFIX, '');
@@ -129,7 +129,7 @@ export const headingOf = (headings, name) =>
   headings.find((one) => one.name === name) ?? { name, title: name };
 
 /**
- * Return what stands at an axis of a column: its name where there is room, with its unit.
+ * Return the title at an axis of a column: its name where there is room, with its unit.
  * @param {Api.Heading} heading
  */
 export const axisName = (heading) => heading.label ?? heading.title;

@@ -39,7 +39,7 @@ export const differing = (runs) =>
   );
 
 /**
- * Return what each run is called: what tells it apart from the others, and its number where nothing does.
+ * Return the label of each run: what tells it apart from the others, and its number where nothing does.
  * Settings that only runs of other algorithms have say nothing.
  * @param {Api.Run[]} runs
  * @returns {string[]}

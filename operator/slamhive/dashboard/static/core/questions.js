@@ -37,8 +37,8 @@ export const mostVaried = (columns) =>
     .sort((one, other) => other.distinct - one.distinct)[0];
 
 /**
- * Return what all runs share of a property that a question needs to vary, such as "loops 0.5"; '' where it
- * isn't known of any.
+ * Return the value of a property that all runs share and a question needs to vary, as "loops 0.5"; ''
+ * where it isn't known of any.
  * @param {Api.Column[]} columns
  * @param {RegExp} pattern
  * @param {string[]} groups
@@ -102,7 +102,7 @@ const cameras = (columns) =>
   )?.name;
 
 /**
- * Return what can be asked. Those without `settings` say in `needs` which runs they need.
+ * Return the questions. Those without `settings` say in `needs` which runs they need.
  * @param {Api.Column[]} columns of /api/v1/columns
  * @returns {Question[]}
  */

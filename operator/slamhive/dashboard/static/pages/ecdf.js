@@ -93,7 +93,7 @@ export function Ecdf({ set, filters, title, onError }) {
 }
 
 /**
- * Return what stands beside the curves: of how many runs each is, and what became of the others.
+ * Return the words beside the curves: of how many runs each is, and what became of the others.
  * @param {Api.Ecdf} data
  * @returns {TableData}
  */

@@ -22,8 +22,8 @@ export const COMPETITORS = [
 ];
 
 /**
- * Return what tells competitors apart unless the address says it: with earlier versions too, each version
- * competes.
+ * Return the columns that tell competitors apart unless the address says it: with earlier versions too,
+ * each version competes.
  * @param {import('../core/address.js').Query} query
  */
 export const usualCompetitors = (query) => COMPETITORS[query.get('superseded') === '1' ? 2 : 0][0];

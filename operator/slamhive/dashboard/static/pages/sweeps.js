@@ -96,7 +96,7 @@ const axesText = (axes) =>
   axes.map((axis) => `${axis.name ?? 'points'}${axis.count ? ` (${axis.count})` : ''}`).join(', ');
 
 /**
- * Return where a sweep is as the API takes it: empty for a workstation, null where its name says enough.
+ * Return the place of a sweep as the API takes it: empty for a workstation, null where its name says enough.
  * @param {Api.Sweep} sweep
  * @param {Api.Sweep[]} [sweeps] all of them: two may have one name in different places
  */
