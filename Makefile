@@ -47,7 +47,7 @@ $(STAMP): pyproject.toml evaluator/pyproject.toml hatch_build.py constraints.txt
 	  { echo 'Python has no venv module: sudo apt-get install python3-venv'; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	@echo "Installing $$(grep -c == constraints.txt) packages into $(VENV), which takes a minute or three."
-	@$(BIN)/python -P operator/slamhive/local/installing.py constraints.txt $(BIN)/python \
+	@$(BIN)/python -P operator/slamhive/local/programs/installing.py constraints.txt $(BIN)/python \
 	  -m pip install --progress-bar off --require-hashes --only-binary :all: --requirement constraints.txt
 	$(BIN)/python -m pip install --quiet --no-index --no-deps --no-build-isolation --editable .
 	$(BIN)/python -m pip install --quiet --no-index --no-deps --no-build-isolation --editable ./evaluator

@@ -27,11 +27,11 @@ from aiohttp.client_proto import ResponseHandler
 from hypothesis import settings as hypothesis_settings
 from xdist.scheduler import LoadScopeScheduling
 
-from slamhive.data.once import evict, in_use
-from slamhive.data.store import materialise
-from slamhive.local.engines import ContainerChoice, Engine, find_engine
-from slamhive.local.home import Home
-from slamhive.local.unavailable import Unavailable
+from slamhive.data.files.once import evict, in_use
+from slamhive.data.store.datasets import materialise
+from slamhive.local.home.folder import Home
+from slamhive.local.programs.engines import ContainerChoice, Engine, find_engine
+from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.local.catalog import bundled, load_workshop
+from slamhive.local.home.catalog import bundled, load_workshop
 from slamhive.model.loading import load_file
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep

@@ -23,10 +23,6 @@ if TYPE_CHECKING:
         interpolate,
         match,
     )
-    from slamhive_eval.clouds import Cloud, read_cloud, sample_mesh
-    from slamhive_eval.column_tables import read_columns
-    from slamhive_eval.columns import TableFormat
-    from slamhive_eval.consistency import Consistency, measure_consistency
     from slamhive_eval.coverage import Coverage, measure_coverage
     from slamhive_eval.errors import (
         AssociationError,
@@ -37,25 +33,28 @@ if TYPE_CHECKING:
         TrajectoryError,
     )
     from slamhive_eval.evaluation import Evaluation, Options, Outcome, RpeOptions, evaluate
-    from slamhive_eval.evo_zip import ErrorSeries, write_error_arrays, write_evo_zip
-    from slamhive_eval.figures import save_figure, save_trajectories
-    from slamhive_eval.files import read_euroc, read_kitti, read_trajectory, read_tum, write_tum
+    from slamhive_eval.formats.clouds import Cloud, read_cloud, sample_mesh
+    from slamhive_eval.formats.column_tables import read_columns
+    from slamhive_eval.formats.columns import TableFormat
+    from slamhive_eval.formats.evo_zip import ErrorSeries, write_error_arrays, write_evo_zip
+    from slamhive_eval.formats.files import read_euroc, read_kitti, read_trajectory, read_tum, write_tum
+    from slamhive_eval.formats.writing import write_trajectory
     from slamhive_eval.handeye import HandEye, hand_eye
-    from slamhive_eval.kitti import KittiErrors, kitti_errors
-    from slamhive_eval.maps import MapEntropy, MapErrors, compare_maps, mean_map_entropy, thin_out
-    from slamhive_eval.metrics import Statistics, ape_errors, rpe_errors
-    from slamhive_eval.motion import Smoothness, smoothness, velocities, velocity_errors
-    from slamhive_eval.pairs import find_pairs
-    from slamhive_eval.points import ControlPoints, PointErrors, evaluate_points
-    from slamhive_eval.preparing import Preparation, Prepared, prepare
-    from slamhive_eval.relations import RelationErrors, Relations, evaluate_relations, read_relations
-    from slamhive_eval.relative import ScaleDrift, SubTrajectoryErrors, scale_drift, sub_trajectory_errors
-    from slamhive_eval.repeated import Repeated, summarize
-    from slamhive_eval.report import report_html
-    from slamhive_eval.result_tables import csv_table, latex_table
-    from slamhive_eval.robust import align_robustly
-    from slamhive_eval.segments import Piece, evaluate_pieces, number_poses, read_segments
-    from slamhive_eval.support import (
+    from slamhive_eval.measures.consistency import Consistency, measure_consistency
+    from slamhive_eval.measures.kitti import KittiErrors, kitti_errors
+    from slamhive_eval.measures.maps import MapEntropy, MapErrors, compare_maps, mean_map_entropy, thin_out
+    from slamhive_eval.measures.motion import Smoothness, smoothness, velocities, velocity_errors
+    from slamhive_eval.measures.points import ControlPoints, PointErrors, evaluate_points
+    from slamhive_eval.measures.relations import RelationErrors, Relations, evaluate_relations, read_relations
+    from slamhive_eval.measures.relative import (
+        ScaleDrift,
+        SubTrajectoryErrors,
+        scale_drift,
+        sub_trajectory_errors,
+    )
+    from slamhive_eval.measures.repeated import Repeated, summarize
+    from slamhive_eval.measures.segments import Piece, evaluate_pieces, number_poses, read_segments
+    from slamhive_eval.measures.support import (
         Gap,
         SegmentedEvaluation,
         Support,
@@ -65,9 +64,15 @@ if TYPE_CHECKING:
         segment_numbers,
         within,
     )
+    from slamhive_eval.metrics import Statistics, ape_errors, rpe_errors
+    from slamhive_eval.pairs import find_pairs
+    from slamhive_eval.preparing import Preparation, Prepared, prepare
+    from slamhive_eval.reports.figures import save_figure, save_trajectories
+    from slamhive_eval.reports.report import report_html
+    from slamhive_eval.reports.result_tables import csv_table, latex_table
+    from slamhive_eval.robust import align_robustly
     from slamhive_eval.timing import TimeOffset, find_offset
     from slamhive_eval.trajectory import Trajectory
-    from slamhive_eval.writing import write_trajectory
 
 __version__ = "0.1.0"
 """The version of slamhive-eval and of slamhive: the one place where it is written."""
@@ -82,8 +87,8 @@ _MODULES = {
         "interpolate",
         "match",
     ),
-    "column_tables": ("read_columns",),
-    "columns": ("TableFormat",),
+    "formats.column_tables": ("read_columns",),
+    "formats.columns": ("TableFormat",),
     "coverage": ("Coverage", "measure_coverage"),
     "errors": (
         "AssociationError",
@@ -94,28 +99,28 @@ _MODULES = {
         "TrajectoryError",
     ),
     "evaluation": ("Evaluation", "Options", "Outcome", "RpeOptions", "evaluate"),
-    "files": ("read_euroc", "read_kitti", "read_trajectory", "read_tum", "write_tum"),
+    "formats.files": ("read_euroc", "read_kitti", "read_trajectory", "read_tum", "write_tum"),
     "metrics": ("Statistics", "ape_errors", "rpe_errors"),
     "pairs": ("find_pairs",),
-    "relations": ("RelationErrors", "Relations", "evaluate_relations", "read_relations"),
-    "points": ("ControlPoints", "PointErrors", "evaluate_points"),
+    "measures.relations": ("RelationErrors", "Relations", "evaluate_relations", "read_relations"),
+    "measures.points": ("ControlPoints", "PointErrors", "evaluate_points"),
     "handeye": ("HandEye", "hand_eye"),
     "preparing": ("Preparation", "Prepared", "prepare"),
     "robust": ("align_robustly",),
     "timing": ("TimeOffset", "find_offset"),
-    "clouds": ("Cloud", "read_cloud", "sample_mesh"),
-    "consistency": ("Consistency", "measure_consistency"),
-    "evo_zip": ("ErrorSeries", "write_error_arrays", "write_evo_zip"),
-    "figures": ("save_figure", "save_trajectories"),
-    "kitti": ("KittiErrors", "kitti_errors"),
-    "maps": ("MapEntropy", "MapErrors", "compare_maps", "mean_map_entropy", "thin_out"),
-    "motion": ("Smoothness", "smoothness", "velocities", "velocity_errors"),
-    "relative": ("ScaleDrift", "SubTrajectoryErrors", "scale_drift", "sub_trajectory_errors"),
-    "repeated": ("Repeated", "summarize"),
-    "report": ("report_html",),
-    "result_tables": ("csv_table", "latex_table"),
-    "segments": ("Piece", "evaluate_pieces", "number_poses", "read_segments"),
-    "support": (
+    "formats.clouds": ("Cloud", "read_cloud", "sample_mesh"),
+    "measures.consistency": ("Consistency", "measure_consistency"),
+    "formats.evo_zip": ("ErrorSeries", "write_error_arrays", "write_evo_zip"),
+    "reports.figures": ("save_figure", "save_trajectories"),
+    "measures.kitti": ("KittiErrors", "kitti_errors"),
+    "measures.maps": ("MapEntropy", "MapErrors", "compare_maps", "mean_map_entropy", "thin_out"),
+    "measures.motion": ("Smoothness", "smoothness", "velocities", "velocity_errors"),
+    "measures.relative": ("ScaleDrift", "SubTrajectoryErrors", "scale_drift", "sub_trajectory_errors"),
+    "measures.repeated": ("Repeated", "summarize"),
+    "reports.report": ("report_html",),
+    "reports.result_tables": ("csv_table", "latex_table"),
+    "measures.segments": ("Piece", "evaluate_pieces", "number_poses", "read_segments"),
+    "measures.support": (
         "Gap",
         "SegmentedEvaluation",
         "Support",
@@ -126,7 +131,7 @@ _MODULES = {
         "within",
     ),
     "trajectory": ("Trajectory",),
-    "writing": ("write_trajectory",),
+    "formats.writing": ("write_trajectory",),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 

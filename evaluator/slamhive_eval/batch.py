@@ -23,19 +23,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive_eval.column_tables import read_columns
 from slamhive_eval.errors import EvaluationError, FileError, OptionError, TrajectoryError
 from slamhive_eval.evaluation import Options, evaluate
-from slamhive_eval.files import Unsorted, read_estimate, read_text, read_trajectory
-from slamhive_eval.points import ControlPoints, evaluate_points, require_point_options
-from slamhive_eval.segments import NAME, beside, evaluate_pieces, read_segments
-from slamhive_eval.support import find_support
+from slamhive_eval.formats.column_tables import read_columns
+from slamhive_eval.formats.files import Unsorted, read_estimate, read_text, read_trajectory
+from slamhive_eval.measures.points import ControlPoints, evaluate_points, require_point_options
+from slamhive_eval.measures.segments import NAME, beside, evaluate_pieces, read_segments
+from slamhive_eval.measures.support import find_support
 from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from slamhive_eval.columns import TableFormat
+    from slamhive_eval.formats.columns import TableFormat
 
 TRUTH_NAMES = ("groundtruth", "gt", "stamped_groundtruth")
 """Names, without their ending, of a folder's ground truth; the last is that of rpg_trajectory_evaluation."""

@@ -23,8 +23,8 @@ import yaml
 from slamhive.contract.conversion import Converted, convert_all
 from slamhive.contract.output import FILE, KEYFRAMES
 from slamhive.contract.posefiles import FRAMES, PoseFiles
-from slamhive.data.preparation import prepare
-from slamhive.data.store import materialise
+from slamhive.data.making.preparation import prepare
+from slamhive.data.store.datasets import materialise
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.configuration import PreparedRecording
 from slamhive.model.dataset import Dataset

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.local.starting import Kind
+from slamhive.local.programs.starting import Kind
 from slamhive.playback.ros import find_ros, what_it_takes
 
 if TYPE_CHECKING:

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from slamhive.data.vocabulary import Node, cluster, grow, render, train_vocabulary, training_images, weigh
+from slamhive.data.inspecting.vocabulary import (
+    Node,
+    cluster,
+    grow,
+    render,
+    train_vocabulary,
+    training_images,
+    weigh,
+)
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:

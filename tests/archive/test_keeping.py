@@ -495,8 +495,8 @@ def test_the_commands_say_what_they_did(
 def test_a_home_s_own_file_is_brought_along_and_a_team_s_server_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, postgresql_url: str, put_version: PutVersion
 ) -> None:
-    from slamhive.cli.console import open_archive
-    from slamhive.local.home import Home
+    from slamhive.cli.parts.console import open_archive
+    from slamhive.local.home.folder import Home
 
     monkeypatch.delenv("SLAMHIVE_ARCHIVE", raising=False)
     put_version(f"sqlite:///{tmp_path / 'home' / 'archive.sqlite'}", 2)

@@ -15,14 +15,14 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.local.containerwords import limits
-from slamhive.local.engines import ContainerChoice, find_engine
-from slamhive.local.unavailable import Unavailable
+from slamhive.local.programs.containerwords import limits
+from slamhive.local.programs.engines import ContainerChoice, find_engine
+from slamhive.local.programs.unavailable import Unavailable
 from slamhive.monitor import SupervisorSpec
 from slamhive.monitor.spec import ContainedSpec
 
 if TYPE_CHECKING:
-    from slamhive.local.engines import Engine
+    from slamhive.local.programs.engines import Engine
 
 IMAGE = "docker.io/slamhive/shell-algorithm:1.0.0"
 REPETITIONS = 7

@@ -29,8 +29,8 @@ import yaml
 from slamhive.analysis.design import Known, Nearness, Quantity, Setting, design
 from slamhive.analysis.predicting import COVERED, Interval, predict
 from slamhive.archive import Archive
-from slamhive.data.slamhive1 import find_runs, read_run
-from slamhive.local.costs import NOW, Knowledge
+from slamhive.bridges.slamhive1 import find_runs, read_run
+from slamhive.local.running.costs import NOW, Knowledge
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -14,10 +14,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.exporting import export_dataset
-from slamhive.data.once import settle
-from slamhive.data.rosmessages import BagWriter
+from slamhive.data.files.once import settle
+from slamhive.data.making.exporting import export_dataset
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.recordings.rosmessages import BagWriter
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.dataset import Dataset
 from slamhive.model.run import InputOptions

@@ -28,7 +28,7 @@ ROUNDS = 5
 FETCH = """
 import sys
 from pathlib import Path
-from slamhive.data import fetching
+from slamhive.data.files import fetching
 fetching.PAUSES = (0.0,) * 8
 pieces = Path(sys.argv[4]).read_text().split() if len(sys.argv) > 4 else []
 size = 8 << 20 if pieces else 0

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from slamhive.data.files.once import settle
 from slamhive.data.importers import import_recording
-from slamhive.data.once import settle
 
 if TYPE_CHECKING:
     from collections.abc import Callable

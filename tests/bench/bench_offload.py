@@ -23,8 +23,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "storage"))
 import boto3
 from buckets import KEYS
 
-from slamhive.dashboard.stored import Shelf
 from slamhive.jobs.moving import copy_folder
+from slamhive.runfiles.stored import Shelf
 from slamhive.storage.store import Store, StoreSettings
 
 if TYPE_CHECKING:

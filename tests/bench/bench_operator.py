@@ -20,8 +20,8 @@ from job_loops import LONGEST_SECONDS, Cost, JobLoops, measured
 from testcluster.kwok import Kwok, Play
 from testcluster.lab import sweep
 
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind
 
 if TYPE_CHECKING:
     from collections import Counter

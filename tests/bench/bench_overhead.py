@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slamhive.data.store import materialise
+from slamhive.data.store.datasets import materialise
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.preparation import prepare
-from slamhive.data.rosmessages import BagWriter
+from slamhive.data.making.preparation import prepare
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.recordings.rosmessages import BagWriter
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.dataset import Dataset
 from slamhive.model.run import InputOptions

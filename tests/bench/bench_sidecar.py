@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.trajectory import check_trajectory
-from slamhive.monitor.processes import children
+from slamhive.monitor.measuring.processes import children
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "monitor"))
 from conftest import Pod, can_make_pods

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import operating
 
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind
-from slamhive.kube.transport import Request
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind
+from slamhive.kube.api.transport import Request
 
 if TYPE_CHECKING:
     from collections.abc import Callable

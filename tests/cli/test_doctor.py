@@ -20,11 +20,11 @@ from aiohttp import web
 from slamhive import __version__
 from slamhive.cli import doctor as cli
 from slamhive.cli import main
-from slamhive.kube.kinds import OUR_KINDS
+from slamhive.kube.api.kinds import OUR_KINDS
 from slamhive.kube.user import readiness as cluster
-from slamhive.local import readiness
-from slamhive.local.catalog import Workshop
-from slamhive.local.home import Home
+from slamhive.local.home.catalog import Workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.programs import readiness
 from slamhive.model.readiness import Row, State, missing, there
 
 if TYPE_CHECKING:

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.local.catalog import load_workshop
-from slamhive.local.home import Home
-from slamhive.local.outlook import Looking
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.running.outlook import Looking
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
 from slamhive.model.results import Outcome, Phase, Provenance, Reason, Result, RunRecord, Usage
 from slamhive.model.sweep import Sweep
-from slamhive.monitor.machine import cpu_model
+from slamhive.monitor.measuring.machine import cpu_model
 from slamhive.plan import Plan, local_uid
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from slamhive.cli.progress import Display, run_line, run_values
+from slamhive.cli.parts.progress import Display, run_line, run_values
 from slamhive.engine import PointState
-from slamhive.local.outlook import Outlook, Standing
-from slamhive.local.run import Step
-from slamhive.local.runner import Job
+from slamhive.local.running.execution import Step
+from slamhive.local.running.outlook import Outlook, Standing
+from slamhive.local.running.runner import Job
 from slamhive.model.results import CpuUsage, Outcome, Phase, Provenance, Result, RunRecord, Usage
 from slamhive.model.sweep import Sweep
 from slamhive.plan import FixedCatalog, Plan, local_uid

@@ -9,7 +9,7 @@ import threading
 import pytest
 from rich.console import Console
 
-from slamhive.cli.waiting import Work
+from slamhive.cli.parts.waiting import Work
 
 
 class Watch:

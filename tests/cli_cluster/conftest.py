@@ -19,8 +19,8 @@ from testcluster.labs import *  # noqa: F403
 
 from slamhive.archive import Archive
 from slamhive.cli import main
-from slamhive.cli.console import speak_json
-from slamhive.local.home import Home
+from slamhive.cli.parts.console import speak_json
+from slamhive.local.home.folder import Home
 
 if TYPE_CHECKING:
     from testcluster.access import Cluster
@@ -89,8 +89,8 @@ def bare_desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     monkeypatch.setenv("SLAMHIVE_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("KUBECONFIG", str(tmp_path / "kubeconfig"))
     monkeypatch.delenv("SLAMHIVE_ARCHIVE", raising=False)
-    monkeypatch.setattr("slamhive.cli.cluster_status.LOOK_SECONDS", 0.2)
-    monkeypatch.setattr("slamhive.cli.cluster_run.LOOK_SECONDS", 0.2)
+    monkeypatch.setattr("slamhive.cli.cluster.status.LOOK_SECONDS", 0.2)
+    monkeypatch.setattr("slamhive.cli.cluster.run.LOOK_SECONDS", 0.2)
     monkeypatch.chdir(tmp_path)
     return Desk(tmp_path, capsys)
 

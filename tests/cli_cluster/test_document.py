@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
-from slamhive.kube.errors import Conflict
-from slamhive.kube.kinds import Kind, key_of
+from slamhive.kube.api.errors import Conflict
+from slamhive.kube.api.kinds import Kind, key_of
 from slamhive.model.evaluation import EvaluationSettings
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from testcluster.lab import manifest, run, status_of, sweep, until
 
-from slamhive.kube.kinds import Kind, Label, Role
+from slamhive.kube.api.kinds import Kind, Label, Role
 from slamhive.kube.user import cancelling
 
 if TYPE_CHECKING:

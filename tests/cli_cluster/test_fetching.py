@@ -11,7 +11,7 @@ import pytest
 from testcluster.lab import algorithm, condition_of, dataset, run, status_of, sweep, until
 
 from slamhive.archive import Archive
-from slamhive.kube.kinds import Kind
+from slamhive.kube.api.kinds import Kind
 from slamhive.model.results import Phase, RunRecord
 
 if TYPE_CHECKING:

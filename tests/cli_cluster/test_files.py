@@ -22,9 +22,9 @@ sys.path.append(str(Path(__file__).parents[1] / "storage"))
 from buckets import place, s3
 
 from slamhive.jobs.moving import copy_folder
+from slamhive.kube.api.errors import NotFound, ServerFault
 from slamhive.kube.builders.restoring import store_words
 from slamhive.kube.builders.sending import sender_job
-from slamhive.kube.errors import NotFound, ServerFault
 from slamhive.kube.user import sending
 from slamhive.kube.user.run_files import Filed, Filing, RunFolder, Wanted
 from slamhive.model.errors import DataError, SystemFault
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from buckets import Place
 
-    from slamhive.kube.transport import Request
+    from slamhive.kube.api.transport import Request
 
 __all__ = ["place", "s3"]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from testcluster.lab import condition_of, manifest, run, status_of, sweep
 
-from slamhive.kube.kinds import Kind
+from slamhive.kube.api.kinds import Kind
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,8 +10,8 @@ from aiohttp import web
 from aiohttp.test_utils import TestServer
 from kubernetes.aio.client import ApiClient, Configuration
 
-from slamhive.kube.errors import Forbidden
-from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.api.errors import Forbidden
+from slamhive.kube.api.kinds import Kind, Label
 from slamhive.kube.user import logs
 from slamhive.kube.user.api import UserApi
 from slamhive.kube.user.connecting import Cluster, Target

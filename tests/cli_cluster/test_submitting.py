@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 from testcluster.lab import algorithm, dataset, manifest, run, sweep
 
-from slamhive.local.catalog import bundled
+from slamhive.local.home.catalog import bundled
 
 if TYPE_CHECKING:
     from collections.abc import Callable

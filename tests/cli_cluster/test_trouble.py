@@ -140,7 +140,7 @@ def test_the_command_does_not_import_the_client_until_it_is_needed() -> None:
 
 def test_what_users_import_needs_nothing_of_the_operator() -> None:
     code = (
-        "import slamhive.cli.cluster_run, slamhive.cli.cluster_status, sys;"
+        "import slamhive.cli.cluster.run, slamhive.cli.cluster.status, sys;"
         "print([m for m in sys.modules if m in {'kopf', 'prometheus_client'}])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -11,7 +11,7 @@ from testcluster import kwok as played
 from testcluster.access import until
 
 from slamhive.model.variant import VariantDescription
-from slamhive.monitor.termination import LIMIT_BYTES
+from slamhive.monitor.pod.termination import LIMIT_BYTES
 
 if TYPE_CHECKING:
     from testcluster.access import Cluster

@@ -13,16 +13,16 @@ import yaml
 
 from slamhive.conformance.checking import Asked, check_algorithm
 from slamhive.conformance.workstation import OnWorkstation, bench_for_checks
-from slamhive.local import attempt
-from slamhive.local.catalog import load_workshop
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.running import attempt
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from slamhive.conformance.findings import Finding
-    from slamhive.local.catalog import Workshop
-    from slamhive.local.home import Home
+    from slamhive.local.home.catalog import Workshop
+    from slamhive.local.home.folder import Home
 
 HERE = Path(__file__).parent
 NAME = "behaving"

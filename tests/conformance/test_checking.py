@@ -15,7 +15,7 @@ from slamhive.conformance.executors import Start
 from slamhive.conformance.findings import Answer
 from slamhive.conformance.workstation import OnWorkstation, bench_for_checks
 from slamhive.model.sensors import Role
-from slamhive.monitor.orphans import ProcessRecord
+from slamhive.monitor.programs.orphans import ProcessRecord
 
 from .conftest import NAME, Notes, behaving
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.conformance.findings import Finding
-    from slamhive.local.catalog import Workshop
-    from slamhive.local.home import Home
+    from slamhive.local.home.catalog import Workshop
+    from slamhive.local.home.folder import Home
 
 
 pytestmark = pytest.mark.timeout(300)  # six starts, on a machine that may be busy

@@ -17,8 +17,8 @@ from .conftest import NAME, behaving
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.catalog import Workshop
-    from slamhive.local.home import Home
+    from slamhive.local.home.catalog import Workshop
+    from slamhive.local.home.folder import Home
 
 
 pytestmark = pytest.mark.timeout(300)

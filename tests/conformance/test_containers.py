@@ -9,18 +9,18 @@ import pytest
 
 from slamhive.conformance.checking import Asked, check_algorithm
 from slamhive.conformance.workstation import OnWorkstation, bench_for_checks
-from slamhive.local.containers import Containers
-from slamhive.local.containerwords import HOME_LABEL
-from slamhive.local.unavailable import ImageMissing, Unavailable
+from slamhive.local.programs.containers import Containers
+from slamhive.local.programs.containerwords import HOME_LABEL
+from slamhive.local.programs.unavailable import ImageMissing, Unavailable
 
 from .conftest import HERE, NAME, Notes, behaving
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.catalog import Workshop
-    from slamhive.local.engines import Engine
-    from slamhive.local.home import Home
+    from slamhive.local.home.catalog import Workshop
+    from slamhive.local.home.folder import Home
+    from slamhive.local.programs.engines import Engine
 
 IMAGE = "slamhive/kiss-icp:1.3.0"
 """One that has python3 and that the fixture of podman builds."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.conformance.damaging import Damage, damaged
-from slamhive.data.preparation import prepare
-from slamhive.data.recordings import Recording
-from slamhive.data.store import materialise
+from slamhive.data.making.preparation import prepare
+from slamhive.data.recordings.reading import Recording
+from slamhive.data.store.datasets import materialise
 from slamhive.model.algorithm import RecordingFormat
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import DataError
@@ -21,8 +21,8 @@ from slamhive.model.sensors import Role
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from slamhive.data.preparation import Variant
-    from slamhive.local.home import Home
+    from slamhive.data.making.preparation import Variant
+    from slamhive.local.home.folder import Home
 
 FORMATS = (RecordingFormat.ROSBAG1, RecordingFormat.ROSBAG2, RecordingFormat.MCAP)
 

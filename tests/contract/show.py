@@ -24,8 +24,8 @@ from executors import table  # noqa: E402
 from executors.container import InContainers  # noqa: E402
 from executors.process import TINY, Process  # noqa: E402
 
-from slamhive.data.erasing import erase  # noqa: E402
-from slamhive.data.store import materialise  # noqa: E402
+from slamhive.data.files.erasing import erase  # noqa: E402
+from slamhive.data.store.datasets import materialise  # noqa: E402
 from slamhive.model.loading import load_file  # noqa: E402
 
 if TYPE_CHECKING:

@@ -11,14 +11,14 @@ from executors import table
 from executors.container import InContainers
 from executors.executor import differences, outcomes
 
-from slamhive.data.erasing import erase
+from slamhive.data.files.erasing import erase
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from executors.executor import Row
 
-    from slamhive.local.engines import Engine
+    from slamhive.local.programs.engines import Engine
 
 
 @pytest.fixture(scope="module")

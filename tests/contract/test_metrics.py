@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from slamhive.contract.metrics import MOST_BYTES, MOST_VALUES, keep_values
-from slamhive.monitor.termination import termination_message
+from slamhive.monitor.pod.termination import termination_message
 
 _VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),

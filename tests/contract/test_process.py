@@ -12,7 +12,7 @@ from executors import algorithm, table
 from executors.executor import Row, differences, outcomes
 from executors.process import Process
 
-from slamhive.data.erasing import erase
+from slamhive.data.files.erasing import erase
 from slamhive.monitor import identify, make_run_cgroup
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ import httpx
 import pytest
 
 from slamhive.archive import Archive, CatalogEntry, SweepRecord
-from slamhive.dashboard.app import create_app
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.sources.archived import Workstation
 from slamhive.model.results import Outcome, Phase, Reason, Result, RunRecord
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "cluster"))
@@ -24,7 +24,7 @@ from testcluster.fixtures import *  # noqa: F403
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
-    from slamhive.dashboard.sources import Source
+    from slamhive.dashboard.sources.archived import Source
 
 HTML = "<script>alert('x')</script> & \"quotes\""
 LONG = "ü" * 10_000

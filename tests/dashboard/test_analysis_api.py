@@ -12,7 +12,7 @@ import pytest
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.frame import Frame
-from slamhive.dashboard.api_analysis import mixtures
+from slamhive.dashboard.answers.analysis import mixtures
 
 ANALYSES = (
     "aggregate",
@@ -75,7 +75,7 @@ async def test_digits_of_points(api: Any, digits: str, value: float) -> None:
 async def test_many_points_are_rounded_and_come_without_uids(
     api: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slamhive.dashboard.api_analysis.EXACT", 5)
+    monkeypatch.setattr("slamhive.dashboard.answers.analysis.EXACT", 5)
     answer = await api.get("/analysis/points?x=seed&y=rpe[0].rmse")
     assert (answer["digits"], answer["uid"]) == (6, None)
     assert answer["axes"]["y"]["values"][25] == 0.333333

@@ -15,13 +15,14 @@ import pytest
 
 from slamhive.analysis.flattening import MAX_COLUMNS, spread
 from slamhive.archive import Archive, SweepRecord
-from slamhive.dashboard import numberfiles, totals
-from slamhive.dashboard.artifacts import Place
-from slamhive.dashboard.clocks import configuration_of
-from slamhive.dashboard.cluster import MAX_LIVE_COLUMNS, ClusterSource
-from slamhive.dashboard.live import narrow_run
-from slamhive.dashboard.sources import Workstation
-from slamhive.dashboard.trajectories import read_poses, usage_columns
+from slamhive.dashboard.answering import totals
+from slamhive.dashboard.sources.archived import Workstation
+from slamhive.dashboard.sources.cluster import MAX_LIVE_COLUMNS, ClusterSource
+from slamhive.dashboard.sources.live import narrow_run
+from slamhive.runfiles import numberfiles
+from slamhive.runfiles.artifacts import Place
+from slamhive.runfiles.clocks import configuration_of
+from slamhive.runfiles.trajectories import read_poses, usage_columns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -120,7 +121,7 @@ async def test_a_table_that_breaks_off_is_not_taken_for_a_whole_one(
     hostile_api: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = hostile_api.raw._transport.app.state.service
-    monkeypatch.setattr("slamhive.dashboard.forking._PIPE_BYTES", 4096)
+    monkeypatch.setattr("slamhive.dashboard.answering.forking._PIPE_BYTES", 4096)
     begun = service.stream
 
     async def broken(*arguments: Any) -> Any:

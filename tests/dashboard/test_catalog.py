@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.dashboard.events import Events
-from slamhive.dashboard.service import Service
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.server.events import Events
+from slamhive.dashboard.server.service import Service
+from slamhive.dashboard.sources.archived import Workstation
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -92,7 +92,7 @@ async def test_an_archive_that_comes_later_is_found(
     make_run: Callable[..., RunRecord],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("slamhive.dashboard.sources.LOOK_SECONDS", 0.0)
+    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
     async with open_app(Workstation(url)) as client:
         assert (await client.get("/runs"))["total"] == 0
         with Archive.open(url) as archive:
@@ -103,8 +103,8 @@ async def test_an_archive_that_comes_later_is_found(
 async def test_a_damaged_archive_is_said_and_survived(
     tmp_path: Path, open_app: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slamhive.dashboard.sources.LOOK_SECONDS", 0.0)
-    monkeypatch.setattr("slamhive.dashboard.sources._REST", 0.0)
+    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
+    monkeypatch.setattr("slamhive.dashboard.sources.archived._REST", 0.0)
     file = tmp_path / "archive.sqlite"
     file.write_bytes(b"this is no database" * 100)
     async with open_app(Workstation(f"sqlite:///{file}")) as client:
@@ -116,9 +116,9 @@ async def test_a_damaged_archive_is_said_and_survived(
 async def test_listeners_hear_of_each_change(
     assorted: str, make_run: Callable[..., RunRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slamhive.dashboard.sources.LOOK_SECONDS", 0.0)
-    monkeypatch.setattr("slamhive.dashboard.sources._REST", 0.0)
-    monkeypatch.setattr("slamhive.dashboard.events.CHECK_SECONDS", 0.0)
+    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
+    monkeypatch.setattr("slamhive.dashboard.sources.archived._REST", 0.0)
+    monkeypatch.setattr("slamhive.dashboard.server.events.CHECK_SECONDS", 0.0)
     service = Service(Workstation(assorted))
     await service.start()
     events = Events(service)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.dashboard.cluster import ClusterSource
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind, Label
+from slamhive.dashboard.sources.cluster import ClusterSource
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.records import record_of
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.sources.archived import Workstation
 from slamhive.model.results import Outcome, Result
 from slamhive_eval import Options, evaluate, read_tum
 
@@ -132,7 +132,7 @@ async def test_a_table_of_it(api: Any) -> None:
 
 
 async def test_too_many_are_refused(api: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamhive.dashboard.api_common.MOST_RESULTS", 3)
+    monkeypatch.setattr("slamhive.dashboard.answers.common_support.MOST_RESULTS", 3)
     answer = await api.get("/analysis/common", status=400)
     assert answer["field"] == "where"
     assert answer["error"].startswith("4 results are selected, and at most 3")

@@ -11,10 +11,10 @@ import httpx
 import pytest
 import uvicorn
 
-from slamhive.dashboard.app import create_app
-from slamhive.dashboard.connections import Connection, connections
-from slamhive.dashboard.serving import Health, _Server, listen
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.server.connections import Connection, connections
+from slamhive.dashboard.server.serving import Health, _Server, listen
+from slamhive.dashboard.sources.archived import Workstation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from slamhive.dashboard.answering.workers import Limits, Workers
 from slamhive.dashboard.problems import BadRequest, Busy
-from slamhive.dashboard.sources import Workstation
-from slamhive.dashboard.workers import Limits, Workers
+from slamhive.dashboard.sources.archived import Workstation
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
-    from slamhive.dashboard.workers import Cost
+    from slamhive.dashboard.answering.workers import Cost
 
 sys.path.append(str(Path(__file__).parents[1] / "bench"))
 

@@ -17,9 +17,9 @@ import pytest
 from slamhive.analysis.columns import Column
 from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
-from slamhive.dashboard.api_timeline import timeline
-from slamhive.dashboard.sources import Snapshot, Workstation
-from slamhive.data.rosmessages import BagWriter
+from slamhive.dashboard.answers.timeline import timeline
+from slamhive.dashboard.sources.archived import Snapshot, Workstation
+from slamhive.data.recordings.rosmessages import BagWriter
 from slamhive.model.results import Outcome, Phase, Reason, Result
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ async def test_datasets_are_in_one_curve_only_where_that_is_asked_for(judged: An
 
 
 async def test_a_table_of_shares_has_all_steps(judged: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_STEPS", 2)
+    monkeypatch.setattr("slamhive.dashboard.answers.distributions.MOST_STEPS", 2)
     thinned = await judged.get("/analysis/ecdf?outcomes=all&algorithm=a")
     assert thinned["curves"][0]["share"] == [0.25, 0.75]
     table = await judged.raw.get("/api/v1/analysis/ecdf?outcomes=all&algorithm=a&format=csv")
@@ -111,8 +111,8 @@ async def test_a_table_of_shares_has_all_steps(judged: Any, monkeypatch: pytest.
 
 
 async def test_curves_beyond_number_are_refused(judged: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_CURVES", 2)
-    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_RANKED", 13)
+    monkeypatch.setattr("slamhive.dashboard.answers.distributions.MOST_CURVES", 2)
+    monkeypatch.setattr("slamhive.dashboard.answers.distributions.MOST_RANKED", 13)
     answer = await judged.get("/analysis/ecdf?by=uid", 413)
     assert "7 curves are asked for" in answer["error"]
 
@@ -135,7 +135,7 @@ async def test_of_many_competitors_the_best_are_drawn_and_others_when_asked_for(
     beyond = await judged.get("/analysis/ecdf?first=3")
     assert (beyond["curves"], beyond["shown"]) == ([], 0)
     assert "none has place 3" in beyond["notes"][0]
-    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_CURVES", 2)
+    monkeypatch.setattr("slamhive.dashboard.answers.distributions.MOST_CURVES", 2)
     part = await judged.get("/analysis/ecdf?first=1")
     assert part["curves"] == whole["curves"][:2]
     assert "of 2 pictures the first 1 are shown: filter the runs for others" in part["notes"]
@@ -269,7 +269,7 @@ async def test_paths_of_what_filters_leave_say_in_what_they_differ(repeated: Any
 
 
 async def test_of_many_paths_the_first_are_drawn(repeated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamhive.dashboard.api_paths.MOST_PATHS", 2)
+    monkeypatch.setattr("slamhive.dashboard.answers.paths.MOST_PATHS", 2)
     answer = await repeated.get("/analysis/paths")
     assert (answer["rows"], answer["notes"]) == (2, ["of 4 runs the first 2 are drawn: choose fewer"])
 
@@ -335,8 +335,8 @@ async def test_a_part_of_the_time(timed: Any) -> None:
 
 
 async def test_many_runs_are_summed_up(timed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamhive.dashboard.api_timeline.MOST_BARS", 2)
-    monkeypatch.setattr("slamhive.dashboard.api_timeline.BINS", 4)
+    monkeypatch.setattr("slamhive.dashboard.answers.timeline.MOST_BARS", 2)
+    monkeypatch.setattr("slamhive.dashboard.answers.timeline.BINS", 4)
     answer = await timed.get("/analysis/timeline")
     assert answer["bars"] is None
     bins = answer["bins"]
@@ -405,7 +405,7 @@ async def test_slices_are_over_all_values_of_the_other_settings(varied: Any) -> 
 async def test_many_values_of_a_setting_are_taken_together(
     varied: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_PLACES", 2)
+    monkeypatch.setattr("slamhive.dashboard.answers.distributions.MOST_PLACES", 2)
     answer = await varied.get("/analysis/surface?x=ate.rmse&y=parameters.k")
     assert any("the 5 values of ate.rmse are taken together in 2 stretches" in n for n in answer["notes"])
     places = {cell["at"][0] for cell in answer["boards"][0]["cells"]} - {None}
@@ -413,7 +413,7 @@ async def test_many_values_of_a_setting_are_taken_together(
 
 
 async def test_more_pictures_than_can_be_looked_at(varied: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamhive.dashboard.api_figures.MOST_BOARDS", 0)
+    monkeypatch.setattr("slamhive.dashboard.answers.distributions.MOST_BOARDS", 0)
     assert "pictures are asked for" in (await varied.get("/analysis/slices", 413))["error"]
 
 

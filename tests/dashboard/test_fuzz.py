@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from slamhive.dashboard.app import create_app
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.sources.archived import Workstation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from slamhive.dashboard.ground_truth import Truths
-from slamhive.data.store import made_folder
-from slamhive.local.catalog import load_datasets
-from slamhive.local.home import Home
+from slamhive.data.store.datasets import made_folder
+from slamhive.local.home.catalog import load_datasets
+from slamhive.local.home.folder import Home
+from slamhive.runfiles.ground_truth import Truths
 
 if TYPE_CHECKING:
     from pathlib import Path

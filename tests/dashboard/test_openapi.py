@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from slamhive.dashboard.app import create_app
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.sources.archived import Workstation
 
 GOLDEN = Path(__file__).with_name("openapi.json")
 

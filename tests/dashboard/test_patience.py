@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import anyio
 
 from slamhive.archive import Archive
-from slamhive.dashboard import sources
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.sources import archived as sources
+from slamhive.dashboard.sources.archived import Workstation
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "archive"))
 from servers import PostgreSQL, postgresql
 
 from slamhive.archive import Archive
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.sources.archived import Workstation
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator

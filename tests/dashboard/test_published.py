@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from slamhive.cli import importing, results
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.sources.archived import Workstation
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,15 +13,15 @@ import pytest
 import yaml
 
 from slamhive.archive import Archive
-from slamhive.dashboard.api_run import MOST_SETTINGS
-from slamhive.dashboard.artifacts import Place
-from slamhive.dashboard.sources import Workstation
-from slamhive.dashboard.trajectories import usage_columns
+from slamhive.dashboard.answers.one_run import MOST_SETTINGS
+from slamhive.dashboard.sources.archived import Workstation
 from slamhive.model.algorithm import DataFormat, Pace
 from slamhive.model.configuration import DatasetView, InputView, RecordingPlace, RunConfiguration
 from slamhive.model.results import Outcome, Result
 from slamhive.model.run import MappingRun
 from slamhive.model.sensors import SensorMode
+from slamhive.runfiles.artifacts import Place
+from slamhive.runfiles.trajectories import usage_columns
 from slamhive_eval import Options, evaluate, read_tum
 
 if TYPE_CHECKING:

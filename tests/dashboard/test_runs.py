@@ -79,8 +79,8 @@ async def test_the_header_links_the_next_page(api: Any) -> None:
 async def test_a_page_stays_in_place_while_rows_come_and_go(
     api: Any, assorted: str, make_run: Callable[..., RunRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slamhive.dashboard.sources.LOOK_SECONDS", 0.0)
-    monkeypatch.setattr("slamhive.dashboard.sources._REST", 0.0)
+    monkeypatch.setattr("slamhive.dashboard.sources.archived.LOOK_SECONDS", 0.0)
+    monkeypatch.setattr("slamhive.dashboard.sources.archived._REST", 0.0)
     first = await api.get("/runs?limit=5&sort=ate.rmse")
     with Archive.open(assorted) as archive:
         archive.remove_run("uid-004")  # the last row of the first page

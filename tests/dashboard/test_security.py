@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from slamhive.archive import Archive
 from slamhive.cli.main import app
-from slamhive.dashboard import serving
-from slamhive.dashboard.app import create_app
-from slamhive.dashboard.security import Shield
-from slamhive.dashboard.serving import allowed_hosts
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.server import serving
+from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.server.security import Shield
+from slamhive.dashboard.server.serving import allowed_hosts
+from slamhive.dashboard.sources.archived import Workstation
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ import pytest
 from slamhive.analysis.frame import DERIVED
 from slamhive.archive import Archive, connection
 from slamhive.archive.connection import connect
-from slamhive.dashboard import sources
-from slamhive.dashboard.sources import ArchiveData, Workstation
+from slamhive.dashboard.sources import archived as sources
+from slamhive.dashboard.sources.archived import ArchiveData, Workstation
 from slamhive.model.results import Phase
 from slamhive.tables import snapshots
 from slamhive.tables.loading import load

@@ -17,11 +17,11 @@ sys.path.append(str(Path(__file__).parents[1] / "storage"))
 from buckets import S3, make_place, place, s3
 
 from slamhive.archive import Archive
-from slamhive.dashboard.cluster import ClusterSource
-from slamhive.dashboard.sources import Workstation
-from slamhive.dashboard.stored import Shelf
+from slamhive.dashboard.sources.archived import Workstation
+from slamhive.dashboard.sources.cluster import ClusterSource
 from slamhive.jobs.moving import copy_folder
 from slamhive.model.results import Outcome, Result
+from slamhive.runfiles.stored import Shelf
 from slamhive.storage.offloaded import look_up
 from slamhive.storage.state import STATE, OffloadState
 from slamhive_eval import Options, evaluate, read_tum
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from buckets import Place as Bucket
 
-    from slamhive.dashboard.artifacts import Place
     from slamhive.model.results import RunRecord
+    from slamhive.runfiles.artifacts import Place
 
 __all__ = ["place", "s3"]
 

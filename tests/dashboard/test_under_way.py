@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.dashboard import underway
-from slamhive.dashboard.sources import Workstation
-from slamhive.local.underway import runs_under_way
+from slamhive.dashboard.sources import underway
+from slamhive.dashboard.sources.archived import Workstation
+from slamhive.local.home.underway import runs_under_way
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

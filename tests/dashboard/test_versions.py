@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive, SweepRecord
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.sources.archived import Workstation
 from slamhive.model.results import Outcome, Result
 
 if TYPE_CHECKING:

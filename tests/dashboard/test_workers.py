@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.analysis.frame import Frame
+from slamhive.dashboard.answering.workers import Budget, Cost, Limits, Workers
 from slamhive.dashboard.problems import BadRequest, Busy, Problem, TooCostly
-from slamhive.dashboard.workers import Budget, Cost, Limits, Workers
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:

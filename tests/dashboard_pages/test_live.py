@@ -15,9 +15,9 @@ pytest.importorskip("uvicorn")
 
 import uvicorn
 
-from slamhive.dashboard.app import create_app
-from slamhive.dashboard.serving import listen
-from slamhive.dashboard.sources import Snapshot, Workstation
+from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.server.serving import listen
+from slamhive.dashboard.sources.archived import Snapshot, Workstation
 
 if TYPE_CHECKING:
     import socket

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamhive.data import fetching
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.rosmessages import BagWriter
-from slamhive.data.store import materialise
+from slamhive.data.files import fetching
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.recordings.rosmessages import BagWriter
+from slamhive.data.store.datasets import materialise
 from slamhive.model.dataset import Dataset
 from slamhive.model.sensors import Camera
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from slamhive.data.inspection import inspect
-from slamhive.local.home import Home
+from slamhive.data.inspecting.inspection import inspect
+from slamhive.local.home.folder import Home
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from slamhive.data.clouds import cloud_filter, cloud_points, even_rings, filter_cloud
+from slamhive.data.recordings.clouds import cloud_filter, cloud_points, even_rings, filter_cloud
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.run import LidarInput
 from slamhive.model.sensors import Lidar

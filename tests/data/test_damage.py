@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.data.damage import remedy
+from slamhive.data.files.damage import remedy
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import yaml
 
-from slamhive.data import exporting
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.exporting import all_roles, export_dataset
-from slamhive.data.groundtruth import ground_truth
 from slamhive.data.importers import import_recording
-from slamhive.data.inspection import inspect
-from slamhive.data.preparation import prepare
+from slamhive.data.inspecting.inspection import inspect
+from slamhive.data.making import exporting
+from slamhive.data.making.exporting import all_roles, export_dataset
+from slamhive.data.making.preparation import prepare
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, SystemFault

@@ -17,9 +17,9 @@ import pytest
 from bagsamples import COLOR, FIX, GREY, HESAI, IMU, OUSTER, SCANS, VELODYNE, as_rosbag2, drive, write_bag
 from layouts import asl, boreas, dense, helipr, kitti, kitti_raw, mulran, nclt, tum_rgbd
 
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.groundtruth import ground_truth
-from slamhive.data.inspection import inspect
+from slamhive.data.inspecting.inspection import inspect
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model import catalogue
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.data import fetching, https
-from slamhive.data.store import materialise
+from slamhive.data.files import fetching, https
+from slamhive.data.store.datasets import materialise
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import DataError, InputError, SystemFault
 
@@ -348,7 +348,7 @@ def test_a_page_that_wants_a_login_is_told(large: Any, tmp_path: Path) -> None:
 CHILD = """
 import sys
 from pathlib import Path
-from slamhive.data import fetching
+from slamhive.data.files import fetching
 fetching.BLOCK, fetching.PAUSES = 1 << 18, (0.0,) * 5
 def count(held, total):
     print(held, flush=True)

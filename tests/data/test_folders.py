@@ -12,13 +12,13 @@ import pytest
 import yaml
 
 from slamhive.contract.posefiles import FRAMES
-from slamhive.data.clouds import cloud_points
-from slamhive.data.entries import DatasetEntry
 from slamhive.data.importers import import_recording
-from slamhive.data.kinds import COMPRESSED_IMAGE
-from slamhive.data.preparation import evict_variants, prepare
-from slamhive.data.recordings import open_recording
-from slamhive.data.rosmessages import BagWriter
+from slamhive.data.making.preparation import evict_variants, prepare
+from slamhive.data.recordings.clouds import cloud_points
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.recordings.kinds import COMPRESSED_IMAGE
+from slamhive.data.recordings.reading import open_recording
+from slamhive.data.recordings.rosmessages import BagWriter
 from slamhive.jobs.prepare import _describe
 from slamhive.model.algorithm import Algorithm, DataFormat
 from slamhive.model.configuration import PreparedRecording
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from slamhive.data.preparation import Variant
+    from slamhive.data.making.preparation import Variant
 
 BAG, EUROC, TUM, KITTI = DataFormat.ROSBAG1, DataFormat.EUROC, DataFormat.TUM, DataFormat.KITTI
 STEREO, RGBD = (Role.LEFT, Role.RIGHT), (Role.COLOR, Role.DEPTH)
@@ -687,7 +687,7 @@ def test_an_algorithm_is_told_where_things_are(camera_entries: Any, tmp_path: Pa
 
 def test_folders_are_evicted_like_bags(camera_entries: Any, tmp_path: Path, monkeypatch: Any) -> None:
     variant = make(camera_entries[1.0], RGBD, tmp_path, TUM)
-    monkeypatch.setattr("slamhive.data.once.GRACE_SECONDS", 0.0)
+    monkeypatch.setattr("slamhive.data.files.once.GRACE_SECONDS", 0.0)
     assert evict_variants(tmp_path, 0) == [variant.folder.name]
     assert not variant.folder.exists()
 

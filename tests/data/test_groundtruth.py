@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamhive.data.groundtruth import ground_truth, write_ground_truth
-from slamhive.data.inspection import inspect
-from slamhive.data.posetopics import poses_of_topic
-from slamhive.data.recordings import Recording, guess_format
+from slamhive.data.inspecting.inspection import inspect
+from slamhive.data.recordings.posetopics import poses_of_topic
+from slamhive.data.recordings.reading import Recording, guess_format
+from slamhive.data.store.groundtruth import ground_truth, write_ground_truth
 from slamhive.model.errors import DataError
 from slamhive_eval import ControlPoints, Relations, read_tum
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from slamhive.data.images import (
+from slamhive.data.recordings.images import (
     image_pixels,
     resize,
     scale_camera,

@@ -15,14 +15,14 @@ from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
 from slamhive.cli.datasets import app
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.groundtruth import ground_truth
 from slamhive.data.importers import ImportOptions, import_recording
 from slamhive.data.importers.carmen import POINT, read_log, scan_points
-from slamhive.data.inspection import inspect
-from slamhive.data.preparation import prepare
-from slamhive.data.store import materialise
-from slamhive.data.suggestion import suggest_dataset
+from slamhive.data.inspecting.inspection import inspect
+from slamhive.data.inspecting.suggestion import suggest_dataset
+from slamhive.data.making.preparation import prepare
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.store.datasets import materialise
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import DataError, InputError

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slamhive.data.importers.carmen import POINT
-from slamhive.data.inspection import inspect
+from slamhive.data.inspecting.inspection import inspect
 from slamhive.model.sensors import Imu, Lidar, Stamp, TimesSince
 
 

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamhive.data import unpacking
-from slamhive.data.exporting import all_roles, export_dataset
-from slamhive.data.groundtruth import ground_truth
+from slamhive.data.files import unpacking
+from slamhive.data.files.unpacking import unpack
 from slamhive.data.importers import import_recording
-from slamhive.data.obtaining import Listener, obtain
-from slamhive.data.store import dataset_sha256, materialise
-from slamhive.data.unpacking import unpack
+from slamhive.data.making.exporting import all_roles, export_dataset
+from slamhive.data.store.datasets import dataset_sha256, materialise
+from slamhive.data.store.groundtruth import ground_truth
+from slamhive.data.store.obtaining import Listener, obtain
 from slamhive.model.catalogue import FOLDERS, dataset_name, find_sequence, load_catalogue
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import DataError, InputError, ManifestError, SystemFault, UnknownNameError

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.data.once import GRACE_SECONDS, evict, in_use, make_once
+from slamhive.data.files.once import GRACE_SECONDS, evict, in_use, make_once
 from slamhive.model.errors import InputError, SystemFault
 
 FORK = multiprocessing.get_context("fork")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from slamhive.data.outputs import output_whole
+from slamhive.data.files.outputs import output_whole
 from slamhive.model.errors import InputError
 
 

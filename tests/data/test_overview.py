@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
-from slamhive.data import overview as module
 from slamhive.data.importers.carmen import POINT
-from slamhive.data.overview import BINS, look_over, overview
-from slamhive.data.overviews import kept_overview
+from slamhive.data.inspecting import overview as module
+from slamhive.data.inspecting.overview import BINS, look_over, overview
+from slamhive.data.inspecting.overviews import kept_overview
 from slamhive.reporting.dataset_page import dataset_page
 
 if TYPE_CHECKING:

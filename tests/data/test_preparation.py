@@ -14,10 +14,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Reader
 
 from slamhive.contract.posefiles import FRAMES
-from slamhive.data.clouds import cloud_points
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.images import image_pixels
-from slamhive.data.preparation import evict_variants, prepare
+from slamhive.data.making.preparation import evict_variants, prepare
+from slamhive.data.recordings.clouds import cloud_points
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.recordings.images import image_pixels
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.dataset import DataFile, Recording
 from slamhive.model.errors import DataError, InputError

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from slamhive.data import kinds
-from slamhive.data.entries import dataset_sha256
 from slamhive.data.importers.carmen import POINT
-from slamhive.data.inspection import inspect
-from slamhive.data.preparation import prepare
-from slamhive.data.store import materialise
+from slamhive.data.inspecting.inspection import inspect
+from slamhive.data.making.preparation import prepare
+from slamhive.data.recordings import kinds
+from slamhive.data.recordings.entries import dataset_sha256
+from slamhive.data.store.datasets import materialise
 from slamhive.data.synthetic.messages import MessageMaker, typestore
 from slamhive.kube.builders.variant import variant_name
 from slamhive.model.dataset import Dataset
@@ -27,7 +27,7 @@ from slamhive.model.sensors import OF_A_KIND, ROLE_TYPES, Role, SensorType
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from slamhive.data.entries import DatasetEntry
+    from slamhive.data.recordings.entries import DatasetEntry
 
 BAG = [DataFormat.ROSBAG1]
 START = 1_600_000_000 * 10**9

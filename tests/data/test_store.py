@@ -6,7 +6,13 @@ from typing import Any
 
 import pytest
 
-from slamhive.data.store import add_dataset, dataset_sha256, file_sha256, materialise, recording_sha256
+from slamhive.data.store.datasets import (
+    add_dataset,
+    dataset_sha256,
+    file_sha256,
+    materialise,
+    recording_sha256,
+)
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.loading import load_file

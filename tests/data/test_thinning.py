@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamhive.data.thinning import partners, rate_of, thin
+from slamhive.data.recordings.thinning import partners, rate_of, thin
 
 MS = 10**6
 

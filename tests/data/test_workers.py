@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.data.workers import Workers
+from slamhive.data.files.workers import Workers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -14,16 +14,16 @@ import pytest
 import yaml
 
 from slamhive.cli import main
-from slamhive.data.store import materialise
-from slamhive.local.catalog import bundled
-from slamhive.local.unavailable import Unavailable
+from slamhive.data.store.datasets import materialise
+from slamhive.local.home.catalog import bundled
+from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.engines import Engine
+    from slamhive.local.programs.engines import Engine
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = {

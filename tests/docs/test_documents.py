@@ -20,9 +20,9 @@ import pytest
 import yaml
 
 from slamhive.archive import Archive
-from slamhive.cli.checked import check_files
-from slamhive.local.catalog import load_workshop
-from slamhive.local.home import Home
+from slamhive.cli.parts.checked import check_files
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.folder import Home
 from slamhive.model.configuration import RunConfiguration
 from slamhive.model.loading import parse
 from slamhive.model.run import MappingRun

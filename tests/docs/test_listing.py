@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from rich.console import Console
 
-from slamhive.cli.listing import show_catalog
+from slamhive.cli.parts.listing import show_catalog
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,7 +15,7 @@ from onnode.lab import FRAMES, manifest
 from onnode.node import Watch
 from testcluster.access import until
 
-from slamhive.data.erasing import erase
+from slamhive.data.files.erasing import erase
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

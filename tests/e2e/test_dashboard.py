@@ -20,8 +20,8 @@ from onnode.lab import manifest
 from onnode.node import processes
 from testcluster.access import until
 
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import OUR_KINDS
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import OUR_KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -18,7 +18,7 @@ from onnode.lab import manifest
 from testcluster.access import until
 
 from slamhive.archive import Archive
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 
 if TYPE_CHECKING:
     from onnode.lab import Lab

@@ -17,7 +17,7 @@ from onnode.lab import RUNS, manifest
 from testcluster.access import until
 from testcluster.places import Instance
 
-from slamhive.data.store import materialise
+from slamhive.data.store.datasets import materialise
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from onnode.lab import Lab
 
-    from slamhive.data.entries import DatasetEntry
+    from slamhive.data.recordings.entries import DatasetEntry
 
 DATASET, SWEEPS = "hall", ("whole", "thinned")
 OTHERS = 12 << 20

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from slamhive.local.home import lock
+from slamhive.local.home.folder import lock
 from slamhive_eval import Trajectory, rotation
 
 if TYPE_CHECKING:

@@ -27,9 +27,9 @@ from slamhive_eval import (
     read_trajectory,
     read_tum,
     rpe_errors,
-    textfiles,
     write_tum,
 )
+from slamhive_eval.formats import textfiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable

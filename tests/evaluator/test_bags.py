@@ -14,8 +14,8 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from slamhive_eval import FileError, Trajectory, TrajectoryError, read_trajectory, rotation
-from slamhive_eval.posemessages import east_north_up
-from slamhive_eval.transforms import Frames
+from slamhive_eval.formats.posemessages import east_north_up
+from slamhive_eval.formats.transforms import Frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -19,8 +19,8 @@ from slamhive_eval import (
     rotation,
     rpe_errors,
 )
-from slamhive_eval.relative import sub_trajectory_errors
-from slamhive_eval.report import report_data
+from slamhive_eval.measures.relative import sub_trajectory_errors
+from slamhive_eval.reports.report import report_data
 
 if TYPE_CHECKING:
     from collections.abc import Callable

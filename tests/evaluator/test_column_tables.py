@@ -19,7 +19,7 @@ from slamhive_eval import (
     read_columns,
     rotation,
 )
-from slamhive_eval.columns import parse_columns
+from slamhive_eval.formats.columns import parse_columns
 
 TURN = 0.38268343236508984, 0.9238795325112867
 """Sine and cosine of half of 45°."""

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamhive_eval.csv_writing import csv_blocks, csv_text, write_csv
+from slamhive_eval.formats.csv_writing import csv_blocks, csv_text, write_csv
 
 ROOT = Path(__file__).parents[2]
 SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from slamhive_eval import decimals
-from slamhive_eval.textfiles import parse_table
+from slamhive_eval.formats import decimals
+from slamhive_eval.formats.textfiles import parse_table
 
 FORMATS = ("%r", "%.17g", "%.16g", "%.15f", "%.9f", "%.6f", "%.18e", "%.9e", "%.0f", "%.3E", "%+.4f", "%.25f")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from slamhive_eval import AssociationError, OptionError, Trajectory, read_kitti, read_trajectory, rotation
-from slamhive_eval.kitti import KITTI_LENGTHS, SPEEDS, kitti_errors
+from slamhive_eval.measures.kitti import KITTI_LENGTHS, SPEEDS, kitti_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,8 +15,8 @@ from slamhive_eval import FileError, ape_errors, read_kitti, read_trajectory
 from slamhive_eval.batch import Pair, evaluate_pairs
 from slamhive_eval.command import main
 from slamhive_eval.evaluation import Options
-from slamhive_eval.files import read_estimate
-from slamhive_eval.kitti import kitti_errors
+from slamhive_eval.formats.files import read_estimate
+from slamhive_eval.measures.kitti import kitti_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from slamhive_eval import FileError, OptionError, Trajectory, write_tum
-from slamhive_eval.clouds import Cloud, read_cloud, sample_mesh
 from slamhive_eval.command import main
-from slamhive_eval.maps import compare_maps, mean_map_entropy, thin_out
+from slamhive_eval.formats.clouds import Cloud, read_cloud, sample_mesh
+from slamhive_eval.measures.maps import compare_maps, mean_map_entropy, thin_out
 
 if TYPE_CHECKING:
     from collections.abc import Callable

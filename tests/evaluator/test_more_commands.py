@@ -11,9 +11,9 @@ import pytest
 
 from slamhive_eval import Options, Trajectory, evaluate, read_kitti, read_tum, rotation, write_tum
 from slamhive_eval.command import main
-from slamhive_eval.kitti import kitti_errors
-from slamhive_eval.relative import sub_trajectory_errors
-from slamhive_eval.repeated import summarize
+from slamhive_eval.measures.kitti import kitti_errors
+from slamhive_eval.measures.relative import sub_trajectory_errors
+from slamhive_eval.measures.repeated import summarize
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -29,7 +29,7 @@ from slamhive_eval import (
     rpe_errors,
     sub_trajectory_errors,
 )
-from slamhive_eval.writing import write_trajectory
+from slamhive_eval.formats.writing import write_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

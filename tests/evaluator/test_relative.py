@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from slamhive_eval import OptionError, Trajectory, associate, read_trajectory, rotation
-from slamhive_eval.consistency import CHI_SQUARE_95, measure_consistency
-from slamhive_eval.motion import smoothness, velocities, velocity_errors
-from slamhive_eval.relative import default_lengths, scale_drift, sub_trajectory_errors
+from slamhive_eval.measures.consistency import CHI_SQUARE_95, measure_consistency
+from slamhive_eval.measures.motion import smoothness, velocities, velocity_errors
+from slamhive_eval.measures.relative import default_lengths, scale_drift, sub_trajectory_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable

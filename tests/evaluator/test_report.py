@@ -13,7 +13,7 @@ import pytest
 
 from slamhive_eval import OptionError, Options, Trajectory, evaluate, write_tum
 from slamhive_eval.command import main
-from slamhive_eval.report import BINS, MAX_POINTS, report_data, report_html
+from slamhive_eval.reports.report import BINS, MAX_POINTS, report_data, report_html
 
 if TYPE_CHECKING:
     from collections.abc import Callable

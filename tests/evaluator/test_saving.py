@@ -14,7 +14,7 @@ import pytest
 
 from slamhive_eval import Trajectory, write_tum
 from slamhive_eval.command import main
-from slamhive_eval.result_tables import csv_table, latex_table
+from slamhive_eval.reports.result_tables import csv_table, latex_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from slamhive_eval import ControlPoints, kitti_errors, read_kitti, write_tum
-from slamhive_eval.challenges import POINT_RULES, score_points
 from slamhive_eval.command import main
+from slamhive_eval.measures.challenges import POINT_RULES, score_points
 
 if TYPE_CHECKING:
     from collections.abc import Callable

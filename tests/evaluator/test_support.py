@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slamhive_eval import AssociationError, OptionError, Options, RpeOptions, Trajectory, evaluate
-from slamhive_eval.support import (
+from slamhive_eval.measures.support import (
     common_support,
     evaluate_segments,
     find_support,

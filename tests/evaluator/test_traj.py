@@ -11,7 +11,7 @@ import pytest
 
 from slamhive_eval import OptionError, Trajectory, read_trajectory, rotation, write_trajectory, write_tum
 from slamhive_eval.command import main
-from slamhive_eval.description import describe
+from slamhive_eval.measures.description import describe
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 IMPORTED = (
     "slamhive.cli.running",
-    "slamhive.local.workbench",
+    "slamhive.local.running.workbench",
     "slamhive.archive",
-    "slamhive.data.transfer",
+    "slamhive.data.making.transfer",
     "slamhive.jobs.prepare",
     "slamhive.jobs.evaluate",
     "rosbags.typesys.stores.ros1_noetic",

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from injecting import Command
 
 from slamhive.archive import Archive
-from slamhive.data.store import materialise
+from slamhive.data.store.datasets import materialise
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import pytest
 
 from slamhive.archive import Archive, SweepRecord
 from slamhive.cli import main
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 from slamhive.model.results import Outcome, Phase, Provenance, Reason, Result, RunRecord, TrajectoryInfo
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from slamhive.data.once import in_use
-from slamhive.data.store import made_folder
-from slamhive.local.catalog import load_workshop
-from slamhive.local.environments import Environments
-from slamhive.local.home import lock
+from slamhive.data.files.once import in_use
+from slamhive.data.store.datasets import made_folder
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.folder import lock
+from slamhive.local.programs.environments import Environments
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def test_a_full_disk_is_freed(
     usage = shutil.disk_usage(lab.home.path)._replace(free=0)
     monkeypatch.setattr("slamhive.archive.connection.shutil.disk_usage", lambda _: usage)
     monkeypatch.setattr("slamhive.cli.home.open_archive", refuse_to_open)
-    monkeypatch.setattr("slamhive.local.home.os.write", refuse)
+    monkeypatch.setattr("slamhive.local.home.folder.os.write", refuse)
     assert slamhive("gc", "--all", "--yes").code == 0
     assert there(variants) == [False, False]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.local.linking import LEAST_BYTES, link_to_earlier
+from slamhive.local.home.linking import LEAST_BYTES, link_to_earlier
 
 if TYPE_CHECKING:
     from pathlib import Path

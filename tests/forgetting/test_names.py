@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import CatalogEntry, SweepRecord
-from slamhive.data.store import add_dataset, materialise
-from slamhive.local import unlisting
-from slamhive.local.catalog import load_workshop
-from slamhive.local.home import lock
-from slamhive.local.sweeping import require_own_name
+from slamhive.data.store.datasets import add_dataset, materialise
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.folder import lock
+from slamhive.local.home.sweeping import require_own_name
+from slamhive.local.housekeeping import unlisting
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError
 from slamhive.model.loading import load_file

@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.dashboard.sources import Workstation
-from slamhive.data import slamhive1
-from slamhive.local import forgetting, removed
-from slamhive.local.evaluations import measure_record
-from slamhive.local.extent import Tally
-from slamhive.local.home import lock
-from slamhive.local.removed import NOTE, removed_from
-from slamhive.local.workbench import Workbench
+from slamhive.bridges import slamhive1
+from slamhive.dashboard.sources.archived import Workstation
+from slamhive.local.home import removed
+from slamhive.local.home.extent import Tally
+from slamhive.local.home.folder import lock
+from slamhive.local.home.removed import NOTE, removed_from
+from slamhive.local.housekeeping import forgetting
+from slamhive.local.running.evaluations import measure_record
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.evaluation import EvaluationSettings
 
 if TYPE_CHECKING:

@@ -28,8 +28,8 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from starlette.testclient import TestClient
 
-from slamhive.dashboard.app import create_app
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.sources.archived import Workstation
 
 sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "bench")]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from slamhive.dashboard.workers import Cost
+    from slamhive.dashboard.answering.workers import Cost
 
 CPU_SECONDS = 62.0
 """A stream's 60, and what leads to it; answers end at 10 by themselves."""

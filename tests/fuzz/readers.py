@@ -46,7 +46,7 @@ from slamhive_eval import (
     read_segments,
     read_trajectory,
 )
-from slamhive_eval.files import read_transform
+from slamhive_eval.formats.files import read_transform
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,7 +13,7 @@ import yaml
 from testcluster.access import until
 from testcluster.errors import ClusterError
 
-from slamhive.kube.kinds import OUR_KINDS
+from slamhive.kube.api.kinds import OUR_KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

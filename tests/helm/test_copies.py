@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.local.starting import EDITOR_LINE
+from slamhive.local.programs.starting import EDITOR_LINE
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.dashboard.settings import DashboardSettings, load_settings
+from slamhive.dashboard.server.settings import DashboardSettings, load_settings
 
 VALUES = Path(__file__).parent / "values"
 WITH_DASHBOARD = ["default", "single-node", "team"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.kube.kinds import Label, Role
+from slamhive.kube.api.kinds import Label, Role
 
 VALUES = Path(__file__).parent / "values"
 ROLES = [str(role) for role in Role]

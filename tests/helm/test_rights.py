@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.kube.kinds import OUR_KINDS
+from slamhive.kube.api.kinds import OUR_KINDS
 
 VALUES = Path(__file__).parent / "values"
 READ = {"get", "list", "watch"}

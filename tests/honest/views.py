@@ -34,8 +34,8 @@ from typer.main import get_command
 
 import slamhive
 from slamhive.cli.main import app
-from slamhive.dashboard.app import create_app
-from slamhive.dashboard.sources import Workstation
+from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.sources.archived import Workstation
 from slamhive.model.errors import SlamHiveError
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.data.slamhive1 import find_runs, identify, read_usage
-from slamhive.data.truthfolders import GroundTruthFolder, catalog_name
+from slamhive.bridges.slamhive1 import find_runs, identify, read_usage
+from slamhive.data.store.truthfolders import GroundTruthFolder, catalog_name
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.run import MappingRunSpec
 

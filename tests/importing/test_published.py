@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.cli.tables import Format
+from slamhive.cli.parts.tables import Format
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -17,7 +17,7 @@ import pytest
 
 from slamhive.archive import Archive
 from slamhive.archive.keeping import backup, restore
-from slamhive.data.once import in_use
+from slamhive.data.files.once import in_use
 from slamhive.jobs.known import Known, all_pages, known_to
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Phase, RunRecord

@@ -23,9 +23,9 @@ from slamhive.archive import Archive
 from slamhive.jobs.lines import decode
 from slamhive.jobs.requests import RunItem
 from slamhive.kube.reports import read_description
-from slamhive.local.catalog import Workshop
-from slamhive.local.evaluating import Evaluator
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.catalog import Workshop
+from slamhive.local.running.evaluating import Evaluator
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.evaluation import EvaluationSettings
@@ -33,7 +33,7 @@ from slamhive.model.sensors import SensorMode
 from slamhive_eval import read_kitti, read_tum, write_tum
 
 if TYPE_CHECKING:
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = {

@@ -17,11 +17,11 @@ from typing import Any
 import pytest
 import yaml
 
-from slamhive.data.entries import dataset_sha256
-from slamhive.data.groundtruth import ground_truth
-from slamhive.data.once import in_use
-from slamhive.data.preparation import prepare
-from slamhive.data.store import materialise
+from slamhive.data.files.once import in_use
+from slamhive.data.making.preparation import prepare
+from slamhive.data.recordings.entries import dataset_sha256
+from slamhive.data.store.datasets import materialise
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.kube.reports import read_description
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.loading import load_file

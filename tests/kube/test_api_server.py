@@ -18,10 +18,10 @@ from fakeapi.cluster import FakeCluster
 from testcluster.kwok import Kwok, Play
 from testcluster.lab import algorithm
 
-from slamhive.kube import errors
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind, Label, key_of, reference
-from slamhive.kube.transport import Request
+from slamhive.kube.api import errors
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind, Label, key_of, reference
+from slamhive.kube.api.transport import Request
 from slamhive.model.base import GROUP, VERSION
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from testcluster.kwok import Pool
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 
 SPEC = {"algorithmRef": {"name": "icp"}, "datasetRef": {"name": "hall"}}
@@ -342,7 +342,7 @@ async def version_of(server: Server) -> str:
 async def test_pages_make_one_list_of_what_is_selected(
     server: Server, labels: str, names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slamhive.kube.client.PAGE", 2)
+    monkeypatch.setattr("slamhive.kube.api.client.PAGE", 2)
     for number in range(5):
         given = {"kind": "odd" if number % 2 else "even"} if number != 3 else {}
         await server.make(f"run-{number}", labels=given | ({"last": ""} if number == 4 else {}))

@@ -10,7 +10,7 @@ import pytest
 from testcluster.kept import RUN, Cluster, catalogued, standing
 
 from slamhive.archive import Archive
-from slamhive.kube.kinds import Kind
+from slamhive.kube.api.kinds import Kind
 from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.reconciling.archiving import at_its_end
 from slamhive.kube.reconciling.sweep_runs import Finished, Tally

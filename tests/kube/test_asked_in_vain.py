@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.engine import AttemptState, VariantState
-from slamhive.kube.kinds import Key, Kind, key_of
+from slamhive.kube.api.kinds import Key, Kind, key_of
 from slamhive.kube.observing import Attempted
 from slamhive.kube.operator import Operator
 from slamhive.kube.reconciling.catalogue import Catalogue, parse

@@ -12,10 +12,10 @@ from aiohttp import web
 from aiohttp.test_utils import TestServer
 from kubernetes.aio.client import ApiClient, Configuration
 
-from slamhive.kube import errors
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind
-from slamhive.kube.transport import ATTEMPTS
+from slamhive.kube.api import errors
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind
+from slamhive.kube.api.transport import ATTEMPTS
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Mapping

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.kube import handlers
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind, Label, key_of, reference
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind, Label, key_of, reference
 from slamhive.kube.operator import Operator
 from slamhive.kube.settings import Settings
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamhive.kube.encoding import decode, encode
-from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.api.encoding import decode, encode
+from slamhive.kube.api.kinds import Kind, Label
 
 VALUES = st.recursive(
     st.none()

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from slamhive.kube import errors
-from slamhive.kube.errors import ApiError, Forbidden, from_answer
+from slamhive.kube.api import errors
+from slamhive.kube.api.errors import ApiError, Forbidden, from_answer
 
 
 def answer(status: int, headers: dict[str, str] | None = None, **body: Any) -> ApiError:

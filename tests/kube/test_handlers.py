@@ -15,8 +15,8 @@ from aiohttp.test_utils import TestServer
 from kubernetes.aio.client import ApiClient, Configuration
 
 from slamhive.kube import handlers
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.operator import Operator
 from slamhive.kube.settings import Settings
 

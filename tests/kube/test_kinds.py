@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from slamhive.kube.kinds import OUR_KINDS, Key, Kind, key_of, reference
+from slamhive.kube.api.kinds import OUR_KINDS, Key, Kind, key_of, reference
 
 CRDS = Path(__file__).parents[2] / "crds"
 

@@ -5,7 +5,7 @@ import urllib.request
 
 import pytest
 
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.metrics import Metrics, PodLabels
 from slamhive.kube.queue import Queue
 

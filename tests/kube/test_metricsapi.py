@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from slamhive.kube.errors import ApiError, Forbidden, NotFound, ServerFault
-from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.api.errors import ApiError, Forbidden, NotFound, ServerFault
+from slamhive.kube.api.kinds import Kind, Label
 from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import MetricsReader, amount
 from slamhive.kube.store import Store

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.kube import health
-from slamhive.kube.errors import Conflict, Forbidden, Invalid, NotFound, ServerFault, StartError
-from slamhive.kube.kinds import OUR_KINDS, Key, Kind, Label, key_of
+from slamhive.kube.api.errors import Conflict, Forbidden, Invalid, NotFound, ServerFault, StartError
+from slamhive.kube.api.kinds import OUR_KINDS, Key, Kind, Label, key_of
 from slamhive.kube.operator import SLOW_RETRY_SECONDS, Operator
 from slamhive.kube.settings import Settings
 from slamhive.kube.status import condition

@@ -14,7 +14,7 @@ import pytest
 from kubernetes.aio.client import ApiClient, Configuration
 
 from slamhive.kube import __main__ as process
-from slamhive.kube.client import Api
+from slamhive.kube.api.client import Api
 from slamhive.kube.health import HealthServer
 from slamhive.kube.logs import set_up_logs
 from slamhive.kube.operator import Operator

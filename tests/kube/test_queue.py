@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.queue import LAST_BACKOFF_SECONDS, Queue
 
 if TYPE_CHECKING:

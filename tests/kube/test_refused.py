@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import pytest
 from testcluster.kept import GRACE, RUN, Cluster, catalogued, standing
 
-from slamhive.kube.errors import Forbidden, Invalid
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.errors import Forbidden, Invalid
+from slamhive.kube.api.kinds import Key, Kind
 
 if TYPE_CHECKING:
-    from slamhive.kube.errors import ApiError
+    from slamhive.kube.api.errors import ApiError
 
 SENTENCE = "cannot create jobs.batch lab/one-1: spec.template.spec.containers[0].image: must not have blanks"
 WEBHOOK = 'cannot create jobs.batch lab/one-1: admission webhook "validate.example" denied the request'

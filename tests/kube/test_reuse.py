@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from slamhive.engine import AttemptState, VariantState
-from slamhive.kube.kinds import Key, Kind, Label
+from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.observing import Attempted
 from slamhive.kube.operator import Operator
 from slamhive.kube.reconciling.catalogue import Catalogue, parse

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.kube.kinds import Key, Kind, Label
+from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.routing import is_news, routes
 from slamhive.kube.store import Store
 

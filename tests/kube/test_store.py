@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from slamhive.kube.kinds import Key, Kind, Label
+from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.store import Store, narrow
 
 RUN = Kind.MAPPING_RUN

@@ -10,7 +10,7 @@ import yaml
 
 from slamhive.contract.settled import is_settled
 from slamhive.engine import PointState
-from slamhive.kube.kinds import Label
+from slamhive.kube.api.kinds import Label
 from slamhive.kube.reconciling.sweep_runs import (
     Finished,
     Tally,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from testcluster.kept import BEGIN, DATASET, READY, RUN, Cluster, catalogued
 
-from slamhive.kube.kinds import Key, Kind, Label
+from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.variants import VariantSeen, Wanted

@@ -9,10 +9,10 @@ import pytest
 
 from slamhive.archive import Archive
 from slamhive.engine import PointState
-from slamhive.local.catalog import Workshop
-from slamhive.local.choosing import Wish
-from slamhive.local.runner import Job, Runner, Watcher
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.catalog import Workshop
+from slamhive.local.running.choosing import Wish
+from slamhive.local.running.runner import Job, Runner, Watcher
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
 from slamhive.model.sweep import Sweep
 from slamhive.plan import Plan, local_uid
@@ -20,7 +20,7 @@ from slamhive.plan import Plan, local_uid
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
     from slamhive.model.results import Phase, RunRecord
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.local.catalog import DatasetPlace
+from slamhive.local.home.catalog import DatasetPlace
 from slamhive.model.dataset import Dataset
 from slamhive.model.results import Phase
 from slamhive.model.sweep import Sweep
@@ -16,7 +16,7 @@ from slamhive.plan import plan_problems
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.workbench import Workbench
+    from slamhive.local.running.workbench import Workbench
     from slamhive.model.results import RunRecord
 
 

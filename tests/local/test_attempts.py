@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from slamhive.dashboard.api_timeline import timeline
-from slamhive.dashboard.sources import Snapshot
+from slamhive.dashboard.answers.timeline import timeline
+from slamhive.dashboard.sources.archived import Snapshot
 from slamhive.engine import PointState
 from slamhive.model.results import Outcome, Phase, Reason
 from slamhive.tables.reading import read_archive
@@ -21,8 +21,8 @@ from slamhive.tables.reading import read_archive
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.home import Home
-    from slamhive.local.workbench import Workbench
+    from slamhive.local.home.folder import Home
+    from slamhive.local.running.workbench import Workbench
 
 DEADLINE_SECONDS = 50
 

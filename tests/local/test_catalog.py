@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.local.catalog import link_algorithm, load_workshop
-from slamhive.local.home import Home
+from slamhive.local.home.catalog import link_algorithm, load_workshop
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.local.choosing import ask, first_of, twins_among
-from slamhive.local.outlook import Outlook, Standing
+from slamhive.local.running.choosing import ask, first_of, twins_among
+from slamhive.local.running.outlook import Outlook, Standing
 from slamhive.model.errors import InputError
 from slamhive.plan import Plan
 
 from .conftest import sweep_of
 
 if TYPE_CHECKING:
-    from slamhive.local.catalog import Workshop
+    from slamhive.local.home.catalog import Workshop
 
 
 def asked(workshop: Workshop, only: str | None = None, datasets: tuple[str, ...] = ()) -> Any:

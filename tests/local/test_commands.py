@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.local.catalog import AlgorithmEntry
+from slamhive.local.home.catalog import AlgorithmEntry
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.results import Phase, Reason
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from slamhive.local.catalog import Workshop
+    from slamhive.local.home.catalog import Workshop
     from slamhive.model.results import RunRecord
 
 PROGRAM = """#!/bin/sh

@@ -13,13 +13,13 @@ import pytest
 import yaml
 
 from slamhive.archive import Archive
-from slamhive.local import engines
-from slamhive.local.catalog import Workshop
-from slamhive.local.choosing import Wish
-from slamhive.local.containers import Containers
-from slamhive.local.engines import ContainerChoice
-from slamhive.local.runner import Job, Runner, Watcher
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.catalog import Workshop
+from slamhive.local.programs import engines
+from slamhive.local.programs.containers import Containers
+from slamhive.local.programs.engines import ContainerChoice
+from slamhive.local.running.choosing import Wish
+from slamhive.local.running.runner import Job, Runner, Watcher
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
 from slamhive.model.results import Phase, Reason
 from slamhive.model.sweep import Sweep
@@ -32,8 +32,8 @@ from registry import Registry
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from slamhive.local.engines import Engine
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
+    from slamhive.local.programs.engines import Engine
     from slamhive.model.results import RunRecord
 
 pytestmark = pytest.mark.usefixtures("podman")

@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from slamhive.dashboard.ground_truth import Truths
-from slamhive.dashboard.trajectories import Path as Drawn
-from slamhive.dashboard.trajectories import drawn
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.exporting import export_dataset
-from slamhive.data.groundtruth import ground_truth
+from slamhive.data.making.exporting import export_dataset
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.dataset import Dataset
 from slamhive.model.formats import DataFormat
 from slamhive.model.loading import load_file
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Role
+from slamhive.runfiles.ground_truth import Truths
+from slamhive.runfiles.trajectories import Path as Drawn
+from slamhive.runfiles.trajectories import drawn
 from slamhive_eval import ControlPoints, read_tum
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from slamhive.local.catalog import Workshop
-    from slamhive.local.home import Home
+    from slamhive.local.home.catalog import Workshop
+    from slamhive.local.home.folder import Home
 
 POLE = [0.2, -0.1, 1.4]
 """Position of the surveyed pole in the body, m."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.local.engines import ContainerChoice, Engine, find_engine
-from slamhive.local.unavailable import Unavailable
-from slamhive.monitor.engine import EngineError
+from slamhive.local.programs.engines import ContainerChoice, Engine, find_engine
+from slamhive.local.programs.unavailable import Unavailable
+from slamhive.monitor.programs.engine import EngineError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.archive import Cost
-from slamhive.local.costs import Knowledge
-from slamhive.local.estimating import Estimate
-from slamhive.monitor.machine import cpu_model
+from slamhive.local.running.costs import Knowledge
+from slamhive.local.running.estimating import Estimate
+from slamhive.monitor.measuring.machine import cpu_model
 from slamhive.plan import Plan
 
 from .conftest import sweep_of
 
 if TYPE_CHECKING:
-    from slamhive.local.catalog import Workshop
+    from slamhive.local.home.catalog import Workshop
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_what_runs_has_less_left_and_the_end_is_no_sooner_than_its_own(points: P
 def test_of_very_many_settings_some_stand_for_those_beside_them(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slamhive.local.estimating.MOST_TOLD_APART", 2)
+    monkeypatch.setattr("slamhive.local.running.estimating.MOST_TOLD_APART", 2)
     points = Plan(sweep_of(["good", "crash", "slow", "second", "hang"]), workshop)
     found = estimate(points, *(cost(points, index, 10.0) for index in range(5)))
     assert found.left(range(5), {}, 1) == pytest.approx(50.0, rel=0.1)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from slamhive.local.catalog import AlgorithmEntry
+from slamhive.local.home.catalog import AlgorithmEntry
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.catalog import Workshop
+    from slamhive.local.home.catalog import Workshop
 
 PROGRAM = """
 import os, sys

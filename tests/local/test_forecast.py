@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from slamhive.local.forecast import makespan
+from slamhive.local.running.forecast import makespan
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive.local.forgetting import Known, alone, forget, plan_forgetting
-from slamhive.local.linking import LEAST_BYTES
+from slamhive.local.home.linking import LEAST_BYTES
+from slamhive.local.housekeeping.forgetting import Known, alone, forget, plan_forgetting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.workbench import Workbench
+    from slamhive.local.running.workbench import Workbench
 
 MAP = f"""
 with (run / "output" / "map.bin").open("wb") as file:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.data.store import add_dataset
-from slamhive.local.catalog import load_workshop
-from slamhive.local.home import Home
+from slamhive.data.store.datasets import add_dataset
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.folder import Home
 from slamhive.model.loading import load_file
 
 if TYPE_CHECKING:

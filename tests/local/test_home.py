@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.cli import main as command
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:

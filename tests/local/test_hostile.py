@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.engine import PointState
-from slamhive.local import assets
+from slamhive.local.programs import assets
 from slamhive.model.algorithm import Asset
 from slamhive.model.errors import DataError
 from slamhive.model.results import Reason
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from slamhive.data.preparation import Variant
-    from slamhive.local.workbench import Workbench
+    from slamhive.data.making.preparation import Variant
+    from slamhive.local.running.workbench import Workbench
     from slamhive.model.algorithm import Algorithm
 
 

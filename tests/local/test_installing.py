@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.local import installing
+from slamhive.local.programs import installing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROOT = Path(__file__).parents[2]
-PROGRAM = ROOT / "operator/slamhive/local/installing.py"
+PROGRAM = ROOT / "operator/slamhive/local/programs/installing.py"
 
 
 class Terminal(io.StringIO):

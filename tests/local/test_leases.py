@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.local.cores import CorePool
-from slamhive.local.home import Home
-from slamhive.local.leases import LeaseKind, Leases
+from slamhive.local.home.folder import Home
+from slamhive.local.home.leases import LeaseKind, Leases
+from slamhive.local.programs.cores import CorePool
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ CORES = [(0,), (1,), (2,)]
 HOLDER = """
 import sys
 from pathlib import Path
-from slamhive.local.home import Home
-from slamhive.local.leases import LeaseKind
+from slamhive.local.home.folder import Home
+from slamhive.local.home.leases import LeaseKind
 home = Home.at(Path(sys.argv[1]))
 with home.sharing("slamhive run"):
     leases = home.leases.take((LeaseKind.RUNS, "u-1"), (LeaseKind.FOLDERS, "s,a"))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.engine import PointState
-from slamhive.local.attempt import end_left_behind
+from slamhive.local.running.attempt import end_left_behind
 from slamhive.monitor import SupervisorSpec, find_orphans
 
 if TYPE_CHECKING:

@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.local.evaluating import Evaluator
-from slamhive.local.evaluations import Unmeasured, bring_up_to_date, measure_record
-from slamhive.local.home import Home
-from slamhive.local.run import RunDriver
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.folder import Home
+from slamhive.local.running.evaluating import Evaluator
+from slamhive.local.running.evaluations import Unmeasured, bring_up_to_date, measure_record
+from slamhive.local.running.execution import RunDriver
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.catalog import Workshop
+    from slamhive.local.home.catalog import Workshop
 
 ORIGIN = EvaluationSettings.model_validate({"alignment": "Origin"})
 

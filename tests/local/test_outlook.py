@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.local.choosing import Wish
-from slamhive.local.outlook import Looking, Standing, moment_text, sentences
-from slamhive.local.runner import Job, Runner
+from slamhive.local.running.choosing import Wish
+from slamhive.local.running.outlook import Looking, Standing, moment_text, sentences
+from slamhive.local.running.runner import Job, Runner
 from slamhive.model.results import Phase, Reason
 from slamhive.plan import Plan, local_uid
 
@@ -20,9 +20,9 @@ from .conftest import Notes, sweep_of
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.home import Home
-    from slamhive.local.outlook import Outlook
-    from slamhive.local.workbench import Workbench
+    from slamhive.local.home.folder import Home
+    from slamhive.local.running.outlook import Outlook
+    from slamhive.local.running.workbench import Workbench
     from slamhive.model.sweep import Sweep
 
 

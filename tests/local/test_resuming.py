@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.analysis import Selection, choose
-from slamhive.local import workbench
-from slamhive.local.attempt import Attempt
+from slamhive.local.running import workbench
+from slamhive.local.running.attempt import Attempt
 from slamhive.model.dataset import GroundTruth
 from slamhive.model.results import Phase
 from slamhive.tables.reading import read_archive
@@ -22,8 +22,8 @@ from slamhive.tables.reading import read_archive
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.home import Home
-    from slamhive.local.workbench import Workbench
+    from slamhive.local.home.folder import Home
+    from slamhive.local.running.workbench import Workbench
     from slamhive.model.dataset import Dataset
 
 DEADLINE_SECONDS = 50

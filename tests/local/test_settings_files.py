@@ -12,9 +12,9 @@ import yaml
 
 from slamhive.conformance.checking import parameters as parameter_findings
 from slamhive.conformance.findings import Answer
-from slamhive.local.catalog import AlgorithmEntry
-from slamhive.local.configuring import rendered_for
-from slamhive.local.parameters import parameter_uses
+from slamhive.local.home.catalog import AlgorithmEntry
+from slamhive.local.home.parameters import parameter_uses
+from slamhive.local.running.configuring import rendered_for
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase, Reason
@@ -22,8 +22,8 @@ from slamhive.model.results import Phase, Reason
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.catalog import Workshop
-    from slamhive.local.workbench import Workbench
+    from slamhive.local.home.catalog import Workshop
+    from slamhive.local.running.workbench import Workbench
     from slamhive.model.results import RunRecord
 
 TEMPLATE = """number: {{ 100 // parameters.number }}
@@ -177,7 +177,7 @@ def test_programs_beside_the_adapter_and_broken_files_are_looked_at(tmp_path: Pa
 
 
 def test_the_bundled_algorithms_use_what_they_declare(bench: Workbench) -> None:
-    from slamhive.local.catalog import load_workshop
+    from slamhive.local.home.catalog import load_workshop
 
     found = {name: parameter_uses(item) for name, item in load_workshop().algorithm_entries.items()}
     assert json.dumps({name: uses.unused for name, uses in found.items() if uses.unused}) == "{}"

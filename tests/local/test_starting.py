@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.local import starting
-from slamhive.local.catalog import load_workshop
-from slamhive.local.environments import availability
-from slamhive.local.parameters import parameter_uses
-from slamhive.local.starting import Kind, start_algorithm
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.parameters import parameter_uses
+from slamhive.local.programs import starting
+from slamhive.local.programs.environments import availability
+from slamhive.local.programs.starting import Kind, start_algorithm
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
 
 
 @pytest.mark.parametrize("kind", Kind)

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.local.submission import CHALLENGES, Pick, by_sequence, choose_run, find_challenge
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome, Phase, Result, RunRecord, TrajectoryInfo
+from slamhive.reporting.submission import CHALLENGES, Pick, by_sequence, choose_run, find_challenge
 from slamhive_eval import Trajectory, interpolate, read_kitti, read_tum, write_tum
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
 
 LEVER = [[0.0, -1.0, 0.0, 0.3], [1.0, 0.0, 0.0, -0.2], [0.0, 0.0, 1.0, 0.55], [0.0, 0.0, 0.0, 1.0]]
 SPEC: dict[str, Any] = {

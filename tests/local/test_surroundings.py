@@ -18,16 +18,16 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 
-from slamhive.local import cores
-from slamhive.local import environments as environments_module
-from slamhive.local.environments import _anything_in
-from slamhive.local.home import lock
-from slamhive.local.pipcommands import explained, run_command
-from slamhive.local.unavailable import Unavailable
+from slamhive.local.home.folder import lock
+from slamhive.local.programs import cores
+from slamhive.local.programs import environments as environments_module
+from slamhive.local.programs.environments import _anything_in
+from slamhive.local.programs.pipcommands import explained, run_command
+from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import Phase, Reason
-from slamhive.monitor import hierarchy
-from slamhive.monitor.hierarchy import Hierarchy
+from slamhive.monitor.measuring import hierarchy
+from slamhive.monitor.measuring.hierarchy import Hierarchy
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -108,8 +108,8 @@ def test_no_run_looks_for_libraries_where_ours_are_or_in_its_own_folder(
 _KILLED = """
 import sys
 from pathlib import Path
-from slamhive.local.pipcommands import run_command
-from slamhive.local.home import lock
+from slamhive.local.programs.pipcommands import run_command
+from slamhive.local.home.folder import lock
 folder = Path(sys.argv[1])
 with lock(folder / "lock") as held:
     run_command(["sh", "-c", "echo $$ > new && mv new pid && exec sleep 600"], "it", folder, held)

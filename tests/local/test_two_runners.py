@@ -12,11 +12,11 @@ import pytest
 
 from slamhive.archive import Archive
 from slamhive.engine import PointState
-from slamhive.local.choosing import Wish
-from slamhive.local.claims import Claims
-from slamhive.local.leases import LeaseKind
-from slamhive.local.runner import Job, Runner
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.claims import Claims
+from slamhive.local.home.leases import LeaseKind
+from slamhive.local.running.choosing import Wish
+from slamhive.local.running.runner import Job, Runner
+from slamhive.local.running.workbench import Workbench
 from slamhive.plan import Plan, local_uid
 
 from .conftest import Notes, sweep_of
@@ -24,8 +24,8 @@ from .conftest import Notes, sweep_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.local.catalog import Workshop
-    from slamhive.local.home import Home
+    from slamhive.local.home.catalog import Workshop
+    from slamhive.local.home.folder import Home
     from slamhive.model.results import RunRecord
     from slamhive.model.sweep import Sweep
 

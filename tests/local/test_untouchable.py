@@ -17,7 +17,7 @@ import yaml
 
 import slamhive
 from slamhive.archive import Archive
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 from slamhive.model.results import Phase, Reason
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ import pytest
 import yaml
 
 from slamhive.archive import Archive
-from slamhive.data.rosmessages import BagWriter
-from slamhive.local.catalog import Workshop
-from slamhive.local.runner import Job, Runner
-from slamhive.local.workbench import Workbench
+from slamhive.data.recordings.rosmessages import BagWriter
+from slamhive.local.home.catalog import Workshop
+from slamhive.local.running.runner import Job, Runner
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
 from slamhive.model.results import Outcome, Phase, RunRecord
 from slamhive.model.sweep import Sweep
@@ -26,7 +26,7 @@ from .conftest import Notes
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "algorithms.md"
 SHARED = Path(__file__).parents[3] / "shared" / "data" / "bags"

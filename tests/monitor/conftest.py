@@ -17,8 +17,8 @@ import pytest
 
 import slamhive
 from slamhive.monitor import SupervisorSpec, end_orphans, identify, make_run_cgroup
-from slamhive.monitor.hierarchy import own_hierarchies
-from slamhive.monitor.processes import children
+from slamhive.monitor.measuring.hierarchy import own_hierarchies
+from slamhive.monitor.measuring.processes import children
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "contract"))
 from executors import algorithm, table
 
 from slamhive.kube.reports import read_report
-from slamhive.local.attempt import Attempt
+from slamhive.local.running.attempt import Attempt
 from slamhive.model.algorithm import OutputChange
 from slamhive.model.posefiles import told_files
 from slamhive.model.results import Frames

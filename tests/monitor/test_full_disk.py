@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.monitor import Sample
-from slamhive.monitor.files import UsageTable
-from slamhive.monitor.orphans import write_atomically
-from slamhive.monitor.termination import write_message
+from slamhive.monitor.pod.termination import write_message
+from slamhive.monitor.programs.files import UsageTable
+from slamhive.monitor.programs.orphans import write_atomically
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -110,7 +110,7 @@ def test_an_algorithm_sees_nothing_of_the_sidecar(
 
 LOCKED = """
 import os
-from slamhive.monitor.output import OutputMeter
+from slamhive.monitor.programs.output import OutputMeter
 os.makedirs("output/locked/inner")
 with open("output/locked/inner/map.bin", "wb") as file:
     file.truncate(3 << 20)

@@ -22,19 +22,17 @@ from slamhive.monitor import (
     Sample,
     SpecError,
     SupervisorSpec,
-    accounting,
     cgroup_source_at,
     identify,
     make_run_cgroup,
-    output,
-    proc,
-    processes,
     sweep_stale_cgroups,
 )
-from slamhive.monitor.hierarchy import Hierarchy, own_hierarchies, unified_parents
-from slamhive.monitor.log import BoundedLog, clean_tail
+from slamhive.monitor.measuring import accounting, proc, processes
+from slamhive.monitor.measuring.hierarchy import Hierarchy, own_hierarchies, unified_parents
 from slamhive.monitor.outcome import Ending, judge
-from slamhive.monitor.output import OutputMeter
+from slamhive.monitor.programs import output
+from slamhive.monitor.programs.log import BoundedLog, clean_tail
+from slamhive.monitor.programs.output import OutputMeter
 
 if TYPE_CHECKING:
     from collections.abc import Callable

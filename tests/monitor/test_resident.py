@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.monitor import resident
-from slamhive.monitor.processes import children, stat_fields
-from slamhive.monitor.resident import ResidentMemory
+from slamhive.monitor.measuring import resident
+from slamhive.monitor.measuring.processes import children, stat_fields
+from slamhive.monitor.measuring.resident import ResidentMemory
 
 if TYPE_CHECKING:
     from collections.abc import Callable

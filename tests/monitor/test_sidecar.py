@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.monitor.processes import children
+from slamhive.monitor.measuring.processes import children
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.contract.trajectory import TrajectoryInfo, check_trajectory
-from slamhive.monitor import ProcessIdentity, SidecarSpec, SpecError, containers
-from slamhive.monitor.containers import Finder, attach_cgroup
-from slamhive.monitor.termination import termination_message
+from slamhive.monitor import ProcessIdentity, SidecarSpec, SpecError
+from slamhive.monitor.pod import containers
+from slamhive.monitor.pod.containers import Finder, attach_cgroup
+from slamhive.monitor.pod.termination import termination_message
 from slamhive_eval import FileError, read_tum
 
 if TYPE_CHECKING:

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.cli.checked import MOST, check_files
-from slamhive.local.catalog import load_workshop
+from slamhive.cli.parts.checked import MOST, check_files
+from slamhive.local.home.catalog import load_workshop
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from slamhive.cli.checked import Checked
+    from slamhive.cli.parts.checked import Checked
 
 HEAD = "apiVersion: slamhive.io/v1alpha1\nkind: {kind}\nmetadata: {{name: {name}}}\nspec:\n"
 TEMPLATE = "  template: {spec: {algorithmRef: {name: kiss-icp}, datasetRef: {name: synthetic-lidar}}}\n"

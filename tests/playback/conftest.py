@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.local.catalog import Workshop
-from slamhive.local.home import Home
-from slamhive.local.runner import Job, Runner, Watcher
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.catalog import Workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.running.runner import Job, Runner, Watcher
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.loading import load_file
 from slamhive.model.sweep import Sweep

@@ -10,8 +10,8 @@ import pytest
 from pydantic import ValidationError
 
 from slamhive.engine import AttemptEnd
-from slamhive.local.interpreters import interpreter
-from slamhive.local.unavailable import Unavailable
+from slamhive.local.programs.interpreters import interpreter
+from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.algorithm import AlgorithmSpec, LocalProgram
 from slamhive.model.configuration import RunConfiguration
 from slamhive.model.results import Reason
@@ -239,6 +239,6 @@ def test_mean_cores_are_those_while_it_was_played(tmp_path: Path, report: Any, c
 
 
 def test_where_ros_is_missing_the_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamhive.local.interpreters.find_ros", lambda: None)
+    monkeypatch.setattr("slamhive.local.programs.interpreters.find_ros", lambda: None)
     with pytest.raises(Unavailable, match=r"ROS 1 for Python 3\.11 .*apt-get install python3-rospy"):
         interpreter(LocalProgram(), ros=True)

@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.local.catalog import load_workshop
-from slamhive.local.containers import Containers
-from slamhive.local.containerwords import HOME_LABEL
-from slamhive.local.engines import ContainerChoice
-from slamhive.local.runner import Job, Runner
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.programs.containers import Containers
+from slamhive.local.programs.containerwords import HOME_LABEL
+from slamhive.local.programs.engines import ContainerChoice
+from slamhive.local.running.runner import Job, Runner
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
 from slamhive.model.results import Phase
 from slamhive.model.sweep import Sweep
 from slamhive.plan import Plan, local_uid
 
 if TYPE_CHECKING:
-    from slamhive.local.engines import Engine
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
+    from slamhive.local.programs.engines import Engine
     from slamhive.model.results import RunRecord
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]

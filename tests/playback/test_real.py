@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.local.catalog import load_workshop
-from slamhive.local.home import Home
-from slamhive.local.runner import Job, Runner
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.running.runner import Job, Runner
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.dataset import Dataset
 from slamhive.model.results import Reason
 from slamhive.model.sweep import Sweep

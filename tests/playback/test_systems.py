@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.data.store import materialise
-from slamhive.local.catalog import bundled, load_workshop
-from slamhive.local.home import Home
-from slamhive.local.runner import Job, Runner
-from slamhive.local.workbench import Workbench
+from slamhive.data.store.datasets import materialise
+from slamhive.local.home.catalog import bundled, load_workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.running.runner import Job, Runner
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
 from slamhive.model.loading import load_file

@@ -19,7 +19,7 @@ from slamhive.figures.paper import Paper
 from slamhive.figures.pictures import Axis, Box, Dots, Line, Missing, Panel, Picture, Tiles
 from slamhive.figures.styles import Style
 from slamhive.figures.widths import WIDTHS, parse_width
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome
 from slamhive.reporting.papertables import Statistic

@@ -10,10 +10,10 @@ import pytest
 from slamhive.analysis.names import declared_units, label_of
 from slamhive.archive import Archive
 from slamhive.archive.records import CatalogEntry
-from slamhive.dashboard.tables import heading
+from slamhive.dashboard.answers.columns import heading
 from slamhive.figures.asking import Kind, Wish
 from slamhive.figures.making import picture
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 from slamhive.tables.homes import Beside, read_homes
 from slamhive.tables.reading import read_archive
 

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from slamhive.archive import Archive
-from slamhive.data.rosmessages import BagWriter
+from slamhive.data.recordings.rosmessages import BagWriter
 from slamhive.model.results import Outcome, Phase, Result, RunRecord
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.local.catalog import load_workshop
+from slamhive.local.home.catalog import load_workshop
 
 if TYPE_CHECKING:
     from collections.abc import Callable

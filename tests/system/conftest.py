@@ -21,7 +21,7 @@ from slamhive.archive import Archive
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
     from slamhive.model.results import RunRecord
 
 sys.path.append(str(Path(__file__).parents[1] / "faults"))
@@ -33,9 +33,9 @@ IMPORTED = (
     "slamhive.cli.running",
     "slamhive.cli.results",
     "slamhive.archive.upgrading",
-    "slamhive.data.transfer",
-    "slamhive.local.workbench",
-    "slamhive.local.catalog:load_workshop",
+    "slamhive.data.making.transfer",
+    "slamhive.local.running.workbench",
+    "slamhive.local.home.catalog:load_workshop",
 )
 COMMAND = Path(sys.executable).with_name("slamhive")
 DEADLINE_SECONDS = 120.0

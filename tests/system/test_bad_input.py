@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
 
 SWEEP = """apiVersion: slamhive.io/v1alpha1
 kind: Sweep

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
 
 
 def axis(*values: int) -> list[dict[str, Any]]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from slamhive.local.containers import Containers
+from slamhive.local.programs.containers import Containers
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from slamhive.local.engines import Engine
+    from slamhive.local.programs.engines import Engine
 
 pytestmark = pytest.mark.timeout(3000)
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from slamhive.cli.checked import check_files
-from slamhive.local.catalog import load_workshop
+from slamhive.cli.parts.checked import check_files
+from slamhive.local.home.catalog import load_workshop
 
 if TYPE_CHECKING:
     from collections.abc import Callable

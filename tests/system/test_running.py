@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from slamhive.local.cores import whole_cores
+from slamhive.local.programs.cores import whole_cores
 from slamhive.model.results import Phase
 
 pytestmark = pytest.mark.timeout(300)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from slamhive.local.cores import whole_cores
+from slamhive.local.programs.cores import whole_cores
 
 pytestmark = pytest.mark.timeout(600)
 

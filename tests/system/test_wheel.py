@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.local.catalog import load_workshop
+from slamhive.local.home.catalog import load_workshop
 
 if TYPE_CHECKING:
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.archive import Archive, SweepRecord
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 from slamhive.model.results import Outcome, Phase, Provenance, Result, RunRecord, TrajectoryInfo
 
 if TYPE_CHECKING:

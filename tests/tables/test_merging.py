@@ -14,9 +14,9 @@ from sqlalchemy import update
 
 from slamhive.archive import Archive, CatalogEntry, schema
 from slamhive.archive.connection import open_engine, parse, writing
-from slamhive.local import merging
-from slamhive.local.home import lock
-from slamhive.local.removed import remove_files
+from slamhive.local.home.folder import lock
+from slamhive.local.home.removed import remove_files
+from slamhive.local.housekeeping import merging
 from slamhive.model.results import Outcome, Result
 
 if TYPE_CHECKING:

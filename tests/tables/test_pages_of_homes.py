@@ -10,9 +10,9 @@ import httpx
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.dashboard import sources
-from slamhive.dashboard.app import create_app
-from slamhive.dashboard.homes import Homes
+from slamhive.dashboard.server.app import create_app
+from slamhive.dashboard.sources import archived as sources
+from slamhive.dashboard.sources.homes import Homes
 from slamhive.tables.homes import homes_beside
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from slamhive.data.images import scale_camera
+from slamhive.data.recordings.images import scale_camera
 from slamhive.model.sensors import Camera, Role
 from slamhive.model.templates import TemplateMistake
 from slamhive.templating.helpers import ROLES

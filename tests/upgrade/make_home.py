@@ -48,7 +48,8 @@ spec:
 # The tests are about all else that tells experiments apart.
 def make_environments_equal() -> None:
     """Have all environments called the same; before anything else of slamhive is imported."""
-    from slamhive.local import environments, workbench
+    from slamhive.local.programs import environments
+    from slamhive.local.running import workbench
 
     def digest(*_: object) -> str:
         return "the environment"

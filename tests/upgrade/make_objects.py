@@ -29,8 +29,8 @@ from testcluster.lab import Lab, manifest, status_of, sweep  # noqa: E402
 from testcluster.labs import *  # noqa: E402, F403
 
 from slamhive import __version__  # noqa: E402
-from slamhive.kube.client import Api  # noqa: E402
-from slamhive.kube.kinds import Kind  # noqa: E402
+from slamhive.kube.api.client import Api  # noqa: E402
+from slamhive.kube.api.kinds import Kind  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

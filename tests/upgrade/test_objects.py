@@ -20,8 +20,8 @@ from testcluster.fixtures import CRDS
 from testcluster.kwok import Kwok, Play
 from testcluster.lab import Lab, bound_volumes, status_of
 
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Kind
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Kind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

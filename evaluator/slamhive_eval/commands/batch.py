@@ -15,7 +15,7 @@ from slamhive_eval.errors import OptionError
 from slamhive_eval.evaluation import Options, RpeOptions
 
 if TYPE_CHECKING:
-    from slamhive_eval import files
+    from slamhive_eval.formats import files
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from slamhive_eval.commands import measuring, output
-from slamhive_eval.consistency import Part, measure_consistency
 from slamhive_eval.errors import FileError
+from slamhive_eval.measures.consistency import Part, measure_consistency
 from slamhive_eval.preparing import prepare
 
 if TYPE_CHECKING:

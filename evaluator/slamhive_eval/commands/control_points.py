@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive_eval.column_tables import read_columns
 from slamhive_eval.commands import measuring, output, tables
 from slamhive_eval.commands.output import Measured
 from slamhive_eval.errors import EvaluationError, OptionError
 from slamhive_eval.evaluation import Options
-from slamhive_eval.points import ControlPoints, evaluate_points, require_point_options
+from slamhive_eval.formats.column_tables import read_columns
+from slamhive_eval.measures.points import ControlPoints, evaluate_points, require_point_options
 
 if TYPE_CHECKING:
     import argparse

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive_eval import motion, relative, support
 from slamhive_eval.commands import measuring, output
+from slamhive_eval.measures import motion, relative, support
 from slamhive_eval.metrics import Statistics
 from slamhive_eval.preparing import prepare
 

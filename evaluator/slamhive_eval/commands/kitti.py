@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive_eval import alignment, association, kitti
+from slamhive_eval import alignment, association
 from slamhive_eval.commands import inputs, measuring, output
+from slamhive_eval.measures import kitti
 
 if TYPE_CHECKING:
     import argparse

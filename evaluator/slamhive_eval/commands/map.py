@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive_eval import alignment, association, clouds, files, maps
+from slamhive_eval import alignment, association
 from slamhive_eval.commands import measuring, output
+from slamhive_eval.formats import clouds, files
+from slamhive_eval.measures import maps
 
 if TYPE_CHECKING:
     import argparse

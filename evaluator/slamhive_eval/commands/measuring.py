@@ -9,10 +9,11 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any, cast
 
-from slamhive_eval import alignment, association, files, metrics
-from slamhive_eval.column_tables import read_columns
+from slamhive_eval import alignment, association, metrics
 from slamhive_eval.commands import output, tables
 from slamhive_eval.errors import OptionError
+from slamhive_eval.formats import files
+from slamhive_eval.formats.column_tables import read_columns
 from slamhive_eval.preparing import Preparation, prepare
 
 if TYPE_CHECKING:
@@ -229,7 +230,7 @@ def read_estimates(asked: argparse.Namespace, reference: Trajectory) -> Iterator
     if asked.support == "own":
         yield from ((name, read_estimate(asked, name, reference)) for name in asked.estimates)
         return
-    from slamhive_eval import support  # noqa: PLC0415 - few ask for it
+    from slamhive_eval.measures import support  # noqa: PLC0415 - few ask for it
 
     found = [read_estimate(asked, name, reference) for name in asked.estimates]
     spans = support.common_support(found)

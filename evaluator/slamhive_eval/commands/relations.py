@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive_eval import files, relations
 from slamhive_eval.commands import measuring, output
 from slamhive_eval.errors import EvaluationError
+from slamhive_eval.formats import files
+from slamhive_eval.measures import relations
 
 if TYPE_CHECKING:
     import argparse

@@ -6,8 +6,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from slamhive_eval import evaluation, repeated
+from slamhive_eval import evaluation
 from slamhive_eval.commands import inputs, measuring, output
+from slamhive_eval.measures import repeated
 
 if TYPE_CHECKING:
     import argparse

@@ -42,7 +42,7 @@ def run(asked: argparse.Namespace) -> int:
     }
     written = []
     if asked.output or not asked.figure:
-        from slamhive_eval import report  # noqa: PLC0415 - only where asked for
+        from slamhive_eval.reports import report  # noqa: PLC0415 - only where asked for
 
         written.append(asked.output or "report.html")
         page = report.report_html(
@@ -53,7 +53,7 @@ def run(asked: argparse.Namespace) -> int:
         except OSError as error:
             raise FileError(written[-1], f"can't be written: {error.strerror or error}") from error
     if asked.figure:
-        from slamhive_eval import figures  # noqa: PLC0415
+        from slamhive_eval.reports import figures  # noqa: PLC0415
 
         figures.save_figure(asked.figure, reference, found, title=asked.title)
         written.append(asked.figure)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from slamhive_eval.commands.output import Measured
-    from slamhive_eval.evo_zip import ErrorSeries
+    from slamhive_eval.formats.evo_zip import ErrorSeries
 
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
 COLUMNS = ("estimate", "relation", *STATISTICS, "poses", "pairs", "delta", "unit", "alignment", "scale")
@@ -37,13 +37,13 @@ def add(parser: argparse.ArgumentParser) -> None:
 def write(asked: argparse.Namespace, measured: Sequence[Measured]) -> None:
     """Write what was asked for."""
     if asked.save_results or asked.save_errors:
-        from slamhive_eval import evo_zip  # noqa: PLC0415 - only where asked for
+        from slamhive_eval.formats import evo_zip  # noqa: PLC0415 - only where asked for
 
         series = [_series(asked, one) for one in measured]
         _each(asked.save_results, series, ".zip", evo_zip.write_evo_zip)
         _each(asked.save_errors, series, ".npz", evo_zip.write_error_arrays)
     if asked.csv or asked.latex:
-        from slamhive_eval import result_tables  # noqa: PLC0415
+        from slamhive_eval.reports import result_tables  # noqa: PLC0415
 
         rows = [_row(one) for one in measured]
         if asked.csv:
@@ -62,7 +62,7 @@ def write(asked: argparse.Namespace, measured: Sequence[Measured]) -> None:
 def _series(asked: argparse.Namespace, one: Measured) -> ErrorSeries:
     import numpy as np  # noqa: PLC0415
 
-    from slamhive_eval.evo_zip import ErrorSeries  # noqa: PLC0415
+    from slamhive_eval.formats.evo_zip import ErrorSeries  # noqa: PLC0415
 
     detail = ""
     if one.metric == "rpe":

@@ -6,17 +6,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive_eval import challenges, files
-from slamhive_eval.column_tables import read_columns
-from slamhive_eval.columns import parse_columns
 from slamhive_eval.commands import output, tables
 from slamhive_eval.errors import OptionError
-from slamhive_eval.points import ControlPoints
+from slamhive_eval.formats import files
+from slamhive_eval.formats.column_tables import read_columns
+from slamhive_eval.formats.columns import parse_columns
+from slamhive_eval.measures import challenges
+from slamhive_eval.measures.points import ControlPoints
 
 if TYPE_CHECKING:
     import argparse
 
-    from slamhive_eval.challenges import PointRule
+    from slamhive_eval.measures.challenges import PointRule
 
 _ENDINGS = (".txt", ".csv")
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive_eval import segments
 from slamhive_eval.commands import inputs, measuring, output
 from slamhive_eval.errors import OptionError
+from slamhive_eval.measures import segments
 
 if TYPE_CHECKING:
     import argparse

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from slamhive_eval.columns import COLUMNS, TableFormat, parse_columns
 from slamhive_eval.errors import OptionError
+from slamhive_eval.formats.columns import COLUMNS, TableFormat, parse_columns
 
 if TYPE_CHECKING:
     import argparse

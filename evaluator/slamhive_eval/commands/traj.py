@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive_eval import files, writing
 from slamhive_eval.commands import measuring, output
-from slamhive_eval.description import GAP_PERIODS, describe
 from slamhive_eval.errors import FileError, OptionError
+from slamhive_eval.formats import files, writing
+from slamhive_eval.measures.description import GAP_PERIODS, describe
 from slamhive_eval.preparing import prepare
 from slamhive_eval.trajectory import check_rigid
 
@@ -76,7 +76,7 @@ def run(asked: argparse.Namespace) -> int:
         except OSError as error:
             raise FileError(path, f"can't be written: {error.strerror or error}") from error
     if asked.plot is not None:
-        from slamhive_eval import figures  # noqa: PLC0415 - only where asked for
+        from slamhive_eval.reports import figures  # noqa: PLC0415 - only where asked for
 
         figures.save_trajectories(asked.plot, dict(zip(_names(asked), made, strict=True)), reference)
     described = [

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Design of the regression that predicts costs: settings of runs as rows, what they share as columns.
 
-`predicting` solves it; what is planned and what is archived becomes settings in `local/costs.py`.
+`predicting` solves it; what is planned and what is archived becomes settings in `local/running/costs.py`.
 """
 
 from __future__ import annotations

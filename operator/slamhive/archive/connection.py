@@ -21,7 +21,7 @@ from sqlalchemy.engine import URL, make_url
 
 from slamhive.analysis.shapes import MissingShapeError
 from slamhive.archive import schema
-from slamhive.data.once import flush
+from slamhive.data.files.once import flush
 from slamhive.model.errors import InputError, SystemFault
 
 if TYPE_CHECKING:

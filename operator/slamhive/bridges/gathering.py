@@ -11,9 +11,9 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.columns import ColumnKind
-from slamhive.dashboard.problems import Missing, TooLarge
-from slamhive.dashboard.trajectories import usage_columns
 from slamhive.model.canonical import digest
+from slamhive.runfiles.errors import FileMissingError, FileTooLargeError
+from slamhive.runfiles.trajectories import usage_columns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -143,7 +143,7 @@ def _files(one: Handed, source: Here) -> None:
     one.tags["folder"] = str(folder)
     try:
         found = usage_columns(place, MOST_SAMPLES)
-    except (Missing, TooLarge):
+    except (FileMissingError, FileTooLargeError):
         return
     one.series = {name: found[name].tolist() for name in ("t", "cpu", "memory")}
 

@@ -7,16 +7,16 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from slamhive.archive import Archive
-from slamhive.dashboard.homefiles import HomeFiles
+from slamhive.runfiles.homefiles import HomeFiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from slamhive.archive.records import CatalogEntry
-    from slamhive.dashboard.artifacts import Place
-    from slamhive.dashboard.ground_truth import Truth
     from slamhive.model.results import RunRecord
+    from slamhive.runfiles.artifacts import Place
+    from slamhive.runfiles.ground_truth import Truth
 
 
 class Here:

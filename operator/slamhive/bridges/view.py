@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.bridges.libraries import library
-from slamhive.dashboard.clocks import configuration_of, sensor_times
-from slamhive.dashboard.problems import Missing, TooLarge
-from slamhive.dashboard.trajectories import drawn, extrinsic_of, read_poses, usage_columns
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.formats import RecordingFormat
+from slamhive.runfiles.clocks import configuration_of, sensor_times
+from slamhive.runfiles.errors import FileMissingError, FileTooLargeError
+from slamhive.runfiles.trajectories import drawn, extrinsic_of, read_poses, usage_columns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.bridges.places import Here
-    from slamhive.dashboard.artifacts import Place
     from slamhive.model.results import RunRecord
+    from slamhive.runfiles.artifacts import Place
 
 MOST_POSES = 20_000
 """Poses and samples of usage that are shown."""
@@ -77,12 +77,12 @@ def _fill(shown: _Shown, record: RunRecord, here: Here, place: Place) -> list[st
         found = drawn(read_poses(place), result, truth, extrinsic, MOST_POSES)
         shown.paths(found)
         notes += found["notes"]
-    except (Missing, TooLarge) as error:
+    except (FileMissingError, FileTooLargeError) as error:
         notes.append(str(error))
     try:
         usage = usage_columns(place, MOST_POSES)
         shown.usage(usage, sensor_times(usage["t"], record, place, configuration))
-    except (Missing, TooLarge) as error:
+    except (FileMissingError, FileTooLargeError) as error:
         notes.append(str(error))
     try:
         shown.images(_images(place, configuration))
@@ -171,8 +171,8 @@ def _images(place: Place, configuration: dict[str, Any]) -> Iterator[tuple[float
     """
     import cv2  # noqa: PLC0415 - readers of recordings take a second to import
 
-    from slamhive.data.images import compressed_pixels, image_pixels  # noqa: PLC0415
-    from slamhive.data.recordings import Recording  # noqa: PLC0415
+    from slamhive.data.recordings.images import compressed_pixels, image_pixels  # noqa: PLC0415
+    from slamhive.data.recordings.reading import Recording  # noqa: PLC0415
 
     sensors = configuration.get("sensors") or {}
     topics = [str(sensors[role]["topic"]) for role in _CAMERAS if role in sensors]

@@ -12,14 +12,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from slamhive.cli.checking import check
-from slamhive.cli.console import command_name, listing, open_workbench, out, remark
-from slamhive.cli.listing import show_catalog
+from slamhive.cli.parts.console import command_name, listing, open_workbench, out, remark
+from slamhive.cli.parts.listing import show_catalog
 from slamhive.cli.unlisting import remove_algorithm
 from slamhive.cli.vocabulary import train
-from slamhive.local.catalog import link_algorithm, load_workshop
-from slamhive.local.home import Home
-from slamhive.local.programs import unavailable
-from slamhive.local.starting import Kind, start_algorithm
+from slamhive.local.home.catalog import link_algorithm, load_workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.programs.executors import unavailable
+from slamhive.local.programs.starting import Kind, start_algorithm
 from slamhive.model.algorithm import ParameterType
 from slamhive.model.errors import InputError
 from slamhive.model.loading import parse
@@ -170,7 +170,7 @@ def render_files(
 
     Example: slamhive algorithm render my-vins mh01 -p maxFeatures=200
     """
-    from slamhive.local.configuring import rendered_for
+    from slamhive.local.running.configuring import rendered_for
     from slamhive.model.errors import sentence
     from slamhive.templating import place_files
 

@@ -11,14 +11,14 @@ import typer
 from slamhive.archive import Archive, keeping
 from slamhive.archive.connection import shown
 from slamhive.archive.upgrading import upgrade
-from slamhive.cli.console import bytes_text, complain, open_archive, out, plural, remark
-from slamhive.cli.exits import FAILED
-from slamhive.cli.waiting import Work
-from slamhive.local.home import Home
+from slamhive.cli.parts.console import bytes_text, complain, open_archive, out, plural, remark
+from slamhive.cli.parts.exits import FAILED
+from slamhive.cli.parts.waiting import Work
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
-    from slamhive.local.merging import Merge
+    from slamhive.local.housekeeping.merging import Merge
 
 app = typer.Typer(
     help="Look after the archive: $SLAMHIVE_HOME/archive.sqlite, or the database in $SLAMHIVE_ARCHIVE.",
@@ -113,9 +113,9 @@ def merge(
 
     Example: slamhive archive merge /data/anna/slamhive --dry-run
     """
-    from slamhive.cli.asking import progress
-    from slamhive.local import merging
-    from slamhive.local.forgetting import alone
+    from slamhive.cli.parts.asking import progress
+    from slamhive.local.housekeeping import merging
+    from slamhive.local.housekeeping.forgetting import alone
     from slamhive.tables.homes import homes_beside
 
     home = Home.from_environment()

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slamhive.cli.console import bytes_text, out, plural, remark
-from slamhive.cli.tables import show
+from slamhive.cli.parts.console import bytes_text, out, plural, remark
+from slamhive.cli.parts.tables import show
 from slamhive.model.sensors import ROLES, SensorMode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
     from slamhive.model.catalogue import Family
     from slamhive.model.dataset import Dataset
 
@@ -86,8 +86,8 @@ def add_sequence(title: str, name: str | None, home: Home, *, keep_archive: bool
     Returns:
         Its manifest in the home, and the dataset.
     """
-    from slamhive.cli.waiting import Work
-    from slamhive.data.obtaining import Listener, obtain
+    from slamhive.cli.parts.waiting import Work
+    from slamhive.data.store.obtaining import Listener, obtain
     from slamhive.model.catalogue import dataset_name, find_sequence
 
     sequence = find_sequence(title)

@@ -15,17 +15,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from slamhive.cli import tables
-from slamhive.cli.cluster import Context, Namespace
-from slamhive.cli.console import out, remark
-from slamhive.cli.exits import FAILED, INTERRUPTED
-from slamhive.cli.tables import Format
-from slamhive.cli.waiting import Work
-from slamhive.local.catalog import AlgorithmEntry, load_workshop
-from slamhive.local.home import Home
+from slamhive.cli.cluster.commands import Context, Namespace
+from slamhive.cli.parts import tables
+from slamhive.cli.parts.console import out, remark
+from slamhive.cli.parts.exits import FAILED, INTERRUPTED
+from slamhive.cli.parts.tables import Format
+from slamhive.cli.parts.waiting import Work
+from slamhive.local.home.catalog import AlgorithmEntry, load_workshop
+from slamhive.local.home.folder import Home
 from slamhive.model.base import Choice, seconds
 from slamhive.model.errors import InputError, SlamHiveError
-from slamhive_eval.csv_writing import write_csv
+from slamhive_eval.formats.csv_writing import write_csv
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -203,7 +203,7 @@ def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
 def _contained(wish: _Wish) -> OnWorkstation | str:
     """Return this machine's containers as an executor, or why they can't be."""
     from slamhive.conformance.workstation import OnWorkstation
-    from slamhive.local.unavailable import ImageMissing
+    from slamhive.local.programs.unavailable import ImageMissing
 
     asked = wish.on is Place.CONTAINER or wish.image is not None
     has_another = wish.bench.workshop.algorithm(wish.name).algorithm.spec.local is not None
@@ -217,11 +217,11 @@ def _contained(wish: _Wish) -> OnWorkstation | str:
 
 def _on_cluster(wish: _Wish) -> OnCluster | str:
     """Return the cluster as an executor, or why there is none; empty where none was to be expected."""
-    from slamhive.cli.cluster import cluster_client
+    from slamhive.cli.cluster.commands import cluster_client
 
     try:
         with cluster_client():
-            from slamhive.cli.cluster_work import Place as Namespaced
+            from slamhive.cli.cluster.work import Place as Namespaced
             from slamhive.conformance.cluster import OnCluster
             from slamhive.kube.user.connecting import find_target
         find_target(wish.context, wish.namespace)

@@ -14,10 +14,10 @@ from slamhive.analysis.expressions import ExpressionError
 from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.metrics import Metric
 from slamhive.analysis.selection import Selection, choose
-from slamhive.cli import tables
-from slamhive.cli.console import emit, out, remark, speaks_json
+from slamhive.cli.parts import tables
+from slamhive.cli.parts.console import emit, out, remark, speaks_json
 from slamhive.cli.results import TABLE_METRICS, usual_columns
-from slamhive.local.outlook import moment_text
+from slamhive.local.running.outlook import moment_text
 from slamhive.model.errors import InputError
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import key_text
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from slamhive.analysis.edits import Edit, Line
-    from slamhive.local.home import Home
-    from slamhive.local.runner import Job
+    from slamhive.local.home.folder import Home
+    from slamhive.local.running.runner import Job
 
 _RAW = (
     "before and after: geometric means over the settings that ran with both, each by the median of its "

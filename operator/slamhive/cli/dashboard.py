@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from slamhive.cli.choosing import Also
-from slamhive.cli.console import out, remark
-from slamhive.local.home import Home
+from slamhive.cli.parts.choosing import Also
+from slamhive.cli.parts.console import out, remark
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 from slamhive.tables.homes import homes_beside
 
@@ -45,9 +45,9 @@ def dashboard(
     Example: slamhive dashboard --port 8323
     """
     try:
-        from slamhive.dashboard.homes import Homes
-        from slamhive.dashboard.serving import allowed_hosts, lets_others_in, listen, serve
-        from slamhive.dashboard.sources import Workstation
+        from slamhive.dashboard.server.serving import allowed_hosts, lets_others_in, listen, serve
+        from slamhive.dashboard.sources.archived import Workstation
+        from slamhive.dashboard.sources.homes import Homes
     except ModuleNotFoundError as error:
         raise InputError(
             f"the dashboard needs the package {error.name}; "

@@ -15,14 +15,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from slamhive.cli import catalogue
-from slamhive.cli.console import bytes_text, complain, listing, open_workbench, out, plural, remark
-from slamhive.cli.exits import FAILED, INTERRUPTED
-from slamhive.cli.listing import show_catalog
+from slamhive.cli.parts.console import bytes_text, complain, listing, open_workbench, out, plural, remark
+from slamhive.cli.parts.exits import FAILED, INTERRUPTED
+from slamhive.cli.parts.listing import show_catalog
+from slamhive.cli.parts.waiting import Work
 from slamhive.cli.showing import show
 from slamhive.cli.unlisting import remove_dataset, rename
-from slamhive.cli.waiting import Work
-from slamhive.local.catalog import editor_line, load_workshop
-from slamhive.local.home import Home
+from slamhive.local.home.catalog import editor_line, load_workshop
+from slamhive.local.home.folder import Home
 from slamhive.model.base import ObjectMeta, explain
 from slamhive.model.dataset import Dataset
 from slamhive.model.errors import InputError, UnknownNameError
@@ -33,7 +33,7 @@ from slamhive.model.sensors import ROLES, SensorMode
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from slamhive.data.inspection import DatasetReport, SensorReport
+    from slamhive.data.inspecting.inspection import DatasetReport, SensorReport
     from slamhive.model.dataset import DatasetSpec
 
 app = typer.Typer(no_args_is_help=True, help="Datasets: list, add, check, prepare and export them.")
@@ -171,7 +171,7 @@ def make(name: Name) -> None:
 
     Example: slamhive dataset make synthetic-lidar
     """
-    from slamhive.data.store import materialise
+    from slamhive.data.store.datasets import materialise
 
     home = Home.from_environment()
     place = load_workshop(home).dataset(name)
@@ -199,7 +199,7 @@ def prepare_variant(
 
     Example: slamhive dataset prepare synthetic-camera --sensors stereo --resolution 0.5 --frame-rate 7.5
     """
-    from slamhive.data.preparation import prepare
+    from slamhive.data.making.preparation import prepare
 
     options = _input(frame_rate, resolution, start, duration, max_range, rings)
     with Work(f"preparing {name}") as work:
@@ -242,7 +242,7 @@ def export(
 
     Example: slamhive dataset export synthetic-camera --format Euroc -o hall --ground-truth
     """
-    from slamhive.data.exporting import all_roles, export_dataset, require_new
+    from slamhive.data.making.exporting import all_roles, export_dataset, require_new
 
     options = _input(frame_rate, resolution, start, duration, max_range, rings)
     if sensors is not None and not holds(form, ROLES[sensors]):
@@ -281,7 +281,7 @@ def check(name: Name, *, as_json: AsJson = False) -> None:
 
     Example: slamhive dataset check synthetic-lidar
     """
-    from slamhive.data.inspection import inspect
+    from slamhive.data.inspecting.inspection import inspect
 
     with Work(f"checking {name}") as work:
         bench = open_workbench(Home.from_environment())
@@ -336,8 +336,8 @@ def _named(source: Path, name: str | None) -> str:
 
 
 def _add_manifest(source: Path, home: Home, *, replace: bool) -> None:
-    from slamhive.data.inspection import require_usable
-    from slamhive.data.store import HASHES, add_dataset
+    from slamhive.data.inspecting.inspection import require_usable
+    from slamhive.data.store.datasets import HASHES, add_dataset
     from slamhive.model.loading import load_file
 
     datasets = [item for item in load_file(source) if isinstance(item, Dataset)]
@@ -364,8 +364,8 @@ def _place(home: Home, name: str, *, replace: bool) -> Iterator[None]:
         yield
         return
     from slamhive.cli.unlisting import referring
-    from slamhive.local.forgetting import alone
-    from slamhive.local.unlisting import replaced
+    from slamhive.local.housekeeping.forgetting import alone
+    from slamhive.local.housekeeping.unlisting import replaced
 
     count = referring(home, "dataset", name)
     if count:
@@ -403,7 +403,7 @@ def _added(manifest: Path) -> None:
 
 
 def _suggest(source: Path, name: str) -> None:
-    from slamhive.data.suggestion import suggest_dataset
+    from slamhive.data.inspecting.suggestion import suggest_dataset
 
     target = Path(f"{name}.yaml")
     if target.exists():
@@ -461,7 +461,7 @@ def _input(  # noqa: PLR0917 - one for each option
 
 
 def _print_report(report: DatasetReport) -> None:
-    from slamhive.data.inspection import GAP_PERIODS
+    from slamhive.data.inspecting.inspection import GAP_PERIODS
 
     duration = f"{report.duration_seconds:.1f} s" if report.duration_seconds is not None else "unknown length"
     out.print(f"[bold]{escape(report.name)}[/] {report.format}, {duration}")

@@ -13,9 +13,9 @@ import typer
 from rich.markup import escape
 
 from slamhive import __version__
-from slamhive.cli.cluster import Context, Namespace
-from slamhive.cli.console import out
-from slamhive.cli.exits import FAILED
+from slamhive.cli.cluster.commands import Context, Namespace
+from slamhive.cli.parts.console import out
+from slamhive.cli.parts.exits import FAILED
 from slamhive.model.readiness import Row, State
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def doctor(
 
     Example: slamhive doctor
     """
-    from slamhive.cli.waiting import Work
+    from slamhive.cli.parts.waiting import Work
 
     with Work("looking at this machine"):
         rows = examine(_looks(context, namespace), PATIENCE_SECONDS)
@@ -99,9 +99,9 @@ def examine(
 
 
 def _looks(context: str | None, namespace: str | None) -> dict[str, Callable[[], Row | Iterable[Row]]]:
-    from slamhive.local import readiness
-    from slamhive.local.catalog import load_workshop
-    from slamhive.local.home import Home
+    from slamhive.local.home.catalog import load_workshop
+    from slamhive.local.home.folder import Home
+    from slamhive.local.programs import readiness
 
     home = Home.from_environment()
     workshop = load_workshop(home)
@@ -126,7 +126,7 @@ def _looks(context: str | None, namespace: str | None) -> dict[str, Callable[[],
 def _cluster(context: str | None, namespace: str | None) -> list[Row]:
     import asyncio
 
-    from slamhive.cli.cluster import cluster_client
+    from slamhive.cli.cluster.commands import cluster_client
     from slamhive.model.errors import SlamHiveError
     from slamhive.model.readiness import missing
 

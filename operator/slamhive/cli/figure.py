@@ -11,14 +11,14 @@ from typing import Annotated
 import typer
 
 from slamhive.analysis import Outcomes
-from slamhive.cli.choosing import Also, EvaluationName, Superseded, Sweeps, Where, choose_runs, select
-from slamhive.cli.console import remark
+from slamhive.cli.parts.choosing import Also, EvaluationName, Superseded, Sweeps, Where, choose_runs, select
+from slamhive.cli.parts.console import remark
 from slamhive.figures.asking import Kind, Log, Wish
 from slamhive.figures.making import form_of, numbers_file, picture, save
 from slamhive.figures.paper import Paper
 from slamhive.figures.styles import Face
 from slamhive.figures.widths import WIDTHS, parse_height, parse_width
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 from slamhive.model.uncollected import uncollected

@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Any
 from slamhive.analysis.design import Nearness, Quantity
 from slamhive.analysis.predicting import COVERED
 from slamhive.archive import Archive
-from slamhive.cli import tables
-from slamhive.cli.console import bytes_text, command_name, listing, out, plural
-from slamhive.cli.waiting import time_text
-from slamhive.local.cores import cores_here
-from slamhive.local.costs import Knowledge
-from slamhive.local.forecast import Recordings, Wanted, forecast, recordings_needed
-from slamhive.local.outlook import MOST_LOOKED_UP, Looking, Outlook, Standing
-from slamhive.local.runner import run_uid
-from slamhive.local.workbench import Workbench
+from slamhive.cli.parts import tables
+from slamhive.cli.parts.console import bytes_text, command_name, listing, out, plural
+from slamhive.cli.parts.waiting import time_text
+from slamhive.local.programs.cores import cores_here
+from slamhive.local.running.costs import Knowledge
+from slamhive.local.running.forecast import Recordings, Wanted, forecast, recordings_needed
+from slamhive.local.running.outlook import MOST_LOOKED_UP, Looking, Outlook, Standing
+from slamhive.local.running.runner import run_uid
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.errors import InputError, SlamHiveError, sentence
-from slamhive.monitor.machine import cpu_model
+from slamhive.monitor.measuring.machine import cpu_model
 from slamhive.plan import local_uid
 from slamhive.tables.homes import OWN, costs_together, homes_beside
 
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from slamhive.archive import Cost
-    from slamhive.local.catalog import Workshop
-    from slamhive.local.forecast import Forecast, Told
-    from slamhive.local.home import Home
+    from slamhive.local.home.catalog import Workshop
+    from slamhive.local.home.folder import Home
+    from slamhive.local.running.forecast import Forecast, Told
     from slamhive.model.sweep import Sweep
     from slamhive.plan import Plan
 

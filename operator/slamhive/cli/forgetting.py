@@ -14,11 +14,11 @@ from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.frame import DERIVED
 from slamhive.analysis.grouping import where_equal
 from slamhive.analysis.selection import Selection, choose, first_rows
-from slamhive.cli.asking import DryRun, Yes, agreed, progress, require_archive
-from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
-from slamhive.cli.tables import show
-from slamhive.local.forgetting import Known, alone, forget, plan_forgetting
-from slamhive.local.home import Home
+from slamhive.cli.parts.asking import DryRun, Yes, agreed, progress, require_archive
+from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
+from slamhive.cli.parts.tables import show
+from slamhive.local.home.folder import Home
+from slamhive.local.housekeeping.forgetting import Known, alone, forget, plan_forgetting
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.frame import Frame
     from slamhive.archive import Archive
-    from slamhive.local.forgetting import Forgetting
+    from slamhive.local.housekeeping.forgetting import Forgetting
 
 _DAYS = {"d": 1.0, "w": 7.0, "h": 1 / 24, "m": 1 / 1440}
 _SHOWN = 15

@@ -12,18 +12,18 @@ import typer
 
 from slamhive.archive import Archive
 from slamhive.archive.connection import shown
-from slamhive.cli.asking import DryRun, Yes, agreed, progress, require_archive
-from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
-from slamhive.cli.tables import show, write_json
-from slamhive.local.extent import total
-from slamhive.local.home import Home
+from slamhive.cli.parts.asking import DryRun, Yes, agreed, progress, require_archive
+from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
+from slamhive.cli.parts.tables import show, write_json
+from slamhive.local.home.extent import total
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import SystemFault
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from slamhive.local.collecting import Asked, Find
-    from slamhive.local.occupancy import Room
+    from slamhive.local.housekeeping.collecting import Asked, Find
+    from slamhive.local.housekeeping.occupancy import Room
 
 
 def home(
@@ -39,7 +39,7 @@ def home(
     _require_readable(place)
     rooms: list[Room] = []
     if size:
-        from slamhive.local.occupancy import occupancy
+        from slamhive.local.housekeeping.occupancy import occupancy
 
         rooms = occupancy(place.path)
     if as_json:
@@ -83,8 +83,8 @@ def gc(
 
     Example: slamhive gc --dry-run
     """
-    from slamhive.local.collecting import Asked, collect
-    from slamhive.local.forgetting import alone
+    from slamhive.local.housekeeping.collecting import Asked, collect
+    from slamhive.local.housekeeping.forgetting import alone
 
     place = Home.from_environment()
     require_archive(place)
@@ -110,8 +110,8 @@ def gc(
 
 def _survey(place: Home, asked: Asked) -> list[Find]:
     from slamhive.cli.forgetting import known_runs
-    from slamhive.local.catalog import load_workshop
-    from slamhive.local.collecting import survey
+    from slamhive.local.home.catalog import load_workshop
+    from slamhive.local.housekeeping.collecting import survey
     from slamhive.tables.reading import read_archive
 
     with suppress(SystemFault):  # a full disk is to be freed; what else may be wrong, reading says

@@ -16,7 +16,7 @@ import typer
 from typer.core import TyperGroup
 
 from slamhive import __version__
-from slamhive.cli.exits import FAILED, INTERRUPTED, WRONG_INPUT
+from slamhive.cli.parts.exits import FAILED, INTERRUPTED, WRONG_INPUT
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.uncollected import uncollected
 
@@ -84,23 +84,25 @@ COMMANDS = {
         "Write the ZIP archive for a challenge: one run for each sequence, checked, in the right format.",
     ),
     "submit": _Command(
-        "cluster", "submit", "Send sweeps, runs and what they need to a cluster, which runs them."
+        "cluster.commands", "submit", "Send sweeps, runs and what they need to a cluster, which runs them."
     ),
     "status": _Command(
-        "cluster",
+        "cluster.commands",
         "status",
         "Show progress and problems of sweeps, runs and evaluations on a cluster.",
     ),
     "logs": _Command(
-        "cluster", "logs", "Print the log of a run on a cluster; if its pod is gone, the last lines."
+        "cluster.commands", "logs", "Print the log of a run on a cluster; if its pod is gone, the last lines."
     ),
     "cancel": _Command(
-        "cluster",
+        "cluster.commands",
         "cancel",
         "End runs on a cluster. A sweep is suspended and its runs in flight are cancelled.",
     ),
     "fetch": _Command(
-        "cluster", "fetch", "Copy finished runs of a cluster into the archive here, for slamhive results."
+        "cluster.commands",
+        "fetch",
+        "Copy finished runs of a cluster into the archive here, for slamhive results.",
     ),
     "view": _Command(
         "view", "view", "Show a run in Rerun's viewer: truth, estimate, error, images and usage over time."
@@ -234,7 +236,7 @@ def main() -> None:
 
 
 def _end(message: str, code: int) -> None:
-    from slamhive.cli.console import complain  # Rich, which help and completion do without
+    from slamhive.cli.parts.console import complain  # Rich, which help and completion do without
 
     complain(message)
     sys.exit(code)

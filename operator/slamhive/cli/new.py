@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import yaml
 
-from slamhive.cli.checked import check_files
-from slamhive.cli.console import command_name, out, remark
-from slamhive.local.catalog import editor_line, load_workshop
-from slamhive.local.home import Home
-from slamhive.local.starting import Kind
+from slamhive.cli.parts.checked import check_files
+from slamhive.cli.parts.console import command_name, out, remark
+from slamhive.local.home.catalog import editor_line, load_workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.programs.starting import Kind
 from slamhive.model.base import API_VERSION, seconds
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.loading import parse
@@ -25,7 +25,7 @@ from slamhive.plan.resolution import role_problems
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from slamhive.local.catalog import Workshop
+    from slamhive.local.home.catalog import Workshop
     from slamhive.model.algorithm import Algorithm
 
 app = typer.Typer(

@@ -11,11 +11,11 @@ import typer
 from slamhive.analysis.flattening import Results, columns_of_runs
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.metrics import Metric
-from slamhive.cli.choosing import Also
-from slamhive.cli.console import out, plural
-from slamhive.cli.tables import show, write_json
-from slamhive.local.home import Home
-from slamhive.local.removed import absence
+from slamhive.cli.parts.choosing import Also
+from slamhive.cli.parts.console import out, plural
+from slamhive.cli.parts.tables import show, write_json
+from slamhive.local.home.folder import Home
+from slamhive.local.home.removed import absence
 from slamhive.model.errors import UnknownNameError
 from slamhive.tables.homes import COLUMN, OWN, homes_beside, uid_in
 from slamhive.tables.text import value_text

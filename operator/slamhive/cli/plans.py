@@ -11,15 +11,15 @@ import typer
 from rich.markup import escape
 
 from slamhive.archive import Archive
-from slamhive.cli import tables
-from slamhive.cli.checked import check_files
-from slamhive.cli.choosing import Also
-from slamhive.cli.console import out, plural, remark
-from slamhive.local.catalog import load_workshop
-from slamhive.local.home import Home
-from slamhive.local.outlook import Looking, sentences
-from slamhive.local.runner import Job
-from slamhive.local.workbench import Workbench
+from slamhive.cli.parts import tables
+from slamhive.cli.parts.checked import check_files
+from slamhive.cli.parts.choosing import Also
+from slamhive.cli.parts.console import out, plural, remark
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.running.outlook import Looking, sentences
+from slamhive.local.running.runner import Job
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.errors import InputError, SlamHiveError, sentence
 from slamhive.model.run import MappingRun
 from slamhive.model.sweep import Sweep
@@ -29,7 +29,7 @@ from slamhive.tables.text import short_name
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.local.catalog import Workshop
+    from slamhive.local.home.catalog import Workshop
     from slamhive.plan import Plan
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="Manifests: sweeps, runs, datasets …")]

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slamhive.cli.console import out, plural, remark
-from slamhive.cli.tables import show
-from slamhive.local.home import Home
+from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.tables import show
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError, SystemFault
 from slamhive.tables.published import BUNDLED, FOLDER, published_files, read_published, table_of
 

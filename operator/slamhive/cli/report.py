@@ -16,10 +16,19 @@ from slamhive import __version__
 from slamhive.analysis import Metric, Outcomes
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.names import declared_units
-from slamhive.cli.choosing import Also, EvaluationName, Output, Superseded, Sweeps, Where, choose_runs, select
-from slamhive.cli.console import remark
-from slamhive.data.outputs import output_whole
-from slamhive.local.home import Home
+from slamhive.cli.parts.choosing import (
+    Also,
+    EvaluationName,
+    Output,
+    Superseded,
+    Sweeps,
+    Where,
+    choose_runs,
+    select,
+)
+from slamhive.cli.parts.console import remark
+from slamhive.data.files.outputs import output_whole
+from slamhive.local.home.folder import Home
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.reporting.latex import Rules, latex
@@ -31,7 +40,7 @@ from slamhive.reporting.presets import preset
 from slamhive.reporting.questions import parse_question, usual_metric, usual_questions
 from slamhive.tables.homes import homes_beside
 from slamhive.tables.reading import revision
-from slamhive_eval.csv_writing import csv_text
+from slamhive_eval.formats.csv_writing import csv_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

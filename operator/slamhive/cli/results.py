@@ -19,14 +19,14 @@ from slamhive.analysis.names import declared_units
 from slamhive.analysis.ordering import order_by, order_rows
 from slamhive.analysis.selection import Chosen, Selection, choose
 from slamhive.bridges.targets import Target
-from slamhive.cli.choosing import Also, EvaluationName, Output, Superseded, Where
-from slamhive.cli.console import out, plural, remark
 from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import show_run
-from slamhive.cli.tables import Format, show, write_json, write_markdown
-from slamhive.cli.waiting import Work
-from slamhive.data.outputs import output_whole
-from slamhive.local.home import Home
+from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where
+from slamhive.cli.parts.console import out, plural, remark
+from slamhive.cli.parts.tables import Format, show, write_json, write_markdown
+from slamhive.cli.parts.waiting import Work
+from slamhive.data.files.outputs import output_whole
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.uncollected import uncollected
 from slamhive.tables.homes import COLUMN, homes_beside, read_homes
@@ -40,7 +40,7 @@ from slamhive.tables.text import (
     table_lines,
     value_text,
 )
-from slamhive_eval.csv_writing import csv_blocks, write_csv
+from slamhive_eval.formats.csv_writing import csv_blocks, write_csv
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

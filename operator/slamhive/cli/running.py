@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.markup import escape
 
-from slamhive.cli.checked import check_files
-from slamhive.cli.cluster import Context, Namespace, cluster_client
-from slamhive.cli.console import (
+from slamhive.cli.cluster.commands import Context, Namespace, cluster_client
+from slamhive.cli.daily import errors_before, show_edits, to_do_again
+from slamhive.cli.parts.checked import check_files
+from slamhive.cli.parts.console import (
     command_name,
     complain,
     emit,
@@ -29,34 +30,33 @@ from slamhive.cli.console import (
     speak_json,
     speaks_json,
 )
-from slamhive.cli.daily import errors_before, show_edits, to_do_again
-from slamhive.cli.exits import FAILED, INTERRUPTED, WRONG_INPUT
+from slamhive.cli.parts.exits import FAILED, INTERRUPTED, WRONG_INPUT
+from slamhive.cli.parts.progress import Display
+from slamhive.cli.parts.watching import Watched, half_saved
 from slamhive.cli.plans import Files, remark_without_effect
-from slamhive.cli.progress import Display
 from slamhive.cli.results import show_table
-from slamhive.cli.watching import Watched, half_saved
 from slamhive.engine import PointState, Verdict
-from slamhive.local.catalog import bundled, load_workshop
-from slamhive.local.choosing import Wish, ask
-from slamhive.local.engines import ContainerChoice, find_engine
-from slamhive.local.evaluations import bring_up_to_date, evaluate_again
-from slamhive.local.home import Home
-from slamhive.local.programs import unavailable
-from slamhive.local.runner import Job, Runner
-from slamhive.local.sweeping import require_own_name
-from slamhive.local.unavailable import Unavailable
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.catalog import bundled, load_workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.home.sweeping import require_own_name
+from slamhive.local.programs.engines import ContainerChoice, find_engine
+from slamhive.local.programs.executors import unavailable
+from slamhive.local.programs.unavailable import Unavailable
+from slamhive.local.running.choosing import Wish, ask
+from slamhive.local.running.evaluations import bring_up_to_date, evaluate_again
+from slamhive.local.running.runner import Job, Runner
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import Evaluation
 from slamhive.model.sweep import Sweep
-from slamhive.monitor.processes import forbid_inspection
+from slamhive.monitor.measuring.processes import forbid_inspection
 from slamhive.plan import local_uid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.local.catalog import Workshop
+    from slamhive.local.home.catalog import Workshop
     from slamhive.plan import Plan
 
 _SAVED = -1
@@ -151,7 +151,8 @@ def run(
         if any(given.values()):
             raise InputError(_not_on_cluster([name for name, value in given.items() if value]))
         with cluster_client():
-            from slamhive.cli import cluster_run, cluster_work
+            from slamhive.cli.cluster import run as cluster_run
+            from slamhive.cli.cluster import work as cluster_work
         place = cluster_work.Place(context, namespace)
         _end(cluster_run.run_on_cluster(files, place, parallelism), bell=bell)
     if namespace is not None or context is not None:

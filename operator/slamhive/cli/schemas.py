@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slamhive.cli.console import out
+from slamhive.cli.parts.console import out
 from slamhive.model.errors import InputError, sentence
 
 

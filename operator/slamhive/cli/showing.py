@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 import yaml
 
-from slamhive.cli.console import open_workbench, out, remark
-from slamhive.cli.waiting import Work
-from slamhive.local.catalog import load_workshop
-from slamhive.local.home import Home
+from slamhive.cli.parts.console import open_workbench, out, remark
+from slamhive.cli.parts.waiting import Work
+from slamhive.local.home.catalog import load_workshop
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 
 
@@ -42,10 +42,10 @@ def show(
 
 
 def _write_page(name: str, path: Path) -> None:
-    from slamhive.data.outputs import output_whole
-    from slamhive.data.overview import overview
-    from slamhive.data.overviews import FOLDER
-    from slamhive.data.store import HASHES
+    from slamhive.data.files.outputs import output_whole
+    from slamhive.data.inspecting.overview import overview
+    from slamhive.data.inspecting.overviews import FOLDER
+    from slamhive.data.store.datasets import HASHES
     from slamhive.reporting.dataset_page import dataset_page
 
     if not path.parent.is_dir():

@@ -10,12 +10,13 @@ from typing import Annotated
 import typer
 
 from slamhive.analysis.selection import Selection
-from slamhive.cli.choosing import Sweeps, Where, choose_runs
-from slamhive.cli.console import open_workbench, out, plural, remark
-from slamhive.cli.tables import show, write_json
-from slamhive.cli.waiting import Work
-from slamhive.local.home import Home
-from slamhive.local.submission import (
+from slamhive.cli.parts.choosing import Sweeps, Where, choose_runs
+from slamhive.cli.parts.console import open_workbench, out, plural, remark
+from slamhive.cli.parts.tables import show, write_json
+from slamhive.cli.parts.waiting import Work
+from slamhive.local.home.folder import Home
+from slamhive.model.errors import InputError
+from slamhive.reporting.submission import (
     Challenge,
     Entry,
     Pick,
@@ -25,7 +26,6 @@ from slamhive.local.submission import (
     missing_sequences,
     write_archive,
 )
-from slamhive.model.errors import InputError
 
 
 def submission(

@@ -12,20 +12,20 @@ import typer
 
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import where_equal
-from slamhive.cli.asking import DryRun, Yes, require_archive
-from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
 from slamhive.cli.forgetting import known_runs, prune_chosen, uids_of
-from slamhive.cli.tables import show, write_json
-from slamhive.local.extent import Tally
-from slamhive.local.forgetting import alone
-from slamhive.local.home import Home
-from slamhive.local.removed import run_parts
-from slamhive.local.sweeping import named_sweeps, rename_sweep, sweeps_meant
+from slamhive.cli.parts.asking import DryRun, Yes, require_archive
+from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
+from slamhive.cli.parts.tables import show, write_json
+from slamhive.local.home.extent import Tally
+from slamhive.local.home.folder import Home
+from slamhive.local.home.removed import run_parts
+from slamhive.local.home.sweeping import named_sweeps, rename_sweep, sweeps_meant
+from slamhive.local.housekeeping.forgetting import alone
 from slamhive.model.results import Phase
 from slamhive.tables.reading import read_table
 
 if TYPE_CHECKING:
-    from slamhive.local.sweeping import Named
+    from slamhive.local.home.sweeping import Named
 
 app = typer.Typer(no_args_is_help=True, help="Sweeps in the archive: list, rename and remove them.")
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slamhive.cli.asking import DryRun, Yes, agreed, progress
-from slamhive.cli.console import bytes_text, open_archive, out, plural, remark
-from slamhive.local.home import Home
+from slamhive.cli.parts.asking import DryRun, Yes, agreed, progress
+from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
+from slamhive.local.home.folder import Home
 
 if TYPE_CHECKING:
-    from slamhive.local.unlisting import Listed
+    from slamhive.local.housekeeping.unlisting import Listed
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name in the catalog.")]
 
@@ -24,7 +24,7 @@ def remove_dataset(name: Name, *, yes: Yes = False, dry_run: DryRun = False) -> 
 
     Example: slamhive dataset remove hall --dry-run
     """
-    from slamhive.local.unlisting import listed_dataset
+    from slamhive.local.housekeeping.unlisting import listed_dataset
 
     home = Home.from_environment()
     entry = listed_dataset(home, name)
@@ -42,7 +42,7 @@ def remove_algorithm(name: Name, *, yes: Yes = False, dry_run: DryRun = False) -
 
     Example: slamhive algorithm remove my-slam
     """
-    from slamhive.local.unlisting import listed_algorithm
+    from slamhive.local.housekeeping.unlisting import listed_algorithm
 
     home = Home.from_environment()
     entry = listed_algorithm(home, name)
@@ -59,8 +59,8 @@ def rename(name: Name, new: Annotated[str, typer.Argument(metavar="NEW", help="N
 
     Example: slamhive dataset rename hall hall-2026
     """
-    from slamhive.local.forgetting import alone
-    from slamhive.local.unlisting import rename_dataset
+    from slamhive.local.housekeeping.forgetting import alone
+    from slamhive.local.housekeeping.unlisting import rename_dataset
 
     home = Home.from_environment()
     with open_archive(home) as archive, alone(home, "slamhive dataset rename"):
@@ -74,9 +74,9 @@ def rename(name: Name, new: Annotated[str, typer.Argument(metavar="NEW", help="N
 
 
 def _remove(home: Home, entry: Listed, *, yes: bool, dry_run: bool) -> None:
-    from slamhive.local.extent import Tally
-    from slamhive.local.forgetting import alone
-    from slamhive.local.unlisting import unlist
+    from slamhive.local.home.extent import Tally
+    from slamhive.local.housekeeping.forgetting import alone
+    from slamhive.local.housekeeping.unlisting import unlist
 
     tally = Tally(freed=True)
     link = f", a link to {entry.folder.resolve()}, which stays" if entry.folder.is_symlink() else ""

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from slamhive.cli.console import out, remark
 from slamhive.cli.onerun import find_runs
-from slamhive.local.home import Home
+from slamhive.cli.parts.console import out, remark
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 
 

@@ -10,8 +10,8 @@ from typing import Annotated
 
 import typer
 
-from slamhive.cli.console import open_workbench, out, remark
-from slamhive.local.home import Home
+from slamhive.cli.parts.console import open_workbench, out, remark
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError, UnknownNameError
 
 TRAINING_LABEL = ("slamhive.io/use", "training")
@@ -33,8 +33,8 @@ def train(
 
     Example: slamhive algorithm train-vocabulary synthetic-training -o vocabulary.txt
     """
-    from slamhive.data.recordings import recording_paths
-    from slamhive.data.vocabulary import train_vocabulary, training_images
+    from slamhive.data.inspecting.vocabulary import train_vocabulary, training_images
+    from slamhive.data.recordings.reading import recording_paths
 
     key, value = TRAINING_LABEL
     bench = open_workbench(Home.from_environment())

@@ -16,7 +16,7 @@ from slamhive.conformance.readings import Declared, misread_stamps, readings
 from slamhive.conformance.recordings import recording_for
 from slamhive.conformance.workstation import variant_of
 from slamhive.contract.posefiles import FRAMES
-from slamhive.local.parameters import parameter_uses
+from slamhive.local.home.parameters import parameter_uses
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.results import Phase
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from slamhive.conformance.executors import Ended
     from slamhive.conformance.workstation import Bench
-    from slamhive.data.preparation import Variant
-    from slamhive.local.catalog import AlgorithmEntry
+    from slamhive.data.making.preparation import Variant
+    from slamhive.local.home.catalog import AlgorithmEntry
     from slamhive.model.algorithm import AlgorithmSpec, Mode
 
 _EQUAL_STARTS = 3

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.conformance.executors import Ended, Start, read_poses
 from slamhive.conformance.recordings import RECORDINGS, asked_of
-from slamhive.kube.errors import ApiError, NotFound
-from slamhive.kube.kinds import Kind, Object
+from slamhive.kube.api.errors import ApiError, NotFound
+from slamhive.kube.api.kinds import Kind, Object
 from slamhive.kube.user.fetching import Fetcher, put_folder
 from slamhive.kube.user.manifests import entry_of
 from slamhive.kube.user.queries import is_over, is_stuck, runs_of

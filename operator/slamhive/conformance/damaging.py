@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from slamhive.contract.posefiles import FRAMES
-from slamhive.data.recordings import TF_TYPES, Recording
-from slamhive.data.writing import FILE_NAMES, RecordingWriter
+from slamhive.data.recordings.reading import TF_TYPES, Recording
+from slamhive.data.recordings.writing import FILE_NAMES, RecordingWriter
 from slamhive.model.formats import RecordingFormat
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from slamhive.data.preparation import Variant
+    from slamhive.data.making.preparation import Variant
     from slamhive.model.sensors import Role
 
 

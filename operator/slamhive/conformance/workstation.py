@@ -14,28 +14,28 @@ from slamhive.conformance.damaging import Damage, damaged
 from slamhive.conformance.executors import Ended, Start, read_poses
 from slamhive.conformance.recordings import RECORDINGS, asked_of
 from slamhive.contract.environment import SETTINGS_FOLDER
-from slamhive.data.erasing import erase
-from slamhive.local.attempt import end_left_behind
-from slamhive.local.catalog import Workshop
-from slamhive.local.collecting import CHECKS
-from slamhive.local.cores import CorePool
-from slamhive.local.engines import ContainerChoice, find_engine
-from slamhive.local.environments import availability
-from slamhive.local.home import Home
-from slamhive.local.run import RunDriver, RunOrder
-from slamhive.local.unavailable import Unavailable
-from slamhive.local.workbench import Workbench
+from slamhive.data.files.erasing import erase
+from slamhive.local.home.catalog import Workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.housekeeping.collecting import CHECKS
+from slamhive.local.programs.cores import CorePool
+from slamhive.local.programs.engines import ContainerChoice, find_engine
+from slamhive.local.programs.environments import availability
+from slamhive.local.programs.unavailable import Unavailable
+from slamhive.local.running.attempt import end_left_behind
+from slamhive.local.running.execution import RunDriver, RunOrder
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.results import Phase
-from slamhive.monitor.orphans import ProcessRecord
+from slamhive.monitor.programs.orphans import ProcessRecord
 from slamhive.plan import Plan, whole_cores
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from slamhive.data.preparation import Variant
+    from slamhive.data.making.preparation import Variant
     from slamhive.model.algorithm import Algorithm, Mode
     from slamhive.model.results import RunRecord
     from slamhive.plan import Point

@@ -13,10 +13,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive.dashboard.cluster import ClusterSource
-from slamhive.dashboard.serving import listen, serve
-from slamhive.dashboard.settings import load_settings
-from slamhive.kube.client import Api
+from slamhive.dashboard.server.serving import listen, serve
+from slamhive.dashboard.server.settings import load_settings
+from slamhive.dashboard.sources.cluster import ClusterSource
+from slamhive.kube.api.client import Api
 from slamhive.model.errors import InputError, SlamHiveError
 
 if TYPE_CHECKING:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from typing import Any
 
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault
+from slamhive.runfiles.errors import FileMissingError, FileTooLargeError
 
 RETRY_SECONDS = 5
 """After which what is away or busy may be asked again."""
@@ -116,6 +117,9 @@ def told(error: BaseException) -> tuple[int, dict[str, Any]] | None:
     """Return status and body of the answer to a mistake; None for one that nobody foresaw."""
     if isinstance(error, Problem):
         return error.status, error.body()
+    if isinstance(error, FileMissingError | FileTooLargeError):
+        status = Missing.status if isinstance(error, FileMissingError) else TooLarge.status
+        return status, {"error": str(error), "field": error.field}
     if isinstance(error, InputError):
         body = {"error": str(error), "field": getattr(error, "field", None)}
         position = getattr(error, "position", None)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from slamhive import __version__
 from slamhive.analysis.names import declared_units
-from slamhive.data.outputs import output_whole
+from slamhive.data.files.outputs import output_whole
 from slamhive.figures.asking import Kind
 from slamhive.model.errors import InputError
-from slamhive_eval.csv_writing import csv_text
+from slamhive_eval.formats.csv_writing import csv_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from slamhive.figures.asking import Wish
     from slamhive.figures.paper import Paper
     from slamhive.figures.pictures import Picture
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
     from slamhive.tables.homes import Beside
     from slamhive.tables.published import Published
 

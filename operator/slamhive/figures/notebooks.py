@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.analysis.frame import Frame
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
     from slamhive.tables.homes import Beside
 
 _ROWS = ("id", "evaluation")

@@ -11,14 +11,14 @@ import numpy as np
 
 from slamhive.analysis.grouping import Groups, counting
 from slamhive.bridges.places import Here
-from slamhive.dashboard.clocks import clock_of, configuration_of
-from slamhive.dashboard.problems import Problem
-from slamhive.dashboard.trajectories import drawn, extrinsic_of, read_poses, usage_columns
 from slamhive.figures.asking import Kind, check_panels, error_of, nothing, parted
 from slamhive.figures.groups import Series
 from slamhive.figures.pictures import Axis, Line, Panel, Picture
 from slamhive.model.errors import InputError
 from slamhive.model.results import MemoryKind
+from slamhive.runfiles.clocks import clock_of, configuration_of
+from slamhive.runfiles.errors import RunFileError
+from slamhive.runfiles.trajectories import drawn, extrinsic_of, read_poses, usage_columns
 from slamhive.tables.homes import COLUMN, OWN, uid_in
 
 if TYPE_CHECKING:
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from slamhive.analysis.columns import Floats, Indices
     from slamhive.analysis.frame import Frame
     from slamhive.archive.records import CatalogEntry
-    from slamhive.dashboard.artifacts import Place
     from slamhive.figures.asking import Wish
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
     from slamhive.model.results import Result, RunRecord
+    from slamhive.runfiles.artifacts import Place
     from slamhive.tables.homes import Beside
 
     Rows = dict[str, Floats]
@@ -121,7 +121,7 @@ class _Lines:
             return
         try:
             table, truth, said = reader.read(found)
-        except Problem as problem:
+        except RunFileError as problem:
             self.missing.append(f"{found.record.name}: {problem}")
             return
         self.runs += 1

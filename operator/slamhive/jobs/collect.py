@@ -28,8 +28,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive.data.erasing import erase
-from slamhive.data.once import evict, last_use, remove_free
+from slamhive.data.files.erasing import erase
+from slamhive.data.files.once import evict, last_use, remove_free
 from slamhive.jobs.known import archived, known_by_file, known_to_api, tell_cronjob
 from slamhive.jobs.ownership import Owner, claim
 from slamhive.jobs.program import arguments, run_program

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 
-from slamhive.monitor.hierarchy import cpu_quota, own_hierarchies
-from slamhive.monitor.sources import read_number
+from slamhive.monitor.measuring.hierarchy import cpu_quota, own_hierarchies
+from slamhive.monitor.measuring.sources import read_number
 
 _UNLIMITED = 1 << 60
 """cgroup version 1 writes no limit as a number near 2^63."""

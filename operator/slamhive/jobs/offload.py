@@ -25,7 +25,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.data.erasing import erase
+from slamhive.data.files.erasing import erase
 from slamhive.jobs.collect import (
     UID,
     duration_of,

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.data.entries import dataset_sha256
-from slamhive.data.fetching import fetch, require_sha256
-from slamhive.data.groundtruth import ground_truth, write_ground_truth
-from slamhive.data.preparation import prepare
-from slamhive.data.store import materialise
-from slamhive.data.version import VERSION
+from slamhive.data.files.fetching import fetch, require_sha256
+from slamhive.data.making.preparation import prepare
+from slamhive.data.recordings.entries import dataset_sha256
+from slamhive.data.recordings.version import VERSION
+from slamhive.data.store.datasets import materialise
+from slamhive.data.store.groundtruth import ground_truth, write_ground_truth
 from slamhive.jobs.messages import described
 from slamhive.jobs.program import Refused, arguments, parse, read_request, run_program, write_aside
 from slamhive.jobs.requests import PrepareRequest
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from slamhive.data.entries import DatasetEntry
-    from slamhive.data.groundtruth import GroundTruthPoses
-    from slamhive.data.preparation import Variant
+    from slamhive.data.making.preparation import Variant
+    from slamhive.data.recordings.entries import DatasetEntry
+    from slamhive.data.store.groundtruth import GroundTruthPoses
     from slamhive.jobs.requests import FetchedAsset
     from slamhive.model.dataset import Dataset
 

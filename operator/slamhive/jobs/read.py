@@ -12,7 +12,7 @@ from slamhive.jobs.opening import read_bytes
 from slamhive.jobs.program import arguments, parse, read_request, run_program
 from slamhive.jobs.requests import ReadRequest
 from slamhive.model.errors import DataError
-from slamhive.monitor.termination import termination_message
+from slamhive.monitor.pod.termination import termination_message
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,7 +13,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from slamhive.data.erasing import erase
+from slamhive.data.files.erasing import erase
 from slamhive.jobs.program import add_store, arguments, parse, read_request, run_program
 from slamhive.jobs.requests import RestoreRequest
 from slamhive.model.errors import DataError

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING
 from slamhive.archive import Archive
 from slamhive.archive.upgrading import upgrade
 from slamhive.kube import handlers
-from slamhive.kube.client import Api
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.errors import StartError
 from slamhive.kube.ending import end_tasks
-from slamhive.kube.errors import StartError
 from slamhive.kube.health import HealthServer
 from slamhive.kube.logs import set_up_logs
 from slamhive.kube.operator import Operator
@@ -33,7 +33,7 @@ from slamhive.model.errors import InputError, SlamHiveError, SystemFault
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from slamhive.kube.kinds import Kind
+    from slamhive.kube.api.kinds import Kind
     from slamhive.kube.operator import Reconcile
 
 _LONGEST_END_SECONDS = 5.0

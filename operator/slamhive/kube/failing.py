@@ -6,8 +6,8 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slamhive.kube.errors import ApiError
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.errors import ApiError
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.reports import clean
 from slamhive.kube.routing import OWN_EVALUATIONS
 from slamhive.kube.status import condition, holds, status_patch
@@ -15,8 +15,8 @@ from slamhive.kube.status import condition, holds, status_patch
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.kube.client import Api
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.client import Api
+    from slamhive.kube.api.kinds import Object
     from slamhive.kube.store import Store
 
 RECONCILE_ERROR, EVALUATION_ERROR = "ReconcileError", "EvaluationError"

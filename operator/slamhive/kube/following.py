@@ -13,10 +13,10 @@ from contextlib import asynccontextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
+from slamhive.kube.api.kinds import Kind
+from slamhive.kube.api.watching import Follower, open_session
 from slamhive.kube.ending import end_tasks
-from slamhive.kube.kinds import Kind
 from slamhive.kube.operator import MANAGED
-from slamhive.kube.watching import Follower, open_session
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator

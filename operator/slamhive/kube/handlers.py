@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import kopf
 
-from slamhive.kube.client import PAGE
+from slamhive.kube.api.client import PAGE
+from slamhive.kube.api.kinds import Kind
 from slamhive.kube.following import FOLLOWED, following
-from slamhive.kube.kinds import Kind
 
 if TYPE_CHECKING:
     import asyncio
 
-    from slamhive.kube.client import Api
+    from slamhive.kube.api.client import Api
     from slamhive.kube.operator import Operator
 
 WATCHED = tuple(kind for kind in Kind if kind not in FOLLOWED)

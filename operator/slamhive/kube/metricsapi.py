@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from slamhive.kube.errors import ApiError, Forbidden, NotFound
-from slamhive.kube.kinds import Key, Kind, Label, Object, Role
+from slamhive.kube.api.errors import ApiError, Forbidden, NotFound
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, Role
 from slamhive.kube.metrics import PodLabels
 from slamhive.kube.store import labels_of
 from slamhive.model.base import quantity
@@ -19,7 +19,7 @@ from slamhive.model.base import quantity
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from slamhive.kube.client import Api
+    from slamhive.kube.api.client import Api
     from slamhive.kube.metrics import Metrics
     from slamhive.kube.store import Store
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptEnd, AttemptState, VariantState
+from slamhive.kube.api.errors import means_quota
+from slamhive.kube.api.kinds import Label
 from slamhive.kube.builders.evaluation import EVALUATE, EVALUATOR, LINKS, READ, REPORT
 from slamhive.kube.builders.restoring import RESTORE
 from slamhive.kube.builders.run import ALGORITHM, MONITOR, RENDER
 from slamhive.kube.builders.variant import PREPARE
-from slamhive.kube.errors import means_quota
-from slamhive.kube.kinds import Label
 from slamhive.kube.pods import (
     NO_CONTAINER_CONFIG,
     Ending,

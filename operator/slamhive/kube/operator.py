@@ -15,10 +15,10 @@ from contextvars import ContextVar
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from slamhive.kube.api.errors import ApiError, Conflict, Forbidden, NotFound, StartError, Unauthorized
+from slamhive.kube.api.kinds import MANAGER, OUR_KINDS, Key, Kind, Label, Object, key_of
 from slamhive.kube.ending import end_tasks
-from slamhive.kube.errors import ApiError, Conflict, Forbidden, NotFound, StartError, Unauthorized
 from slamhive.kube.failing import tell_failure, tell_recovery
-from slamhive.kube.kinds import MANAGER, OUR_KINDS, Key, Kind, Label, Object, key_of
 from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
 from slamhive.kube.pods import has_completed, has_failed
@@ -32,7 +32,7 @@ from slamhive.model.errors import InputError, SlamHiveError
 
 if TYPE_CHECKING:
     from slamhive.archive import Archive
-    from slamhive.kube.client import Api
+    from slamhive.kube.api.client import Api
     from slamhive.kube.settings import Settings
     from slamhive.model.status import Status
 

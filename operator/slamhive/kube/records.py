@@ -7,7 +7,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.measuring import intended_evaluations
-from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.api.kinds import Kind, Label
 from slamhive.kube.status import result_of
 from slamhive.model.base import GROUP
 from slamhive.model.results import NOT_EVALUATED, Phase, Reason, RunRecord

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.kube.client import Api
+    from slamhive.kube.api.client import Api
 
 REASON = "FailedCreate"
 BETWEEN_SECONDS = 2.0

@@ -12,7 +12,7 @@ import sys
 from collections import OrderedDict, defaultdict
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.kinds import Key, Kind, Label, Object, key_of
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -12,8 +12,8 @@ from slamhive.model.base import CATALOGUE_TITLE, HTTPS, Choice, Model, Resource,
 from slamhive.model.errors import InputError, suggestion
 from slamhive.model.sensors import ROLE_TYPES, STAND_INS, Extrinsics, Role, Sensor, SensorType
 from slamhive.model.synthetic import SyntheticRecording
-from slamhive_eval.columns import TableFormat
 from slamhive_eval.errors import OptionError
+from slamhive_eval.formats.columns import TableFormat
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -8,12 +8,18 @@ the algorithm's pod beside it and attaches to its container. Both read the same 
 Standard library alone, and little of it: this process starts once per run and its start counts.
 """
 
-from slamhive.monitor.accounting import Accounting, Contention, CpuUsage, MemoryUsage, Usage
-from slamhive.monitor.cgroup import RunCgroup, make_run_cgroup, sweep_stale_cgroups
-from slamhive.monitor.orphans import ProcessRecord, end_orphans, find_orphans
-from slamhive.monitor.proc import ProcSource
-from slamhive.monitor.processes import ProcessIdentity, identify
-from slamhive.monitor.sources import CgroupV1Source, CgroupV2Source, Sample, Source, cgroup_source_at
+from slamhive.monitor.measuring.accounting import Accounting, Contention, CpuUsage, MemoryUsage, Usage
+from slamhive.monitor.measuring.cgroup import RunCgroup, make_run_cgroup, sweep_stale_cgroups
+from slamhive.monitor.measuring.proc import ProcSource
+from slamhive.monitor.measuring.processes import ProcessIdentity, identify
+from slamhive.monitor.measuring.sources import (
+    CgroupV1Source,
+    CgroupV2Source,
+    Sample,
+    Source,
+    cgroup_source_at,
+)
+from slamhive.monitor.programs.orphans import ProcessRecord, end_orphans, find_orphans
 from slamhive.monitor.spec import SidecarSpec, SpecError, SupervisorSpec
 from slamhive.monitor.summary import Reason, Summary
 

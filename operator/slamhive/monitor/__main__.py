@@ -12,7 +12,7 @@ import os
 import sys
 from contextlib import suppress
 
-from slamhive.monitor.processes import forbid_inspection, read_file
+from slamhive.monitor.measuring.processes import forbid_inspection, read_file
 from slamhive.monitor.spec import SpecError, SupervisorSpec
 from slamhive.monitor.supervisor import Supervisor
 

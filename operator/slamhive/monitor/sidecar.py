@@ -20,25 +20,25 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.output import read_output
-from slamhive.monitor.containers import Container, Finder
-from slamhive.monitor.machine import cpu_model, process_start
+from slamhive.monitor.measuring.machine import cpu_model, process_start
+from slamhive.monitor.measuring.processes import forbid_inspection, read_file
 from slamhive.monitor.metrics import reader_report
-from slamhive.monitor.orphans import write_atomically
 from slamhive.monitor.outcome import Stop, out_of_memory
 from slamhive.monitor.playing import played_mean_cores
-from slamhive.monitor.processes import forbid_inspection, read_file
-from slamhive.monitor.sidecarstate import SidecarState
+from slamhive.monitor.pod.containers import Container, Finder
+from slamhive.monitor.pod.sidecarstate import SidecarState
+from slamhive.monitor.pod.termination import VERSION, termination_message, write_message
+from slamhive.monitor.pod.watching import UNENDED, USAGE, Watch
+from slamhive.monitor.programs.orphans import write_atomically
 from slamhive.monitor.signals import Signals
 from slamhive.monitor.spec import TERMINATION_MESSAGE, SidecarSpec, SpecError
 from slamhive.monitor.summary import Reason, Summary
-from slamhive.monitor.termination import VERSION, termination_message, write_message
-from slamhive.monitor.watching import UNENDED, USAGE, Watch
 from slamhive.playback.outcome import read_report
 
 if TYPE_CHECKING:
     from slamhive.contract.output import Output
-    from slamhive.monitor.accounting import Accounting, Usage
-    from slamhive.monitor.processes import ProcessIdentity
+    from slamhive.monitor.measuring.accounting import Accounting, Usage
+    from slamhive.monitor.measuring.processes import ProcessIdentity
 
 VARIABLE = "SLAMHIVE_SIDECAR"
 _SUMMARY = "summary.json"

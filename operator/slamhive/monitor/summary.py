@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import Any
 
 from slamhive.contract.output import Output  # noqa: TC001 - the type of a public field
-from slamhive.monitor.accounting import Usage  # noqa: TC001 - the type of a public field
+from slamhive.monitor.measuring.accounting import Usage  # noqa: TC001 - the type of a public field
 
 
 class Reason(StrEnum):

@@ -19,26 +19,31 @@ from typing import TYPE_CHECKING
 
 from slamhive.contract.metrics import Metrics
 from slamhive.contract.output import read_output
-from slamhive.monitor.accounting import Accounting, Contention, SampleTimes
-from slamhive.monitor.files import OutputPipe, UsageTable
-from slamhive.monitor.hierarchy import host_throttled
-from slamhive.monitor.interference import Interference
-from slamhive.monitor.launch import LaunchError
-from slamhive.monitor.log import BoundedLog
+from slamhive.monitor.measuring.accounting import Accounting, Contention, SampleTimes
+from slamhive.monitor.measuring.hierarchy import host_throttled
+from slamhive.monitor.measuring.interference import Interference
+from slamhive.monitor.measuring.processes import (
+    become_subreaper,
+    identify,
+    read_file,
+    set_parent_death_signal,
+)
+from slamhive.monitor.measuring.reader import ReaderClock
+from slamhive.monitor.measuring.sources import field
 from slamhive.monitor.metrics import reader_report
-from slamhive.monitor.orphans import write_atomically
 from slamhive.monitor.outcome import Ending, Stop, judge, out_of_memory
-from slamhive.monitor.output import OutputMeter
 from slamhive.monitor.playing import played_mean_cores
-from slamhive.monitor.processes import become_subreaper, identify, read_file, set_parent_death_signal
-from slamhive.monitor.program import NO_ACCOUNT, OwnProcesses
-from slamhive.monitor.reader import ReaderClock
-from slamhive.monitor.sources import field
+from slamhive.monitor.programs.files import OutputPipe, UsageTable
+from slamhive.monitor.programs.launch import LaunchError
+from slamhive.monitor.programs.log import BoundedLog
+from slamhive.monitor.programs.orphans import write_atomically
+from slamhive.monitor.programs.output import OutputMeter
+from slamhive.monitor.programs.program import NO_ACCOUNT, OwnProcesses
 from slamhive.monitor.summary import Reason, Summary
 
 if TYPE_CHECKING:
-    from slamhive.monitor.accounting import Usage
-    from slamhive.monitor.program import Program
+    from slamhive.monitor.measuring.accounting import Usage
+    from slamhive.monitor.programs.program import Program
     from slamhive.monitor.spec import SupervisorSpec
 
 # The kernel tells of our parent's end by this signal. It comes too when only the thread that started us
@@ -112,7 +117,7 @@ class Supervisor:
     def _make_program(self) -> Program:
         if self._spec.contained is None:
             return OwnProcesses(self._spec, self._me)
-        from slamhive.monitor.contained import Contained  # noqa: PLC0415 - 20 ms that others needn't wait for
+        from slamhive.monitor.programs.contained import Contained  # noqa: PLC0415 - 20 ms that others needn't wait for
 
         return Contained(self._spec, self._me, self._poll)
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Column
     from slamhive.analysis.frame import Frame
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
     from slamhive.tables.homes import Beside
 
 MARK = "slamhive.results"

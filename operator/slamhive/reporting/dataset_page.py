@@ -28,7 +28,7 @@ def dataset_page(overview: dict[str, Any], description: str, now: datetime | Non
     """Make the page.
 
     Args:
-        overview: what is drawn, as `slamhive.data.overview.overview` returns it.
+        overview: what is drawn, as `slamhive.data.inspecting.overview.overview` returns it.
         description: what the dataset is.
         now: the time it says that it was made.
     """

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from slamhive.reporting.markup import Markup, clip, download, element, escaped, joined
-from slamhive_eval.csv_writing import csv_text
+from slamhive_eval.formats.csv_writing import csv_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

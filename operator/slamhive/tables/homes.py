@@ -21,7 +21,7 @@ import numpy as np
 from slamhive.analysis.columns import Column
 from slamhive.analysis.flattening import MAX_COLUMNS, bound, stack
 from slamhive.analysis.frame import Frame
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError, SlamHiveError
 from slamhive.tables.reading import archive_url, read_archive
 

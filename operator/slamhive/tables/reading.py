@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamhive.analysis.grouping import Groups, where_equal
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 from slamhive.model.results import Outcome
 from slamhive.tables import snapshots

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from faultlab.proxy import Trouble, proxied
 from testcluster.access import until
 
-from slamhive.kube.client import Api
+from slamhive.kube.api.client import Api
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

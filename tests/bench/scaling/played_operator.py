@@ -13,11 +13,11 @@ from faultlab.arena import evaluation_of, evaluator_log
 from scaling.points import POINT, error_at
 
 from slamhive.kube import __main__ as program
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind
 
 if TYPE_CHECKING:
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 
 class PlayedApi(Api):

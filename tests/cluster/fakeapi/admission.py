@@ -13,7 +13,7 @@ from slamhive.model.base import quantity
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 
 def insist(resource: Resource, body: Object, others: Callable[[Resource, str], list[Object]]) -> None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from fakeapi.server import Refusing
     from testcluster.kwok import Moment
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 
 _PODS_AGAIN_SECONDS = 1.0

@@ -15,7 +15,7 @@ from fakeapi.resources import EVENTS, JOBS, PODS, Resource
 if TYPE_CHECKING:
     from fakeapi.objects import Change, Objects
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 
 _OVER = frozenset({"Complete", "Failed"})

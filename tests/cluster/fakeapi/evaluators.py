@@ -13,7 +13,7 @@ from slamhive.model.evaluation import EvaluationSettings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 
 def good(asked: Object, *, rmse: Any = 0.25) -> Object:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fakeapi.objects import Objects
     from testcluster.kwok import Moment
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 
 class Nodes:

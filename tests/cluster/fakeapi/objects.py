@@ -25,7 +25,7 @@ from fakeapi.resources import JOBS, NAMESPACES, PODS, Resource, at
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 Name = tuple[str, str]
 """Namespace, empty for what is in none, and name."""

@@ -11,7 +11,7 @@ from fakeapi.refusals import bad_request
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 
 _SET = re.compile(r"^(?P<key>\S+) (?P<word>in|notin) \((?P<values>[^)]*)\)$")

@@ -16,7 +16,7 @@ from fakeapi.resources import PODS, Resource, at, resources
 from fakeapi.schema import loads
 from fakeapi.selectors import selecting
 
-from slamhive.kube.kinds import Object
+from slamhive.kube.api.kinds import Object
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

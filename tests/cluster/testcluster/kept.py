@@ -6,7 +6,7 @@ from __future__ import annotations
 import copy
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.kinds import Key, Kind, key_of
+from slamhive.kube.api.kinds import Key, Kind, key_of
 from slamhive.kube.operator import Operator
 from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.reconciling.catalogue import parse
@@ -20,7 +20,7 @@ from slamhive.plan import resolve
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.kube.errors import ApiError
+    from slamhive.kube.api.errors import ApiError
 
 NAMESPACE = "lab"
 GRACE = 60.0

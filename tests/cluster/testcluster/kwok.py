@@ -16,9 +16,9 @@ from testcluster.errors import ClusterError
 from testcluster.programs import build, path_of
 
 from slamhive.jobs.messages import described
-from slamhive.monitor.accounting import CpuUsage, MemoryUsage, Usage
+from slamhive.monitor.measuring.accounting import CpuUsage, MemoryUsage, Usage
+from slamhive.monitor.pod.termination import termination_message
 from slamhive.monitor.summary import Summary
-from slamhive.monitor.termination import termination_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.kube import handlers
-from slamhive.kube.client import Api
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.ending import end_tasks
-from slamhive.kube.kinds import Key, Kind
 from slamhive.kube.operator import Operator
 from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.settings import Settings

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 from executors.process import TINY
 
-from slamhive.local.home import Home
+from slamhive.local.home.folder import Home
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

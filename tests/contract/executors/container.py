@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 from executors.cluster import in_image
 from executors.process import Process
 
-from slamhive.local.containers import Containers
-from slamhive.local.engines import ContainerChoice
+from slamhive.local.programs.containers import Containers
+from slamhive.local.programs.engines import ContainerChoice
 
 IMAGE = "slamhive/kiss-icp:1.3.0"
 """One that has python3 and doesn't change with our own code."""

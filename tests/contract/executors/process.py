@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import yaml
 
 from slamhive.archive import Archive
-from slamhive.local.catalog import Workshop
-from slamhive.local.choosing import Wish
-from slamhive.local.home import Home
-from slamhive.local.runner import Job, Runner, Watcher
-from slamhive.local.workbench import Workbench
+from slamhive.local.home.catalog import Workshop
+from slamhive.local.home.folder import Home
+from slamhive.local.running.choosing import Wish
+from slamhive.local.running.runner import Job, Runner, Watcher
+from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
 from slamhive.model.sweep import Sweep
 from slamhive.plan import Plan, local_uid
@@ -22,7 +22,7 @@ from slamhive.plan import Plan, local_uid
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from slamhive.local.engines import ContainerChoice
+    from slamhive.local.programs.engines import ContainerChoice
 
 TINY = Path(__file__).parents[2] / "actor" / "tiny.yaml"
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from slamhive.data.recordings import Recording
-from slamhive.data.rosmessages import BagWriter
-from slamhive.data.writing import RecordingWriter
+from slamhive.data.recordings.reading import Recording
+from slamhive.data.recordings.rosmessages import BagWriter
+from slamhive.data.recordings.writing import RecordingWriter
 from slamhive.model.formats import RecordingFormat
 from slamhive_eval import Trajectory
 from slamhive_eval.rotation import from_roll_pitch_yaw

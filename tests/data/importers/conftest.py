@@ -10,8 +10,8 @@ import pytest
 from layouts.asl import write_asl, write_euroc, write_png
 from rosbags.highlevel import AnyReader
 
-from slamhive.data.entries import DatasetEntry
 from slamhive.data.importers import import_recording
+from slamhive.data.recordings.entries import DatasetEntry
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from layouts.asl import CAMCHAIN, MOCAP, START, lamaria_calibration, lamaria_truth, monado, tum_vi
 
-from slamhive.data.exporting import export_dataset
-from slamhive.data.groundtruth import ground_truth
 from slamhive.data.importers import ImportOptions, layout_module, layout_of
-from slamhive.data.inspection import inspect
-from slamhive.data.preparation import prepare
+from slamhive.data.inspecting.inspection import inspect
+from slamhive.data.making.exporting import export_dataset
+from slamhive.data.making.preparation import prepare
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.formats import DataFormat
 from slamhive.model.run import InputOptions

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive.monitor.sources import CgroupV1Source, CgroupV2Source
+from slamhive.monitor.measuring.sources import CgroupV1Source, CgroupV2Source
 
 if TYPE_CHECKING:
-    from slamhive.monitor.sources import Source
+    from slamhive.monitor.measuring.sources import Source
 
 ROOT = Path("/sys/fs/cgroup")
 

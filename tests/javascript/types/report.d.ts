@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/** What slamhive_eval/report.py writes into the evaluator's HTML report. */
+/** What slamhive_eval/reports/report.py writes into the evaluator's HTML report. */
 declare namespace Report {
   type Box = Record<'low' | 'q1' | 'median' | 'q3' | 'high' | 'max', number>;
   type Statistics = Record<string, number>;

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from faultlab import arena as arenas
 from testcluster.labs import *  # noqa: F403
 
-from slamhive.kube.client import Api
+from slamhive.kube.api.client import Api
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable

@@ -9,7 +9,7 @@ import pytest
 from faultlab.proxy import Trouble, proxied
 from faultlab.scenarios import SCENARIOS
 
-from slamhive.kube.transport import Transport
+from slamhive.kube.api.transport import Transport
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,7 +15,7 @@ from faultlab.scenarios import SCENARIOS, Scenario
 from testcluster.kwok import Play, Pool
 from testcluster.lab import run, sweep
 
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 
 if TYPE_CHECKING:
     from collections.abc import Callable

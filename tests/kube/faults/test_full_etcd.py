@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from faultlab.points import Faults, Point
 from faultlab.scenarios import SCENARIOS
 
-from slamhive.kube.kinds import Kind
+from slamhive.kube.api.kinds import Kind
 
 if TYPE_CHECKING:
     import pytest

@@ -10,7 +10,7 @@ from faultlab.scenarios import Scenario
 from testcluster.kwok import Play
 from testcluster.lab import run
 
-from slamhive.kube.kinds import Label
+from slamhive.kube.api.kinds import Label
 
 if TYPE_CHECKING:
     from collections.abc import Callable

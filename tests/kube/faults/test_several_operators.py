@@ -22,12 +22,12 @@ from testcluster.kwok import Play
 from testcluster.lab import run, sweep
 
 from slamhive.archive import Archive
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 
 if TYPE_CHECKING:
     from faultlab.arena import Arena, Instance, Outcome
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
 
 HERE = Path(__file__).parent
 EACH = 1 if THOROUGH else 2

@@ -19,7 +19,7 @@ from slamhive.conformance.executors import Start
 from slamhive.conformance.workstation import bench_for_checks
 from slamhive.kube.user.connecting import connected, find_target
 from slamhive.kube.user.run_files import Filed
-from slamhive.local.catalog import AlgorithmEntry, load_workshop
+from slamhive.local.home.catalog import AlgorithmEntry, load_workshop
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.errors import InputError, SystemFault
 from slamhive.model.results import Phase, Reason
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from slamhive.kube.user.connecting import Cluster
     from slamhive.kube.user.run_files import Filing, Wanted
-    from slamhive.local.home import Home
+    from slamhive.local.home.folder import Home
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ import pytest
 from testcluster.lab import condition_of, manifest, run, status_of, sweep, until
 
 from slamhive.jobs.lines import encode_all
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.reconciling.evaluation_status import problems_noted
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from testcluster.kwok import NOW, Moment, Play, described, description, ended
 from testcluster.lab import condition_of, dataset, manifest, run, status_of, sweep, until
 
 from slamhive.jobs.messages import failed
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.status import moment
 from slamhive.model.results import Reason
 

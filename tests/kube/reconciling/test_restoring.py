@@ -13,7 +13,7 @@ from testcluster.lab import condition_of, manifest, status_of, sweep, until
 
 from slamhive.archive import Archive
 from slamhive.jobs.messages import failed
-from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.api.kinds import Kind, Label
 from slamhive.kube.reconciling import restoring
 from slamhive.model.results import Reason
 

@@ -12,7 +12,7 @@ from fakeapi.refusals import Refusal, conflict, forbidden
 from testcluster.kwok import Moment, Play, description
 from testcluster.lab import condition_of, manifest, run, status_of, sweep, until
 
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.status import holds
 
 if TYPE_CHECKING:

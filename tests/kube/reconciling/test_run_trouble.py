@@ -12,7 +12,7 @@ from testcluster.kwok import Moment, Play, ended, moment_of, run_message
 from testcluster.lab import algorithm, condition_of, manifest, run, status_of, until
 
 from slamhive.jobs.messages import failed
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.model.results import Reason
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import pytest
 from testcluster.kwok import run_message
 from testcluster.lab import algorithm, condition_of, dataset, manifest, run, status_of, until
 
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,7 @@ from fakeapi.refusals import Refusal, conflict, forbidden
 from testcluster.lab import algorithm, condition_of, run, status_of, sweep, until
 
 from slamhive.archive import Archive
-from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.api.kinds import Kind, Label
 from slamhive.kube.reconciling.catalogue import Catalogue, parse
 from slamhive.model.errors import SystemFault
 from slamhive.model.sweep import Sweep

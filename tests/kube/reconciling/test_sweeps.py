@@ -9,7 +9,7 @@ from testcluster.lab import algorithm, condition_of, dataset, status_of, sweep, 
 
 from slamhive.archive import Archive
 from slamhive.engine import PointState
-from slamhive.kube.kinds import Kind, Label
+from slamhive.kube.api.kinds import Kind, Label
 from slamhive.kube.reconciling.sweep_runs import decode_points
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.importers import ImportOptions
-    from slamhive.data.rosmessages import BagWriter
+    from slamhive.data.recordings.rosmessages import BagWriter
 
     Array = npt.NDArray[np.float64]
 

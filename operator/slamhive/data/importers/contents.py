@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from slamhive.data.thinning import rate_of
+from slamhive.data.recordings.thinning import rate_of
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import SensorType
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from slamhive.data.rosmessages import BagWriter
+    from slamhive.data.recordings.rosmessages import BagWriter
     from slamhive.model.base import Scalar
     from slamhive.model.dataset import GroundTruth
     from slamhive.model.sensors import Camera, Sensor

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.data.importing import publish
-from slamhive.data.rosmessages import BagWriter
-from slamhive.data.workers import Workers
+from slamhive.data.files.publishing import publish
+from slamhive.data.files.workers import Workers
+from slamhive.data.recordings.rosmessages import BagWriter
 from slamhive.model.errors import DataError
 from slamhive_eval import write_tum
 

@@ -24,7 +24,7 @@ from slamhive.data.importers.contents import (
 from slamhive.data.importers.lists import read_images
 from slamhive.data.importers.sequences import sequence_folder
 from slamhive.data.importers.tables import read_table
-from slamhive.data.thinning import partners, rate_of
+from slamhive.data.recordings.thinning import partners, rate_of
 from slamhive.model.dataset import GroundTruth
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import Camera, Sensor

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.data.importers.tables import nanoseconds
-from slamhive.data.thinning import rate_of
+from slamhive.data.recordings.thinning import rate_of
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import Sensor, Stamp
 

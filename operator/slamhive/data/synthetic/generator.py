@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rosbags.rosbag1 import Writer
 
-from slamhive.data import kinds
+from slamhive.data.recordings import kinds
 from slamhive.data.synthetic import aiding, messages, rig
 from slamhive.data.synthetic.camera import CameraModel
 from slamhive.data.synthetic.inertial import sample_imu

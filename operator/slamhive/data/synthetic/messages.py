@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from slamhive.data.kinds import (
+from slamhive.data.recordings.kinds import (
     CAMERA_INFO,
     FLUID_PRESSURE,
     GNSS_FIX,

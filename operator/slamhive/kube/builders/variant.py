@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from slamhive.data.https import CERTIFICATES
-from slamhive.data.version import VERSION
+from slamhive.data.files.https import CERTIFICATES
+from slamhive.data.recordings.version import VERSION
 from slamhive.jobs.requests import FetchedAsset, PrepareRequest
 from slamhive.kube.builders.common import (
     Manifest,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.reconciling.catalogue import Catalogue
 from slamhive.kube.reconciling.evaluating import Evaluations
 from slamhive.kube.reconciling.reuse import Twins

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from slamhive.archive import CatalogEntry
 from slamhive.contract.settled import FILES, is_settled
-from slamhive.kube.errors import Conflict
-from slamhive.kube.kinds import Key, Kind, Object, key_of
+from slamhive.kube.api.errors import Conflict
+from slamhive.kube.api.kinds import Key, Kind, Object, key_of
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.sweep_runs import decode_points, point_of, state_of
 from slamhive.kube.records import record_of, with_evaluations

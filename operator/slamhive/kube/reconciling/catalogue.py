@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.base import Resource, explain
 from slamhive.model.dataset import Dataset

@@ -16,9 +16,9 @@ from slamhive.contract.trajectory import TRAJECTORY
 from slamhive.engine import AttemptState
 from slamhive.jobs.lines import Decoder
 from slamhive.jobs.requests import EvaluateRequest, RunItem
+from slamhive.kube.api.errors import REFUSALS, AlreadyExists, ApiError, NotFound
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, Role, key_of
 from slamhive.kube.builders import batches, evaluator_job
-from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, NotFound
-from slamhive.kube.kinds import Key, Kind, Label, Object, Role, key_of
 from slamhive.kube.observing import EvaluatorObserved, lacks_pod, observe_evaluator
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.evaluation_groups import Group, group_of, key_for

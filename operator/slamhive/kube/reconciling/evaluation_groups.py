@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
-from slamhive.kube.kinds import Key, Kind, Label, Object, reference
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, reference
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.routing import OWN_EVALUATIONS, is_finished
 from slamhive.kube.status import phase_of

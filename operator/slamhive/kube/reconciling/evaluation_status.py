@@ -25,7 +25,7 @@ from slamhive.model.status import MOST_RESULTS, EvaluationStatus
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
     from slamhive.kube.reconciling.evaluation_groups import Group
 
 

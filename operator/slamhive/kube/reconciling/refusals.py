@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slamhive.kube.errors import ApiError
+from slamhive.kube.api.errors import ApiError
 from slamhive.kube.observing import POD_SECONDS, explained, lacks_pod
 from slamhive.kube.reports import clean
 

@@ -11,16 +11,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from slamhive.engine import AttemptState
+from slamhive.kube.api.errors import AlreadyExists
+from slamhive.kube.api.kinds import Key, Kind, Label, Role, key_of
 from slamhive.kube.builders.restoring import FOLDERS, restore_job
-from slamhive.kube.errors import AlreadyExists
-from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
 from slamhive.kube.observing import observe_restore
 from slamhive.kube.reconciling.refusals import patience
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
     from slamhive.kube.operator import Operator
     from slamhive.kube.reconciling.evaluation_groups import Group
     from slamhive.kube.settings import StoreReference

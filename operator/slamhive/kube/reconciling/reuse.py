@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.kinds import Key, Kind, Label, key_of
+from slamhive.kube.api.kinds import Key, Kind, Label, key_of
 from slamhive.kube.reconciling.sweep_runs import SAME_AS
 from slamhive.kube.records import record_of
 from slamhive.kube.status import phase_of

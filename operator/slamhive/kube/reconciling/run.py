@@ -20,11 +20,11 @@ from slamhive.engine import (
     Stop,
     decide_run,
 )
+from slamhive.kube.api.errors import REFUSALS, AlreadyExists, ApiError, Forbidden
+from slamhive.kube.api.kinds import Key, Kind, Label, Role, key_of, reference
 from slamhive.kube.builders import configuration, read_job, run_job
 from slamhive.kube.builders.player import player
 from slamhive.kube.builders.run import job_name
-from slamhive.kube.errors import REFUSALS, AlreadyExists, ApiError, Forbidden
-from slamhive.kube.kinds import Key, Kind, Label, Role, key_of, reference
 from slamhive.kube.observing import POD_SECONDS, Attempted, ReadObserved, observe_attempt, observe_read
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.refusals import why_no_pod

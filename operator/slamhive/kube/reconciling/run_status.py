@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive import __version__
 from slamhive.engine import taken_over
-from slamhive.kube.kinds import Key, Kind
+from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.reconciling.sweep_runs import asked_of
 from slamhive.kube.status import display, iso, result_field
 from slamhive.model.results import Prepared, Provenance, TrajectoryInfo, Usage

@@ -21,8 +21,8 @@ from slamhive.engine import (
     Verdict,
     decide_sweep,
 )
-from slamhive.kube.errors import REFUSALS, AlreadyExists, Conflict
-from slamhive.kube.kinds import Key, Kind, Label, Object, key_of
+from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of
 from slamhive.kube.reconciling.archiving import ArchiveAway, Retirement, asked, at_its_end
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX

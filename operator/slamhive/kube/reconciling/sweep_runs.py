@@ -13,7 +13,7 @@ import numpy as np
 
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.engine import PointState
-from slamhive.kube.kinds import MANAGER, Key, Kind, Label, key_of, reference
+from slamhive.kube.api.kinds import MANAGER, Key, Kind, Label, key_of, reference
 from slamhive.kube.status import phase_of, rmse_of
 from slamhive.model.results import Outcome, Phase
 from slamhive.model.status import BEST_LENGTH, BestRun

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.settled import is_settled
 from slamhive.engine import VariantState
+from slamhive.kube.api.errors import AlreadyExists
+from slamhive.kube.api.kinds import Key, Kind, Label, Role, key_of
 from slamhive.kube.builders import variant_job, variant_name
-from slamhive.kube.errors import AlreadyExists
-from slamhive.kube.kinds import Key, Kind, Label, Role, key_of
 from slamhive.kube.observing import observe_variant
 from slamhive.kube.reconciling.refusals import patience
 from slamhive.kube.status import iso, moment, variant_of

@@ -15,14 +15,14 @@ from urllib.parse import urlencode
 
 import aiohttp
 
-from slamhive.kube.client import Api
-from slamhive.kube.errors import ServerFault, from_answer
-from slamhive.kube.transport import CONNECT_SECONDS, Request
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.errors import ServerFault, from_answer
+from slamhive.kube.api.transport import CONNECT_SECONDS, Request
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, AsyncIterator, Sequence
 
-    from slamhive.kube.kinds import Key, Kind, Object
+    from slamhive.kube.api.kinds import Key, Kind, Object
 
 PROTOCOL = "v4.channel.k8s.io"
 _IN, _OUT, _ERROR, _STATUS = range(4)
@@ -174,7 +174,7 @@ class UserApi(Api):
 
         Raises:
             ServerFault: the connection broke; what came so far was yielded.
-            ApiError: see ``slamhive.kube.errors``.
+            ApiError: see ``slamhive.kube.api.errors``.
         """
         query: dict[str, Any] = {"container": container, "timestamps": "true"}
         query |= {"follow": "true"} if follow else {}
@@ -196,7 +196,7 @@ class UserApi(Api):
         Raises:
             Forbidden: the user may not.
             ServerFault: the pod or its node does not answer.
-            ApiError: see ``slamhive.kube.errors``.
+            ApiError: see ``slamhive.kube.api.errors``.
         """
         path = f"/api/v1/namespaces/{namespace}/pods/{pod}/exec"
         wanted = [("container", container), ("stdin", "true"), ("stdout", "true"), ("stderr", "true")]

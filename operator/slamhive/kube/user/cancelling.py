@@ -6,8 +6,8 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from slamhive.kube.errors import NotFound
-from slamhive.kube.kinds import Key, Kind, Object
+from slamhive.kube.api.errors import NotFound
+from slamhive.kube.api.kinds import Key, Kind, Object
 from slamhive.kube.status import holds, phase_of
 from slamhive.kube.user.queries import find, is_over, name_of, runs_of, status_of
 from slamhive.kube.user.together import together

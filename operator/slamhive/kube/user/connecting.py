@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import yaml
 from kubernetes.aio.config import ConfigException, list_kube_config_contexts
 
-from slamhive.kube.errors import Forbidden, ServerFault, Unauthorized
-from slamhive.kube.kinds import OUR_KINDS, Key, Kind
+from slamhive.kube.api.errors import Forbidden, ServerFault, Unauthorized
+from slamhive.kube.api.kinds import OUR_KINDS, Key, Kind
 from slamhive.kube.user.api import UserApi
 from slamhive.model.base import GROUP, VERSION
 from slamhive.model.errors import SlamHiveError, UnknownNameError

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slamhive.archive import CatalogEntry, SweepRecord
-from slamhive.kube.kinds import Kind, Object
+from slamhive.kube.api.kinds import Kind, Object
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.records import record_of, with_evaluations
 from slamhive.kube.status import phase_of, variant_of

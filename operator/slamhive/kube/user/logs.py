@@ -8,9 +8,9 @@ from contextlib import aclosing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from slamhive.kube.api.errors import ApiError, Forbidden, NotFound
+from slamhive.kube.api.kinds import Kind, Label, Object, Role
 from slamhive.kube.builders.common import label_value
-from slamhive.kube.errors import ApiError, Forbidden, NotFound
-from slamhive.kube.kinds import Kind, Label, Object, Role
 from slamhive.kube.status import phase_of
 from slamhive.kube.user.queries import find, name_of, status_of
 from slamhive.model.base import Choice

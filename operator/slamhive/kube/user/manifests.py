@@ -10,7 +10,7 @@ import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.kinds import Kind, Object
+from slamhive.kube.api.kinds import Kind, Object
 from slamhive.kube.reconciling import catalogue
 from slamhive.model.base import API_VERSION
 from slamhive.model.canonical import normalize
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
     from slamhive.model.base import Resource
 
 STDIN = "-"

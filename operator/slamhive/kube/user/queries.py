@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.settled import is_settled
+from slamhive.kube.api.errors import NotFound
+from slamhive.kube.api.kinds import Kind, Label, Object
 from slamhive.kube.builders.common import label_value
-from slamhive.kube.errors import NotFound
-from slamhive.kube.kinds import Kind, Label, Object
 from slamhive.kube.status import holds, moment, phase_of
 from slamhive.kube.user.together import together
 from slamhive.model.errors import UnknownNameError

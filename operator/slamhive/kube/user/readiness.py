@@ -7,16 +7,16 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from slamhive import __version__
-from slamhive.kube.errors import ApiError, Forbidden, NotFound
-from slamhive.kube.kinds import Kind
-from slamhive.kube.transport import Request
+from slamhive.kube.api.errors import ApiError, Forbidden, NotFound
+from slamhive.kube.api.kinds import Kind
+from slamhive.kube.api.transport import Request
 from slamhive.kube.user.connecting import connected, find_target
 from slamhive.kube.user.together import together
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.readiness import Row, State, limited, missing, there
 
 if TYPE_CHECKING:
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.kinds import Object
     from slamhive.kube.user.api import UserApi
     from slamhive.kube.user.connecting import Cluster
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.environment import SETTINGS_FOLDER
+from slamhive.kube.api.errors import ApiError, ServerFault
+from slamhive.kube.api.kinds import Kind, Label, Object, Role
 from slamhive.kube.builders.common import label_value
-from slamhive.kube.errors import ApiError, ServerFault
-from slamhive.kube.kinds import Kind, Label, Object, Role
 from slamhive.kube.user.queries import name_of, status_of
 from slamhive.kube.user.sending import sender
 from slamhive.model.errors import DataError, SystemFault

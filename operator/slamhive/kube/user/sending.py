@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.jobs.send import COMMAND
+from slamhive.kube.api.errors import ApiError, Forbidden, NotFound
+from slamhive.kube.api.kinds import Key, Kind, Object
+from slamhive.kube.api.transport import Request
 from slamhive.kube.builders.common import label
 from slamhive.kube.builders.restoring import store_words
 from slamhive.kube.builders.run import job_name
 from slamhive.kube.builders.sending import SEND, sender_job
-from slamhive.kube.errors import ApiError, Forbidden, NotFound
-from slamhive.kube.kinds import Key, Kind, Object
 from slamhive.kube.settings import StoreReference
-from slamhive.kube.transport import Request
 from slamhive.kube.user.connecting import ClusterError
 from slamhive.kube.user.queries import name_of, status_of
 

@@ -11,8 +11,8 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from slamhive.kube.errors import AlreadyExists, Conflict, Invalid, NotFound
-from slamhive.kube.kinds import Kind, Object
+from slamhive.kube.api.errors import AlreadyExists, Conflict, Invalid, NotFound
+from slamhive.kube.api.kinds import Kind, Object
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.user.manifests import Difference, Manifest, bounded, compare, entry_of
 from slamhive.kube.user.together import together
@@ -152,7 +152,7 @@ async def send(cluster: Cluster, manifests: Sequence[Manifest], *, trial: bool =
     Raises:
         InputError: something is there with other contents that may not change, or the server refuses an
             object; then nothing was made.
-        ApiError: see ``slamhive.kube.errors``.
+        ApiError: see ``slamhive.kube.api.errors``.
     """
     ordered = sorted(manifests, key=lambda item: _ORDER.index(item.kind))
     limit = asyncio.Semaphore(_AT_ONCE)

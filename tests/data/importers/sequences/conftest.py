@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamhive.data.clouds import cloud_points
-from slamhive.data.entries import DatasetEntry
-from slamhive.data.images import image_pixels
 from slamhive.data.importers import ImportOptions, import_recording, layout_of
-from slamhive.data.inspection import inspect
-from slamhive.data.recordings import open_recording
+from slamhive.data.inspecting.inspection import inspect
+from slamhive.data.recordings.clouds import cloud_points
+from slamhive.data.recordings.entries import DatasetEntry
+from slamhive.data.recordings.images import image_pixels
+from slamhive.data.recordings.reading import open_recording
 from slamhive.model.dataset import Dataset
 
 

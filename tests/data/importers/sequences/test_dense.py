@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from layouts.dense import FRAMES, SECOND, write_images, write_scene, write_trajectory
 
-from slamhive.data.groundtruth import ground_truth
 from slamhive.data.importers import replica, tartanair
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.errors import DataError
 from slamhive_eval.rotation import to_matrix
 

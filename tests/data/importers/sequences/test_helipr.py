@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from layouts.helipr import PACKED, START, some, write_sequence
 
-from slamhive.data.groundtruth import ground_truth
 from slamhive.data.importers.helipr import LAST_SHORT_AEVA, T_IMU_OUSTER
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.errors import DataError, InputError
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from layouts.kitti import FRAMES, P0, SECOND, TR, write_sequence
 
-from slamhive.data.exporting import all_roles, export_dataset
-from slamhive.data.groundtruth import ground_truth
 from slamhive.data.importers import ImportOptions, import_recording, layout_module
-from slamhive.data.recordings import open_recording
+from slamhive.data.making.exporting import all_roles, export_dataset
+from slamhive.data.recordings.reading import open_recording
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.algorithm import DataFormat
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.run import InputOptions
@@ -153,7 +153,7 @@ def test_poses_of_the_real_sequence_00(shared: Path, tmp_path: Path) -> None:
 
 
 def _entry(dataset: Any, folder: Path) -> Any:
-    from slamhive.data.entries import DatasetEntry
+    from slamhive.data.recordings.entries import DatasetEntry
 
     return DatasetEntry(dataset, folder)
 
@@ -173,7 +173,7 @@ def test_an_exported_lidar_recording_comes_back(
     assert after.lidar == before.lidar.replace(time_field=None, ring_field=None)
     assert after.stamp == before.stamp
     with open_recording(lidar_entry.dataset, lidar_entry.root) as recording:
-        from slamhive.data.clouds import cloud_points
+        from slamhive.data.recordings.clouds import cloud_points
 
         original = []
         for connection, _, raw in recording.messages([before.topic]):

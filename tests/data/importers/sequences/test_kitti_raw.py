@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from layouts.kitti_raw import DRIVE, NOON, write_drive, write_oxts
 
-from slamhive.data.groundtruth import ground_truth
 from slamhive.data.importers.kitti_raw import read_times
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.errors import DataError, InputError
 from slamhive.model.sensors import Stamp
 

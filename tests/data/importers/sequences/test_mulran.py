@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from layouts.mulran import START, imu_rows, write_sequence
 
-from slamhive.data.groundtruth import ground_truth
+from slamhive.data.store.groundtruth import ground_truth
 from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:

@@ -22,9 +22,9 @@ from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
 from slamhive.archive import Archive
 from slamhive.jobs.lines import encode_all
 from slamhive.jobs.requests import EvaluateRequest
-from slamhive.kube.client import Api
-from slamhive.kube.kinds import Kind, Label, Object
-from slamhive.kube.transport import Request
+from slamhive.kube.api.client import Api
+from slamhive.kube.api.kinds import Kind, Label, Object
+from slamhive.kube.api.transport import Request
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine

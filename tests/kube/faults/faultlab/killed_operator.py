@@ -14,7 +14,7 @@ from faultlab.arena import played_logs
 from faultlab.points import WRITES
 
 from slamhive.kube import __main__ as program
-from slamhive.kube.client import Api
+from slamhive.kube.api.client import Api
 
 
 class Death:

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 from testcluster.lab import bound_volumes, until, volumes
 
-from slamhive.kube.errors import ApiError
-from slamhive.kube.kinds import OUR_KINDS, Kind, Object
-from slamhive.kube.transport import Request
+from slamhive.kube.api.errors import ApiError
+from slamhive.kube.api.kinds import OUR_KINDS, Kind, Object
+from slamhive.kube.api.transport import Request
 
 if TYPE_CHECKING:
     from faultlab.recorder import Recorder
 
-    from slamhive.kube.client import Api
+    from slamhive.kube.api.client import Api
 
 
 SECONDS = 120.0

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator
     from pathlib import Path
 
-    from slamhive.kube.client import Api
+    from slamhive.kube.api.client import Api
 
 _REASONS = {
     403: "Forbidden",

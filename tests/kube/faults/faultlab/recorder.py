@@ -15,8 +15,8 @@ import aiohttp
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
-    from slamhive.kube.client import Api
-    from slamhive.kube.kinds import Object
+    from slamhive.kube.api.client import Api
+    from slamhive.kube.api.kinds import Object
 
 
 PATHS = {

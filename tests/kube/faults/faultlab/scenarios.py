@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from testcluster.kwok import Play, run_message
 from testcluster.lab import algorithm, condition_of, dataset, manifest, run, sweep
 
+from slamhive.kube.api.kinds import Key, Kind, Label, Object
 from slamhive.kube.failing import EVALUATION_ERROR, RECONCILE_ERROR
-from slamhive.kube.kinds import Key, Kind, Label, Object
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories in files: TUM, EuRoC ground truth, KITTI and tables, plain or compressed, and recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from slamhive_eval import rotation
+from slamhive_eval.errors import FileError, NoPosesError, OptionError, TrajectoryError
+from slamhive_eval.formats import bags, kitti_files, tables
+from slamhive_eval.formats.textfiles import (
+    data_lines,
+    decode,
+    fault_in_row,
+    head,
+    is_number,
+    parse_table,
+    read_bytes,
+)
+from slamhive_eval.trajectory import SMALLEST_QUATERNION_COMPONENT, Trajectory, find_fault
+
+if TYPE_CHECKING:
+    from slamhive_eval.rotation import FloatArray
+
+Format = Literal["tum", "euroc", "kitti", "csv", "bag"]
+Unsorted = Literal["error", "sort"]
+
+FORMATS: tuple[Format, ...] = get_args(Format)
+_COLUMNS: dict[str, tuple[int, str]] = {
+    "tum": (8, "timestamp tx ty tz qx qy qz qw"),
+    "euroc": (8, "timestamp [ns], px, py, pz, qw, qx, qy, qz, …"),
+}
+"""Columns a line of each format without names needs, and what they are; see kitti_files for KITTI's."""
+
+_TUM_ORDER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+_EUROC_ORDER = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
+_FIRST_NANOSECOND_STAMP = 1e14
+
+
+def read_trajectory(
+    path: str | Path,
+    file_format: Format | None = None,
+    *,
+    times: str | Path | None = None,
+    topic: str | None = None,
+    unsorted: Unsorted = "error",
+    by_index: bool = False,
+) -> Trajectory:
+    """Read a trajectory, finding out the format unless told.
+
+    Args:
+        path: A file, plain or compressed by gzip or bzip2; or a recording (ROS 1 bag, folder of a ROS 2 bag,
+            MCAP), perhaps with the topic as in ``run.bag:/odom`` or ``run.bag:/tf:map.base_link``.
+        file_format: ``tum``, ``euroc``, ``kitti``, ``csv`` (named columns) or ``bag``; None to tell by the
+            first line or, for recordings, by the file's name.
+        times: For KITTI: the file with one stamp in s a line, that of frame k in line k. Without it the
+            stamps are frames. Line k, counted from 0, is frame k unless it begins with its frame index.
+        topic: For recordings: the topic, see `slamhive_eval.formats.bags.read_bag`.
+        unsorted: What to do with decreasing stamps: ``error`` names the line, ``sort`` sorts the poses
+            by time, keeping the order of equal stamps.
+        by_index: For KITTI: take poses and stamps as far as both go where their numbers differ, with a note.
+
+    Returns:
+        The trajectory, stamps in s.
+
+    Raises:
+        FileError: The file is missing, empty, no text, or wrong in the line named; for recordings as well
+            what read_bag says.
+        OptionError: Unknown format.
+    """
+    if file_format is not None and file_format not in FORMATS:
+        raise OptionError(f"unknown trajectory format {file_format!r}; known are {', '.join(FORMATS)}")
+    path, topic = _split_topic(path, topic)
+    if file_format == "bag" or (file_format is None and bags.is_bag(path)):
+        return bags.read_bag(path, topic, sort=unsorted == "sort")
+    if topic is not None:
+        raise FileError(path, f"is no recording; only those have topics such as {topic!r}")
+    data = read_bytes(path)
+    header = None
+    if file_format is None:
+        file_format, header = ("kitti", None) if times is not None else _detect(path, head(data))
+    if file_format == "csv":
+        return _from_table(path, data, header or tables.find_header(path, head(data)), unsorted)
+    if file_format == "kitti":
+        return kitti_files.parse_poses(path, data, times, sort=unsorted == "sort", by_index=by_index)
+    table = parse_table(path, data, *_COLUMNS[file_format], extra=file_format == "euroc")
+    if file_format == "euroc":
+        # float64 nanoseconds divided by 1e9, as evo does: a stamp then equals evo's to the last bit.
+        stamps, quaternions = table[:, 0] / 1e9, table[:, [5, 6, 7, 4]]
+    else:
+        stamps, quaternions = table[:, 0], table[:, 4:8]
+    rows = tables.Rows(stamps, table[:, 1:4], quaternions, oriented=True, covariances=None)
+    return _checked(path, data, rows, unsorted)
+
+
+def read_estimate(
+    path: str | Path,
+    reference: Trajectory,
+    reference_path: str | Path,
+    file_format: Format | None = None,
+    *,
+    times: str | Path | None = None,
+    topic: str | None = None,
+    unsorted: Unsorted = "error",
+    by_index: bool = False,
+) -> Trajectory:
+    """Read an estimate that is to be paired with a ground truth.
+
+    Args:
+        path: As for read_trajectory, as is what isn't told here.
+        reference: The ground truth.
+        reference_path: Its file, for errors.
+        file_format: Of the estimate.
+        times: For KITTI: stamps of the frames.
+        topic: For recordings.
+        unsorted: What to do with decreasing stamps.
+        by_index: Pair KITTI poses as far as both go where files have unequal numbers of them, with a note.
+
+    Returns:
+        The estimate, whose stamps are those of the ground truth's clock or frames.
+
+    Raises:
+        FileError: What read_trajectory and `kitti_files.check_pair` say.
+        OptionError: Unknown format, or ``by_index`` for poses with time stamps.
+    """
+    found = read_trajectory(path, file_format, times=times, topic=topic, unsorted=unsorted, by_index=by_index)
+    if by_index and times is None:
+        for name, one in ((reference_path, reference), (path, found)):
+            if one.stamped_by == "time":
+                raise OptionError(f"--by-index is for KITTI poses without times, and {name} has time stamps")
+    return kitti_files.check_pair(reference, found, reference_path, path, by_index=by_index)
+
+
+def detect_format(path: str | Path) -> Format:
+    """Return the format of a file by its first line or, for recordings, by its name.
+
+    Raises:
+        FileError: It can't be read, or its first line is of no known format.
+    """
+    path, _ = _split_topic(path, None)
+    return "bag" if bags.is_bag(path) else _detect(path, head(read_bytes(path)))[0]
+
+
+def read_transform(path: str | Path) -> FloatArray:
+    """Read a rigid motion: 16 or 12 numbers of a matrix row by row, or ``x y z qx qy qz qw``.
+
+    Returns:
+        The matrix, shape (4, 4). It isn't checked to be rigid.
+
+    Raises:
+        FileError: The file can't be read or holds other than so many numbers.
+    """
+    words = read_text(path).translate(str.maketrans("[](),;", "      ")).split()
+    if len(words) not in (7, 12, 16) or not all(map(is_number, words)):
+        raise FileError(
+            path, "a transform has 16 or 12 numbers of a matrix row by row, or 7: x y z qx qy qz qw"
+        )
+    numbers = np.array(words, dtype=np.float64)
+    matrix = np.eye(4)
+    if len(words) == 7:
+        largest = np.abs(numbers[3:]).max()
+        if not np.isfinite(numbers).all() or largest < SMALLEST_QUATERNION_COMPONENT:
+            raise FileError(path, "the quaternion is zero, or a number isn't finite")
+        matrix[:3, :3] = rotation.to_matrix(rotation.normalize(numbers[3:] / largest))
+        matrix[:3, 3] = numbers[:3]
+    else:
+        matrix[: len(words) // 4] = numbers.reshape(-1, 4)
+    return matrix
+
+
+def _split_topic(path: str | Path, topic: str | None) -> tuple[str | Path, str | None]:
+    """The parts of ``FILE:TOPIC``; a file of that name comes first."""
+    words = str(path)
+    if topic is not None or ":" not in words or Path(words).exists():
+        return path, topic
+    for k, letter in enumerate(words):
+        if letter == ":" and bags.is_bag(words[:k]):
+            return words[:k], words[k + 1 :]
+    first, _, rest = words.partition(":")
+    return (first, rest) if Path(first).exists() else (path, None)
+
+
+def read_tum(path: str | Path, *, unsorted: Unsorted = "error") -> Trajectory:
+    """Read ``timestamp tx ty tz qx qy qz qw`` lines (s, m); see read_trajectory."""
+    return read_trajectory(path, "tum", unsorted=unsorted)
+
+
+def read_euroc(path: str | Path, *, unsorted: Unsorted = "error") -> Trajectory:
+    """Read the data.csv of EuRoC's state_groundtruth_estimate0 (ns, m, qw first); see read_trajectory."""
+    return read_trajectory(path, "euroc", unsorted=unsorted)
+
+
+def read_kitti(path: str | Path, times: str | Path | None = None) -> Trajectory:
+    """Read KITTI poses with their times file; see read_trajectory."""
+    return read_trajectory(path, "kitti", times=times)
+
+
+def write_tum(path: str | Path, trajectory: Trajectory) -> None:
+    """Write ``timestamp tx ty tz qx qy qz qw`` with every digit that float64 needs to be read back."""
+    from slamhive_eval.formats.writing import write_trajectory  # noqa: PLC0415 - readers needn't it
+
+    write_trajectory(path, trajectory, "tum")
+
+
+def read_text(path: str | Path) -> str:
+    """The text of a file, uncompressed, with lines ending in a newline only.
+
+    Raises:
+        FileError: The file can't be read, its compressed data is broken, or it holds no text.
+    """
+    return decode(read_bytes(path))
+
+
+def _detect(path: str | Path, text: str) -> tuple[Format, tables.Header | None]:
+    first = next(data_lines(text), None)
+    if first is None:
+        raise NoPosesError(path)
+    number, content = first
+    words = content.replace(",", " ").split()
+    numeric = any(map(is_number, words))
+    header = tables.find_header(path, text)
+    if header is not None and numeric and header.count != len(words):
+        header = None
+    # The usual columns in the usual order are read as ever, whatever stands above them.
+    if numeric and (header is None or header.order in (_TUM_ORDER, _EUROC_ORDER)):
+        counts = (
+            {kitti_files.COLUMNS} if header is not None else {kitti_files.COLUMNS, kitti_files.COLUMNS + 1}
+        )
+        if len(words) in counts and "," not in content:
+            return "kitti", None
+        covariances = header is not None and header.covariance
+        if len(words) == 8 or (len(words) > 8 and "," in content and not covariances):
+            nanoseconds = is_number(words[0]) and abs(float(words[0])) > _FIRST_NANOSECOND_STAMP
+            return "euroc" if nanoseconds and "," in content else "tum", None
+    if header is not None:
+        return "csv", header
+    known = "; ".join(f"{name} has {count}" for name, (count, _) in _COLUMNS.items())
+    raise FileError(
+        path,
+        f"found {len(words)} values a line, which is no known format ({known}; kitti has 12, or 13 with the "
+        "frame index first; csv names its columns, as in timestamp,x,y,z,qx,qy,qz,qw)",
+        number,
+    )
+
+
+def _from_table(
+    path: str | Path, data: bytes, header: tables.Header | None, unsorted: Unsorted
+) -> Trajectory:
+    if header is None:
+        raise FileError(
+            path, "the first line names no time and position, as timestamp,x,y,z,qx,qy,qz,qw does", 1
+        )
+    return _checked(path, data, tables.read_table(path, decode(data), header), unsorted, header.line)
+
+
+def _checked(
+    path: str | Path, data: bytes, rows: tables.Rows, unsorted: Unsorted, skipped: int = 0
+) -> Trajectory:
+    stamps, positions, quaternions, oriented, covariances = rows
+    order = np.arange(len(stamps))
+    if unsorted == "sort" and (np.diff(stamps) < 0).any():
+        order = np.argsort(stamps, kind="stable")
+        stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]
+        covariances = None if covariances is None else covariances[order]
+    try:
+        return Trajectory(stamps, positions, quaternions, oriented=oriented, covariances=covariances)
+    except TrajectoryError as error:
+        fault = find_fault(stamps, positions, quaternions)
+        if fault is None:
+            raise FileError(path, str(error)) from None
+        raise fault_in_row(path, data, int(order[fault.row]), fault.message, skipped) from None

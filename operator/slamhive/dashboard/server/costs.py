@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Questions that are known to cost little before they are computed, in seconds and in memory.
+
+They are answered in the dashboard itself (``Workers.compute_inside``). All others are a worker's, which is
+ended when they cost too much.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from slamhive.tables.queries import names
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slamhive.dashboard.sources.archived import Snapshot
+
+MOST_ROWS = 200_000
+MOST_TEXT = 300
+"""Characters of a query string: they bound its conditions, of which each goes over all rows once."""
+
+MOST_GROUPS = 400
+MOST_COMPETITORS = 40
+
+
+def costs_little(
+    data: Snapshot, query: str, by: str | None = None, default: Sequence[str] = (), most: int = MOST_GROUPS
+) -> bool:
+    """Tell whether filtering, sorting and grouping are some tenths of a second of CPU at most.
+
+    Args:
+        data: the data.
+        query: the whole query string.
+        by: list of columns to group by.
+        default: those when no list is given.
+        most: groups at most, were all combinations of their values there.
+    """
+    frame = data.frame
+    if len(frame) > MOST_ROWS or len(query) > MOST_TEXT:
+        return False
+    told = [name for name in (names(by) or default) if name in frame.names]
+    return math.prod(len(frame.column(name).factorized()[1]) for name in told) <= most

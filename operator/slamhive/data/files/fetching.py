@@ -1,0 +1,480 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files from the network: fetched over https alone, within limits, gone on with after any end, checked.
+
+A fetch that is interrupted, by kill -9 too, leaves a `Partial` beside its place; the next one goes on from
+there. Two at once fetch once. Bytes that are wrong can't be seen before the end, unless the checksums of the
+file's pieces are known: then a wrong piece alone is fetched again.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import queue
+import shutil
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+from slamhive.data.files.https import TIMEOUT_SECONDS, Answer, Interrupted, open_url
+from slamhive.data.files.partial import DiskFault, Partial, disk_words
+from slamhive.model.canonical import digest
+from slamhive.model.errors import DataError, SlamHiveError, SystemFault
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from slamhive.data.files.partial import Span
+
+MOST_BYTES = 1 << 38
+"""Bytes of the largest file that is fetched, 256 GiB."""
+MEBIBYTE = 1 << 20
+LEFT_BYTES = 1 << 30
+"""Bytes that stay free on the disk."""
+STALL_SECONDS = TIMEOUT_SECONDS
+"""Seconds in which at least `STALL_BYTES` must come: a server that sends a byte now and then is no use."""
+STALL_BYTES = 1 << 20
+PAUSES = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Seconds before further tries after an interruption; bytes that come start the count again."""
+BLOCK = 1 << 18
+"""Bytes that are written at a time; an end by kill -9 loses those that are on their way."""
+_READ = 1 << 14
+"""Bytes of a record of TLS: no read gives more."""
+_BLOCKS = 8
+"""Blocks that are filled, written and summed up, or wait for that."""
+_Blocks = queue.SimpleQueue[tuple[int, bytearray, int] | None]
+"""Place in the file, the bytes, and how many of them count; None at the end."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A file elsewhere.
+
+    Attributes:
+        urls: Where it is: https addresses, the preferred first.
+        what: What it is, for messages.
+        sha256: Its checksum, if it is known.
+        size: Its size, bytes, if it is known.
+        piece_bytes: Size of the pieces whose checksums are known.
+        pieces: Their checksums.
+    """
+
+    urls: Sequence[str]
+    what: str
+    sha256: str | None = None
+    size: int | None = None
+    piece_bytes: int = 0
+    pieces: Sequence[str] = ()
+
+
+@dataclass
+class Progress:
+    """Callbacks that a fetch reports to: its progress in bytes, and sentences on anything unusual.
+
+    Attributes:
+        count: Called with the bytes that are there and how many they are to be, if that is known.
+        notify: Called with a sentence where something isn't as usual.
+    """
+
+    count: Callable[[int, int | None], None] = lambda _held, _total: None
+    notify: Callable[[str], None] = lambda _sentence: None
+
+
+def fetch(url: str, place: Path, sha256: str, what: str) -> None:
+    """Fetch a file whose checksum is known to a place.
+
+    Args:
+        url: where it is; the models allow https alone.
+        place: the file to make.
+        sha256: its checksum, 64 hexadecimal digits.
+        what: what it is, for messages.
+
+    Raises:
+        DataError: what came is another file, more than `MOST_BYTES`, or comes by a way that isn't https.
+        SystemFault: it can't be had right now, or there is no room for it.
+    """
+    fetch_file(Wanted([url], what, sha256), place)
+
+
+def fetch_file(wanted: Wanted, place: Path, progress: Progress | None = None) -> str:
+    """Fetch a file to a place, and return its sha256; one that another process fetches is waited for.
+
+    Raises:
+        DataError: What came is another file, more than `MOST_BYTES`, or comes by a way that isn't https.
+        SystemFault: It can't be had right now, or there is no room for it; what came stays for the next time.
+    """
+    progress = progress or Progress()
+    place.parent.mkdir(parents=True, exist_ok=True)
+    path = partial_path(wanted.urls[0], place.parent)
+    with one_at_a_time(path, wanted.what, progress) as waited:
+        if waited and place.is_file():
+            found = _sha256(place)
+            if wanted.sha256 in {None, found}:
+                return found
+        partial = Partial(path)
+        try:
+            found = _whole(wanted, partial, progress)
+            with disk_words(wanted.what, place):
+                partial.move(place)
+        except SlamHiveError as error:
+            # Without a size nothing can be gone on with.
+            if isinstance(error, DataError) or partial.total is None:
+                partial.forget()
+            raise
+        finally:
+            partial.close()
+        return found
+
+
+def partial_path(url: str, folder: Path) -> Path:
+    """Return the path of a file's bytes until it is whole."""
+    return folder / f".fetching-{digest(url)[:24]}.part"
+
+
+@contextmanager
+def one_at_a_time(path: Path, what: str, progress: Progress) -> Iterator[bool]:
+    """Hold the right to fetch to a path, and tell whether another process had it first."""
+    with disk_words(what, path):
+        descriptor = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        waited = False
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            progress.notify(f"{what}: another process is fetching it; waiting for that")
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            waited = True
+        yield waited
+    finally:
+        os.close(descriptor)
+
+
+def is_busy(path: Path) -> bool:
+    """Tell whether a process fetches to a path, or works with what it fetched."""
+    try:
+        descriptor = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def _whole(wanted: Wanted, partial: Partial, progress: Progress) -> str:
+    """Fetch all of a file until its checksum is right, at most twice."""
+    urls = list(wanted.urls)
+    for last in (False, True):
+        running = _Running(partial)
+        fetch_span(wanted, urls, partial, (0, None), progress, running)
+        found = running.digest()
+        wrong = _wrong_pieces(wanted, partial)
+        if wanted.sha256 in {None, found} and not wrong:
+            return found
+        sentence = f"{wanted.what}: {partial.url}: has sha256 {found}, expected {wanted.sha256}"
+        if last:
+            raise DataError(sentence)
+        if wrong:
+            progress.notify(
+                f"{wanted.what}: {len(wrong)} of {len(wanted.pieces)} pieces are wrong: fetched again"
+            )
+            for span in wrong:
+                partial.drop(span)
+        else:
+            progress.notify(f"{sentence}: fetched again")
+            partial.forget()
+        urls.append(urls.pop(0))
+    raise AssertionError
+
+
+def _wrong_pieces(wanted: Wanted, partial: Partial) -> list[Span]:
+    """Return the spans of the pieces that aren't what their checksums say."""
+    wrong = []
+    if wanted.pieces:
+        with partial.path.open("rb") as file:
+            for number, expected in enumerate(wanted.pieces):
+                data = file.read(wanted.piece_bytes)
+                if hashlib.sha256(data).hexdigest() != expected:
+                    first = number * wanted.piece_bytes
+                    wrong.append((first, first + wanted.piece_bytes))
+    return wrong
+
+
+def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
+    wanted: Wanted,
+    urls: Sequence[str],
+    partial: Partial,
+    span: tuple[int, int | None],
+    progress: Progress,
+    running: _Running | None = None,
+) -> None:
+    """Have a span of a file in its partial; addresses are tried in turn, each several times.
+
+    Args:
+        wanted: The file.
+        urls: Its addresses, in the order in which they are tried.
+        partial: Where its bytes go.
+        span: First byte, byte after the last; None for the end of the file.
+        progress: Who is told.
+        running: The checksum of the whole file, computed on the way.
+
+    Raises:
+        DataError: The file isn't what was said.
+        SystemFault: No address sends it.
+    """
+    problems: list[str] = []
+    for url in urls:
+        tries = list(PAUSES)
+        while True:
+            before = partial.held
+            try:
+                _attempt(_Order(wanted, url, partial, progress, running), span)
+            except DiskFault:
+                raise
+            except SystemFault as error:
+                if partial.held > before:
+                    tries = list(PAUSES)
+                if not isinstance(error, Interrupted) or not tries:
+                    problems.append(f"{url}: {error}")
+                    break
+                time.sleep(tries.pop(0))
+            else:
+                return
+    raise SystemFault(f"{wanted.what}: {'; '.join(problems)}")
+
+
+class _Running:
+    """The checksum of a file that is being fetched, computed from what comes in the order of the file."""
+
+    def __init__(self, partial: Partial) -> None:
+        self._partial = partial
+        self._sum = hashlib.sha256()
+        self._at = 0
+
+    def update(self, at: int, block: bytes | memoryview) -> None:
+        """Take in what is written at a place."""
+        if at == 0:
+            self._sum, self._at = hashlib.sha256(), 0
+        if at == self._at:
+            self._sum.update(block)
+            self._at += len(block)
+
+    def catch_up(self, until: int) -> None:
+        """Take in what was fetched before, from the disk."""
+        if self._at >= until:
+            return
+        with self._partial.path.open("rb") as file:
+            file.seek(self._at)
+            while self._at < until and (block := file.read(min(BLOCK, until - self._at))):
+                self._sum.update(block)
+                self._at += len(block)
+
+    def digest(self) -> str:
+        """Return the checksum of the whole file."""
+        self.catch_up(self._partial.held_from(0))
+        return self._sum.hexdigest()
+
+
+@dataclass(frozen=True)
+class _Order:
+    """Arguments of one attempt to fetch a file: its URL, the partial file that it goes to, callbacks."""
+
+    wanted: Wanted
+    url: str
+    partial: Partial
+    progress: Progress
+    running: _Running | None
+
+    @property
+    def where(self) -> str:
+        return f"{self.wanted.what}: {self.url}"
+
+    @property
+    def room(self) -> int:
+        """Return the number of bytes that the disk still takes."""
+        return shutil.disk_usage(self.partial.path.parent).free - LEFT_BYTES
+
+
+def _attempt(order: _Order, span: tuple[int, int | None]) -> None:
+    """Fetch what is missing of a span, in one answer for each hole in it."""
+    partial = order.partial
+    if partial.url not in {None, order.url} and order.wanted.sha256 is None:
+        partial.forget()  # nobody could tell that the two halves are of one file
+    while True:
+        end = partial.total if span[1] is None else span[1]
+        start = partial.held_from(span[0])
+        if end is not None and start >= end:
+            return
+        ahead = [first for first, _ in partial.spans if first > start]
+        until = min(ahead + ([] if end is None else [end]), default=None)
+        if order.running is not None:
+            order.running.catch_up(start)
+        validator = partial.validator if partial.url == order.url else None
+        asked_end = until if ahead or span[1] is not None else None
+        with open_url(order.url, start, asked_end, validator) as answer:
+            if not _is_same(order, answer, start):
+                if span[1] is not None:
+                    raise SystemFault("the server sends no parts of files, or the file changed meanwhile")
+                until = None
+            _copy(order, answer, until)
+
+
+def _is_same(order: _Order, answer: Answer, start: int) -> bool:
+    """Tell whether an answer goes on with what is there; where it doesn't, that is forgotten."""
+    wanted, partial = order.wanted, order.partial
+    if answer.total is not None and wanted.size is not None and answer.total != wanted.size:
+        raise DataError(f"{order.where}: has {answer.total:,} bytes, expected {wanted.size:,}")
+    if answer.total is not None and partial.total not in {None, answer.total}:
+        partial.forget()
+        raise Interrupted("the file changed on the server")
+    is_same = answer.start == start
+    if not is_same:
+        order.progress.notify(
+            f"{order.where}: comes from its start again: the server sends no parts, or another file now"
+        )
+        partial.forget()
+    _require_room((answer.total or 0) - partial.held, order.room, order)
+    partial.begin(order.url, answer.validator, answer.total)
+    return is_same
+
+
+def _copy(order: _Order, answer: Answer, until: int | None) -> None:
+    """Write an answer within the limits of size, room and pace."""
+    partial = order.partial
+    expected = answer.total if until is None else until
+    room = order.room
+    at, counted, since = answer.start, 0, time.monotonic()
+    with _Writer(order, at) as writer:
+        while expected is None or at < expected:
+            block = answer.read(_READ)
+            if not block:
+                break
+            data = memoryview(block)
+            if expected is not None:
+                data = data[: expected - at]
+            at += len(data)
+            counted += len(data)
+            if answer.total is None:
+                _require_room(at - answer.start, room, order)
+            writer.put(data)
+            if counted >= STALL_BYTES:
+                counted, since = 0, time.monotonic()
+                order.progress.count(partial.held, answer.total)
+            elif time.monotonic() - since > STALL_SECONDS:
+                raise Interrupted(f"less than {STALL_BYTES >> 20} MiB came in {STALL_SECONDS} s")
+    order.progress.count(partial.held, answer.total)
+    if expected is None:
+        partial.total = at
+    elif at < expected:
+        raise Interrupted(f"ended after {at:,} of {expected:,} bytes")
+
+
+class _Writer:
+    """Writes what comes and computes its checksum, each on a thread of its own: neither waits for the other.
+
+    A few blocks go round from the network to the disk, to the checksum and back, so that none is made anew.
+    """
+
+    def __init__(self, order: _Order, at: int) -> None:
+        self._order, self._at = order, at
+        self._free: queue.SimpleQueue[bytearray] = queue.SimpleQueue()
+        for _ in range(_BLOCKS):
+            self._free.put(bytearray(BLOCK))
+        self._written: _Blocks = queue.SimpleQueue()
+        self._hashed: _Blocks = queue.SimpleQueue()
+        self._block, self._size = self._free.get(), 0
+        self._error: SlamHiveError | None = None
+        self._threads = [
+            threading.Thread(target=work, name=f"fetched bytes: {work.__name__}", daemon=True)
+            for work in (self._write, self._hash)
+        ]
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._send()
+        self._written.put(None)
+        for thread in self._threads:
+            thread.join()
+        if self._error is not None and kind is None:
+            raise self._error
+
+    def put(self, data: memoryview) -> None:
+        """Have bytes written behind the last ones.
+
+        Raises:
+            SystemFault: The disk refused earlier ones.
+        """
+        while data:
+            part = data[: BLOCK - self._size]
+            self._block[self._size : self._size + len(part)] = part
+            self._size += len(part)
+            data = data[len(part) :]
+            if self._size == BLOCK:
+                self._send()
+                self._block, self._size = self._free.get(), 0
+        if self._error is not None:
+            raise self._error
+
+    def _send(self) -> None:
+        if self._size:
+            self._written.put((self._at, self._block, self._size))
+            self._at += self._size
+
+    def _write(self) -> None:
+        partial = self._order.partial
+        while (item := self._written.get()) is not None:
+            at, block, size = item
+            if self._error is None:
+                try:
+                    with disk_words(self._order.wanted.what, partial.path):
+                        partial.write(at, memoryview(block)[:size])
+                except SlamHiveError as error:
+                    self._error = error
+            self._hashed.put(item)
+        self._hashed.put(None)
+
+    def _hash(self) -> None:
+        running = self._order.running
+        while (item := self._hashed.get()) is not None:
+            at, block, size = item
+            if running is not None and self._error is None:
+                running.update(at, memoryview(block)[:size])
+            self._free.put(block)
+
+
+def _require_room(size: int, room: int, order: _Order) -> None:
+    if size > MOST_BYTES:
+        raise DataError(f"{order.where}: has more than {MOST_BYTES >> 30} GiB, the most that is fetched")
+    if size > room:
+        raise DiskFault(
+            f"{order.wanted.what}: needs {size / MEBIBYTE:,.0f} MiB more, but the disk of "
+            f"{order.partial.path.parent} has room for {max(room, 0) / MEBIBYTE:,.0f} MiB, as "
+            f"{LEFT_BYTES / MEBIBYTE:,.0f} MiB stay free"
+        )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def require_sha256(path: Path, sha256: str, what: str) -> None:
+    """Check a file against its checksum.
+
+    Raises:
+        DataError: it is another file.
+    """
+    found = _sha256(path)
+    if found != sha256:
+        raise DataError(f"{what}: has sha256 {found}, expected {sha256}")

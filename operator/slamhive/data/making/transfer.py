@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Copying the chosen messages of a recording into a variant, changed as the options say."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from slamhive.data.recordings import kinds
+from slamhive.data.recordings.clouds import cloud_filter, filter_cloud
+from slamhive.data.recordings.images import scale_camera_info, scale_compressed, scale_image
+from slamhive.data.recordings.streams import Kind
+from slamhive.data.recordings.writing import RecordingWriter
+from slamhive.model.errors import DataError
+from slamhive.model.sensors import SensorType
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from rosbags.interfaces import Connection
+
+    from slamhive.data.making.selection import Selection
+    from slamhive.data.recordings.reading import Recording
+    from slamhive.data.recordings.streams import Stream
+    from slamhive.model.algorithm import RecordingFormat
+    from slamhive.model.run import LidarInput
+
+    Change = Callable[[bytes], bytes | memoryview]
+
+
+class Changes(Protocol):
+    """The options that change messages."""
+
+    @property
+    def resolution(self) -> float:
+        """Scale of images."""
+
+    @property
+    def lidar(self) -> LidarInput | None:
+        """Ranges and rings of LiDAR scans that are kept; None where all points are."""
+
+
+def transfer(
+    recording: Recording,
+    selection: Selection,
+    changes: Changes,
+    *,
+    target: Path,
+    target_format: RecordingFormat,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Write the chosen messages into a new recording.
+
+    Args:
+        recording: Where they come from.
+        selection: The messages chosen.
+        changes: What is done to them.
+        target: The recording to make.
+        target_format: How to store it.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        DataError: A message can't be changed as asked.
+    """
+    by_topic = {stream.topic: stream for stream in selection.streams}
+    rules = {topic: _rule(recording, stream, changes) for topic, stream in by_topic.items()}
+    first, last = selection.record_window
+    with RecordingWriter(recording, target, target_format) as writer:
+        for connection, time, raw in chosen_messages(recording, selection, progress):
+            topic = connection.topic
+            change = rules[topic]
+            # What is said once stays, however much is cut off before it.
+            lasting = by_topic[topic].kind in (Kind.STATIC, Kind.INFO)
+            at = min(max(time, first), last) if lasting else time
+            writer.write(connection, at, raw if change is None else change(raw))
+
+
+def chosen_messages(
+    recording: Recording, selection: Selection, progress: Callable[[float], None] | None = None
+) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield the messages that were chosen, in the order of the recording.
+
+    Args:
+        recording: Where they come from.
+        selection: The messages chosen.
+        progress: Called with the share done, 0 to 1.
+    """
+    seen = {stream.topic: 0 for stream in selection.streams}
+    total, done = max(selection.size_bytes, 1), 0
+    for number, message in enumerate(recording.messages(set(seen))):
+        connection, _, raw = message
+        index = seen[connection.topic]
+        seen[connection.topic] = index + 1
+        done += len(raw)
+        if progress and number % 64 == 0:
+            progress(done / total)
+        if selection.masks[connection.topic][index]:
+            yield message
+
+
+def _rule(recording: Recording, stream: Stream, changes: Changes) -> Change | None:
+    """Return the change of a stream's messages, None when they stay as they are."""
+    where = f"{stream.topic} in {recording.label}"
+    kind, scale = stream.message_type, changes.resolution
+
+    def changed(change: Callable[[Any], Any]) -> Change:
+        return lambda raw: recording.encode(change(recording.decode(raw, kind)), kind)
+
+    if changes.lidar is not None and stream.declared and stream.declared.type is SensorType.LIDAR:
+        kept, _ = cloud_filter(changes.lidar, stream.declared.lidar, stream.sensor or "")
+        return None if kept.is_idle else changed(lambda message: filter_cloud(message, kept, where))
+    if scale == 1.0:
+        return None
+    match kind:
+        case kinds.IMAGE:
+            return changed(lambda message: _image(stream, message, scale, where))
+        case kinds.COMPRESSED_IMAGE:
+            return changed(lambda message: scale_compressed(message, scale, depth=stream.depth, where=where))
+        case kinds.CAMERA_INFO:
+            return changed(lambda message: scale_camera_info(message, scale, where))
+    return None
+
+
+def _image(stream: Stream, message: Any, scale: float, where: str) -> Any:
+    camera = stream.declared.camera if stream.declared else None
+    if camera is not None and (message.width, message.height) != (camera.width, camera.height):
+        raise DataError(
+            f"sensors.{stream.sensor}.camera: states {camera.width}×{camera.height} pixels, but the images "
+            f"on {where} have {message.width}×{message.height}"
+        )
+    return scale_image(message, scale, depth=stream.depth, where=where)

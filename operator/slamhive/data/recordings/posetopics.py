@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses that a recording carries: pose, odometry and transform topics, and frames of /tf."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from slamhive.data.recordings.reading import TF_TYPES
+from slamhive.data.recordings.streams import STATIC_TRANSFORMS
+from slamhive.model.errors import DataError, suggestion
+from slamhive_eval import EvaluationError, Trajectory
+from slamhive_eval.formats.posemessages import add_transforms, read_poses
+from slamhive_eval.formats.transforms import Frames
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from slamhive.data.recordings.reading import Recording
+
+POSE_TYPES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "nav_msgs/msg/Odometry",
+)
+"""Messages that carry one stamped pose."""
+
+
+def truth_topic(topic: str | None) -> str | None:
+    """Return the topic's name without the frames of a transform: ``/tf:map.base`` is on ``/tf``."""
+    return None if topic is None else topic.split(":", 1)[0]
+
+
+def poses_of_topic(recording: Recording, topic: str) -> Trajectory:
+    """Read the poses of a topic.
+
+    Args:
+        recording: The recording.
+        topic: A topic with stamped poses, or ``TOPIC:PARENT.CHILD`` for the pose of the frame CHILD in the
+            frame PARENT by the transforms of a topic; one transform between them may move.
+
+    Returns:
+        Poses by their header stamps, s.
+
+    Raises:
+        DataError: There is no such topic or frame, it carries no poses, or they are no trajectory.
+    """
+    kind = check_pose_topic(recording, topic)
+    name = truth_topic(topic) or topic
+    try:
+        if kind in TF_TYPES:
+            return _transforms(recording, topic)
+        return read_poses((recording.decode(raw, kind) for _, _, raw in recording.messages({name})), kind)
+    except EvaluationError as error:
+        raise DataError(f"{_where(recording, topic)}: {error}") from None
+
+
+def _where(recording: Recording, topic: str) -> str:
+    return f"groundTruth.topic: {truth_topic(topic)} in {recording.label}"
+
+
+def check_pose_topic(recording: Recording, topic: str) -> str:
+    """Check that a topic is there and carries poses; return the type of its messages.
+
+    Raises:
+        DataError: It isn't, or doesn't.
+    """
+    name = truth_topic(topic) or topic
+    found = recording.topics.get(name)
+    if found is None:
+        known = [item.name for item in recording.topics.values() if item.message_type in POSE_TYPES]
+        raise DataError(
+            f"groundTruth.topic: no topic {name!r} in "
+            f"{recording.label}{suggestion(name, known or recording.topics)}"
+        )
+    kind = found.message_type
+    if kind not in (*TF_TYPES, *POSE_TYPES):
+        allowed = f"allowed: {', '.join(POSE_TYPES)}, {TF_TYPES[0]}"
+        raise DataError(f"{_where(recording, topic)}: messages of type {kind} carry no pose; {allowed}")
+    return kind
+
+
+def static_tree(recording: Recording) -> Frames:
+    """Return the transforms that /tf_static states; none where the recording has no such topic."""
+    found = recording.topics.get(STATIC_TRANSFORMS)
+    if found is None or found.message_type not in TF_TYPES:
+        return Frames()
+    return _frames(recording, STATIC_TRANSFORMS)
+
+
+def relative_pose(frames: Frames, parent: str, child: str) -> npt.NDArray[np.float64] | None:
+    """Return the pose (4, 4) of one frame in another by static transforms, None when none lead there."""
+    return frames.fixed_pose(parent, child)
+
+
+def _transforms(recording: Recording, topic: str) -> Trajectory:
+    name, _, pair = topic.partition(":")
+    frames = _frames(recording, name)
+    parent, child = frames.split(pair)
+    moving = frames.moving(frames.steps(parent, child))
+    if len(moving) > 1:
+        listed = ", ".join(f"{a} to {b}" for a, b in moving)
+        raise EvaluationError(
+            f"{len(moving)} of the transforms from {parent!r} to {child!r} move ({listed}); only one may, as "
+            "ground truth isn't interpolated"
+        )
+    return frames.trajectory(parent, child)
+
+
+def _frames(recording: Recording, topic: str) -> Frames:
+    frames = Frames()
+    topics = {name for name in (topic, STATIC_TRANSFORMS) if name in recording.topics}
+    for connection, _, raw in recording.messages(topics):
+        add_transforms(frames, recording.decode(raw, connection.msgtype), connection.topic)
+    return frames

@@ -1,0 +1,388 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Virtual environments of algorithms: made once for each set of requirements, and kept."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+from slamhive.contract.environment import own_variables, program_variables
+from slamhive.local.home.catalog import bundled
+from slamhive.local.home.folder import lock
+from slamhive.local.programs.assets import place_assets
+from slamhive.local.programs.installing import PipSteps
+from slamhive.local.programs.interpreters import interpreter
+from slamhive.local.programs.pipcommands import run_command
+from slamhive.local.programs.playing import own_player
+from slamhive.local.programs.unavailable import Unavailable
+from slamhive.model.base import RELATIVE_PATH
+from slamhive.playback.ros import find_ros
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from slamhive.local.home.catalog import AlgorithmEntry
+    from slamhive.local.programs.interpreters import Interpreter
+    from slamhive.local.programs.prepared import AttemptOrder, PreparedPlayer
+    from slamhive.model.algorithm import LocalProgram
+
+_MARKER = ".complete"
+_TO_PROGRAMS = ("LD_LIBRARY_PATH", "SSL_CERT_FILE", "TZ")
+
+
+class Part(NamedTuple):
+    """A part of what a program is.
+
+    Attributes:
+        name: what people call it: a file's name, or words.
+        value: what tells it from others: a file's checksum, or a version.
+    """
+
+    name: str
+    value: str
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A virtual environment that is ready: an algorithm as a process of this machine."""
+
+    path: Path
+    digest: str
+
+    @property
+    def python(self) -> Path:
+        """Return its interpreter."""
+        return self.path / "bin" / "python"
+
+    def run_folder(self, run: Path) -> str:
+        """Return the path of the run folder."""
+        return str(run)
+
+    def lay_out(self, order: AttemptOrder, folder: Path) -> None:
+        """Lay out folders of the program's own, and the files that its Algorithm names.
+
+        Raises:
+            DataError: a file is missing or isn't the one that was named.
+            SystemFault: one can't be fetched right now.
+        """
+        for name in ("home", "tmp"):
+            (folder / name).mkdir()
+        place_assets(order.entry, folder / "run" / "assets", folder.parents[2] / "assets")
+
+    def player(self, order: AttemptOrder, folder: Path) -> PreparedPlayer | None:
+        """Lay out a player that is a process as well; None where nothing is played.
+
+        Raises:
+            SystemFault: this machine has no ROS.
+        """
+        return own_player(order, folder)
+
+    def supervision(
+        self, order: AttemptOrder, folder: Path, variables: Mapping[str, str]
+    ) -> Mapping[str, Any]:
+        """Return the start of the adapter with its interpreter, or of the program of its own."""
+        program, own = order.entry.algorithm.spec.local, order.entry.folder
+        if program is not None and program.command is not None:
+            argv = (str(own / program.command[0]), *program.command[1:])
+        else:
+            argv = (str(self.python), str(own / (program.adapter if program else "adapter.py")))
+        return {
+            "argv": argv,
+            "cwd": str(folder / "run"),
+            "env": self._variables(order, folder) | dict(variables),
+        }
+
+    def abandon(self, folder: Path) -> None:
+        """Do nothing: processes are found by their record."""
+
+    def _variables(self, order: AttemptOrder, folder: Path) -> dict[str, str]:
+        own = program_variables(
+            run=self.run_folder(folder / "run"),
+            seed=order.configuration.seed,
+            cores=len(order.cpus),
+            home=str(folder / "home"),
+            scratch=str(folder / "tmp"),
+            settings_files=bool(order.entry.algorithm.spec.files),
+        )
+        return {
+            **own_variables(_TO_PROGRAMS),
+            **own,
+            "PATH": f"{self.path / 'bin'}:/usr/local/bin:/usr/bin:/bin",
+            "PYTHONPATH": f"{order.entry.folder.parent}:{bundled('algorithms')}",
+        }
+
+
+class Environments:
+    """The environments of a home.
+
+    Args:
+        folder: where they are kept.
+        notify: told in a sentence when one is being made, as that takes time.
+        making: gets what is being done to make one, in words, and the share of it that is done.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        notify: Callable[[str], None] = lambda _: None,
+        making: dict[str, float] | None = None,
+    ) -> None:
+        self._folder = folder
+        self._notify = notify
+        self._making = {} if making is None else making
+        self._usable: set[tuple[str, Path]] = set()
+        self._impossible: dict[Path, str] = {}
+
+    def digest(self, entry: AlgorithmEntry) -> str:
+        """Return the digest of environment and adapter: equal ones run the same program."""
+        return digest_of(self.parts(entry))
+
+    def parts(self, entry: AlgorithmEntry) -> list[Part]:
+        """Return the parts that the digest is made of, each by its name for people, with checksums of files.
+
+        Raises:
+            Unavailable: this machine can't run it.
+        """
+        program = _program(entry)
+        if program.command is not None:
+            return _parts_of_command(entry)
+        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        parts = [
+            Part("Python", f"{python.version[0]}.{python.version[1]}"),
+            Part("machine", platform.machine()),
+            *(Part("ROS", one) for one in python.beside),
+        ]
+        return parts + [Part(path.name, _sha256(path)) for path in source_files(entry)]
+
+    def get(self, entry: AlgorithmEntry, pace: str = "") -> Environment:  # noqa: ARG002
+        """Return an algorithm's environment, the same for all paces, made when it isn't there.
+
+        Raises:
+            Unavailable: this machine can't run the algorithm, or its packages can't be had; that is found out
+                once.
+            SystemFault: the packages can't be installed right now.
+        """
+        program = _program(entry)
+        if program.command is not None:
+            _check_command(entry, program)
+            return Environment(entry.folder, self.digest(entry))
+        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        requirements = entry.folder / program.requirements
+        path = self._folder / _key(python, requirements)
+        if not (path / _MARKER).exists():
+            with lock(_lock_of(path)) as held:
+                # Looked at again under the lock: another slamhive may have made it while this one waited.
+                if not (path / _MARKER).exists():
+                    self._make(entry.name, path, python, requirements, held)
+        environment = Environment(path, self.digest(entry))
+        if (entry.name, path) not in self._usable:
+            _check_libraries(entry, program, environment.python)
+            self._usable.add((entry.name, path))
+        return environment
+
+    def folder_of(self, entry: AlgorithmEntry) -> Path | None:
+        """Return the folder of an algorithm's environment, made or not; None where it has none.
+
+        Raises:
+            Unavailable: this machine can't run the algorithm, or a file of it can't be read.
+        """
+        if entry.algorithm.spec.local is None or entry.algorithm.spec.local.command is not None:
+            return None
+        program = _program(entry)
+        python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        return self._folder / _key(python, entry.folder / program.requirements)
+
+    def _make(self, name: str, path: Path, python: Interpreter, requirements: Path, held: int | None) -> None:
+        if path in self._impossible:
+            raise Unavailable(self._impossible[path])
+        self._notify(f"making the environment of {name} (once)")
+        shutil.rmtree(path, ignore_errors=True)
+        try:
+            with _Made(name, requirements, self._making) as made:
+                self._fill(name, path, python, requirements, held, made)
+        except Unavailable as error:
+            self._impossible[path] = str(error)
+            raise
+        finally:
+            if not (path / _MARKER).exists():
+                shutil.rmtree(path, ignore_errors=True)  # half of one is of no use, and may fill the disk
+
+    @staticmethod
+    def _fill(  # noqa: PLR0917 - what is told comes last
+        name: str, path: Path, python: Interpreter, requirements: Path, held: int | None, made: _Made
+    ) -> None:
+        seeing = ["--system-site-packages"] if python.beside else []
+        needed = _anything_in(requirements)
+        # pip alone takes seconds to be installed, and nobody needs it where there is nothing to install.
+        make = [python.path, "-m", "venv", *seeing, *([] if needed else ["--without-pip"]), str(path)]
+        run_command(make, f"environment of {name}", requirements.parent, held)
+        if needed:
+            Environments._install(name, path, requirements, held, made)
+        (path / _MARKER).touch()
+
+    @staticmethod
+    def _install(name: str, path: Path, requirements: Path, held: int | None, made: _Made) -> None:
+        pip = [str(path / "bin" / "python"), "-m", "pip", "--no-input", "--disable-pip-version-check"]
+        # Wheels alone: a source package runs a program of its own to install itself.
+        install = [*pip, "install", "--progress-bar", "off", "--only-binary", ":all:"]
+        wanted = ["-r", str(requirements)]
+        run_command([*install, *wanted], f"packages of {name}", requirements.parent, held, made.tell)
+
+
+def is_whole(path: Path) -> bool:
+    """Tell whether an environment was made to its end."""
+    return (path / _MARKER).exists()
+
+
+def remove_environment(path: Path) -> bool:
+    """Remove an environment unless it is being made, and tell whether it was; nobody may be running in it."""
+    with lock(_lock_of(path), wait=False) as held:
+        if held is None:
+            return False
+        (path / _MARKER).unlink(missing_ok=True)  # first: half of one is not to be used
+        shutil.rmtree(path)
+    return True
+
+
+def _lock_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.lock")
+
+
+def _key(python: Interpreter, requirements: Path) -> str:
+    parts = [python.path, str(python.version), _sha256(requirements), *python.beside]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
+def availability(entry: AlgorithmEntry) -> str | None:
+    """Say why an algorithm can't run on this machine, as far as that shows without installing it."""
+    try:
+        program = _program(entry)
+        interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
+        if program.command is not None:
+            _check_command(entry, program)
+    except Unavailable as error:
+        return str(error)
+    return None
+
+
+def _program(entry: AlgorithmEntry) -> LocalProgram:
+    program = entry.algorithm.spec.local
+    if program is None:
+        raise Unavailable("has a container image only; a workstation runs algorithms with spec.local")
+    return program
+
+
+def digest_of(parts: Iterable[Part]) -> str:
+    """Return the digest of a program by its parts, whose names don't count."""
+    return hashlib.sha256("\n".join(part.value for part in parts).encode()).hexdigest()
+
+
+def source_files(entry: AlgorithmEntry) -> list[Path]:
+    """Return the files that an algorithm's program on a workstation is made of; one may stand twice.
+
+    The order is that of the digest.
+    """
+    program = _program(entry)
+    assets = [entry.folder / asset.path for asset in entry.algorithm.spec.assets if asset.path]
+    if program.command is not None:
+        paths = [word for word in program.command[1:] if re.match(RELATIVE_PATH, word)]
+        given = [entry.folder / path for path in paths if (entry.folder / path).is_file()]
+        return [entry.folder / program.command[0], *given, *assets]
+    files = [entry.folder / name for name in (program.requirements, program.adapter)]
+    # What the adapter may import: its own folder, and the helpers that adapters share.
+    files += sorted(entry.folder.glob("*.py"))
+    for folder in dict.fromkeys((entry.folder.parent, bundled("algorithms"))):
+        for pattern in ("adapter_*.py", "*_support.py"):
+            files += sorted(folder.glob(pattern))
+    return files + assets
+
+
+def _parts_of_command(entry: AlgorithmEntry) -> list[Part]:
+    """Return the parts of a program that needs no Python: it, and files beside it that it is given."""
+    ros = find_ros() if entry.algorithm.spec.ros1 is not None else None
+    parts = [Part("its kind", "command"), Part("machine", platform.machine())]
+    parts += [Part("ROS", f"ros1 {ros.release}")] if ros else []
+    return parts + [Part(path.name, _sha256(path)) for path in source_files(entry)]
+
+
+def _check_command(entry: AlgorithmEntry, program: LocalProgram) -> None:
+    path = entry.folder / (program.command or [""])[0]
+    if not path.is_file():
+        raise Unavailable(f"{path} is not there: build it first")
+    if not os.access(path, os.X_OK):
+        raise Unavailable(f"{path} is no program: chmod +x makes it one")
+    _check_libraries(entry, program, Path(sys.executable))
+
+
+def _check_libraries(entry: AlgorithmEntry, program: LocalProgram, python: Path) -> None:
+    if not program.libraries:
+        return
+    code = (
+        "import ctypes, sys\n"
+        "for name in sys.argv[1:]:\n"
+        "    try: ctypes.CDLL(name)\n"
+        "    except OSError: print(name)\n"
+    )
+    result = subprocess.run(
+        [str(python), "-I", "-c", code, *program.libraries],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    missing = result.stdout.split()
+    if missing:
+        packages = " ".join(program.system_packages)
+        raise Unavailable(f"{entry.name} needs {', '.join(missing)}: apt-get install {packages}")
+
+
+class _Made:
+    """Progress of making an environment, shown to those who wait for it; a context manager.
+
+    Args:
+        name: of the algorithm.
+        requirements: its packages.
+        making: gets it in words, and the share of it that is done.
+    """
+
+    def __init__(self, name: str, requirements: Path, making: dict[str, float]) -> None:
+        self._what = self._said = f"making the environment of {name}"
+        self._pip = PipSteps(requirements)
+        self._making = making
+
+    def __enter__(self) -> Self:
+        self._making[self._said] = 0.0
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._making.pop(self._said, None)
+
+    def tell(self, line: str) -> None:
+        """Take a line that pip printed."""
+        step = self._pip.step(line)
+        if step is not None:
+            self._making.pop(self._said, None)
+            self._said = f"{self._what}: {step.what}"
+            self._making[self._said] = step.share
+
+
+def _anything_in(requirements: Path) -> bool:
+    """Tell whether a file of requirements has more than comments."""
+    # As bytes: pip reads encodings that we need not know.
+    lines = (line.strip() for line in requirements.read_bytes().splitlines())
+    return any(line and not line.startswith(b"#") for line in lines)
+
+
+def _sha256(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise Unavailable(f"{path}: {error.strerror}") from None

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Container images of this machine: their names, what is in them, and pulling one."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+from slamhive import __version__
+from slamhive.local.programs.unavailable import ImageMissing
+from slamhive.monitor.programs.engine import EngineError
+
+if TYPE_CHECKING:
+    from slamhive.local.programs.engines import Engine
+
+OF_THIS_MACHINE = "localhost/"
+"""Beginning of the names of images that no registry has."""
+_UNKNOWN_IMAGE = re.compile(r"no such image|image not known|not known|not found", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image that the engine has.
+
+    Attributes:
+        identity: digest of its configuration, which names its content: ``sha256:…``.
+        program: the words of its own program.
+    """
+
+    identity: str
+    program: tuple[str, ...]
+
+
+@cache
+def images_of_this_machine(engine: Engine) -> frozenset[str]:
+    """Return the names of images that no registry has; asked once a program."""
+    try:
+        listed = engine.call("images", "--format", "{{.Repository}}:{{.Tag}}")
+    except EngineError:
+        return frozenset()
+    return frozenset(name for name in listed.split() if name.startswith(OF_THIS_MACHINE))
+
+
+def player_image() -> str:
+    """Return the image that plays recordings to ROS 1 nodes; $SLAMHIVE_PLAYER_IMAGE names another."""
+    return os.environ.get("SLAMHIVE_PLAYER_IMAGE") or f"slamhive/ros1-player:{__version__}"
+
+
+def pull(engine: Engine, name: str) -> None:
+    """Pull an image, with the engine's own progress on a terminal and quietly without one.
+
+    Raises:
+        EngineError: it can't be had.
+    """
+    if not sys.stderr.isatty():
+        engine.follow("pull", name, tell=lambda _line: None)
+        return
+    # Both draw their progress on a terminal alone: podman on standard error, docker on standard output.
+    quiet = subprocess.DEVNULL if engine.is_podman else sys.stderr
+    done = subprocess.run(
+        [*engine.command, "pull", name], stdin=subprocess.DEVNULL, stdout=quiet, check=False
+    )
+    if done.returncode != 0:
+        raise EngineError(f"{engine.name} pull {name} failed; what it said stands above")
+
+
+def qualified(name: str) -> str:
+    """Return an image's name with the registry that a cluster would take.
+
+    >>> qualified("slamhive/kiss-icp:1.3.0"), qualified("debian:12")
+    ('docker.io/slamhive/kiss-icp:1.3.0', 'docker.io/library/debian:12')
+    >>> qualified("localhost/a"), qualified("lab:5000/a")
+    ('localhost/a', 'lab:5000/a')
+    """
+    first, slash, _ = name.partition("/")
+    # A first part without a dot, a colon or the name localhost is a folder of Docker Hub, not a registry.
+    if slash and ("." in first or ":" in first or first == "localhost"):
+        return name
+    return f"docker.io/{name}" if slash else f"docker.io/library/{name}"
+
+
+def inspect(engine: Engine, name: str) -> Image | None:
+    """Return an engine's image of a name, None where it has none.
+
+    Raises:
+        ImageMissing: it doesn't say.
+    """
+    try:
+        (told,) = json.loads(engine.call("image", "inspect", name))
+        configuration = told.get("Config") or {}
+        words = [*(configuration.get("Entrypoint") or ()), *(configuration.get("Cmd") or ())]
+        identity = str(told["Id"]).removeprefix("sha256:")
+    except EngineError as error:
+        # Engines have no exit code of their own for this, and their words differ by version.
+        if _UNKNOWN_IMAGE.search(str(error)):
+            return None
+        raise ImageMissing(f"image {name!r}: {error}") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise ImageMissing(f"image {name!r}: {engine.name} doesn't say what it is") from None
+    return Image(f"sha256:{identity}", tuple(map(str, words)))

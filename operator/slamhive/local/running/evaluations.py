@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measuring finished runs again: what an Evaluation asks for."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING, NamedTuple
+
+from slamhive.analysis.measuring import SETTINGS_KEY, intended_evaluations, settings_hash
+from slamhive.local.home.removed import absence
+from slamhive.local.running.evaluating import Evaluator
+from slamhive.model.errors import SlamHiveError, SystemFault, sentence
+from slamhive.model.results import NOT_EVALUATED, Phase, RunRecord
+from slamhive.model.sensors import SensorMode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from slamhive.archive import Archive
+    from slamhive.local.running.workbench import Workbench
+    from slamhive.model.evaluation import Evaluation, EvaluationSettings, RunSelector
+
+
+class Unmeasured(NamedTuple):
+    """A run that could not be measured.
+
+    Attributes:
+        sentence: which, and why.
+        is_fault: whether the machine or a file is to blame: it would be measured but for that.
+    """
+
+    sentence: str
+    is_fault: bool = False
+
+    def of(self, run: str) -> Unmeasured:
+        """Return the same with the name of the run."""
+        return self._replace(sentence=f"{run}: {self.sentence}")
+
+
+def evaluate_again(bench: Workbench, evaluation: Evaluation) -> tuple[int, list[Unmeasured]]:
+    """Measure the runs that an Evaluation selects, and keep the results under its name.
+
+    Returns:
+        How many were measured, and what could not be.
+    """
+    done, problems = 0, []
+    for record in list(select(bench.archive, evaluation.spec.runs)):
+        # Noted first: a run that can't be measured then counts as failed in this Evaluation.
+        _intend(bench, record, evaluation.spec, evaluation.name)
+        problem = measure_record(bench, record, evaluation.spec, evaluation.name)
+        if problem is None:
+            done += 1
+        else:
+            problems.append(problem.of(record.name))
+    if not done and not problems:
+        problems.append(Unmeasured("no finished run is selected"))
+    return done, problems
+
+
+def bring_up_to_date(bench: Workbench, sweep_uid: str, settings: EvaluationSettings) -> list[Unmeasured]:
+    """Measure a sweep's finished runs whose results were made with other settings than these.
+
+    Returns:
+        The runs that could not be measured.
+    """
+    wanted = settings_hash(settings)
+    problems = []
+    for record in list(bench.archive.runs({"sweep_uid": sweep_uid})):
+        current = any(result.values.get(SETTINGS_KEY) == wanted for result in record.results)
+        if not current and record.spec.get("evaluate", True):
+            _intend(bench, record, settings)
+        if record.phase is not Phase.SUCCEEDED or current or not record.spec.get("evaluate", True):
+            continue
+        if not record.folder:
+            continue
+        problem = measure_record(bench, record, settings)
+        if problem is not None:
+            problems.append(problem.of(record.name))
+    return problems
+
+
+def measure_record(
+    bench: Workbench, record: RunRecord, settings: EvaluationSettings, name: str | None = None
+) -> Unmeasured | None:
+    """Measure a finished run and keep the result.
+
+    Returns:
+        Why it could not be, or None.
+    """
+    if record.phase is not Phase.SUCCEEDED:
+        return Unmeasured(f"{record.phase}, it has no trajectory")
+    path = Evaluator(bench).trajectory_of(record)
+    if path is None:
+        gone = absence(bench.home.path, record.folder)
+        return Unmeasured(gone or "its trajectory is not on this machine any more")
+    dataset, known = record.spec["datasetRef"]["name"], record.provenance.dataset_sha256
+    try:
+        # Measured against a ground truth of later, an old trajectory would get errors that it doesn't have.
+        if known is not None and known != bench.checksum(dataset):
+            return Unmeasured(f"dataset {dataset!r} has changed since this run was made")
+        result = Evaluator(bench).measure_file(path, record.spec, settings, name=name)
+    except (SlamHiveError, OSError) as error:
+        return Unmeasured(sentence(error), is_fault=isinstance(error, SystemFault | OSError))
+    if result is None:
+        return Unmeasured("its dataset has no ground truth")
+    said, why, _ = (record.message or "").partition(NOT_EVALUATED)
+    if why:  # it is now
+        message = said.removesuffix("; ") or None
+        bench.archive.put_run(record.replace(message=message, results=[result]))
+    else:
+        bench.archive.put_result(record.uid, result)
+    return None
+
+
+def _intend(
+    bench: Workbench, record: RunRecord, settings: EvaluationSettings, name: str | None = None
+) -> None:
+    """Note an intended evaluation at a run: if the run failed, it counts as failed there."""
+    dataset = None
+    with suppress(SlamHiveError):
+        dataset = bench.workshop.dataset(record.spec["datasetRef"]["name"]).dataset.spec
+    found = intended_evaluations(settings, SensorMode(record.spec["sensors"]), dataset, name)
+    if not set(found) <= set(record.evaluations):
+        bench.archive.put_evaluations(record.uid, found)
+
+
+def select(archive: Archive, selector: RunSelector) -> Iterator[RunRecord]:
+    """Return the finished runs that a selector names; several conditions must all hold.
+
+    Of a sweep, those of its current version are meant.
+    """
+    where: dict[str, str] = {}
+    name = selector.sweep_ref.name if selector.sweep_ref else None
+    if name is not None:
+        sweep = archive.sweep(name)
+        where = {"sweep_uid": sweep.uid} if sweep else {"sweep": name}
+    for record in archive.runs(where):
+        if selector.selects(record.name, record.sweep, record.labels):
+            yield record

@@ -1,0 +1,483 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Running sweeps on this machine: the window of runs in flight, and what is kept of them.
+
+Several runners may be at work in one home. A run that another one is at, or whose equal another one computes,
+is left to it and looked at again when it is done; the window is filled with other runs meanwhile.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Protocol
+
+from slamhive.archive import CatalogEntry, SweepRecord
+from slamhive.engine import PointState, StartPoints, StopPoints, SweepObserved, Verdict, decide_sweep
+from slamhive.local.home.changes import set_aside
+from slamhive.local.home.claims import Claims
+from slamhive.local.home.leases import LeaseKind
+from slamhive.local.programs.cores import CorePool
+from slamhive.local.running.attempt import end_left_behind
+from slamhive.local.running.choosing import Wish, first_of, twins_among
+from slamhive.local.running.execution import AtWorkElsewhere, RunDriver, RunOrder, Step
+from slamhive.local.running.outlook import Looking, Outlook, Standing
+from slamhive.local.running.workbench import GivenUp, Workbench
+from slamhive.model.results import Phase, RunRecord
+from slamhive.model.sweep import CachePolicy
+from slamhive.monitor import sweep_stale_cgroups
+from slamhive.plan import whole_cores
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from slamhive.engine import SweepDecision
+    from slamhive.local.running.costs import Combinations
+    from slamhive.local.running.execution import Point
+    from slamhive.model.sweep import Sweep
+
+_LOOK_SECONDS = 0.25
+_EVERYTHING = Wish()
+
+
+def run_uid(sweep_uid: str, index: int) -> str:
+    """Return the identity of a run of a sweep on a workstation."""
+    return f"{sweep_uid[:16]}-{index}"
+
+
+@dataclass
+class Job:
+    """A sweep on its way.
+
+    Attributes:
+        sweep: what was asked for.
+        uid: its identity.
+        points: its runs.
+        states: state of each point.
+        reused: points that took an equal run's result.
+        kept: points that were finished before.
+        afresh: points that failed before and are done again.
+        outlook: how its points stood before anything was done; None until that is known.
+        asked: points that are asked for; None for all.
+        again: finished points that are done again as someone asked for it.
+        left_out: number of pending points that nobody asks for this time.
+        twins: points that come out as another one does, with its index.
+        elsewhere: points that another runner is at, or an equal of which it computes, with what it holds.
+        done_elsewhere: number of points that another runner has finished meanwhile.
+        cores_elsewhere: number of cores that other runners have while some are waited for here.
+        cpu_seconds: CPU time of the runs finished now and before.
+        verdict: where it stands.
+        message: why.
+    """
+
+    sweep: Sweep
+    uid: str
+    points: Combinations
+    states: bytearray = field(default_factory=bytearray)
+    order: Sequence[int] = ()
+    reused: int = 0
+    kept: int = 0
+    afresh: set[int] = field(default_factory=set)
+    cursor: int = 0
+    cpu_seconds: float = 0.0
+    started_at: float | None = None
+    verdict: Verdict = Verdict.RUNNING
+    message: str = ""
+    outlook: Outlook | None = None
+    asked: set[int] | None = None
+    again: set[int] = field(default_factory=set)
+    left_out: int = 0
+    twins: Mapping[int, int] = field(default_factory=dict)
+    at_a_time: int = 1
+    elsewhere: dict[int, tuple[LeaseKind, str]] = field(default_factory=dict)
+    done_elsewhere: int = 0
+    cores_elsewhere: int = 0
+
+    def __post_init__(self) -> None:
+        self.states = bytearray(len(self.points))
+        self.order = self.points.start_order(look_first=True)
+        self.twins = self.points.twins
+
+    def run_uid(self, index: int) -> str:
+        """Return the identity of a point's run."""
+        return run_uid(self.uid, index)
+
+    def twin(self, index: int) -> str | None:
+        """Return the identity of the run whose result a point's run takes, as it asks for the same."""
+        twin = self.twins.get(index)
+        return None if twin is None else self.run_uid(twin)
+
+    def make_pending(self, index: int) -> None:
+        """Have a point begin again that has begun."""
+        self.states[index] = PointState.PENDING
+        self.cursor = 0
+
+    def count(self, state: PointState) -> int:
+        """Return the number of points in a state."""
+        return self.states.count(state)
+
+
+class Watcher(Protocol):
+    """Is told what happens, to show it."""
+
+    def phase(self, job: Job, index: int, phase: Phase) -> None:
+        """A run has entered a phase."""
+
+    def step(self, job: Job, index: int, step: Step) -> None:
+        """A run has come to a step."""
+
+    def finished(self, job: Job, record: RunRecord) -> None:
+        """A run is finished and kept."""
+
+    def tick(self, jobs: Sequence[Job]) -> None:
+        """Some time has passed."""
+
+
+@dataclass(frozen=True)
+class _Ended:
+    job: Job
+    index: int
+    record: RunRecord | None
+    error: BaseException | None = None
+    elsewhere: str | None = None
+
+
+class Runner:
+    """Drives jobs with as many runs at a time as the machine's cores allow.
+
+    Args:
+        bench: what runs share.
+        watcher: told what happens.
+        parallelism: runs at the same time at most; default: as many as fit.
+        wish: how much of what is asked for is done.
+        begun: called with each job when it is known how its points stand and which are done.
+    """
+
+    def __init__(
+        self,
+        bench: Workbench,
+        watcher: Watcher,
+        *,
+        parallelism: int | None = None,
+        wish: Wish = _EVERYTHING,
+        begun: Callable[[Job], None] = lambda _: None,
+    ) -> None:
+        self._bench = bench
+        self._watcher = watcher
+        self._wish = wish
+        self._begun = begun
+        self._cores = CorePool(bench.home.leases)
+        self._claims = Claims(bench.home.leases)
+        self._parallelism = parallelism or self._cores.size
+        self._drivers: dict[tuple[str, int], RunDriver] = {}
+        self._threads: list[threading.Thread] = []
+        self._events: queue.SimpleQueue[_Ended] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._interrupted = False
+        self._stopped: set[str] = set()
+        self._looking = Looking(bench, making=True)
+
+    def run(self, jobs: Sequence[Job]) -> bool:
+        """Bring jobs to their end, one after another.
+
+        Returns:
+            Whether it was interrupted.
+        """
+        # First of all: what a killed slamhive left running would disturb what is measured now.
+        claims = self._claims
+        self._bench.home.leases.tidy()
+        end_left_behind(self._bench.home.path / "runs", claims.is_at_work)
+        sweep_stale_cgroups()
+        self._bench.programs.containers.remove_left_behind(claims.runs_at_work())
+        self._bench.tidy()
+        try:
+            for job in jobs:
+                self._resume(job, self._looking)
+                self._begun(job)
+            for job in jobs:
+                if not self._interrupted:
+                    self._run(job, jobs)
+        except GivenUp:
+            pass  # a dataset that was made to know what is stale
+        finally:
+            claims.give_back_all()
+        return self._interrupted
+
+    def interrupt(self, *, making: bool = True) -> None:
+        """Start nothing more and end what runs; safe to call from a signal handler.
+
+        Args:
+            making: whether datasets and recordings that are being made are given up too.
+        """
+        self._interrupted = True
+        self._bench.gives_up = making
+
+    def _resume(self, job: Job, looking: Looking) -> None:
+        """Mark the points that are done; from now on this is the current version of the sweep."""
+        archive, sweep, wish = self._bench.archive, job.sweep, self._wish
+        job.at_a_time = min(self._parallelism, sweep.spec.parallelism or self._parallelism)
+        archive.put_sweep(
+            SweepRecord(
+                uid=job.uid,
+                name=sweep.name,
+                spec=sweep.spec.as_json(),
+                created=datetime.now(UTC),
+                evaluation=sweep.spec.evaluation.as_json(),
+            )
+        )
+        job.outlook = looking.look(sweep.name, job.uid, job.points, job.run_uid)
+        if wish.rerun:
+            job.again |= set(job.outlook.finished)
+        for index, standing in enumerate(job.outlook.standing):
+            # A finished run of a changed adapter, environment or dataset is another experiment: it is done
+            # again, and kept aside when that begins.
+            if index in job.again and (job.asked is None or index in job.asked):
+                continue
+            if standing == Standing.DONE:
+                job.states[index] = PointState.SUCCEEDED
+            elif standing == Standing.FAILED and not wish.retry_failed:
+                job.states[index] = PointState.FAILED
+            elif standing in {Standing.FAILED, Standing.FAULT}:
+                job.afresh.add(index)
+        self._choose(job)
+        job.kept = job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
+        job.cpu_seconds = archive.cpu_seconds(job.uid)
+
+    def _choose(self, job: Job) -> None:
+        """Leave out what nobody asks for this time."""
+        pending = {index for index, state in enumerate(job.states) if state == PointState.PENDING}
+        chosen = pending if job.asked is None else pending & job.asked
+        if self._wish.first is not None and job.outlook is not None:
+            chosen = first_of(job.order, job.outlook, chosen, self._wish.first)
+        if len(chosen) == len(pending):
+            return
+        job.left_out = len(pending) - len(chosen)
+        job.order = [index for index in job.order if index in chosen]
+        job.again &= chosen
+        job.twins = twins_among(job.points.twins, chosen, set(range(len(job.states))) - pending)
+
+    def _run(self, job: Job, jobs: Sequence[Job]) -> None:
+        try:
+            self._lead(job, jobs)
+        except BaseException:
+            self._stop(job)
+            raise
+        for thread in self._threads:
+            thread.join()
+        self._threads.clear()
+
+    def _lead(self, job: Job, jobs: Sequence[Job]) -> None:
+        job.started_at = time.monotonic()
+        while True:
+            decision = self._decide(job)
+            job.cursor = decision.cursor
+            job.verdict, job.message = decision.verdict, decision.message
+            if decision.verdict.is_final or self._interrupted:
+                if job.uid not in self._stopped:
+                    self._stop(job)
+                self._look_for(job, list(job.elsewhere))
+                if not job.count(PointState.ACTIVE):
+                    break
+            else:
+                # What another runner has done or is at leaves room for others at once.
+                passed = [action for action in decision.actions if not self._act(job, action)]
+                if passed:
+                    continue
+                if decision.verdict is Verdict.SUSPENDED and not job.count(PointState.ACTIVE):
+                    break
+            self._wait(jobs)
+
+    def _decide(self, job: Job) -> SweepDecision:
+        seen = SweepObserved(
+            states=job.states,
+            order=job.order,
+            # Runs that are at another runner count as active, and take none of our places.
+            parallelism=job.at_a_time + len(job.elsewhere),
+            started_at=job.started_at,
+            cpu_seconds=job.cpu_seconds,
+            cursor=job.cursor,
+            twins=job.twins,
+            left_out=job.left_out,
+        )
+        return decide_sweep(job.sweep.spec, seen, time.monotonic())
+
+    def _act(self, job: Job, action: StartPoints | StopPoints) -> bool:
+        """Do what was decided, and tell whether it was all to be done here."""
+        if isinstance(action, StopPoints):
+            self._stop(job)
+            return True
+        ours = [index for index in action.indices if self._is_ours(job, index)]
+        for index in ours:
+            job.states[index] = PointState.ACTIVE
+            # A daemon: a second Ctrl-C shall not wait for a preparation to end.
+            thread = threading.Thread(target=self._drive, args=(job, index), name=f"run-{index}", daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        return len(ours) == len(action.indices)
+
+    def _is_ours(self, job: Job, index: int) -> bool:
+        """Tell whether a point is to be run here: no other runner is at it, nor has done it meanwhile."""
+        uid, point = job.run_uid(index), job.points.point(index)
+        if not self._claims.run((job.uid, index), uid, f"{job.sweep.name}/{point.name}"):
+            job.states[index] = PointState.ACTIVE
+            job.elsewhere[index] = (LeaseKind.RUNS, uid)
+            return False
+        # Looked up only when it is claimed: before that, another runner may finish it at any moment.
+        state = self._done_meanwhile(job, index, uid)
+        if state is None:
+            return True
+        self._claims.give_back((job.uid, index))
+        job.states[index] = state
+        job.done_elsewhere += 1
+        return False
+
+    def _done_meanwhile(self, job: Job, index: int, uid: str) -> PointState | None:
+        """Return the state of a point that another runner finished since the job began, if it did."""
+        record = self._bench.archive.get(uid)
+        seen = job.outlook.seen if job.outlook is not None else {}
+        if record is None or not record.phase.is_finished or (uid in seen and seen[uid] == record.finished):
+            return None
+        if record.provenance.content_hash != self._looking.content(job.points.point(index)):
+            if job.outlook is not None:  # another one of its adapter or dataset, which stays beside ours
+                job.outlook.aside.add(index)
+            return None
+        if record.phase is Phase.SUCCEEDED:
+            job.cpu_seconds += _computed_seconds(record)
+            return PointState.SUCCEEDED
+        if record.reason is not None and record.reason.is_infrastructure:
+            job.afresh.add(index)
+            return None
+        return PointState.FAILED
+
+    @staticmethod
+    def _look_for(job: Job, indices: Iterable[int]) -> None:
+        """Have points looked at again that were another runner's."""
+        for index in indices:
+            del job.elsewhere[index]
+            job.make_pending(index)
+
+    def _stop(self, job: Job) -> None:
+        """End the job's runs, and let none begin that still waits for cores; a second time: at once."""
+        with self._lock:
+            self._stopped.add(job.uid)
+            drivers = [driver for (uid, _), driver in self._drivers.items() if uid == job.uid]
+        for driver in drivers:
+            driver.cancel()
+
+    def _drive(self, job: Job, index: int) -> None:
+        try:
+            point = job.points.point(index)
+            self._watcher.step(job, index, Step.CORES)
+            wanted = whole_cores(point.spec["resources"]["cpu"])
+            cores = self._cores.take(wanted, lambda: job.uid in self._stopped)
+            if cores is None:
+                self._events.put(_Ended(job, index, None))
+                return
+            try:
+                record = self._one(job, index, point, cores)
+            finally:
+                self._cores.give_back(cores)
+            self._events.put(_Ended(job, index, record))
+        except AtWorkElsewhere as found:
+            self._events.put(_Ended(job, index, None, elsewhere=found.content))
+        except GivenUp:
+            self._events.put(_Ended(job, index, None))
+        except BaseException as error:  # noqa: BLE001 - a thread's error is raised again by the runner
+            self._events.put(_Ended(job, index, None, error))
+
+    def _one(self, job: Job, index: int, point: Point, cores: list[tuple[int, ...]]) -> RunRecord | None:
+        order = RunOrder(
+            uid=job.run_uid(index),
+            point=point,
+            sweep=job.sweep.name,
+            sweep_uid=job.uid,
+            labels=dict(job.sweep.spec.template.metadata.labels),
+            settings=job.sweep.spec.evaluation,
+            reuse=not self._redo(job, index) and job.sweep.spec.cache_policy is CachePolicy.REUSE,
+            take_up=not self._redo(job, index) and index not in job.afresh,
+            twin=job.twin(index),
+            holding=self._cores.descriptors(cores),
+        )
+        cpus = tuple(cpu for core in cores for cpu in core)
+        driver = RunDriver(
+            order,
+            self._bench,
+            cpus,
+            lambda phase: self._watcher.phase(job, index, phase),
+            lambda step: self._watcher.step(job, index, step),
+            claim=lambda content: self._claims.content((job.uid, index), content),
+        )
+        with self._lock:
+            # A run that waited for cores while its job was stopped must not begin any more.
+            if job.uid in self._stopped:
+                return None
+            self._drivers[job.uid, index] = driver
+        if job.outlook is not None and index in job.outlook.aside:
+            set_aside(self._bench.archive, order.uid)
+        try:
+            return driver.drive()
+        finally:
+            with self._lock:
+                del self._drivers[job.uid, index]
+
+    def _redo(self, job: Job, index: int) -> bool:
+        """Tell whether a point is done again whatever there is of it."""
+        return self._wish.rerun or index in job.again
+
+    def _wait(self, jobs: Sequence[Job]) -> None:
+        """Wait for a run to end, and keep it; look up now and then."""
+        try:
+            ended = self._events.get(timeout=_LOOK_SECONDS)
+        except queue.Empty:
+            for job in jobs:
+                free = [index for index, lease in job.elsewhere.items() if not self._claims.is_held(*lease)]
+                self._look_for(job, free)
+                job.cores_elsewhere = self._cores.elsewhere() if job.count(PointState.ACTIVE) else 0
+            self._watcher.tick(jobs)
+            return
+        if ended.error is not None:
+            raise ended.error
+        self._keep(ended)
+        self._threads = [thread for thread in self._threads if thread.is_alive()]
+        self._watcher.tick(jobs)
+
+    def _snapshots(self, record: RunRecord) -> tuple[CatalogEntry, CatalogEntry]:
+        workshop = self._bench.workshop
+        return (
+            CatalogEntry.of(workshop.algorithm(record.spec["algorithmRef"]["name"]).algorithm),
+            CatalogEntry.of(workshop.dataset(record.spec["datasetRef"]["name"]).dataset),
+        )
+
+    def _keep(self, ended: _Ended) -> None:
+        try:
+            self._put(ended)
+        finally:
+            # Only now: whoever waits for this run looks for it in the archive.
+            self._claims.give_back((ended.job.uid, ended.index))
+
+    def _put(self, ended: _Ended) -> None:
+        job, record = ended.job, ended.record
+        if ended.elsewhere is not None:
+            job.elsewhere[ended.index] = (LeaseKind.CONTENTS, ended.elsewhere)
+            return
+        # What was cancelled is no result: the next `slamhive run` does it again.
+        if record is None or record.phase is Phase.CANCELLED:
+            job.make_pending(ended.index)
+            return
+        # With the Algorithm and Dataset as they are now: it must stay known what ran when they have changed.
+        self._bench.archive.put_run(record, *self._snapshots(record))
+        good = record.phase is Phase.SUCCEEDED
+        job.states[ended.index] = PointState.SUCCEEDED if good else PointState.FAILED
+        if record.provenance.reused_from:
+            job.reused += 1
+        job.cpu_seconds += _computed_seconds(record)
+        self._watcher.finished(job, record)
+
+
+def _computed_seconds(record: RunRecord) -> float:
+    """Return the CPU time that a run took, nothing where it took over a result."""
+    if record.provenance.reused_from or record.usage is None:
+        return 0.0
+    return record.usage.cpu.seconds or 0.0

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files of a home's runs, and the ground truth of their datasets: for pages, figures and bridges."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slamhive.local.home.removed import absence, run_parts
+from slamhive.model.results import IMPORTED
+from slamhive.runfiles.artifacts import Place
+from slamhive.runfiles.ground_truth import Truths
+
+if TYPE_CHECKING:
+    from slamhive.model.results import RunRecord
+    from slamhive.runfiles.ground_truth import Truth
+
+_OF_IMPORTS = frozenset({"traj.txt", "profiling.csv", "config.yaml"})
+"""Files that may be read of a folder that was imported from elsewhere."""
+
+
+class HomeFiles:
+    """The run folders of a home, those that runs were imported from, and ground truth.
+
+    Args:
+        home: folder that holds the runs' folders; None for none.
+        ground_truth: folder of files named after datasets, looked into first.
+    """
+
+    def __init__(self, home: Path | None, ground_truth: Path | None = None) -> None:
+        self._home = home
+        self._truths = Truths(ground_truth, home)
+
+    def place(self, record: RunRecord) -> Place | None:
+        """Return the folder of a run in the home, or the one that it was imported from; None if not there."""
+        if not record.folder:
+            return None
+        folder = Path(record.folder)
+        if record.labels.get("source") == IMPORTED:
+            return Place(folder, allowed=_OF_IMPORTS) if folder.is_dir() else None
+        parts = run_parts(record.folder)
+        if self._home is None or parts is None or self.absence(record) is not None:
+            return None
+        runs = self._home / "runs"
+        return Place(runs, parts) if runs.joinpath(*parts).is_dir() else None
+
+    def absence(self, record: RunRecord) -> str | None:
+        """Return the reason that a run's files aren't here, if somebody removed them: part of a sentence."""
+        return absence(self._home, record.folder)
+
+    def truth(self, dataset: str, label: str | None) -> Truth | None:
+        """Return the ground truth of a dataset, also filed under its label, if it is at hand."""
+        return self._truths.find(dataset, label)
