@@ -37,7 +37,7 @@ async def measure(op: Operator) -> None:
     result[SETTINGS_KEY] = settings_hash(EvaluationSettings())
     while True:
         await asyncio.sleep(0.05)
-        for run in op.store.of(Kind.MAPPING_RUN, op.settings.namespaces[0]):
+        for run in op.cluster.store.of(Kind.MAPPING_RUN, op.cluster.settings.namespaces[0]):
             status = run["status"]
             if status.get("phase") != "Succeeded" or status.get("results"):
                 continue
@@ -46,7 +46,7 @@ async def measure(op: Operator) -> None:
                 "status": {"results": [result]},
             }
             with suppress(Conflict):
-                await op.patch(key_of(Kind.MAPPING_RUN, run), body, subresource="status")
+                await op.cluster.patch(key_of(Kind.MAPPING_RUN, run), body, subresource="status")
 
 
 async def test_commands_do_what_the_document_says(make_lab: Callable[..., Lab], desk: Desk) -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def pods_of_runs(op: Operator) -> list[dict[str, Any]]:
-    return op.store.select(Kind.POD, op.settings.namespaces[0], Label.ROLE, Role.RUN)
+    return op.cluster.store.select(Kind.POD, op.cluster.settings.namespaces[0], Label.ROLE, Role.RUN)
 
 
 async def test_cancelling_a_sweep_suspends_it_and_ends_its_runs(
@@ -72,7 +72,7 @@ async def test_deleting_takes_all_along(make_lab: Callable[..., Lab], desk: Desk
         said = await desk.types("cancel", "--delete", "study")
         assert "Sweep study: deleted, and with it its runs" in said.text
         kinds = (Kind.SWEEP, Kind.MAPPING_RUN, Kind.JOB, Kind.POD)
-        await until(lambda: not any(op.store.of(kind, lab.namespace) for kind in kinds), "all to go")
+        await until(lambda: not any(op.cluster.store.of(kind, lab.namespace) for kind in kinds), "all to go")
 
 
 def test_an_evaluation_can_only_be_deleted(lab: Lab, desk: Desk) -> None:

@@ -113,7 +113,9 @@ async def test_runs_of_the_clusters_archive_are_told(lab: Lab, desk: Desk) -> No
         async with lab.operator(archive) as op:
             lab.apply(sweep(sizes=5, retention={"runs": 2}))
             await status_of(op, Kind.SWEEP, "study", is_complete)
-            await until(lambda: len(op.store.of(Kind.MAPPING_RUN, lab.namespace)) == 2, "the surplus to go")
+            await until(
+                lambda: len(op.cluster.store.of(Kind.MAPPING_RUN, lab.namespace)) == 2, "the surplus to go"
+            )
             said = await desk.types("fetch", "study")
     assert "study: 2 runs" in said.text
     assert "3 more are in the cluster's own archive alone" in said.text
@@ -146,7 +148,7 @@ async def test_a_single_run_is_a_sweep_of_one(lab: Lab, desk: Desk) -> None:
         lab.apply(run(), sweep())
         await status_of(op, Kind.MAPPING_RUN, "one", lambda found: found.get("phase") == "Succeeded")
         await status_of(op, Kind.SWEEP, "study", is_complete)
-        member = op.store.select(Kind.MAPPING_RUN, lab.namespace, "slamhive.io/sweep", "study")[1]
+        member = op.cluster.store.select(Kind.MAPPING_RUN, lab.namespace, "slamhive.io/sweep", "study")[1]
     said = await desk.types("fetch", "one", member["metadata"]["name"])
     assert said.code == 0
     assert [record.name for record in records(desk, "one")] == ["one"]

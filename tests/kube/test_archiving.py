@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,6 +10,7 @@ from testcluster.kept import RUN, Cluster, catalogued, standing
 
 from slamhive.archive import Archive
 from slamhive.kube.api.kinds import Kind
+from slamhive.kube.loop import Loop
 from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.reconciling.archiving import at_its_end
 from slamhive.kube.reconciling.sweep_runs import Finished, Tally
@@ -43,10 +43,9 @@ async def test_what_another_operator_measured_and_removed_counts(tmp_path: Path,
     with Archive.open(f"sqlite:///{tmp_path / 'a.sqlite'}") as archive:
         if "never" not in known:
             archive.put_run(record_of(a_run(results=[RESULT]), attributes={}))
-        op: Any = SimpleNamespace(archive=None if known == "no archive" else archive)
         seen = a_run(results=[RESULT]) if known == "with its result" else a_run()
         tally = Tally()
-        tally.add(Finished.of(await at_its_end(op, seen)))
+        tally.add(Finished.of(await at_its_end(None if known == "no archive" else archive, seen)))
     measured = known in {"with its result", "without"}
     assert (tally.evaluated, [item.ate for item in tally.best]) == ((1, [0.25]) if measured else (0, []))
 
@@ -92,9 +91,8 @@ def switched(tmp_path: Path) -> Iterator[Switched]:
 
 @pytest.fixture
 async def cluster(switched: Switched) -> Cluster:
-    made = catalogued()
-    made.op.archive = switched  # type: ignore[assignment]
-    made.op.cluster = "cluster-1"
+    made = catalogued(archive=switched)  # type: ignore[arg-type]
+    made.seen.identity = "cluster-1"
     return made
 
 
@@ -122,7 +120,7 @@ async def go_on(cluster: Cluster, key: Any, looks: int, **left: Any) -> Any:
 def change(cluster: Cluster, run: Any, **status: Any) -> None:
     body = cluster.objects[run]
     cluster.objects[run] = cluster._made(body | {"status": body["status"] | status})
-    cluster.op.observe(Kind.MAPPING_RUN, "MODIFIED", cluster.objects[run])
+    cluster.seen.observe(Kind.MAPPING_RUN, "MODIFIED", cluster.objects[run])
 
 
 @pytest.mark.parametrize(
@@ -143,7 +141,7 @@ async def test_an_archive_that_is_away_stops_new_runs_before_they_fill_the_clust
     assert status["pending"] > POINTS // 2
     assert standing(status, "ArchiveUnavailable") == ("True", "NoAnswer", str(error))
     assert cluster.told["big", "ArchiveUnavailable"] == str(error)
-    assert cluster.op.queue.delayed == 1
+    assert cluster.seen.queue.delayed == 1
     switched.error = None
     status = await go_on(cluster, key, 60)
     assert standing(status, "ArchiveUnavailable")[0] == "False"
@@ -158,7 +156,7 @@ async def test_runs_that_end_faster_than_they_are_measured_stop_new_ones(
     cluster: Cluster, switched: Switched
 ) -> None:
     slow = EvaluationJobs(batch_size=1, parallel_jobs=1, delay_seconds=0)
-    cluster.op.settings = cluster.op.settings.replace(evaluation=slow)
+    cluster.seen.settings = cluster.seen.settings.replace(evaluation=slow)
     template = {"spec": RUN | {"evaluate": True}}
     spec = {"template": template, "repetitions": POINTS, "parallelism": WINDOW}
     key = cluster.apply(Kind.SWEEP, "big", spec | {"retention": {"runs": RETENTION}})
@@ -200,7 +198,7 @@ async def test_an_operator_that_comes_anew_to_an_absent_archive_starts_nothing(
     key = a_sweep(cluster)
     await go_on(cluster, key, 3)
     before = len(runs_of(cluster))
-    cluster.op._reconcilers = dict(reconcilers())
+    cluster.loop = Loop(cluster.seen, reconcilers(switched))  # type: ignore[arg-type]
     switched.error = SystemFault("archive db: connection refused")
     status = await go_on(cluster, key, 5)
     assert len(runs_of(cluster)) == before

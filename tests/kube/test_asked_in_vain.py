@@ -12,8 +12,8 @@ import pytest
 
 from slamhive.engine import AttemptState, VariantState
 from slamhive.kube.api.kinds import Key, Kind, key_of
+from slamhive.kube.cluster import Cluster
 from slamhive.kube.observing import Attempted
-from slamhive.kube.operator import Operator
 from slamhive.kube.reconciling.catalogue import Catalogue, parse
 from slamhive.kube.reconciling.reuse import Twins
 from slamhive.kube.reconciling.run import RunReconciler
@@ -104,8 +104,8 @@ class Clock:
 
 
 @pytest.fixture
-def op() -> Operator:
-    made = Operator(Kept(), SETTINGS, {}, clock=Clock())  # type: ignore[arg-type]
+def cluster() -> Cluster:
+    made = Cluster(Kept(), SETTINGS, Clock())  # type: ignore[arg-type]
     for kind, body in (
         (Kind.ALGORITHM, ALGORITHM),
         (Kind.DATASET, hall("slow", 10)),
@@ -116,10 +116,10 @@ def op() -> Operator:
 
 
 @pytest.fixture
-def apply(op: Operator) -> Callable[[Kind, dict[str, Any]], Key]:
+def apply(cluster: Cluster) -> Callable[[Kind, dict[str, Any]], Key]:
     def put(kind: Kind, body: dict[str, Any]) -> Key:
-        op.api.objects[key_of(kind, body)] = body  # type: ignore[attr-defined]
-        op.store.put(kind, body)
+        cluster.api.objects[key_of(kind, body)] = body  # type: ignore[attr-defined]
+        cluster.store.put(kind, body)
         return key_of(kind, body)
 
     return put
@@ -135,11 +135,11 @@ def a_run(rate: float, dataset: str = "slow") -> dict[str, Any]:
     return manifest("MappingRun", "one", **names, input={"frameRate": rate})
 
 
-async def test_a_run_that_asks_for_more_is_refused(op: Operator, apply: Callable[..., Key]) -> None:
+async def test_a_run_that_asks_for_more_is_refused(cluster: Cluster, apply: Callable[..., Key]) -> None:
     catalogue = Catalogue()
     key = apply(Kind.MAPPING_RUN, a_run(30))
-    await RunReconciler(catalogue, None, Twins(catalogue))(op, key)  # type: ignore[arg-type]
-    run = op.store.get(key)
+    await RunReconciler(catalogue, None, Twins(catalogue))(cluster, key)  # type: ignore[arg-type]
+    run = cluster.store.get(key)
     assert run is not None
     assert (run["status"]["phase"], run["status"]["reason"]) == ("Failed", "InvalidParameters")
     assert accepted(run) == ("False", "spec.input.frameRate: 30 Hz is asked, slow's lidar has 10 Hz")
@@ -155,40 +155,40 @@ def a_sweep(datasets: list[str], **more: Any) -> dict[str, Any]:
     )
 
 
-async def test_a_sweep_that_asks_in_vain_is_refused(op: Operator, apply: Callable[..., Key]) -> None:
+async def test_a_sweep_that_asks_in_vain_is_refused(cluster: Cluster, apply: Callable[..., Key]) -> None:
     key = apply(Kind.SWEEP, a_sweep(["slow"]))
-    await SweepReconciler(Catalogue())(op, key)
-    sweep = op.store.get(key)
+    await SweepReconciler(Catalogue())(cluster, key)
+    sweep = cluster.store.get(key)
     assert sweep is not None
     assert accepted(sweep) == (
         "False",
         "spec.matrix[1].values[1]: input.frameRate: 15 Hz is asked, slow's lidar has 10 Hz",
     )
-    assert not op.store.of(Kind.MAPPING_RUN, NAMESPACE)
+    assert not cluster.store.of(Kind.MAPPING_RUN, NAMESPACE)
 
 
-def by_point(op: Operator) -> dict[int, dict[str, Any]]:
-    runs = op.store.of(Kind.MAPPING_RUN, NAMESPACE)
+def by_point(cluster: Cluster) -> dict[int, dict[str, Any]]:
+    runs = cluster.store.of(Kind.MAPPING_RUN, NAMESPACE)
     return {int(run["metadata"]["labels"]["slamhive.io/point"]): run for run in runs}
 
 
 async def test_a_sweep_over_several_recordings_runs_what_comes_out_equal_once(
-    op: Operator, apply: Callable[..., Key]
+    cluster: Cluster, apply: Callable[..., Key]
 ) -> None:
     reconcile = SweepReconciler(Catalogue())
     key = apply(Kind.SWEEP, a_sweep(["slow", "fast"], parallelism=4))
-    await reconcile(op, key)
-    runs = by_point(op)
+    await reconcile(cluster, key)
+    runs = by_point(cluster)
     assert sorted(runs) == [0, 2, 3]
     newer = runs[0]["metadata"] | {"resourceVersion": "90"}
     apply(Kind.MAPPING_RUN, runs[0] | {"metadata": newer, "status": {"phase": "Succeeded"}})
-    await reconcile(op, key)
-    runs = by_point(op)
+    await reconcile(cluster, key)
+    runs = by_point(cluster)
     assert [runs[index]["spec"]["input"]["frameRate"] for index in range(4)] == [10, 10, 10, 15]
     annotations = {index: run["metadata"]["annotations"] for index, run in runs.items()}
     own = {"slamhive.io/asked": '{"frameRate": 15}', "slamhive.io/same-as": runs[0]["metadata"]["name"]}
     assert annotations == {0: {}, 1: own, 2: {}, 3: {}}
-    sweep = op.store.get(key)
+    sweep = cluster.store.get(key)
     assert sweep is not None
     standing, message = accepted(sweep)
     assert standing == "True"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.kube import handlers
+from slamhive.kube import cluster, handlers
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.kinds import Key, Kind, Label, key_of, reference
 from slamhive.kube.operator import Operator
@@ -39,11 +39,11 @@ async def test_what_kubectl_does_enters_the_store(api: Api, crds: Cluster, names
     )
     seen: list[Key] = []
 
-    async def look(op: Operator, key: Key) -> float | None:
+    async def look(_: object, key: Key) -> float | None:
         seen.append(key)
         return None
 
-    op = Operator(api, settings, {Kind.MAPPING_RUN: look})
+    op = Operator(cluster.Cluster(api, settings), {Kind.MAPPING_RUN: look})
     run = await api.create(
         Kind.MAPPING_RUN, {"metadata": {"name": "a", "namespace": namespace}, "spec": SPEC}
     )
@@ -52,10 +52,12 @@ async def test_what_kubectl_does_enters_the_store(api: Api, crds: Cluster, names
     try:
         await op.start()
         await until(lambda: seen == [key])
-        job = await op.create(Kind.JOB, suspended_job(run))
-        assert [kind for kind, _ in op.store.owned(run["metadata"]["uid"])] == [Kind.JOB]
+        job = await op.cluster.create(Kind.JOB, suspended_job(run))
+        assert [kind for kind, _ in op.cluster.store.owned(run["metadata"]["uid"])] == [Kind.JOB]
         crds.kubectl("-n", namespace, "delete", "mappingrun", "a")
-        await until(lambda: op.store.get(key) is None and not op.store.of(Kind.JOB, namespace))
+        await until(
+            lambda: op.cluster.store.get(key) is None and not op.cluster.store.of(Kind.JOB, namespace)
+        )
         assert job["metadata"]["name"] == "a-1"
     finally:
         watching.cancel()

@@ -81,7 +81,7 @@ async def taken(cluster: Cluster, log: str) -> tuple[dict[str, Any], dict[str, A
 
 async def test_an_evaluator_of_others_is_refused_where_the_setting_says_so() -> None:
     made = catalogued()
-    made.op.settings = made.op.settings.replace(custom_evaluators=False)
+    made.seen.settings = made.seen.settings.replace(custom_evaluators=False)
     made.apply(Kind.MAPPING_RUN, "a", RUN, **finished("a"))
     spec = {"runs": {"names": ["a"]}, "evaluator": {"image": "example.org/mine:1", "command": []}}
     status = await made.look(made.apply(Kind.EVALUATION, "mine", spec))
@@ -242,7 +242,7 @@ def test_the_record_of_a_run_says_why_it_was_not_measured_as_a_workstation_s_doe
 @pytest.mark.parametrize(("running", "seconds"), [(0, 2), (16, 4), (200, 10)])
 async def test_a_batch_waits_longer_while_more_runs_are_under_way(running: int, seconds: float) -> None:
     made = catalogued()
-    made.op.settings = made.op.settings.replace(evaluation=EvaluationJobs(delay_seconds=2))
+    made.seen.settings = made.seen.settings.replace(evaluation=EvaluationJobs(delay_seconds=2))
     made.described()
     labels = {"study": "large"}
     ended_at = iso(made.now)

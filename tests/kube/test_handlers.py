@@ -17,6 +17,7 @@ from kubernetes.aio.client import ApiClient, Configuration
 from slamhive.kube import handlers
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.kinds import Key, Kind
+from slamhive.kube.cluster import Cluster
 from slamhive.kube.operator import Operator
 from slamhive.kube.settings import Settings
 
@@ -105,7 +106,7 @@ async def watching(server: Server) -> AsyncIterator[Operator]:
     async with TestServer(application) as listening:
         configuration = Configuration(host=str(listening.make_url("")).rstrip("/"))
         api = Api(ApiClient(configuration))
-        op = Operator(api, SETTINGS, {})
+        op = Operator(Cluster(api, SETTINGS), {})
         task = asyncio.create_task(handlers.watch(op))
         try:
             yield op
@@ -139,7 +140,7 @@ async def test_what_is_listed_and_watched_enters_the_store_even_when_watches_are
 
 
 def names_of(op: Operator, kind: Kind) -> set[str]:
-    return {obj["metadata"]["name"] for obj in op.store.of(kind, "lab")}
+    return {obj["metadata"]["name"] for obj in op.cluster.store.of(kind, "lab")}
 
 
 async def test_only_our_pods_are_watched_and_nothing_is_written(server: Server) -> None:
@@ -180,20 +181,20 @@ def test_kopf_keeps_its_hands_off() -> None:
 
 
 @pytest.fixture
-async def unconnected() -> AsyncIterator[Operator]:
+async def unconnected() -> AsyncIterator[Cluster]:
     api = Api(ApiClient(Configuration(host="http://none")))
-    yield Operator(api, SETTINGS, {})
+    yield Cluster(api, SETTINGS)
     await api.close()
 
 
-async def test_no_handler_asks_for_a_finalizer(unconnected: Operator) -> None:
+async def test_no_handler_asks_for_a_finalizer(unconnected: Cluster) -> None:
     registry = handlers.registry_for(unconnected)
     assert len([*registry._watching.get_all_handlers()]) == len(handlers.WATCHED)
     for unwanted in (registry._changing, registry._spawning, registry._indexing):
         assert not [*unwanted.get_all_handlers()]
 
 
-async def test_each_kind_is_handed_over_as_itself(unconnected: Operator) -> None:
+async def test_each_kind_is_handed_over_as_itself(unconnected: Cluster) -> None:
     for handler in handlers.registry_for(unconnected)._watching.get_all_handlers():
         await handler.fn(event={"type": None, "object": thing(f"of-{handler.id}", 3)})  # type: ignore[call-arg, misc]
     for kind in handlers.WATCHED:

@@ -12,7 +12,9 @@ import pytest
 from slamhive.kube import health
 from slamhive.kube.api.errors import Conflict, Forbidden, Invalid, NotFound, ServerFault, StartError
 from slamhive.kube.api.kinds import OUR_KINDS, Key, Kind, Label, key_of
-from slamhive.kube.operator import SLOW_RETRY_SECONDS, Operator
+from slamhive.kube.cluster import Cluster
+from slamhive.kube.loop import SLOW_RETRY_SECONDS
+from slamhive.kube.operator import Operator
 from slamhive.kube.settings import Settings
 from slamhive.kube.status import condition
 from slamhive.model.errors import InputError
@@ -123,11 +125,11 @@ class Toy:
 
     def __init__(self) -> None:
         self.seen: list[str] = []
-        self.act: Callable[[Operator, Key], Awaitable[float | None]] | None = None
+        self.act: Callable[[Cluster, Key], Awaitable[float | None]] | None = None
 
-    async def __call__(self, op: Operator, key: Key) -> float | None:
+    async def __call__(self, cluster: Cluster, key: Key) -> float | None:
         self.seen.append(str(key))
-        return None if self.act is None else await self.act(op, key)
+        return None if self.act is None else await self.act(cluster, key)
 
 
 @pytest.fixture
@@ -145,26 +147,26 @@ async def op(api: FakeApi, toy: Toy) -> AsyncIterator[Operator]:
     async def never(_: float) -> None:
         await asyncio.Event().wait()
 
-    op = Operator(api, SETTINGS, dict.fromkeys((RUN, Kind.SWEEP), toy), sleep=never)  # type: ignore[arg-type]
+    op = Operator(Cluster(api, SETTINGS), dict.fromkeys(OUR_KINDS, toy), sleep=never)  # type: ignore[arg-type]
     yield op
     await op.stop()
 
 
 async def settle(op: Operator) -> None:
     async with asyncio.timeout(50):
-        while len(op.queue) or op.queue.active:  # noqa: ASYNC110 - the workers take turns with us
+        while len(op.cluster.queue) or op.cluster.queue.active:  # noqa: ASYNC110 - the workers take turns with us
             await asyncio.sleep(0)
 
 
-def failing(error: Exception) -> Callable[[Operator, Key], Awaitable[float | None]]:
-    async def act(op: Operator, key: Key) -> float | None:
+def failing(error: Exception) -> Callable[[Cluster, Key], Awaitable[float | None]]:
+    async def act(cluster: Cluster, key: Key) -> float | None:
         raise error
 
     return act
 
 
 async def test_nothing_is_reconciled_before_the_first_list(op: Operator, api: FakeApi, toy: Toy) -> None:
-    op.observe(RUN, "ADDED", thing("early", 99999))
+    op.cluster.observe(RUN, "ADDED", thing("early", 99999))
     await asyncio.sleep(0)
     assert toy.seen == []
     api.have(RUN, thing("listed"))
@@ -184,20 +186,20 @@ def held_job(version: int) -> dict[str, Any]:
 
 
 async def test_a_job_brings_its_run(op: Operator, toy: Toy) -> None:
-    op.observe(RUN, "ADDED", thing("demo", 99999))
+    op.cluster.observe(RUN, "ADDED", thing("demo", 99999))
     await op.start()
     await settle(op)
-    op.observe(Kind.JOB, "MODIFIED", held_job(5))
+    op.cluster.observe(Kind.JOB, "MODIFIED", held_job(5))
     await settle(op)
     assert toy.seen == ["MappingRun lab/demo", "MappingRun lab/demo"]
 
 
 async def test_a_job_that_only_begins_brings_nothing(op: Operator, toy: Toy) -> None:
-    op.observe(RUN, "ADDED", thing("demo", 99999))
+    op.cluster.observe(RUN, "ADDED", thing("demo", 99999))
     await op.start()
     await settle(op)
-    op.observe(Kind.JOB, "ADDED", thing("job", 5, role="run", run="demo"))
-    op.observe(Kind.JOB, "MODIFIED", thing("job", 6, role="run", run="demo"))
+    op.cluster.observe(Kind.JOB, "ADDED", thing("job", 5, role="run", run="demo"))
+    op.cluster.observe(Kind.JOB, "MODIFIED", thing("job", 6, role="run", run="demo"))
     await settle(op)
     assert toy.seen == ["MappingRun lab/demo"]
 
@@ -205,34 +207,34 @@ async def test_a_job_that_only_begins_brings_nothing(op: Operator, toy: Toy) -> 
 async def test_a_stale_or_repeated_message_brings_nothing(op: Operator, toy: Toy) -> None:
     await op.start()
     for version in (5, 5, 4):
-        op.observe(RUN, "MODIFIED", thing(version=version))
+        op.cluster.observe(RUN, "MODIFIED", thing(version=version))
         await settle(op)
     assert len(toy.seen) == 1
 
 
 async def test_a_deletion_brings_the_key_and_empties_the_store(op: Operator, toy: Toy) -> None:
     await op.start()
-    op.observe(RUN, "ADDED", thing(version=5))
-    op.observe(RUN, "DELETED", thing(version=6))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "DELETED", thing(version=6))
     await settle(op)
-    assert op.store.get(KEY) is None
+    assert op.cluster.store.get(KEY) is None
     assert toy.seen == [str(KEY)]
 
 
 async def test_own_writes_enter_the_store_and_bring_others_but_not_oneself(op: Operator, toy: Toy) -> None:
     await op.start()
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
 
-    async def create_once(op: Operator, key: Key) -> float | None:
+    async def create_once(cluster: Cluster, key: Key) -> float | None:
         if key.kind is RUN:
             labels = {Label.ROLE: "run", Label.RUN: "demo", Label.SWEEP: "s"}
-            await op.create(Kind.JOB, {"metadata": {"name": "job", "labels": labels}}, "lab")
-            op.apply(RUN, thing(version=200, sweep="s"))
+            await cluster.create(Kind.JOB, {"metadata": {"name": "job", "labels": labels}}, "lab")
+            cluster.apply(RUN, thing(version=200, sweep="s"))
         return None
 
     toy.act = create_once
     await settle(op)
-    assert op.store.get(Key(Kind.JOB, "lab", "job")) is not None
+    assert op.cluster.store.get(Key(Kind.JOB, "lab", "job")) is not None
     assert toy.seen == [str(KEY), "Sweep lab/s"]
 
 
@@ -244,14 +246,14 @@ async def test_what_others_wrote_brings_oneself_when_it_is_read_anew(
     api.have(RUN, thing(version=50, phase="Changed"))
     versions: list[str] = []
 
-    async def read_anew(op: Operator, key: Key) -> None:
-        decided_by = op.store.get(key)
+    async def read_anew(cluster: Cluster, key: Key) -> None:
+        decided_by = cluster.store.get(key)
         assert decided_by is not None
         versions.append(decided_by["metadata"]["resourceVersion"])
-        await op.refresh(key)
+        await cluster.refresh(key)
 
     toy.act = read_anew
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     await settle(op)
     assert versions == ["5", "50"]
 
@@ -271,53 +273,53 @@ async def test_what_is_being_created_is_known_until_it_is_there(
     monkeypatch.setattr(api, "create", slowly)
     where = (Kind.JOB, "lab", str(Label.ROLE))
     body = {"metadata": {"name": "job", "namespace": "lab", "labels": {str(Label.ROLE): "prepare"}}}
-    creating = asyncio.create_task(op.create(Kind.JOB, body))
+    creating = asyncio.create_task(op.cluster.create(Kind.JOB, body))
     await begun.wait()
-    assert op.being_created(*where, "prepare") == [body]
-    assert op.being_created(*where, "run") == []
+    assert op.cluster.being_created(*where, "prepare") == [body]
+    assert op.cluster.being_created(*where, "run") == []
     answered.set()
     await creating
-    assert op.being_created(*where, "prepare") == []
+    assert op.cluster.being_created(*where, "prepare") == []
 
 
 async def test_the_watch_s_echo_of_an_own_write_is_no_news(op: Operator, api: FakeApi, toy: Toy) -> None:
     await op.start()
     api.have(RUN, thing(version=5))
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     await settle(op)
-    await op.patch(KEY, {"status": {"phase": "Running"}}, subresource="status")
+    await op.cluster.patch(KEY, {"status": {"phase": "Running"}}, subresource="status")
     await settle(op)
     before = len(toy.seen)
-    op.observe(RUN, "MODIFIED", api.objects[KEY])
+    op.cluster.observe(RUN, "MODIFIED", api.objects[KEY])
     await settle(op)
     assert len(toy.seen) == before
 
 
 async def test_writes_to_what_is_gone_take_it_out_of_the_store(op: Operator, api: FakeApi) -> None:
     await op.start()
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     with pytest.raises(NotFound):
-        await op.patch(KEY, {"status": {}}, subresource="status")
-    assert op.store.get(KEY) is None
+        await op.cluster.patch(KEY, {"status": {}}, subresource="status")
+    assert op.cluster.store.get(KEY) is None
 
 
 async def test_a_conflict_is_solved_by_reading_anew(op: Operator, api: FakeApi) -> None:
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     api.have(RUN, thing(version=9, phase="Running"))
-    refreshed = await op.refresh(KEY)
+    refreshed = await op.cluster.refresh(KEY)
     assert refreshed is not None
-    assert op.store.get(KEY) == refreshed | {"status": {"phase": "Running"}}
+    assert op.cluster.store.get(KEY) == refreshed | {"status": {"phase": "Running"}}
     api.objects.clear()
-    assert await op.refresh(KEY) is None
-    assert op.store.get(KEY) is None
+    assert await op.cluster.refresh(KEY) is None
+    assert op.cluster.store.get(KEY) is None
 
 
 async def test_a_status_is_written_for_the_version_that_was_seen(op: Operator, api: FakeApi) -> None:
     seen = thing(version=5, phase="Running")
-    op.observe(RUN, "ADDED", seen)
+    op.cluster.observe(RUN, "ADDED", seen)
     api.have(RUN, thing(version=6, phase="Succeeded"))
     with pytest.raises(Conflict):
-        await op.write_status(RUN, seen, MappingRunStatus(phase=Phase.FAILED))
+        await op.cluster.write_status(RUN, seen, MappingRunStatus(phase=Phase.FAILED))
     assert api.objects[KEY]["status"] == {"phase": "Succeeded"}
 
 
@@ -329,9 +331,11 @@ async def test_a_status_is_written_where_it_changes_and_keeps_what_others_wrote(
     seen["status"] |= {"reason": "Odd", "later": {"x": 1}, "conditions": [theirs]}
     api.have(RUN, seen)
     told = [condition("Accepted", True, "Accepted")]
-    answer = await op.write_status(RUN, seen, MappingRunStatus(phase=Phase.RUNNING, reason=None), told)
+    answer = await op.cluster.write_status(
+        RUN, seen, MappingRunStatus(phase=Phase.RUNNING, reason=None), told
+    )
     assert answer is not None
-    assert answer == op.store.get(KEY)
+    assert answer == op.cluster.store.get(KEY)
     assert {name: answer["status"][name] for name in ("phase", "later")} == {
         "phase": "Running",
         "later": {"x": 1},
@@ -340,31 +344,32 @@ async def test_a_status_is_written_where_it_changes_and_keeps_what_others_wrote(
     assert [item["type"] for item in answer["status"]["conditions"]] == ["Theirs", "Accepted"]
     written = api.version
     assert (
-        await op.write_status(RUN, answer, MappingRunStatus(phase=Phase.RUNNING, reason=None), told) is None
+        await op.cluster.write_status(RUN, answer, MappingRunStatus(phase=Phase.RUNNING, reason=None), told)
+        is None
     )
     assert api.version == written
 
 
 async def test_amending_starts_from_the_newest_version(op: Operator, api: FakeApi) -> None:
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     api.have(RUN, thing(version=6, phase="Succeeded"))
 
     def change(seen: dict[str, Any]) -> dict[str, Any]:
         return {"status": {"message": f"was {seen['status'].get('phase')}"}}
 
-    await op.amend(KEY, "uid-demo", change, subresource="status")
+    await op.cluster.amend(KEY, "uid-demo", change, subresource="status")
     assert api.objects[KEY]["status"] == {"phase": "Succeeded", "message": "was Succeeded"}
-    assert await op.amend(KEY, "uid-of-another", change, subresource="status") is None
+    assert await op.cluster.amend(KEY, "uid-of-another", change, subresource="status") is None
     api.errors = [Conflict("newer"), *[ServerFault("down")]]
     with pytest.raises(ServerFault):
-        await op.amend(KEY, "uid-demo", change, subresource="status")
+        await op.cluster.amend(KEY, "uid-demo", change, subresource="status")
     api.objects.clear()
-    assert await op.amend(KEY, "uid-demo", change, subresource="status") is None
-    assert op.store.get(KEY) is None
+    assert await op.cluster.amend(KEY, "uid-demo", change, subresource="status") is None
+    assert op.cluster.store.get(KEY) is None
 
 
 async def test_what_keeps_changing_is_tried_again_later(op: Operator, api: FakeApi) -> None:
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     api.have(RUN, thing(version=5))
 
     async def overtaken(key: Key, body: dict[str, Any], **_: Any) -> dict[str, Any]:
@@ -372,28 +377,28 @@ async def test_what_keeps_changing_is_tried_again_later(op: Operator, api: FakeA
 
     api.patch = overtaken  # type: ignore[method-assign]
     with pytest.raises(Conflict, match="keeps changing"):
-        await op.amend(KEY, "uid-demo", lambda _: {"status": {"phase": "x"}}, subresource="status")
+        await op.cluster.amend(KEY, "uid-demo", lambda _: {"status": {"phase": "x"}}, subresource="status")
 
 
 async def test_delete_means_the_very_object_in_the_store(op: Operator, api: FakeApi) -> None:
-    op.observe(RUN, "ADDED", thing(version=5))
-    assert await op.delete(KEY) is None
-    assert op.store.get(KEY) is None
-    op.observe(RUN, "ADDED", thing("other", 6))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
+    assert await op.cluster.delete(KEY) is None
+    assert op.cluster.store.get(KEY) is None
+    op.cluster.observe(RUN, "ADDED", thing("other", 6))
     api.errors = [Conflict("another uid")]
-    assert await op.delete(Key(RUN, "lab", "other")) is None
-    assert op.store.get(Key(RUN, "lab", "other")) is None
+    assert await op.cluster.delete(Key(RUN, "lab", "other")) is None
+    assert op.cluster.store.get(Key(RUN, "lab", "other")) is None
 
 
 async def test_a_reconciler_says_when_to_look_again(op: Operator, toy: Toy) -> None:
-    async def later(op: Operator, key: Key) -> float | None:
+    async def later(cluster: Cluster, key: Key) -> float | None:
         return 30.0
 
     toy.act = later
     await op.start()
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     await settle(op)
-    assert op.queue.delayed == 1
+    assert op.cluster.queue.delayed == 1
 
 
 @pytest.mark.parametrize(
@@ -413,10 +418,10 @@ async def test_failures_are_tried_again_and_told(
     caplog.set_level(logging.DEBUG, "slamhive.operator")
     toy.act = failing(error)
     await op.start()
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     await settle(op)
-    assert op.queue.delayed == 1
-    assert op.queue.failures(KEY) == failures
+    assert op.cluster.queue.delayed == 1
+    assert op.cluster.queue.failures(KEY) == failures
     record = next(record for record in caplog.records if str(KEY) in record.getMessage())
     assert record.levelno == level
     assert (record.exc_info is not None) is isinstance(error, ZeroDivisionError)
@@ -427,9 +432,9 @@ async def test_failures_are_tried_again_and_told(
 
 async def look(op: Operator, key: Key, times: int = 1) -> None:
     for _ in range(times):
-        while len(op.queue):
-            op.queue.done(await op.queue.get())
-        await op.handle(key)
+        while len(op.cluster.queue):
+            op.cluster.queue.done(await op.cluster.queue.get())
+        await op.loop.handle(key)
 
 
 def conditions(api: FakeApi, key: Key) -> dict[str, tuple[str, str, str]]:
@@ -447,7 +452,7 @@ async def test_what_keeps_failing_says_so_itself_until_it_goes_on(
     other = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": ""}
     body = thing(version=5) | {"status": {"conditions": [other]}}
     api.have(RUN, body)
-    op.observe(RUN, "ADDED", body)
+    op.cluster.observe(RUN, "ADDED", body)
     toy.act = failing(error)
     await look(op, KEY, looks - 1)
     assert "ReconcileError" not in conditions(api, KEY)
@@ -467,9 +472,8 @@ async def test_what_keeps_failing_says_so_itself_until_it_goes_on(
 async def test_a_failing_measurement_is_told_at_what_asks_for_it(
     op: Operator, api: FakeApi, toy: Toy, name: str, kind: Kind
 ) -> None:
-    op._reconcilers[Kind.EVALUATION] = toy
     api.have(kind, thing(version=5))
-    op.observe(kind, "ADDED", thing(version=5))
+    op.cluster.observe(kind, "ADDED", thing(version=5))
     toy.act = failing(Invalid("refused"))
     await look(op, Key(Kind.EVALUATION, "lab", name))
     assert conditions(api, Key(kind, "lab", "demo"))["EvaluationError"][0] == "True"
@@ -479,7 +483,7 @@ async def test_an_object_that_cannot_be_written_is_no_further_failure(
     op: Operator, api: FakeApi, toy: Toy
 ) -> None:
     api.have(RUN, thing(version=5))
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     toy.act = failing(Invalid("refused"))
     api.errors = [Conflict("newer"), Forbidden("no right")]
     await look(op, KEY)
@@ -489,7 +493,7 @@ async def test_an_object_that_cannot_be_written_is_no_further_failure(
     toy.act = None
     api.errors = [ServerFault("down")]
     await look(op, KEY)
-    assert op.queue.delayed == 1
+    assert op.cluster.queue.delayed == 1
     await look(op, KEY)
     assert conditions(api, KEY)["ReconcileError"][0] == "False"
 
@@ -499,7 +503,7 @@ async def test_a_failure_is_taken_back_though_the_answer_to_its_telling_was_lost
 ) -> None:
     """Written by the API server, but neither its answer nor the watch has reached the operator."""
     api.have(RUN, thing(version=5))
-    op.observe(RUN, "ADDED", thing(version=5))
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     toy.act = failing(Invalid("refused"))
     patch = api.patch
 
@@ -514,7 +518,7 @@ async def test_a_failure_is_taken_back_though_the_answer_to_its_telling_was_lost
     toy.act = None
     api.errors = [ServerFault("down")]
     await look(op, KEY)
-    assert op.queue.delayed == 1, "tried again"
+    assert op.cluster.queue.delayed == 1, "tried again"
     await look(op, KEY)
     assert conditions(api, KEY)["ReconcileError"][0] == "False"
 
@@ -526,7 +530,7 @@ async def test_the_same_mistake_is_told_once(
     api.have(RUN, thing(version=5))
     await op.start()
     for version in (5, 1006, 2007):
-        op.observe(RUN, "MODIFIED", thing(version=version))
+        op.cluster.observe(RUN, "MODIFIED", thing(version=version))
         await settle(op)
     assert len(toy.seen) == 3
     assert len([record for record in caplog.records if "unknown parameter" in record.message]) == 1
@@ -566,7 +570,7 @@ async def test_a_server_that_is_not_up_yet_is_waited_for(api: FakeApi, toy: Toy)
         if len(waits) > 2:
             await asyncio.Event().wait()
 
-    op = Operator(api, SETTINGS, {RUN: toy}, sleep=wait)  # type: ignore[arg-type]
+    op = Operator(Cluster(api, SETTINGS), {RUN: toy}, sleep=wait)  # type: ignore[arg-type]
     api.errors = [ServerFault("refused"), ServerFault("refused")]
     await op.start()
     await op.stop()
@@ -578,18 +582,18 @@ async def test_sweeps_are_woken_when_live_figures_are_missing(op: Operator, api:
     api.have(Kind.SWEEP, thing("s"))
     await op.start()
     async with asyncio.timeout(50):
-        while op.usage.available is None:  # noqa: ASYNC110 - its task takes turns with us
+        while op.cluster.usage.available is None:  # noqa: ASYNC110 - its task takes turns with us
             await asyncio.sleep(0)
     await settle(op)
-    assert op.usage.available is False
+    assert op.cluster.usage.available is False
     assert "Sweep lab/s" in toy.seen
 
 
 async def test_what_was_seen_of_a_pod_goes_with_it(op: Operator) -> None:
     forgotten: list[str] = []
-    op.usage.forget = forgotten.append  # type: ignore[method-assign]
-    op.observe(Kind.POD, "ADDED", thing("p", 5, role="run", run="demo"))
-    op.observe(Kind.POD, "DELETED", thing("p", 6))
+    op.cluster.usage.forget = forgotten.append  # type: ignore[method-assign]
+    op.cluster.observe(Kind.POD, "ADDED", thing("p", 5, role="run", run="demo"))
+    op.cluster.observe(Kind.POD, "DELETED", thing("p", 6))
     assert forgotten == ["uid-p"]
 
 
@@ -605,8 +609,8 @@ async def test_a_part_that_breaks_is_noticed(op: Operator, monkeypatch: pytest.M
     async def broken(key: Key) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(op, "handle", broken)
-    op.observe(RUN, "ADDED", thing(version=5))
+    monkeypatch.setattr(op.loop, "handle", broken)
+    op.cluster.observe(RUN, "ADDED", thing(version=5))
     await op.start()
     async with asyncio.timeout(50):
         await op.broken.wait()

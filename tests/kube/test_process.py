@@ -15,6 +15,7 @@ from kubernetes.aio.client import ApiClient, Configuration
 
 from slamhive.kube import __main__ as process
 from slamhive.kube.api.client import Api
+from slamhive.kube.cluster import Cluster
 from slamhive.kube.health import HealthServer
 from slamhive.kube.logs import set_up_logs
 from slamhive.kube.operator import Operator
@@ -108,7 +109,7 @@ def test_the_log_in_json() -> None:
 @pytest.fixture
 async def health() -> AsyncIterator[HealthServer]:
     api = Api(ApiClient(Configuration(host="http://none")))
-    server = HealthServer(Operator(api, Settings.model_validate(LEAST), {}), 0)
+    server = HealthServer(Operator(Cluster(api, Settings.model_validate(LEAST)), {}), 0)
     await server.start()
     yield server
     await server.stop()

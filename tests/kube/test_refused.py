@@ -39,9 +39,9 @@ async def test_nothing_is_kept_of_a_run_that_is_deleted_before_it_ends(cluster: 
     cluster.refusals[Kind.JOB] = Forbidden(QUOTA)
     key = cluster.apply(Kind.MAPPING_RUN, "one", RUN)
     await cluster.look(key)
-    runs = cluster.op._reconcilers[Kind.MAPPING_RUN]
+    runs = cluster.loop._reconcilers[Kind.MAPPING_RUN]
     assert [*runs._resolved] == [key]
-    cluster.op.observe(Kind.MAPPING_RUN, "DELETED", cluster.objects[key])
+    cluster.seen.observe(Kind.MAPPING_RUN, "DELETED", cluster.objects[key])
     await cluster.look(key)
     assert not runs._resolved
 
@@ -54,7 +54,7 @@ async def test_a_run_whose_job_is_refused_for_long_fails(cluster: Cluster, error
     assert status["phase"] == "Pending"
     assert standing(status, "Admitted") == ("False", "JobRefused", str(error))
     assert cluster.told["one", "JobRefused"] == str(error)
-    assert cluster.op.queue.delayed == 1
+    assert cluster.seen.queue.delayed == 1
     assert (await cluster.look(key, GRACE - 1))["phase"] == "Pending"
     status = await cluster.look(key, 2)
     assert (status["phase"], status["reason"], status["message"]) == ("Failed", "SystemFault", str(error))
@@ -118,7 +118,7 @@ async def test_a_pod_that_may_still_come_is_waited_for(
     status = await cluster.look(key, 100 * GRACE)
     assert status["phase"] == "Pending"
     assert standing(status, "Scheduled")[1] == reason
-    assert cluster.op.queue.delayed == 1
+    assert cluster.seen.queue.delayed == 1
 
 
 async def test_a_preparation_whose_pod_is_refused_fails_its_run(cluster: Cluster) -> None:
@@ -129,7 +129,7 @@ async def test_a_preparation_whose_pod_is_refused_fails_its_run(cluster: Cluster
     status = await cluster.look(dataset, 10)
     told = f"its pod is refused: {REFUSED_POD}"
     assert (status["variants"][1]["phase"], status["variants"][1]["message"]) == ("Preparing", told)
-    assert cluster.op.queue.delayed == 1
+    assert cluster.seen.queue.delayed == 1
     status = await cluster.look(dataset, GRACE)
     assert status["variants"][1]["phase"] == "Failed"
     status = await cluster.look(key, 1)

@@ -10,8 +10,8 @@ import pytest
 
 from slamhive.engine import AttemptState, VariantState
 from slamhive.kube.api.kinds import Key, Kind, Label
+from slamhive.kube.cluster import Cluster
 from slamhive.kube.observing import Attempted
-from slamhive.kube.operator import Operator
 from slamhive.kube.reconciling.catalogue import Catalogue, parse
 from slamhive.kube.reconciling.reuse import Twins
 from slamhive.kube.reconciling.run_status import RunFacts, reused_fields
@@ -94,14 +94,18 @@ def test_of_an_equal_run_as_many_results_are_taken_over_as_a_status_holds() -> N
     assert len(status.results) == 32
 
 
-def operator_with(cluster: str | None, archived: Any) -> Operator:
-    """Return an operator that knows sweeps of each policy and an archive with one run."""
-    archive = SimpleNamespace(find_reusable=lambda _hashed: archived)
-    op = Operator(SimpleNamespace(), SETTINGS, {}, archive=archive)  # type: ignore[arg-type]
-    op.cluster = cluster
+def cluster_with_sweeps(identity: str | None = "c1") -> Cluster:
+    """Return a cluster that has sweeps of each policy."""
+    cluster = Cluster(SimpleNamespace(), SETTINGS)  # type: ignore[arg-type]
+    cluster.identity = identity
     for name, policy in (("again", "Reuse"), ("anew", "Rerun")):
-        op.store.put(Kind.SWEEP, manifest("Sweep", name, cachePolicy=policy))
-    return op
+        cluster.store.put(Kind.SWEEP, manifest("Sweep", name, cachePolicy=policy))
+    return cluster
+
+
+def twins_with(archived: Any) -> Twins:
+    """Return finished runs beside an archive with one more."""
+    return Twins(Catalogue(), SimpleNamespace(find_reusable=lambda _hashed: archived))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -119,8 +123,8 @@ async def test_an_archived_runs_processor_is_the_clusters_own_if_it_ran_there(
     cluster: str | None, ran_on: str | None, namespace: str | None, known: set[str]
 ) -> None:
     archived = record_of(equal("fast")).replace(cluster=ran_on, namespace=namespace)
-    twins = Twins(Catalogue())
-    found = await twins.find(operator_with(cluster, archived), facts(a_run(sweep="again")))
+    twins = twins_with(archived)
+    found = await twins.find(cluster_with_sweeps(cluster), facts(a_run(sweep="again")))
     assert found == archived
     assert twins.processors == known
 
@@ -139,21 +143,20 @@ def test_a_finished_runs_processor_is_the_clusters_own_unless_its_result_is_anot
 async def test_runs_of_sweeps_that_allow_it_are_reused_and_no_run_by_itself(
     *, sweep: str | None, reused: bool
 ) -> None:
-    op = operator_with("c1", record_of(equal("x")))
-    found = await Twins(Catalogue()).find(op, facts(a_run(sweep=sweep)))
+    known = twins_with(record_of(equal("x")))
+    found = await known.find(cluster_with_sweeps(), facts(a_run(sweep=sweep)))
     assert (found is not None) == reused
 
 
 async def test_runs_that_ended_before_the_start_are_known_before_any_is_looked_at() -> None:
-    op = operator_with("c1", None)
-    known = Twins(Catalogue())
+    cluster, known = cluster_with_sweeps(), twins_with(None)
     looking = facts(a_run(sweep="again"))
-    hashed = known.content_hash(looking, known._image(op, looking))
-    op.store.put(Kind.MAPPING_RUN, equal("here", contentHash=hashed))
+    hashed = known.content_hash(looking, known._image(cluster, looking))
+    cluster.store.put(Kind.MAPPING_RUN, equal("here", contentHash=hashed))
     other = equal("there", contentHash="c" * 64)
     other["metadata"] |= {"name": "other", "uid": "uid-other"}
-    op.store.put(Kind.MAPPING_RUN, other)
-    found = await known.find(op, looking)
+    cluster.store.put(Kind.MAPPING_RUN, other)
+    found = await known.find(cluster, looking)
     assert found is not None
     assert found.name == "equal"
     assert known.processors == {"here", "there"}

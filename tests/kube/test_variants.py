@@ -61,15 +61,15 @@ def preparing(cluster: Cluster, name: str) -> Key:
 
 async def test_a_lost_variant_is_prepared_anew_and_what_is_known_of_it_stays(cluster: Cluster) -> None:
     job = preparing(cluster, "first")
-    await variants.lose(cluster.op, KEY, "v")
+    await variants.lose(cluster.seen, KEY, "v")
     lost = entries(cluster)["v"]
     assert lost["phase"] == "Pending"
     assert lost.items() >= {name: ENTRY[name] for name in ("folder", "sizeBytes", "description")}.items()
     assert entries(cluster)["other"] == ENTRY | {"name": "other", "later": 1}
     assert job not in cluster.objects
     written = cluster.objects[KEY]
-    await variants.lose(cluster.op, KEY, "v")
-    await variants.lose(cluster.op, KEY, "unknown")
+    await variants.lose(cluster.seen, KEY, "v")
+    await variants.lose(cluster.seen, KEY, "unknown")
     assert cluster.objects[KEY] is written
     preparing(cluster, "second")
     await cluster.look(KEY)
@@ -79,7 +79,7 @@ async def test_a_lost_variant_is_prepared_anew_and_what_is_known_of_it_stays(clu
 
 async def test_runs_of_a_lost_variant_are_still_measured(cluster: Cluster) -> None:
     key = cluster.apply(Kind.MAPPING_RUN, "a", RUN, **FINISHED)
-    await variants.lose(cluster.op, KEY, "v")
+    await variants.lose(cluster.seen, KEY, "v")
     await cluster.look(cluster.apply(Kind.EVALUATION, "mine", {"runs": {"names": ["a"]}}), 100)
     assert [found.name for found in cluster.objects if found.kind is Kind.JOB]
     assert (
@@ -90,7 +90,7 @@ async def test_runs_of_a_lost_variant_are_still_measured(cluster: Cluster) -> No
 
 @pytest.mark.parametrize("measured", [False, True])
 async def test_a_variant_stays_until_its_runs_are_measured(cluster: Cluster, *, measured: bool) -> None:
-    cluster.op.settings = cluster.op.settings.replace(variants_limit="1")
+    cluster.seen.settings = cluster.seen.settings.replace(variants_limit="1")
     results = [{"evaluation": "own", "outcome": "Tracked"}] if measured else []
     cluster.apply(Kind.MAPPING_RUN, "a", RUN | {"evaluate": True}, **FINISHED, results=results)
     await cluster.look(KEY)
@@ -106,7 +106,7 @@ def failed(cluster: Cluster, changed: dict[str, Any]) -> VariantSeen:
     wanted = Wanted.by(resolve(RUN, known, dataset), known, dataset)
     entry = {"name": wanted.name, "phase": "Failed", "changedTime": iso(BEGIN)} | changed
     cluster.apply(Kind.DATASET, "hall", DATASET, variants=[entry])
-    return variants.look(cluster.op, "lab", wanted, BEGIN - 1)
+    return variants.look(cluster.seen, "lab", wanted, BEGIN - 1)
 
 
 @pytest.mark.parametrize(

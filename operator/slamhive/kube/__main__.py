@@ -22,19 +22,17 @@ from slamhive.archive.upgrading import upgrade
 from slamhive.kube import handlers
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.errors import StartError
+from slamhive.kube.cluster import Cluster
 from slamhive.kube.ending import end_tasks
 from slamhive.kube.health import HealthServer
 from slamhive.kube.logs import set_up_logs
 from slamhive.kube.operator import Operator
-from slamhive.kube.reconciling import RECONCILERS
+from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.settings import Settings, load
 from slamhive.model.errors import InputError, SlamHiveError, SystemFault
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from slamhive.kube.api.kinds import Kind
-    from slamhive.kube.operator import Reconcile
+    from collections.abc import Sequence
 
 _LONGEST_END_SECONDS = 5.0
 _OBJECTS_BETWEEN_COLLECTIONS = 20_000
@@ -65,12 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-async def run(
-    settings: Settings,
-    archive: Archive | None = None,
-    kubeconfig: Path | None = None,
-    reconcilers: Mapping[Kind, Reconcile] = RECONCILERS,
-) -> None:
+async def run(settings: Settings, archive: Archive | None = None, kubeconfig: Path | None = None) -> None:
     """Work until a signal comes.
 
     Raises:
@@ -78,14 +71,15 @@ async def run(
         SystemFault: a part of it ended that never should.
     """
     api = await Api.connect(kubeconfig)
-    op = Operator(api, settings, reconcilers, archive)
+    cluster = Cluster(api, settings)
+    op = Operator(cluster, reconcilers(archive))
     health = HealthServer(op, settings.health.port)
     try:
-        await _listen(op, health)
+        await _listen(cluster, health)
         await op.start()
-        if archive is not None and op.cluster is not None:
+        if archive is not None and cluster.identity is not None:
             with suppress(SystemFault):  # those Sweeps that need the archive say so
-                await asyncio.to_thread(archive.settle, op.cluster, settings.namespaces)
+                await asyncio.to_thread(archive.settle, cluster.identity, settings.namespaces)
         _collect_seldom()
         _log.info("watching %s", ", ".join(settings.namespaces))
         await _watch(op)
@@ -151,15 +145,15 @@ def open_archive(settings: Settings) -> Archive | None:
     return Archive.open(url)
 
 
-async def _listen(op: Operator, health: HealthServer) -> None:
+async def _listen(cluster: Cluster, health: HealthServer) -> None:
     try:
         await health.start()
     except OSError as error:
         raise StartError(f"health.port: cannot listen on port {health.port}: {error.strerror}") from None
     try:
-        op.metrics.serve(op.settings.metrics.port)
+        cluster.metrics.serve(cluster.settings.metrics.port)
     except OSError as error:
-        port = op.settings.metrics.port
+        port = cluster.settings.metrics.port
         raise StartError(f"metrics.port: cannot listen on port {port}: {error.strerror}") from None
 
 

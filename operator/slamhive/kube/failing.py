@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.api.errors import ApiError
 from slamhive.kube.api.kinds import Key, Kind
@@ -13,11 +13,7 @@ from slamhive.kube.routing import OWN_EVALUATIONS
 from slamhive.kube.status import condition, holds, status_patch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from slamhive.kube.api.client import Api
-    from slamhive.kube.api.kinds import Object
-    from slamhive.kube.store import Store
+    from slamhive.kube.cluster import Cluster
 
 RECONCILE_ERROR, EVALUATION_ERROR = "ReconcileError", "EvaluationError"
 """Conditions of an object: bringing it on fails; measuring it, as it asks itself, fails."""
@@ -26,36 +22,22 @@ _OWNERS = dict(zip(OWN_EVALUATIONS, (Kind.SWEEP, Kind.MAPPING_RUN), strict=True)
 _log = logging.getLogger("slamhive.operator")
 
 
-class Operator(Protocol):
-    """Interface of the operator as far as this module uses it; the operator's class documents it."""
-
-    api: Api
-    store: Store
-    clock: Callable[[], float]
-
-    async def amend(  # noqa: D102 - as the operator's
-        self, key: Key, uid: str, change: Callable[[Object], Object], *, subresource: str | None = None
-    ) -> Object | None: ...
-
-    async def refresh(self, key: Key) -> Object | None: ...  # noqa: D102 - as the operator's
-
-
-async def tell_failure(op: Operator, key: Key, error: Exception) -> None:
+async def tell_failure(cluster: Cluster, key: Key, error: Exception) -> None:
     """Write what went wrong into an object's conditions, and attach an Event; failing to is no failure."""
     place, kind = _place(key)
     word = type(error).__name__
     told = condition(kind, True, word, f"{word}: {clean(error) or 'no reason given'}")
-    if await _write(op, place, told):
-        body = op.store.get(place)
+    if await _write(cluster, place, told):
+        body = cluster.store.get(place)
         if body is not None:
-            await op.api.event(place.kind, body, "Warning", kind, told["message"])
+            await cluster.api.event(place.kind, body, "Warning", kind, told["message"])
 
 
-async def tell_recovery(op: Operator, key: Key, *, told: bool) -> bool:
+async def tell_recovery(cluster: Cluster, key: Key, *, told: bool) -> bool:
     """Take back what was told of an object; returns whether nothing of it stands there now.
 
     Args:
-        op: the operator.
+        cluster: the cluster.
         key: the key that goes on.
         told: whether `tell_failure` was called for it. What it wrote may stand there though its answer was
             lost and the watch is late, so the object is read anew.
@@ -63,13 +45,13 @@ async def tell_recovery(op: Operator, key: Key, *, told: bool) -> bool:
     place, kind = _place(key)
     if told:
         try:
-            await op.refresh(place)
+            await cluster.refresh(place)
         except ApiError as error:
             _log.debug("%s: can't be read anew: %s", place, error)
             return False
-    if not holds((op.store.get(place) or {}).get("status") or {}, kind):
+    if not holds((cluster.store.get(place) or {}).get("status") or {}, kind):
         return True
-    return await _write(op, place, condition(kind, False, "Recovered"))
+    return await _write(cluster, place, condition(kind, False, "Recovered"))
 
 
 def _place(key: Key) -> tuple[Key, str]:
@@ -80,9 +62,9 @@ def _place(key: Key) -> tuple[Key, str]:
     return key, RECONCILE_ERROR
 
 
-async def _write(op: Operator, key: Key, told: dict[str, Any]) -> bool:
+async def _write(cluster: Cluster, key: Key, told: dict[str, Any]) -> bool:
     """Write a condition; returns whether that was news and could be."""
-    body = op.store.get(key)
+    body = cluster.store.get(key)
     if body is None:
         return False
 
@@ -90,11 +72,11 @@ async def _write(op: Operator, key: Key, told: dict[str, Any]) -> bool:
         # Nobody reads the conditions of what is being deleted.
         if seen["metadata"].get("deletionTimestamp"):
             return {}
-        patch = status_patch(seen, {}, [told], op.clock())
+        patch = status_patch(seen, {}, [told], cluster.clock())
         return {"status": patch} if patch else {}
 
     try:
-        return await op.amend(key, body["metadata"]["uid"], change, subresource="status") is not None
+        return await cluster.amend(key, body["metadata"]["uid"], change, subresource="status") is not None
     except ApiError as error:
         _log.debug("%s: its condition %s can't be written: %s", key, told["type"], error)
         return False

@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING
 
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.api.watching import Follower, open_session
+from slamhive.kube.cluster import MANAGED
 from slamhive.kube.ending import end_tasks
-from slamhive.kube.operator import MANAGED
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
     from aiohttp import ClientSession
 
+    from slamhive.kube.cluster import Cluster
     from slamhive.kube.operator import Operator
 
 FOLLOWED = (Kind.MAPPING_RUN, Kind.JOB, Kind.POD)
@@ -37,10 +38,10 @@ async def following(op: Operator) -> AsyncIterator[None]:
     session = open_session()
     tasks = [
         asyncio.create_task(
-            _follower(op, session, kind, namespace).run(), name=f"{kind.plural} of {namespace}"
+            _follower(op.cluster, session, kind, namespace).run(), name=f"{kind.plural} of {namespace}"
         )
         for kind in FOLLOWED
-        for namespace in op.settings.namespaces
+        for namespace in op.cluster.settings.namespaces
     ]
     for task in tasks:
         task.add_done_callback(op.note_end)
@@ -55,7 +56,7 @@ async def following(op: Operator) -> AsyncIterator[None]:
             await end_tasks(tasks)
 
 
-def _follower(op: Operator, session: ClientSession, kind: Kind, namespace: str) -> Follower:
+def _follower(cluster: Cluster, session: ClientSession, kind: Kind, namespace: str) -> Follower:
     told: list[str | None] = [None]
 
     def trouble(sentence: str | None) -> None:
@@ -64,14 +65,14 @@ def _follower(op: Operator, session: ClientSession, kind: Kind, namespace: str) 
         told[0] = sentence
 
     return Follower(
-        op.api,
+        cluster.api,
         session,
         kind,
         namespace,
-        reset=partial(op.take_list, kind, namespace),
-        change=partial(op.observe, kind),
+        reset=partial(cluster.take_list, kind, namespace),
+        change=partial(cluster.observe, kind),
         trouble=trouble,
-        narrow=partial(op.store.narrowed, kind),
+        narrow=partial(cluster.store.narrowed, kind),
         narrow_change=lambda obj: obj,  # the store does it, if the object is news at all
         # On the server's side: other people's Jobs and pods never reach this process.
         labels=None if kind.is_ours else MANAGED,

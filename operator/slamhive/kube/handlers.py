@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import asyncio
 
     from slamhive.kube.api.client import Api
+    from slamhive.kube.cluster import Cluster
     from slamhive.kube.operator import Operator
 
 WATCHED = tuple(kind for kind in Kind if kind not in FOLLOWED)
@@ -53,17 +54,17 @@ class NoDiffs(kopf.DiffBaseStorage):
         """Store nothing."""
 
 
-def registry_for(op: Operator) -> kopf.OperatorRegistry:
+def registry_for(cluster: Cluster) -> kopf.OperatorRegistry:
     """Return the handlers: one a kind that kopf watches, which hands over what the watch reports."""
     registry = kopf.OperatorRegistry()
     for kind in WATCHED:
 
         async def hand_over(event: Any, watched: Kind, **_: Any) -> None:
-            op.observe(watched, event["type"], event["object"])
+            cluster.observe(watched, event["type"], event["object"])
 
         handler = partial(hand_over, watched=kind)
         kopf.on.event(kind.group, kind.version, kind.plural, id=kind.plural, registry=registry)(handler)
-    kopf.on.login(id="login", registry=registry)(partial(_log_in, op.api))
+    kopf.on.login(id="login", registry=registry)(partial(_log_in, cluster.api))
     return registry
 
 
@@ -91,14 +92,14 @@ async def watch(op: Operator, ready_flag: asyncio.Event | None = None) -> None:
     """Watch until cancelled, or until a signal comes before the flag is set.
 
     Args:
-        op: gets what is seen.
+        op: its cluster gets what is seen.
         ready_flag: set when the watching has begun and kopf's own signal handlers are in place.
     """
     async with following(op):
         await kopf.operator(
-            registry=registry_for(op),
+            registry=registry_for(op.cluster),
             settings=settings_for_kopf(),
-            namespaces=op.settings.namespaces,
+            namespaces=op.cluster.settings.namespaces,
             standalone=True,
             ready_flag=ready_flag,
         )

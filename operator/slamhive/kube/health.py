@@ -16,8 +16,8 @@ def problem(op: Operator) -> str:
     if ended := op.failed_tasks:
         return f"ended: {', '.join(ended)}"
     # One object that takes long is its own trouble; when all workers wait, nothing goes on any more.
-    stuck = op.stuck
-    if op.ready and len(stuck) >= op.settings.workers:
+    stuck = op.loop.stuck
+    if op.ready and len(stuck) >= op.cluster.settings.workers:
         return f"all workers are stuck, the first with {stuck[0]}"
     return ""
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 import copy
 from typing import TYPE_CHECKING, Any
 
+from slamhive.kube import cluster
 from slamhive.kube.api.kinds import Key, Kind, key_of
-from slamhive.kube.operator import Operator
+from slamhive.kube.loop import Loop
 from slamhive.kube.reconciling import reconcilers
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.variants import Wanted
@@ -20,6 +21,7 @@ from slamhive.plan import resolve
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from slamhive.archive import Archive
     from slamhive.kube.api.errors import ApiError
 
 NAMESPACE = "lab"
@@ -80,6 +82,8 @@ class Cluster:
     """An API that keeps what is written, and an operator on it whose time is the test's.
 
     Attributes:
+        seen: the cluster as the operator sees it.
+        loop: the operator's reconcilers.
         refusals: by kind, what creating one is answered with.
         told: Events by (name of the object, reason).
         check: raises what a patch is answered with.
@@ -87,7 +91,7 @@ class Cluster:
         failed_creates: messages of FailedCreate Events, the newest last.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, archive: Archive | None = None) -> None:
         self.objects: dict[Key, dict[str, Any]] = {}
         self.refusals: dict[Kind, ApiError] = {}
         self.told: dict[tuple[str, str], str] = {}
@@ -98,7 +102,8 @@ class Cluster:
         self.now = BEGIN
         self.count: Any = None
         self._version = 0
-        self.op = Operator(self, SETTINGS, reconcilers(), clock=lambda: self.now)  # type: ignore[arg-type]
+        self.seen = cluster.Cluster(self, SETTINGS, lambda: self.now)  # type: ignore[arg-type]
+        self.loop = Loop(self.seen, reconcilers(archive))
 
     def apply(
         self,
@@ -116,7 +121,7 @@ class Cluster:
         body["metadata"] |= {"labels": labels or {}, "annotations": annotations or {}}
         body["metadata"] |= {"ownerReferences": [owner]} if owner else {}
         self.objects[key_of(kind, body)] = body
-        self.op.observe(kind, "ADDED", body)
+        self.seen.observe(kind, "ADDED", body)
         return key_of(kind, body)
 
     def described(self) -> None:
@@ -174,9 +179,9 @@ class Cluster:
     async def look(self, key: Key, after: float = 0.0) -> dict[str, Any]:
         """Reconcile an object some seconds later, and return its status."""
         self.now += after
-        while len(self.op.queue):
-            self.op.queue.done(await self.op.queue.get())
-        await self.op.handle(key)
+        while len(self.seen.queue):
+            self.seen.queue.done(await self.seen.queue.get())
+        await self.loop.handle(key)
         status: dict[str, Any] = self.objects[key]["status"]
         return status
 
@@ -186,9 +191,9 @@ def standing(status: dict[str, Any], kind: str) -> tuple[str, str, str]:
     return found["status"], found["reason"], found["message"]
 
 
-def catalogued(algorithm: dict[str, Any] = ALGORITHM) -> Cluster:
+def catalogued(algorithm: dict[str, Any] = ALGORITHM, archive: Archive | None = None) -> Cluster:
     """Return a cluster with an Algorithm and a Dataset, whose variant for RUN is ready."""
-    made = Cluster()
+    made = Cluster(archive)
     known = parse(Algorithm, manifest(Kind.ALGORITHM, "icp", algorithm))
     dataset = parse(Dataset, manifest(Kind.DATASET, "hall", DATASET))
     variant = {

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.kube import handlers
+from slamhive.kube import cluster, handlers
 from slamhive.kube.api.client import Api
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.ending import end_tasks
@@ -173,7 +173,7 @@ class Lab:
     ) -> AsyncIterator[Operator]:
         """Run an operator as long as the context lasts."""
         api = await Api.connect(self.cluster.kubeconfig, fault=fault)
-        op = Operator(api, self.settings(**settings), reconcilers(), archive, clock=clock)
+        op = Operator(cluster.Cluster(api, self.settings(**settings), clock), reconcilers(archive))
         count = api.count
 
         def counted(verb: str, resource: str, code: str) -> None:
@@ -219,17 +219,17 @@ async def status_of(
     op: Operator, kind: Kind, name: str, holds: Callable[[dict[str, Any]], Any], seconds: float = SECONDS
 ) -> dict[str, Any]:
     """Return an object's status as soon as it is as wanted."""
-    key = Key(kind, op.settings.namespaces[0], name)
+    key = Key(kind, op.cluster.settings.namespaces[0], name)
 
     def found() -> Any:
-        body = op.store.get(key)
+        body = op.cluster.store.get(key)
         status = (body or {}).get("status") or {}
         return status if body is not None and holds(status) else None
 
     try:
         status: dict[str, Any] = await until(found, f"{kind} {name}", seconds)
     except BaseException:
-        print((op.store.get(key) or {}).get("status"))  # noqa: T201 - what a failed test has to show
+        print((op.cluster.store.get(key) or {}).get("status"))  # noqa: T201 - what a failed test has to show
         raise
     return status
 

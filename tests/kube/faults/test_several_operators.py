@@ -116,7 +116,7 @@ async def test_an_operator_that_slept_while_things_were_deleted(arena: Arena, tm
                 instance.arena.order(admin.delete(Key(kind, namespace, name)))
             await instance.until(
                 lambda: (
-                    [body["metadata"]["name"] for body in op.store.of(Kind.MAPPING_RUN, namespace)]
+                    [body["metadata"]["name"] for body in op.cluster.store.of(Kind.MAPPING_RUN, namespace)]
                     == ["stays"]
                 ),
                 "the deletions to be noticed",
@@ -130,7 +130,7 @@ async def test_an_operator_that_slept_while_things_were_deleted(arena: Arena, tm
                 return status.get("attempts") == 2
 
             await instance.until(again, "another attempt of the run whose Job is gone", 120)
-            assert not op.store.of(Kind.SWEEP, namespace)
+            assert not op.cluster.store.of(Kind.SWEEP, namespace)
 
     proxies: list[Proxy] = []
     async with proxied(arena.admin, Trouble(), tmp_path / "kubeconfig") as proxy:

@@ -35,14 +35,14 @@ class Evaluators:
 
     def log(self, op: Operator, namespace: str, pod: str) -> str:
         """Return the log of a pod."""
-        found = op.store.get(Key(Kind.POD, namespace, pod))
+        found = op.cluster.store.get(Key(Kind.POD, namespace, pod))
         assert found is not None
         owner = found["metadata"]["ownerReferences"][0]["name"]
-        job = op.store.get(Key(Kind.JOB, namespace, owner))
+        job = op.cluster.store.get(Key(Kind.JOB, namespace, owner))
         assert job is not None
         names = job["metadata"]["annotations"]["slamhive.io/runs"].split(",")
         self.measured.append(tuple(names))
-        runs = [op.store.get(Key(Kind.MAPPING_RUN, namespace, name)) for name in names]
+        runs = [op.cluster.store.get(Key(Kind.MAPPING_RUN, namespace, name)) for name in names]
         told = [
             {"uid": one["metadata"]["uid"], "name": one["metadata"]["name"], "error": WHY}
             for one in runs
@@ -127,12 +127,12 @@ async def test_another_measurement_is_tried(lab: Lab, operating: Any, evaluators
 
 
 def _groups_noted(op: Operator, lab: Lab, name: str) -> set[str]:
-    found = op.store.get(Key(Kind.MAPPING_RUN, lab.namespace, name))
+    found = op.cluster.store.get(Key(Kind.MAPPING_RUN, lab.namespace, name))
     return set(problems_noted(found)) if found else set()
 
 
 def _given_up(op: Operator, lab: Lab, count: int) -> list[dict[str, Any]]:
-    runs = [one for one in op.store.of(Kind.MAPPING_RUN, lab.namespace) if _noted_of(one)]
+    runs = [one for one in op.cluster.store.of(Kind.MAPPING_RUN, lab.namespace) if _noted_of(one)]
     return runs if len(runs) == count else []
 
 
@@ -141,5 +141,5 @@ def _noted_of(one: dict[str, Any]) -> str:
 
 
 def _noted(op: Operator, lab: Lab, one: dict[str, Any]) -> str:
-    found = op.store.get(Key(Kind.MAPPING_RUN, lab.namespace, one["metadata"]["name"]))
+    found = op.cluster.store.get(Key(Kind.MAPPING_RUN, lab.namespace, one["metadata"]["name"]))
     return _noted_of(found) if found else ""

@@ -34,13 +34,13 @@ def is_over(status: dict[str, Any]) -> bool:
 
 
 def variants_of(op: Operator, key: Key = HALL) -> list[dict[str, Any]]:
-    status = (op.store.get(key) or {}).get("status") or {}
+    status = (op.cluster.store.get(key) or {}).get("status") or {}
     found: list[dict[str, Any]] = status.get("variants") or []
     return found
 
 
 def preparations(op: Operator) -> list[dict[str, Any]]:
-    jobs = op.store.of(Kind.JOB, "lab")
+    jobs = op.cluster.store.of(Kind.JOB, "lab")
     return [job for job in jobs if job["metadata"]["labels"]["slamhive.io/role"] == "prepare"]
 
 
@@ -122,7 +122,7 @@ async def test_runs_that_need_the_same_variant_own_its_preparation_together(
         lab.delete("mappingrun", "one")
         await until(lambda: owners() == {"two"}, "the first to go")
         assert [one["metadata"]["uid"] for one in preparations(op)] == [job["metadata"]["uid"]]
-        [pod] = op.store.of(Kind.POD, "lab")
+        [pod] = op.cluster.store.of(Kind.POD, "lab")
         lab.cluster.end_pod(pod["metadata"]["name"], "lab", ended(0, described(description())))
         status = await status_of(op, Kind.MAPPING_RUN, "two", is_over)
     assert status["phase"] == "Succeeded"
@@ -139,10 +139,10 @@ async def test_no_more_preparations_than_allowed_at_a_time(make_fake_lab: Callab
         [job] = preparations(op)
         assert job["metadata"]["labels"]["slamhive.io/dataset"] == "hall"
         lab.cluster.play_from_now(lab.pool, Play())
-        [pod] = await until(lambda: op.store.of(Kind.POD, "lab"), "its pod")
+        [pod] = await until(lambda: op.cluster.store.of(Kind.POD, "lab"), "its pod")
         lab.cluster.end_pod(pod["metadata"]["name"], "lab", ended(0, described(description())))
         await status_of(op, Kind.MAPPING_RUN, "one", is_over)
-        op.queue.add(Key(Kind.MAPPING_RUN, "lab", "two"))  # it would come back in five seconds
+        op.cluster.queue.add(Key(Kind.MAPPING_RUN, "lab", "two"))  # it would come back in five seconds
         status = await status_of(op, Kind.MAPPING_RUN, "two", is_over)
     assert status["phase"] == "Succeeded"
 
@@ -188,7 +188,7 @@ async def test_runs_say_why_their_preparation_does_not_begin(make_fake_lab: Call
         lab.apply(run())
         waits = await status_of(op, Kind.MAPPING_RUN, "one", lambda found: condition_of(found, "Scheduled"))
         [entry] = variants_of(op)
-        [pod] = op.store.of(Kind.POD, "lab")
+        [pod] = op.cluster.store.of(Kind.POD, "lab")
         lab.cluster.play_from_now(lab.pool, Play())
         lab.cluster.end_pod(pod["metadata"]["name"], "lab", ended(0, described(description())))
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)

@@ -40,7 +40,7 @@ def is_complete(status: dict[str, Any]) -> bool:
 
 
 def runs_of(op: Operator, name: str) -> list[dict[str, Any]]:
-    return op.store.select(Kind.MAPPING_RUN, "lab", Label.SWEEP, name)
+    return op.cluster.store.select(Kind.MAPPING_RUN, "lab", Label.SWEEP, name)
 
 
 async def archived(lab: Lab, archive: Archive) -> set[str]:

@@ -49,7 +49,7 @@ async def test_results_reach_runs_sweep_and_evaluations(fake_lab: Lab) -> None:
         body["spec"]["template"] |= labels
         fake_lab.apply(body)
         status = await status_of(op, Kind.SWEEP, "study", lambda found: found.get("phase") == "Complete")
-        [first, second] = op.store.of(Kind.MAPPING_RUN, "lab")
+        [first, second] = op.cluster.store.of(Kind.MAPPING_RUN, "lab")
         chosen = {"matchLabels": {"family": "mine"}}
         fake_lab.apply(manifest("Evaluation", "again", runs=chosen, alignment="Origin"))
         measured = await status_of(op, Kind.EVALUATION, "again", lambda found: found.get("evaluated") == 2)
@@ -69,7 +69,7 @@ async def test_results_reach_runs_sweep_and_evaluations(fake_lab: Lab) -> None:
 
 
 def _jobs(op: Any, role: str) -> list[dict[str, Any]]:
-    jobs = op.store.of(Kind.JOB, "lab")
+    jobs = op.cluster.store.of(Kind.JOB, "lab")
     return [job for job in jobs if job["metadata"]["labels"]["slamhive.io/role"] == role]
 
 
@@ -94,7 +94,9 @@ async def test_what_an_evaluator_says_in_vain_is_noted_at_the_run(
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_told)
         key = Key(Kind.MAPPING_RUN, "lab", "one")
         note = "slamhive.io/not-evaluable"
-        await until(lambda: note in (op.store.get(key) or {})["metadata"].get("annotations", {}), "the note")
+        await until(
+            lambda: note in (op.cluster.store.get(key) or {})["metadata"].get("annotations", {}), "the note"
+        )
         [event] = await until(lambda: fake_lab.cluster.of("event", "lab"), "the Event")
     assert status["phase"] == "Succeeded"
     assert condition_of(status, "Evaluated")["reason"] == "NotEvaluable"
@@ -232,7 +234,8 @@ async def test_a_result_that_the_server_refuses_costs_its_run_alone(fake_lab: La
         fake_lab.apply(sweep(sizes=2, parallelism=2, template={"evaluate": True}))
         status = await status_of(op, Kind.SWEEP, "study", lambda found: found.get("phase") == "Complete")
         told = [
-            condition_of(one["status"], "Evaluated")["status"] for one in op.store.of(Kind.MAPPING_RUN, "lab")
+            condition_of(one["status"], "Evaluated")["status"]
+            for one in op.cluster.store.of(Kind.MAPPING_RUN, "lab")
         ]
     assert sorted(told) == ["False", "True"]
     assert status["evaluated"] == 1
@@ -246,7 +249,7 @@ async def test_a_run_that_was_made_anew_does_not_get_its_predecessors_result(fak
     async with fake_lab.operator(**SETTINGS) as op:
         fake_lab.apply(run(evaluate=True))
         await until(lambda: ("delete", "jobs.batch") in fake_lab.calls, "the results to be taken in")
-        status = (op.store.get(Key(Kind.MAPPING_RUN, "lab", "one")) or {})["status"]
+        status = (op.cluster.store.get(Key(Kind.MAPPING_RUN, "lab", "one")) or {})["status"]
     assert "results" not in status
 
 
@@ -258,7 +261,9 @@ async def test_evaluators_of_others_are_refused_where_the_operator_is_told_to(fa
         fake_lab.apply(mine)
         status = await status_of(op, Kind.EVALUATION, "mine", lambda found: condition_of(found, "Accepted"))
         fake_lab.delete("evaluation", "mine")
-        await until(lambda: op.store.get(Key(Kind.EVALUATION, "lab", "mine")) is None, "the Evaluation to go")
+        await until(
+            lambda: op.cluster.store.get(Key(Kind.EVALUATION, "lab", "mine")) is None, "the Evaluation to go"
+        )
     assert condition_of(status, "Accepted")["status"] == "False"
     assert "customEvaluators is false" in condition_of(status, "Accepted")["message"]
 
@@ -289,8 +294,10 @@ async def test_a_sweep_whose_settings_change_is_measured_anew(fake_lab: Lab) -> 
     async with fake_lab.operator(**SETTINGS) as op:
 
         def is_idle() -> bool:
-            pods = [pod["metadata"]["labels"]["slamhive.io/role"] for pod in op.store.of(Kind.POD, "lab")]
-            busy = len(op.queue) or op.queue.active or op.queue.delayed
+            pods = [
+                pod["metadata"]["labels"]["slamhive.io/role"] for pod in op.cluster.store.of(Kind.POD, "lab")
+            ]
+            busy = len(op.cluster.queue) or op.cluster.queue.active or op.cluster.queue.delayed
             return not (busy or _jobs(op, "evaluate") or "evaluate" in pods)
 
         fake_lab.apply(sweep(sizes=1, template={"evaluate": True}))

@@ -79,7 +79,9 @@ async def test_a_job_of_someone_else_under_a_runs_name_is_not_taken_over(fake_la
     fake_lab.apply(other)
     async with fake_lab.operator() as op:
         fake_lab.apply(run())
-        await until(lambda: op.store.get(Key(Kind.JOB, "lab", "one-1")), "the operator to meet the Job")
+        await until(
+            lambda: op.cluster.store.get(Key(Kind.JOB, "lab", "one-1")), "the operator to meet the Job"
+        )
         [job] = [job for job in fake_lab.cluster.of("job", "lab") if job["metadata"]["name"] == "one-1"]
         assert "ownerReferences" not in job["metadata"]
         fake_lab.delete("job", "one-1")
@@ -115,7 +117,7 @@ async def test_an_image_that_cannot_be_had_is_given_up(make_fake_lab: Callable[.
     async with lab.operator(imagePullGraceSeconds=0) as op:
         lab.apply(run(retries=0))
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
-        await until(lambda: op.store.get(Key(Kind.JOB, "lab", "one-1")) is None, "the Job to go")
+        await until(lambda: op.cluster.store.get(Key(Kind.JOB, "lab", "one-1")) is None, "the Job to go")
     assert status["phase"] == "Failed"
     assert "no such image" in status["message"]
 
@@ -144,7 +146,7 @@ async def test_figures_that_the_metrics_api_contradicts(
     async with lab.operator(metrics={"intervalSeconds": 0.05}) as op:
         lab.apply(run())
         await status_of(op, Kind.MAPPING_RUN, "one", lambda status: status.get("phase") == "Running")
-        [pod] = [pod for pod in op.store.of(Kind.POD, "lab") if pod["status"]["phase"] == "Running"]
+        [pod] = [pod for pod in op.cluster.store.of(Kind.POD, "lab") if pod["status"]["phase"] == "Running"]
         name = pod["metadata"]["name"]
         container = {"name": "algorithm", "usage": {"cpu": "3", "memory": "150Mi"}}
         lab.cluster.usage[name] = {
@@ -152,7 +154,7 @@ async def test_figures_that_the_metrics_api_contradicts(
             "timestamp": "2099-01-01T00:00:00Z",
             "containers": [container],
         }
-        await until(lambda: op.usage.observed(pod["metadata"]["uid"]), "the figures to be read")
+        await until(lambda: op.cluster.usage.observed(pod["metadata"]["uid"]), "the figures to be read")
         lab.cluster.end_pod(name, "lab", moment_of(Play(), "run"))
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
     told = "the metrics API showed 3.00 cores, the sidecar 1.00 at most"

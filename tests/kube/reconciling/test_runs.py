@@ -120,7 +120,9 @@ async def test_cancelling_ends_the_job(make_lab: Callable[..., Lab]) -> None:
         lab.patch("mappingrun", "one", {"spec": {"cancel": True}})
         status = await status_of(op, Kind.MAPPING_RUN, "one", is_over)
         assert status["phase"] == "Cancelled"
-        await until(lambda: op.store.get(Key(Kind.JOB, lab.namespace, "one-1")) is None, "the Job to go")
+        await until(
+            lambda: op.cluster.store.get(Key(Kind.JOB, lab.namespace, "one-1")) is None, "the Job to go"
+        )
 
 
 async def test_a_job_that_someone_deletes_is_another_attempt(make_lab: Callable[..., Lab]) -> None:
@@ -147,7 +149,7 @@ async def test_deleting_a_run_takes_its_job_along(make_lab: Callable[..., Lab]) 
         await status_of(op, Kind.MAPPING_RUN, "one", lambda status: status.get("phase") == "Running")
         lab.delete("mappingrun", "one")
         await until(
-            lambda: not [kind for kind in (Kind.JOB, Kind.POD) if op.store.of(kind, lab.namespace)],
+            lambda: not [kind for kind in (Kind.JOB, Kind.POD) if op.cluster.store.of(kind, lab.namespace)],
             "Job and pod to go, and the variant's Job, which nobody needs",
         )
 

@@ -33,7 +33,7 @@ def is_complete(status: dict[str, Any]) -> bool:
 
 
 def runs_of(op: Operator, name: str = "study") -> list[dict[str, Any]]:
-    return op.store.select(Kind.MAPPING_RUN, "lab", Label.SWEEP, name)
+    return op.cluster.store.select(Kind.MAPPING_RUN, "lab", Label.SWEEP, name)
 
 
 def reasons(lab: Lab) -> list[str]:
@@ -83,8 +83,8 @@ async def test_a_run_of_someone_else_under_a_points_name_is_not_taken_over(fake_
     async with fake_lab.operator() as op:
         fake_lab.apply(sweep(sizes=1, suspend=True))
         await status_of(op, Kind.SWEEP, "study", lambda found: found.get("phase") == "Suspended")
-        [body] = op.store.of(Kind.SWEEP, "lab")
-        name = Plan(parse(Sweep, body), Catalogue().all(op.store, "lab"), strict=True).point(0).name
+        [body] = op.cluster.store.of(Kind.SWEEP, "lab")
+        name = Plan(parse(Sweep, body), Catalogue().all(op.cluster.store, "lab"), strict=True).point(0).name
         fake_lab.apply(run(name, parameters={"size": 7}))
         fake_lab.patch("sweep", "study", {"spec": {"suspend": False}})
         status = await status_of(op, Kind.SWEEP, "study", lambda found: condition_of(found, "Blocked"))
@@ -173,7 +173,7 @@ async def test_what_left_the_catalog_is_archived_without_it(fake_lab: Lab, archi
         fake_lab.apply(sweep(sizes=2))
         await status_of(op, Kind.SWEEP, "study", is_complete)
         fake_lab.delete("algorithm", "icp")
-        await until(lambda: not op.store.of(Kind.ALGORITHM, "lab"), "the Algorithm to go")
+        await until(lambda: not op.cluster.store.of(Kind.ALGORITHM, "lab"), "the Algorithm to go")
         fake_lab.patch("sweep", "study", {"spec": {"retention": {"runs": 0}}})
         await until(lambda: not runs_of(op), "all runs to go")
     assert [record.spec["algorithmRef"]["name"] for record in archive.runs(sweep="study")] == ["icp"] * 2

@@ -27,7 +27,7 @@ def is_complete(status: dict[str, Any]) -> bool:
 
 
 def runs_of(op: Operator, name: str = "study") -> list[dict[str, Any]]:
-    return op.store.select(Kind.MAPPING_RUN, op.settings.namespaces[0], Label.SWEEP, name)
+    return op.cluster.store.select(Kind.MAPPING_RUN, op.cluster.settings.namespaces[0], Label.SWEEP, name)
 
 
 async def test_a_sweep_runs_every_point_once(lab: Lab) -> None:
@@ -83,7 +83,7 @@ async def test_deleting_a_sweep_leaves_nothing(make_lab: Callable[..., Lab]) -> 
         await status_of(op, Kind.SWEEP, "study", lambda status: status.get("running") == 2)
         lab.delete("sweep", "study")
         kinds = (Kind.MAPPING_RUN, Kind.JOB, Kind.POD)
-        await until(lambda: not any(op.store.of(kind, lab.namespace) for kind in kinds), "all to go")
+        await until(lambda: not any(op.cluster.store.of(kind, lab.namespace) for kind in kinds), "all to go")
 
 
 async def test_a_deleted_run_of_a_sweep_counts_as_cancelled(make_lab: Callable[..., Lab]) -> None:

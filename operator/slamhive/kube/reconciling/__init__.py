@@ -14,29 +14,35 @@ from slamhive.kube.reconciling.sweep import SweepReconciler
 from slamhive.kube.reconciling.variants import DatasetReconciler
 
 if TYPE_CHECKING:
-    from slamhive.kube.operator import Operator, Reconcile
+    from slamhive.archive import Archive
+    from slamhive.kube.cluster import Cluster
+    from slamhive.kube.loop import Reconcile
 
-__all__ = ["RECONCILERS", "reconcilers"]
+__all__ = ["reconcilers"]
 
 
-def reconcilers() -> dict[Kind, Reconcile]:
-    """Return a fresh set of reconcilers by kind, which share what they know."""
+def reconcilers(archive: Archive | None = None) -> dict[Kind, Reconcile]:
+    """Return a fresh set of reconcilers by kind, which share what they know.
+
+    Args:
+        archive: where finished runs are kept, if anywhere.
+    """
     catalogue = Catalogue()
-    twins = Twins(catalogue)
+    twins = Twins(catalogue, archive)
     evaluations = Evaluations(catalogue)
     runs = RunReconciler(catalogue, evaluations, twins)
-    sweeps = SweepReconciler(catalogue)
+    sweeps = SweepReconciler(catalogue, archive)
     datasets = DatasetReconciler()
 
-    async def wake(op: Operator, key: Key) -> float | None:
+    async def wake(cluster: Cluster, key: Key) -> float | None:
         """Look again at what waited for the catalog."""
         for waiting in (*runs.waiting(key.namespace), *sweeps.waiting(key.namespace)):
-            op.queue.add(waiting)
+            cluster.queue.add(waiting)
         return None
 
-    async def dataset(op: Operator, key: Key) -> float | None:
-        await wake(op, key)
-        return await datasets(op, key)
+    async def dataset(cluster: Cluster, key: Key) -> float | None:
+        await wake(cluster, key)
+        return await datasets(cluster, key)
 
     return {
         Kind.ALGORITHM: wake,
@@ -45,7 +51,3 @@ def reconcilers() -> dict[Kind, Reconcile]:
         Kind.SWEEP: sweeps,
         Kind.EVALUATION: evaluations,
     }
-
-
-RECONCILERS = reconcilers()
-"""Those of an operator's process."""

@@ -19,7 +19,8 @@ from slamhive.model.errors import SlamHiveError, SystemFault, UnknownNameError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.kube.operator import Operator
+    from slamhive.archive import Archive
+    from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
     from slamhive.model.results import RunRecord
     from slamhive.model.sweep import Sweep
@@ -47,14 +48,14 @@ async def asked(method: Callable[P, T], *words: P.args, **options: P.kwargs) -> 
         raise ArchiveAway(str(error)) from error
 
 
-async def at_its_end(op: Operator, run: Object) -> Object:
+async def at_its_end(archive: Archive | None, run: Object) -> Object:
     """Return a run that is gone, with the results that it had in the end.
 
     Another operator may have measured, archived and removed it since it was last seen here.
     """
-    if op.archive is None or is_settled(run):
+    if archive is None or is_settled(run):
         return run
-    record = await asked(op.archive.get, run["metadata"]["uid"])
+    record = await asked(archive.get, run["metadata"]["uid"])
     if record is None:
         return run
     return run | {"status": run["status"] | {"results": [result_field(item) for item in record.results]}}
@@ -65,18 +66,20 @@ class Retirement:
 
     Args:
         catalogue: Algorithms and Datasets, of which the archive keeps what runs used.
+        archive: where runs go.
     """
 
-    def __init__(self, catalogue: Catalogue) -> None:
+    def __init__(self, catalogue: Catalogue, archive: Archive) -> None:
         self._catalogue = catalogue
+        self._archive = archive
 
     async def retire(
-        self, op: Operator, key: Key, sweep: Sweep, points: int, settled: list[Object]
+        self, cluster: Cluster, key: Key, sweep: Sweep, points: int, settled: list[Object]
     ) -> list[float]:
         """Archive and delete the oldest settled runs beyond the retention.
 
         Args:
-            op: the operator.
+            cluster: the cluster.
             key: address of the Sweep.
             sweep: the Sweep.
             points: how many points it has.
@@ -88,57 +91,57 @@ class Retirement:
         surplus = len(settled) - sweep.spec.retention.runs
         if surplus <= 0:
             return []
-        body = op.store.get(key)
-        if body is None or op.archive is None:
+        body = cluster.store.get(key)
+        if body is None:
             return []
         settled = sorted(settled, key=lambda run: run["status"].get("completionTime") or "")
         written = decode_points(body["status"].get("points"), points)
         # Only what the status says to be done may go: the bit is what remains of a run here.
         going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
         if going:
-            await asked(op.archive.put_used, [self._records(op, sweep, run) for run in going])
+            await asked(self._archive.put_used, [self._records(cluster, sweep, run) for run in going])
         # All are in the archive before the first is deleted: a crash in between leaves them in both, and the
         # next look deletes.
         limit = asyncio.Semaphore(_DELETED_AT_ONCE)
 
         async def delete(run: Object) -> bool:
             async with limit:
-                return await _is_deleted(op, run)
+                return await _is_deleted(cluster, run)
 
         told = await asyncio.gather(*(delete(run) for run in going))
         left = surplus - sum(told)
-        return [op.settings.sweep_write_seconds] if left else []
+        return [cluster.settings.sweep_write_seconds] if left else []
 
     def _records(
-        self, op: Operator, sweep: Sweep, run: Object
+        self, cluster: Cluster, sweep: Sweep, run: Object
     ) -> tuple[RunRecord, CatalogEntry | None, CatalogEntry | None]:
         namespace, spec = run["metadata"]["namespace"], run["spec"]
         algorithm = dataset = found = None
         attributes: Object = {}
         try:
             algorithm = CatalogEntry.of(
-                self._catalogue.algorithm(op.store, namespace, spec["algorithmRef"]["name"])
+                self._catalogue.algorithm(cluster.store, namespace, spec["algorithmRef"]["name"])
             )
-            found = self._catalogue.dataset(op.store, namespace, spec["datasetRef"]["name"])
+            found = self._catalogue.dataset(cluster.store, namespace, spec["datasetRef"]["name"])
             dataset = CatalogEntry.of(found)
             variant = run["status"].get("variant") or ""
-            known = variants.described(op, Key(Kind.DATASET, namespace, found.name), variant) or {}
+            known = variants.described(cluster, Key(Kind.DATASET, namespace, found.name), variant) or {}
             attributes = known.get("attributes") or found.spec.known_attributes
         except UnknownNameError:  # deleted from the catalog meanwhile
             pass
-        record = record_of(run, attributes=attributes).replace(cluster=op.cluster)
+        record = record_of(run, attributes=attributes).replace(cluster=cluster.identity)
         record = with_evaluations(record, sweep.spec.evaluation, found)
         if (run["metadata"].get("annotations") or {}).get(FILES):
             record = record.replace(folder=None)  # the collector removes it
         return record, algorithm, dataset
 
 
-async def _is_deleted(op: Operator, run: Object) -> bool:
+async def _is_deleted(cluster: Cluster, run: Object) -> bool:
     """Delete an archived run; False where someone wrote to it: the archive gets the newer state next time."""
     meta, key = run["metadata"], key_of(Kind.MAPPING_RUN, run)
     try:
-        await op.delete(key, uid=meta["uid"], resource_version=meta["resourceVersion"])
+        await cluster.delete(key, uid=meta["uid"], resource_version=meta["resourceVersion"])
     except Conflict:
-        await op.refresh(key)
+        await cluster.refresh(key)
         return False
     return True

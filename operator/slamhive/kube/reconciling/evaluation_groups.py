@@ -23,7 +23,7 @@ from slamhive.model.sweep import Sweep
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from slamhive.kube.operator import Operator
+    from slamhive.kube.cluster import Cluster
     from slamhive.model.evaluation import Evaluator, RunSelector
 
 
@@ -99,44 +99,44 @@ def key_for(run: Mapping[str, Any]) -> Key | None:
     return Key(Kind.EVALUATION, meta["namespace"], name)
 
 
-def group_of(op: Operator, key: Key) -> Group | None:
+def group_of(cluster: Cluster, key: Key) -> Group | None:
     """Return a group by its key; None when what it belongs to is gone.
 
     Raises:
         InputError: the object is wrong where its CRD could not tell.
     """
     if key.name.startswith(SWEEP_PREFIX):
-        return _of_sweep(op, key, key.name.removeprefix(SWEEP_PREFIX))
+        return _of_sweep(cluster, key, key.name.removeprefix(SWEEP_PREFIX))
     if key.name.startswith(RUN_PREFIX):
-        return _of_run(op, key, key.name.removeprefix(RUN_PREFIX))
-    return _of_evaluation(op, key)
+        return _of_run(cluster, key, key.name.removeprefix(RUN_PREFIX))
+    return _of_evaluation(cluster, key)
 
 
-def _of_sweep(op: Operator, key: Key, name: str) -> Group | None:
-    body = op.store.get(Key(Kind.SWEEP, key.namespace, name))
+def _of_sweep(cluster: Cluster, key: Key, name: str) -> Group | None:
+    body = cluster.store.get(Key(Kind.SWEEP, key.namespace, name))
     # Jobs of a Sweep that is being deleted would go with it before they have measured.
     if body is None or body["metadata"].get("deletionTimestamp"):
         return None
-    runs = op.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, name)
+    runs = cluster.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, name)
     settings = parse(Sweep, body).spec.evaluation
     owner = reference(Kind.SWEEP, body)
     runs = [run for run in runs if run["spec"].get("evaluate", True)]
     return _group(key, settings, owner, runs)
 
 
-def _of_run(op: Operator, key: Key, name: str) -> Group | None:
-    run = op.store.get(Key(Kind.MAPPING_RUN, key.namespace, name))
+def _of_run(cluster: Cluster, key: Key, name: str) -> Group | None:
+    run = cluster.store.get(Key(Kind.MAPPING_RUN, key.namespace, name))
     if run is None or run["metadata"].get("deletionTimestamp"):
         return None
     return _group(key, EvaluationSettings(), reference(Kind.MAPPING_RUN, run), [run])
 
 
-def _of_evaluation(op: Operator, key: Key) -> Group | None:
-    body = op.store.get(key)
+def _of_evaluation(cluster: Cluster, key: Key) -> Group | None:
+    body = cluster.store.get(key)
     if body is None or body["metadata"].get("deletionTimestamp"):
         return None
     spec = parse(Evaluation, body).spec
-    if spec.evaluator is not None and not op.settings.custom_evaluators:
+    if spec.evaluator is not None and not cluster.settings.custom_evaluators:
         raise InputError(
             f"spec.evaluator: {spec.evaluator.image!r} is not run here: the operator's setting "
             "customEvaluators is false, so its own evaluator alone measures"
@@ -144,7 +144,7 @@ def _of_evaluation(op: Operator, key: Key) -> Group | None:
     settings = EvaluationSettings.model_validate(
         {name: getattr(spec, name) for name in EvaluationSettings.model_fields}
     )
-    runs = [run for run in _candidates(op, key.namespace, spec.runs) if _selected(spec.runs, run)]
+    runs = [run for run in _candidates(cluster, key.namespace, spec.runs) if _selected(spec.runs, run)]
     return _group(
         key, settings, reference(Kind.EVALUATION, body), runs, name=key.name, evaluator=spec.evaluator
     )
@@ -171,13 +171,13 @@ def _can_be_measured(run: Object) -> bool:
     return alive and phase_of(status) is Phase.SUCCEEDED and bool(status.get("trajectory"))
 
 
-def _candidates(op: Operator, namespace: str, selector: RunSelector) -> list[Object]:
+def _candidates(cluster: Cluster, namespace: str, selector: RunSelector) -> list[Object]:
     if selector.sweep_ref is not None:
-        return op.store.select(Kind.MAPPING_RUN, namespace, Label.SWEEP, selector.sweep_ref.name)
+        return cluster.store.select(Kind.MAPPING_RUN, namespace, Label.SWEEP, selector.sweep_ref.name)
     if selector.names:
-        found = (op.store.get(Key(Kind.MAPPING_RUN, namespace, name)) for name in selector.names)
+        found = (cluster.store.get(Key(Kind.MAPPING_RUN, namespace, name)) for name in selector.names)
         return [run for run in found if run is not None]
-    return op.store.of(Kind.MAPPING_RUN, namespace)
+    return cluster.store.of(Kind.MAPPING_RUN, namespace)
 
 
 def _selected(selector: RunSelector, run: Object) -> bool:

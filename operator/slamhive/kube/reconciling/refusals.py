@@ -11,7 +11,7 @@ from slamhive.kube.reports import clean
 
 if TYPE_CHECKING:
     from slamhive.engine import AttemptEnd
-    from slamhive.kube.operator import Operator
+    from slamhive.kube.cluster import Cluster
     from slamhive.kube.pods import Waiting
 
 _AGAIN_SECONDS = 15.0
@@ -19,7 +19,7 @@ _ROOM_SECONDS = 60.0
 """Time for which a cluster that is full lets pods wait as a matter of course."""
 
 
-async def why_no_pod(op: Operator, job: dict[str, Any]) -> str | None:
+async def why_no_pod(cluster: Cluster, job: dict[str, Any]) -> str | None:
     """Return the API server's last word on the pod that a Job asked it for; None where it said nothing.
 
     Raises:
@@ -27,7 +27,7 @@ async def why_no_pod(op: Operator, job: dict[str, Any]) -> str | None:
     """
     metadata = job["metadata"]
     try:
-        message = await op.refused_pods.message(metadata["namespace"], metadata["uid"])
+        message = await cluster.refused_pods.message(metadata["namespace"], metadata["uid"])
     except ApiError as error:
         if error.retryable:
             raise
@@ -49,11 +49,11 @@ class Patience(NamedTuple):
     end: AttemptEnd | None = None
 
 
-async def patience(op: Operator, job: dict[str, Any], waiting: Waiting | None) -> Patience:
+async def patience(cluster: Cluster, job: dict[str, Any], waiting: Waiting | None) -> Patience:
     """Return the time that a Job may still wait, and the reason.
 
     Args:
-        op: the operator.
+        cluster: the cluster.
         job: the Job.
         waiting: as it was seen.
 
@@ -62,14 +62,14 @@ async def patience(op: Operator, job: dict[str, Any], waiting: Waiting | None) -
     """
     if waiting is None:
         return Patience()
-    since = waiting.since or op.clock()
-    waited = op.clock() - since
+    since = waiting.since or cluster.clock()
+    waited = cluster.clock() - since
     if lacks_pod(waiting):
         # A new Job has no pod for a moment: to ask for Events then would cost a call for each Job.
         if waited < POD_SECONDS:
             return Patience(seconds=POD_SECONDS)
-        waiting = explained(waiting, await why_no_pod(op, job))
-        left = op.settings.refusal_grace_seconds - waited
+        waiting = explained(waiting, await why_no_pod(cluster, job))
+        left = cluster.settings.refusal_grace_seconds - waited
         if waiting.end is None:
             # Where nothing is refused the cluster is busy: as with a pod, that is said when it lasts.
             busy = lacks_pod(waiting) and waited < _ROOM_SECONDS
@@ -78,7 +78,7 @@ async def patience(op: Operator, job: dict[str, Any], waiting: Waiting | None) -
         left = 0.0 if waiting.since is None else _ROOM_SECONDS - waited
         return Patience(seconds=left) if left > 0 else Patience(waiting.message)
     else:
-        left = 0.0 if waiting.hopeless else op.settings.image_pull_grace_seconds - waited
+        left = 0.0 if waiting.hopeless else cluster.settings.image_pull_grace_seconds - waited
     if left > 0:
         return Patience(waiting.message, min(left, _AGAIN_SECONDS))
     return Patience(waiting.message, end=waiting.end)

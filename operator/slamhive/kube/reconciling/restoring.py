@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.kube.api.kinds import Object
-    from slamhive.kube.operator import Operator
+    from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.evaluation_groups import Group
     from slamhive.kube.settings import StoreReference
 
@@ -61,23 +61,23 @@ class Restoring:
         found = self._trouble.get(key)
         return found and f"run folders can't be brought back from object storage: {found[0]}"
 
-    async def bring(self, op: Operator, group: Group, items: list[Object]) -> Brought:
+    async def bring(self, cluster: Cluster, group: Group, items: list[Object]) -> Brought:
         """Have the folders of runs on the volume before they are measured.
 
         Args:
-            op: the operator.
+            cluster: the cluster.
             group: the runs' group.
             items: the runs, as they stand in requests.
         """
-        store = op.settings.store
+        store = cluster.settings.store
         if store is None:
             return Brought(items)
         here = self._here.setdefault(group.key, set())
         found = Brought([])
         left: dict[str, str] = {}
         active = False
-        for job in _jobs(op, group):
-            told = await self._look(op, group, job, found)
+        for job in _jobs(cluster, group):
+            told = await self._look(cluster, group, job, found)
             active |= told is None
             left |= told or {}
             if told is not None:
@@ -95,19 +95,21 @@ class Restoring:
         if not away and not active:
             self._trouble.pop(group.key, None)
         # One at a time: runs that end meanwhile are in the next.
-        left_seconds = self._trouble.get(group.key, ("", 0.0))[1] - op.clock()
+        left_seconds = self._trouble.get(group.key, ("", 0.0))[1] - cluster.clock()
         if away and not active and left_seconds > 0:
             found.delays.append(left_seconds)
         elif away and not active:
-            await self._start(op, group, sorted(set(away))[:_BATCH], store)
+            await self._start(cluster, group, sorted(set(away))[:_BATCH], store)
         return found
 
-    async def _look(self, op: Operator, group: Group, job: Object, found: Brought) -> dict[str, str] | None:
+    async def _look(
+        self, cluster: Cluster, group: Group, job: Object, found: Brought
+    ) -> dict[str, str] | None:
         """Return the folders that a Job left away, with reasons; None while it runs."""
-        seen = observe_restore(job, op.store.pods_of(job))
+        seen = observe_restore(job, cluster.store.pods_of(job))
         problem = seen.problem[1] if seen.problem else None
         if seen.state is not AttemptState.ENDED:
-            waits = await patience(op, job, seen.waiting)
+            waits = await patience(cluster, job, seen.waiting)
             if waits.end is None:
                 found.delays += [] if waits.seconds is None else [waits.seconds]
                 if waits.why is not None:
@@ -115,15 +117,15 @@ class Restoring:
                 return None
             problem = waits.end.message
         # Read and then removed: its name follows from the folders, and the same ones may be asked for again.
-        await op.delete(key_of(Kind.JOB, job))
+        await cluster.delete(key_of(Kind.JOB, job))
         if problem is not None:
-            self._trouble[group.key] = problem, op.clock() + _AGAIN_SECONDS
+            self._trouble[group.key] = problem, cluster.clock() + _AGAIN_SECONDS
             return dict.fromkeys(map(str, map(_uid, _folders(job))), "")
         self._trouble.pop(group.key, None)
         return dict(seen.left)
 
     @staticmethod
-    async def _start(op: Operator, group: Group, folders: Sequence[str], store: StoreReference) -> None:
+    async def _start(cluster: Cluster, group: Group, folders: Sequence[str], store: StoreReference) -> None:
         labels = {name: value for name, value in group.labels.items() if value is not None}
         body = restore_job(
             group.key.namespace,
@@ -131,19 +133,19 @@ class Restoring:
             owner=group.owner,
             store=store,
             labels=labels or {str(Label.EVALUATION): group.key.name},
-            settings=op.settings,
+            settings=cluster.settings,
         )
         try:
-            await op.create(Kind.JOB, body)
+            await cluster.create(Kind.JOB, body)
         # Made by an operator that ended before it heard so; the watch may be late.
         except AlreadyExists:
-            await op.refresh(key_of(Kind.JOB, body))
+            await cluster.refresh(key_of(Kind.JOB, body))
 
 
-def _jobs(op: Operator, group: Group) -> list[Object]:
+def _jobs(cluster: Cluster, group: Group) -> list[Object]:
     return [
         job
-        for kind, job in op.store.owned(group.owner["uid"])
+        for kind, job in cluster.store.owned(group.owner["uid"])
         if kind is Kind.JOB
         and (job["metadata"].get("labels") or {}).get(Label.ROLE) == Role.RESTORE
         and not job["metadata"].get("deletionTimestamp")

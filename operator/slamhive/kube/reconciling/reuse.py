@@ -20,7 +20,8 @@ from slamhive.model.sweep import CachePolicy
 from slamhive.plan import content_hash, image_digest, pinned_digest
 
 if TYPE_CHECKING:
-    from slamhive.kube.operator import Operator
+    from slamhive.archive import Archive
+    from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
     from slamhive.kube.reconciling.run_status import RunFacts
     from slamhive.model.results import RunRecord
@@ -31,10 +32,12 @@ class Twins:
 
     Args:
         catalogue: Algorithms and Datasets.
+        archive: where further ones are found, if anywhere.
     """
 
-    def __init__(self, catalogue: Catalogue) -> None:
+    def __init__(self, catalogue: Catalogue, archive: Archive | None = None) -> None:
         self._catalogue = catalogue
+        self._archive = archive
         self._known: dict[tuple[str, str], str] = {}
         self._learned: dict[Key, tuple[str, str | None]] = {}
         self._has_looked_around = False
@@ -69,7 +72,7 @@ class Twins:
         if hashed is not None and self._known.get((key.namespace, hashed)) == key.name:
             del self._known[key.namespace, hashed]
 
-    def _look_around(self, op: Operator) -> None:
+    def _look_around(self, cluster: Cluster) -> None:
         """Learn all finished runs, once.
 
         After its start an operator looks at runs in any order: without this, which result a run takes over,
@@ -77,36 +80,36 @@ class Twins:
         """
         if not self._has_looked_around:
             self._has_looked_around = True
-            for namespace in op.settings.namespaces:
-                for run in op.store.of(Kind.MAPPING_RUN, namespace):
+            for namespace in cluster.settings.namespaces:
+                for run in cluster.store.of(Kind.MAPPING_RUN, namespace):
                     self.learn(run)
 
-    async def find(self, op: Operator, facts: RunFacts) -> RunRecord | None:
+    async def find(self, cluster: Cluster, facts: RunFacts) -> RunRecord | None:
         """Return an equal finished run, when this one may take its result."""
-        if not self._may_reuse(op, facts):
+        if not self._may_reuse(cluster, facts):
             return None
-        hashed = self.content_hash(facts, self._image(op, facts))
+        hashed = self.content_hash(facts, self._image(cluster, facts))
         if hashed is None:
             return None
-        self._look_around(op)
+        self._look_around(cluster)
         name = self._known.get((facts.key.namespace, hashed))
-        twin = op.store.get(Key(Kind.MAPPING_RUN, facts.key.namespace, name)) if name else None
+        twin = cluster.store.get(Key(Kind.MAPPING_RUN, facts.key.namespace, name)) if name else None
         # The name may belong to another run by now: what it holds decides.
         if twin is not None and MappingRunStatus.of(twin).provenance.content_hash == hashed:
             return record_of(twin)
-        if op.archive is None:
+        if self._archive is None:
             return None
-        kept = await asyncio.to_thread(op.archive.find_reusable, hashed)
-        if kept is not None and _ran_on(op, kept) and kept.provenance.cpu_model:
+        kept = await asyncio.to_thread(self._archive.find_reusable, hashed)
+        if kept is not None and _ran_on(cluster, kept) and kept.provenance.cpu_model:
             self.processors.add(kept.provenance.cpu_model)  # its object is gone: nobody may have seen it
         return kept
 
     @staticmethod
-    def _may_reuse(op: Operator, facts: RunFacts) -> bool:
+    def _may_reuse(cluster: Cluster, facts: RunFacts) -> bool:
         """Tell whether a run may take another one's result."""
         meta = facts.body["metadata"]
         sweep = (meta.get("labels") or {}).get(Label.SWEEP)
-        owner = op.store.get(Key(Kind.SWEEP, facts.key.namespace, sweep)) if sweep else None
+        owner = cluster.store.get(Key(Kind.SWEEP, facts.key.namespace, sweep)) if sweep else None
         if owner is None:
             return False  # a run by itself has no cachePolicy that could turn it off
         # `Rerun` asks for new results, but points of one Sweep that come out equal still run once.
@@ -132,19 +135,19 @@ class Twins:
         )
 
     @staticmethod
-    def _image(op: Operator, facts: RunFacts) -> str | None:
+    def _image(cluster: Cluster, facts: RunFacts) -> str | None:
         pinned = pinned_digest(facts.algorithm.spec.image or "")
         if pinned is not None:
             return pinned
-        algorithm = op.store.get(Key(Kind.ALGORITHM, facts.key.namespace, facts.algorithm.name)) or {}
+        algorithm = cluster.store.get(Key(Kind.ALGORITHM, facts.key.namespace, facts.algorithm.name)) or {}
         known = AlgorithmStatus.of(algorithm).image_id
         return image_digest(known) if known else None
 
 
-def _ran_on(op: Operator, run: RunRecord) -> bool:
+def _ran_on(cluster: Cluster, run: RunRecord) -> bool:
     """Tell whether an archived run was computed on this cluster.
 
     A workstation's record has no namespace. Where clusters have no identity, our namespaces are ours.
     """
-    ours = run.cluster == op.cluster and run.namespace in op.settings.namespaces
+    ours = run.cluster == cluster.identity and run.namespace in cluster.settings.namespaces
     return ours and run.provenance.reused_from is None

@@ -45,7 +45,8 @@ from slamhive.model.status import SweepDisplay, SweepStatus
 from slamhive.model.sweep import Sweep
 
 if TYPE_CHECKING:
-    from slamhive.kube.operator import Operator
+    from slamhive.archive import Archive
+    from slamhive.kube.cluster import Cluster
     from slamhive.kube.reconciling.catalogue import Catalogue
 
 
@@ -91,11 +92,13 @@ class SweepReconciler:
 
     Args:
         catalogue: Algorithms and Datasets.
+        archive: where finished runs are kept, if anywhere.
     """
 
-    def __init__(self, catalogue: Catalogue) -> None:
+    def __init__(self, catalogue: Catalogue, archive: Archive | None = None) -> None:
         self._catalogue = catalogue
-        self._retirement = Retirement(catalogue)
+        self._archive = archive
+        self._retirement = Retirement(catalogue, archive) if archive is not None else None
         self._memory: dict[str, SweepMemory] = {}
         self._parsed: dict[str, tuple[int, Sweep]] = {}
         self._waiting: set[Key] = set()
@@ -105,53 +108,53 @@ class SweepReconciler:
         """Return the Sweeps that wait for the catalog."""
         return [key for key in self._waiting if key.namespace == namespace]
 
-    async def __call__(self, op: Operator, key: Key) -> float | None:
+    async def __call__(self, cluster: Cluster, key: Key) -> float | None:
         """Look at a Sweep, start or stop what is due, and write what changed."""
         self._waiting.discard(key)
-        body = op.store.get(key)
+        body = cluster.store.get(key)
         if body is None or body["metadata"].get("deletionTimestamp"):
-            self._tidy(op)
+            self._tidy(cluster)
             return None
         try:
-            again = await self._look(op, key, body)
+            again = await self._look(cluster, key, body)
         except ArchiveAway as error:
             self._archive_away[body["metadata"]["uid"]] = str(error)
-            await _tell_archive(op, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
+            await _tell_archive(cluster, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
             return _AWAY_SECONDS
-        seen = op.store.get(key) or body
+        seen = cluster.store.get(key) or body
         if body["metadata"]["uid"] not in self._archive_away and holds(seen["status"], "ArchiveUnavailable"):
-            await _tell_archive(op, key, condition("ArchiveUnavailable", False, "Answers"))
+            await _tell_archive(cluster, key, condition("ArchiveUnavailable", False, "Answers"))
         return again
 
-    async def _look(self, op: Operator, key: Key, body: Object) -> float | None:
+    async def _look(self, cluster: Cluster, key: Key, body: Object) -> float | None:
         try:
             sweep = self._sweep(body)
-            memory = await self._remembered(op, key, body, sweep)
+            memory = await self._remembered(cluster, key, body, sweep)
         except InputError as error:
             self._waiting.add(key)
-            await self._refuse(op, body, str(error))
+            await self._refuse(cluster, body, str(error))
             return None
         if body["metadata"].get("generation", 1) != (body.get("status") or {}).get("observedGeneration"):
             # Its runs may have to be measured by other settings now: no change of a run tells.
-            op.queue.add(Key(Kind.EVALUATION, key.namespace, f"{SWEEP_PREFIX}{key.name}"))
-        now = op.clock()
+            cluster.queue.add(Key(Kind.EVALUATION, key.namespace, f"{SWEEP_PREFIX}{key.name}"))
+        now = cluster.clock()
         # Every change of every run leads here; one look answers for all changes of a tenth of a second, or of
         # more where it goes through many runs.
         pause = min(_LOOK_SECONDS * (1 + len(memory.finished) / _MANY), _LONGEST_LOOK_SECONDS)
         if now - memory.looked_at < pause:
             return pause
         memory.looked_at = now
-        seen = await self._see(op, key, body, sweep, memory)
+        seen = await self._see(cluster, key, body, sweep, memory)
         if _is_outdated(seen):
             del self._memory[body["metadata"]["uid"]]
             return _LOOK_SECONDS
-        return await self._advance(op, seen, now)
+        return await self._advance(cluster, seen, now)
 
-    def _tidy(self, op: Operator) -> None:
+    def _tidy(self, cluster: Cluster) -> None:
         alive = {
             body["metadata"]["uid"]
-            for namespace in op.settings.namespaces
-            for body in op.store.of(Kind.SWEEP, namespace)
+            for namespace in cluster.settings.namespaces
+            for body in cluster.store.of(Kind.SWEEP, namespace)
         }
         for uid in [uid for uid in (*self._memory, *self._parsed, *self._archive_away) if uid not in alive]:
             self._archive_away.pop(uid, None)
@@ -166,23 +169,23 @@ class SweepReconciler:
             self._parsed[uid] = known
         return known[1]
 
-    async def _remembered(self, op: Operator, key: Key, body: Object, sweep: Sweep) -> SweepMemory:
+    async def _remembered(self, cluster: Cluster, key: Key, body: Object, sweep: Sweep) -> SweepMemory:
         uid = body["metadata"]["uid"]
         if uid not in self._memory:
-            live = {run["metadata"]["uid"]: state_of(run) for run in _own(op, key, uid)}
+            live = {run["metadata"]["uid"]: state_of(run) for run in _own(cluster, key, uid)}
             accepted = bool(holds(body["status"], "Accepted"))
-            catalog = self._catalogue.all(op.store, key.namespace)
+            catalog = self._catalogue.all(cluster.store, key.namespace)
             memory = await remember(
-                *(sweep, SweepStatus.of(body), catalog, live, op.archive),
+                *(sweep, SweepStatus.of(body), catalog, live, self._archive),
                 accepted=accepted,
-                cluster=op.cluster,
+                cluster=cluster.identity,
             )
             # An operator that was killed may not have written the start: its oldest live run tells it, or the
             # budget of wall time would begin anew.
-            made = (moment(run["metadata"].get("creationTimestamp")) for run in _own(op, key, uid))
+            made = (moment(run["metadata"].get("creationTimestamp")) for run in _own(cluster, key, uid))
             memory.started_at = memory.started_at or min(filter(None, made), default=None)
-            most = op.settings.max_runs_without_archive
-            if op.archive is None and len(memory.plan) > most:
+            most = cluster.settings.max_runs_without_archive
+            if self._archive is None and len(memory.plan) > most:
                 raise InputError(
                     f"spec.matrix: {len(memory.plan)} runs need an archive, without one at most {most} are "
                     "allowed: their objects would fill the cluster; set archive.existingSecret in the chart"
@@ -190,18 +193,20 @@ class SweepReconciler:
             self._memory[uid] = memory
         return self._memory[uid]
 
-    async def _see(self, op: Operator, key: Key, body: Object, sweep: Sweep, memory: SweepMemory) -> _Picture:
+    async def _see(
+        self, cluster: Cluster, key: Key, body: Object, sweep: Sweep, memory: SweepMemory
+    ) -> _Picture:
         runs = {}
-        for run in _own(op, key, body["metadata"]["uid"]):
+        for run in _own(cluster, key, body["metadata"]["uid"]):
             index = point_of(run)
             if index is not None and index < len(memory.states):
                 runs[index] = run
         # Their objects are gone, but their CPU time and results still count: for budgets, and for `best`.
         gone = [index for index in memory.finished if index not in runs]
         for index in gone:
-            memory.archived.add(Finished.of(await at_its_end(op, memory.finished[index].run)))
+            memory.archived.add(Finished.of(await at_its_end(self._archive, memory.finished[index].run)))
             del memory.finished[index]
-        await self._look_for_missing(op, key, body["metadata"]["uid"], memory, runs)
+        await self._look_for_missing(cluster, key, body["metadata"]["uid"], memory, runs)
         for index, run in runs.items():
             known = memory.finished.get(index)
             # The store has the same object until there is a newer one: hundreds are looked at each time.
@@ -216,26 +221,28 @@ class SweepReconciler:
 
     @staticmethod
     async def _look_for_missing(
-        op: Operator, key: Key, uid: str, memory: SweepMemory, runs: dict[int, Object]
+        cluster: Cluster, key: Key, uid: str, memory: SweepMemory, runs: dict[int, Object]
     ) -> None:
         """Find out about points in flight whose runs are not seen: deleted by someone, which cancels them."""
         index = memory.states.find(PointState.ACTIVE)
         while index >= 0:
             if index not in runs:
                 # Another operator may have made it a moment ago: what the watch hasn't told yet is asked for.
-                run = await op.refresh(Key(Kind.MAPPING_RUN, key.namespace, memory.plan.point(index).name))
+                run = await cluster.refresh(
+                    Key(Kind.MAPPING_RUN, key.namespace, memory.plan.point(index).name)
+                )
                 if run is not None and _is_of(run, uid):
                     runs[index] = run
                 else:
                     memory.states[index] = PointState.FAILED
             index = memory.states.find(PointState.ACTIVE, index + 1)
 
-    async def _advance(self, op: Operator, seen: _Picture, now: float) -> float | None:
+    async def _advance(self, cluster: Cluster, seen: _Picture, now: float) -> float | None:
         memory, sweep = seen.memory, seen.sweep
         observed = SweepObserved(
             states=memory.states,
             order=memory.order,
-            parallelism=sweep.spec.parallelism or op.settings.default_parallelism,
+            parallelism=sweep.spec.parallelism or cluster.settings.default_parallelism,
             started_at=memory.started_at,
             cpu_seconds=seen.tally.cpu_seconds,
             cursor=memory.cursor,
@@ -249,18 +256,20 @@ class SweepReconciler:
                 case StartPoints() if self._is_held_back(seen, observed.parallelism):
                     pass
                 case StartPoints(indices):
-                    blocked = _backlog(op, seen, observed.parallelism)
-                    blocked = blocked or await self._start(op, seen, indices, now)
+                    blocked = self._backlog(cluster, seen, observed.parallelism)
+                    blocked = blocked or await self._start(cluster, seen, indices, now)
                 case StopPoints(indices):
-                    await self._cancel(op, [seen.runs[index] for index in indices if index in seen.runs])
+                    await self._cancel(cluster, [seen.runs[index] for index in indices if index in seen.runs])
         delays = [_BLOCKED_SECONDS] if blocked else []
         if sweep.spec.budget.wall_time is not None and decision.verdict is Verdict.RUNNING:
             delays.append(_budget_left(sweep, memory, now))
-        delays += await self._write(op, seen, decision, blocked, now)
-        if op.archive is not None:
-            delays += await self._retirement.retire(op, seen.key, sweep, len(memory.states), seen.settled)
+        delays += await self._write(cluster, seen, decision, blocked, now)
+        if self._archive is not None and self._retirement is not None:
+            delays += await self._retirement.retire(
+                cluster, seen.key, sweep, len(memory.states), seen.settled
+            )
             if seen.body["metadata"]["uid"] in self._archive_away:
-                await asked(op.archive.get, seen.body["metadata"]["uid"])
+                await asked(self._archive.get, seen.body["metadata"]["uid"])
                 # It answers again: what was held back may start.
                 del self._archive_away[seen.body["metadata"]["uid"]]
                 delays.append(_LOOK_SECONDS)
@@ -272,10 +281,26 @@ class SweepReconciler:
             return False
         return len(seen.settled) >= seen.sweep.spec.retention.runs + window
 
-    async def _start(self, op: Operator, seen: _Picture, indices: tuple[int, ...], now: float) -> str | None:
+    def _backlog(self, cluster: Cluster, seen: _Picture, window: int) -> str | None:
+        """Return the reason to start nothing more now: runs end faster than they are measured and archived.
+
+        Without this their objects would fill the cluster, however small the window is.
+        """
+        if self._archive is None:
+            return None  # nothing is deleted then, and a Sweep has no more runs than the cluster may hold
+        measuring = cluster.settings.evaluation
+        ended, kept = len(seen.memory.finished), seen.sweep.spec.retention.runs
+        most = kept + window + _BATCHES_WAITING * measuring.batch_size * measuring.parallel_jobs
+        if ended < most:
+            return None
+        return f"{ended} runs that have ended, {kept} of them to keep, wait to be measured and archived"
+
+    async def _start(
+        self, cluster: Cluster, seen: _Picture, indices: tuple[int, ...], now: float
+    ) -> str | None:
         """Create the runs of points; returns why some could not be."""
-        if op.archive is not None:
-            await _insist_on_newest(op, seen)
+        if self._archive is not None:
+            await _insist_on_newest(cluster, seen)
         if seen.memory.started_at is None:
             seen.memory.started_at = now
         used = slots_used(seen.runs.values())
@@ -283,21 +308,21 @@ class SweepReconciler:
 
         async def create(index: int, slot: int) -> str | None:
             async with limit:
-                return await self._create(op, seen, index, slot)
+                return await self._create(cluster, seen, index, slot)
 
         told = await asyncio.gather(*(create(index, free_slot(used)) for index in indices))
         return next((problem for problem in told if problem), None)
 
     @staticmethod
-    async def _create(op: Operator, seen: _Picture, index: int, slot: int) -> str | None:
+    async def _create(cluster: Cluster, seen: _Picture, index: int, slot: int) -> str | None:
         plan = seen.memory.plan
         twin = plan.twins.get(index)
         body = run_body(seen.body, plan.point(index), slot, None if twin is None else plan.point(twin).name)
         try:
-            run = await op.create(Kind.MAPPING_RUN, body)
+            run = await cluster.create(Kind.MAPPING_RUN, body)
         except AlreadyExists:
             key = key_of(Kind.MAPPING_RUN, body)
-            found = await op.refresh(key)
+            found = await cluster.refresh(key)
             if found is None or found["metadata"].get("deletionTimestamp"):
                 return f"{key.name} is still being deleted"
             # A name that belongs to someone else is reported, never taken over.
@@ -312,19 +337,19 @@ class SweepReconciler:
         return None
 
     @staticmethod
-    async def _cancel(op: Operator, runs: list[Object]) -> None:
+    async def _cancel(cluster: Cluster, runs: list[Object]) -> None:
         for run in runs:
             if not run["spec"].get("cancel"):
-                await op.patch(key_of(Kind.MAPPING_RUN, run), {"spec": {"cancel": True}})
+                await cluster.patch(key_of(Kind.MAPPING_RUN, run), {"spec": {"cancel": True}})
 
     async def _write(
-        self, op: Operator, seen: _Picture, decision: SweepDecision, blocked: str | None, now: float
+        self, cluster: Cluster, seen: _Picture, decision: SweepDecision, blocked: str | None, now: float
     ) -> list[float]:
         """Write the status if it changed and the last write is long enough ago; returns when to come back."""
         body, memory = seen.body, seen.memory
         # A Sweep is complete when its runs are measured, not when they have ended.
         settled = len(seen.settled) == len(seen.runs)
-        phase, conditions = _standing(op, seen, decision, settled, blocked)
+        phase, conditions = _standing(cluster, seen, decision, settled, blocked)
         status = _figures(memory, seen.tally) | SweepStatus(
             phase=phase, observed_generation=body["metadata"].get("generation", 1)
         )
@@ -336,64 +361,49 @@ class SweepReconciler:
         if not status_patch(body, status.as_patch(), conditions, now):
             return []
         # However many runs end, the status is written once in this time; the Sweep's own end does not wait.
-        wait = memory.written_at + op.settings.sweep_write_seconds - now
+        wait = memory.written_at + cluster.settings.sweep_write_seconds - now
         if wait > 0 and not over:
             return [wait]
         # Noted before the answer: where that is lost, the write may have been done and must not look like
         # another operator's.
         memory.points = status.points
-        answer = await op.write_status(Kind.SWEEP, body, status, conditions) or body
+        answer = await cluster.write_status(Kind.SWEEP, body, status, conditions) or body
         memory.written_at = now
         if blocked and not holds(body["status"], "Blocked"):
-            await op.api.event(Kind.SWEEP, answer, "Warning", "CannotCreate", blocked)
-        await self._tell(op, body, answer)
+            await cluster.api.event(Kind.SWEEP, answer, "Warning", "CannotCreate", blocked)
+        await self._tell(cluster, body, answer)
         return []
 
     @staticmethod
-    async def _tell(op: Operator, before: Object, after: Object) -> None:
+    async def _tell(cluster: Cluster, before: Object, after: Object) -> None:
         was, phase = before["status"].get("phase"), after["status"].get("phase")
         if phase == was or phase in {None, "Pending", "Evaluating"}:
             return
         bad = phase in {Verdict.TOO_MANY_FAILURES, Verdict.BUDGET_EXHAUSTED}
         text = f"{after['status'].get('progress')} runs done"
-        await op.api.event(Kind.SWEEP, after, "Warning" if bad else "Normal", str(phase), text)
+        await cluster.api.event(Kind.SWEEP, after, "Warning" if bad else "Normal", str(phase), text)
 
     @staticmethod
-    async def _refuse(op: Operator, body: Object, message: str) -> None:
+    async def _refuse(cluster: Cluster, body: Object, message: str) -> None:
         lines = message.splitlines()
         text = "\n".join(lines[:_SHOWN_PROBLEMS])
         told = condition("Accepted", False, "InvalidSpec", text)
-        if await op.write_status(Kind.SWEEP, body, SweepStatus(phase="Pending"), [told]) is not None:
-            await op.api.event(Kind.SWEEP, body, "Warning", "NotAccepted", lines[0])
+        if await cluster.write_status(Kind.SWEEP, body, SweepStatus(phase="Pending"), [told]) is not None:
+            await cluster.api.event(Kind.SWEEP, body, "Warning", "NotAccepted", lines[0])
 
 
-def _backlog(op: Operator, seen: _Picture, window: int) -> str | None:
-    """Return the reason to start nothing more now: runs end faster than they are measured and archived.
-
-    Without this their objects would fill the cluster, however small the window is.
-    """
-    if op.archive is None:
-        return None  # nothing is deleted then, and a Sweep has no more runs than the cluster may hold
-    measuring = op.settings.evaluation
-    ended, kept = len(seen.memory.finished), seen.sweep.spec.retention.runs
-    most = kept + window + _BATCHES_WAITING * measuring.batch_size * measuring.parallel_jobs
-    if ended < most:
-        return None
-    return f"{ended} runs that have ended, {kept} of them to keep, wait to be measured and archived"
-
-
-async def _tell_archive(op: Operator, key: Key, told: Object) -> None:
+async def _tell_archive(cluster: Cluster, key: Key, told: Object) -> None:
     """Write whether the archive answers into a Sweep's conditions; an Event says that it does not."""
-    body = op.store.get(key)
+    body = cluster.store.get(key)
     if body is None:
         return
-    answer = await op.write_status(Kind.SWEEP, body, conditions=[told])
+    answer = await cluster.write_status(Kind.SWEEP, body, conditions=[told])
     if answer is not None and told["status"] == "True":
-        await op.api.event(Kind.SWEEP, answer, "Warning", told["type"], told["message"])
+        await cluster.api.event(Kind.SWEEP, answer, "Warning", told["type"], told["message"])
 
 
-def _own(op: Operator, key: Key, uid: str) -> list[Object]:
-    runs = op.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, key.name)
+def _own(cluster: Cluster, key: Key, uid: str) -> list[Object]:
+    runs = cluster.store.select(Kind.MAPPING_RUN, key.namespace, Label.SWEEP, key.name)
     return [run for run in runs if _is_of(run, uid)]
 
 
@@ -416,7 +426,7 @@ def _is_outdated(seen: _Picture) -> bool:
     )
 
 
-async def _insist_on_newest(op: Operator, seen: _Picture) -> None:
+async def _insist_on_newest(cluster: Cluster, seen: _Picture) -> None:
     """Make sure that no other operator has done points of which nothing is known here yet.
 
     An archived run's name is free again: only the Sweep's status says that its point is done.
@@ -424,7 +434,7 @@ async def _insist_on_newest(op: Operator, seen: _Picture) -> None:
     Raises:
         Conflict: the Sweep is newer than what was looked at.
     """
-    fresh = await op.refresh(seen.key)
+    fresh = await cluster.refresh(seen.key)
     if fresh is None or fresh["metadata"]["resourceVersion"] != seen.body["metadata"]["resourceVersion"]:
         raise Conflict(f"{seen.key} has changed since it was looked at", status=409)
 
@@ -458,7 +468,7 @@ def _figures(memory: SweepMemory, tally: Tally) -> SweepStatus:
 
 
 def _standing(
-    op: Operator, seen: _Picture, decision: SweepDecision, settled: bool, blocked: str | None
+    cluster: Cluster, seen: _Picture, decision: SweepDecision, settled: bool, blocked: str | None
 ) -> tuple[str, list[Object]]:
     """Return the standing of a Sweep: its phase, for printing, and its conditions."""
     verdict = decision.verdict
@@ -475,8 +485,8 @@ def _standing(
         fresh.append(
             condition("Blocked", bool(blocked), "CannotCreate" if blocked else "Free", blocked or "")
         )
-    available = op.usage.available
+    available = cluster.usage.available
     if available is not None and (not available or holds(seen.body["status"], "LiveUsage") is False):
         reason = "MetricsAvailable" if available else "MetricsUnavailable"
-        fresh.append(condition("LiveUsage", available, reason, op.usage.sentence))
+        fresh.append(condition("LiveUsage", available, reason, cluster.usage.sentence))
     return phase, fresh

@@ -29,7 +29,7 @@ from slamhive.model.status import MESSAGE_LENGTH, DatasetStatus, VariantEntry, V
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from slamhive.kube.operator import Operator
+    from slamhive.kube.cluster import Cluster
     from slamhive.model.algorithm import Algorithm
     from slamhive.model.dataset import Dataset
 
@@ -81,23 +81,23 @@ class VariantSeen:
     waiting: str | None = None
 
 
-def look(op: Operator, namespace: str, wanted: Wanted, created: float) -> VariantSeen:
+def look(cluster: Cluster, namespace: str, wanted: Wanted, created: float) -> VariantSeen:
     """Return the state of a variant.
 
     Args:
-        op: the operator.
+        cluster: the cluster.
         namespace: where.
         wanted: the variant.
         created: when the run that asks was made, or last tried, s since 1970: older failures don't count.
     """
-    entry = _entry_of(op, Key(Kind.DATASET, namespace, wanted.dataset.name), wanted.name)
+    entry = _entry_of(cluster, Key(Kind.DATASET, namespace, wanted.dataset.name), wanted.name)
     if entry is not None and entry.phase is VariantPhase.READY:
         return VariantSeen(VariantState.READY, entry.description or {})
     # The Job tells as soon as it ends; until the Dataset's status says so too, runs would wait for a write in
     # between.
-    jobs = op.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name)
+    jobs = cluster.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name)
     for job in jobs:
-        pods = op.store.select(Kind.POD, namespace, Label.VARIANT, wanted.name)
+        pods = cluster.store.select(Kind.POD, namespace, Label.VARIANT, wanted.name)
         seen = observe_variant(job, pods)
         if seen.state is VariantState.READY and seen.description is not None:
             return VariantSeen(VariantState.READY, seen.description.as_json())
@@ -113,11 +113,11 @@ def look(op: Operator, namespace: str, wanted: Wanted, created: float) -> Varian
     return VariantSeen(VariantState.ABSENT)
 
 
-async def make(op: Operator, namespace: str, wanted: Wanted, owner: dict[str, Any]) -> float | None:
+async def make(cluster: Cluster, namespace: str, wanted: Wanted, owner: dict[str, Any]) -> float | None:
     """Have a variant made, or join those that wait for it.
 
     Args:
-        op: the operator.
+        cluster: the cluster.
         namespace: where.
         wanted: the variant.
         owner: reference to the object that needs it.
@@ -125,24 +125,24 @@ async def make(op: Operator, namespace: str, wanted: Wanted, owner: dict[str, An
     Returns:
         Seconds after which to ask again, when there is no room for another preparation now.
     """
-    jobs = op.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name)
+    jobs = cluster.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name)
     for job in jobs:
-        pods = op.store.select(Kind.POD, namespace, Label.VARIANT, wanted.name)
+        pods = cluster.store.select(Kind.POD, namespace, Label.VARIANT, wanted.name)
         # The Job's name follows from the variant: the failed one has to go before another can be made.
         if observe_variant(job, pods).state is VariantState.FAILED:
-            await op.delete(key_of(Kind.JOB, job))
+            await cluster.delete(key_of(Kind.JOB, job))
             return _PENDING_SECONDS / 5
     if not jobs:
         active = [
             job
-            for job in op.store.select(Kind.JOB, namespace, Label.ROLE, Role.PREPARE)
+            for job in cluster.store.select(Kind.JOB, namespace, Label.ROLE, Role.PREPARE)
             if not _has_ended(job)
         ]
         # Other workers may have found the same room a moment ago.
-        coming = op.being_created(Kind.JOB, namespace, Label.ROLE, Role.PREPARE)
+        coming = cluster.being_created(Kind.JOB, namespace, Label.ROLE, Role.PREPARE)
         names = {job["metadata"]["name"] for job in (*active, *coming)}
         is_coming = any(job["metadata"]["labels"].get(Label.VARIANT) == wanted.name for job in coming)
-        if not is_coming and len(names) >= op.settings.preparation.parallel_jobs:
+        if not is_coming and len(names) >= cluster.settings.preparation.parallel_jobs:
             return _PENDING_SECONDS
     body = variant_job(
         namespace=namespace,
@@ -150,26 +150,26 @@ async def make(op: Operator, namespace: str, wanted: Wanted, owner: dict[str, An
         dataset=wanted.dataset,
         algorithm=wanted.algorithm,
         spec=wanted.spec,
-        settings=op.settings,
+        settings=cluster.settings,
         owners=[owner],
     )
     try:
-        await op.create(Kind.JOB, body)
+        await cluster.create(Kind.JOB, body)
     except AlreadyExists:
-        await _join(op, Key(Kind.JOB, namespace, body["metadata"]["name"]), owner)
+        await _join(cluster, Key(Kind.JOB, namespace, body["metadata"]["name"]), owner)
     return None
 
 
-async def join(op: Operator, namespace: str, wanted: Wanted, owner: dict[str, Any]) -> None:
+async def join(cluster: Cluster, namespace: str, wanted: Wanted, owner: dict[str, Any]) -> None:
     """Become an owner of the Job that makes a variant, so that it stays while this owner needs it."""
-    for job in op.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name):
+    for job in cluster.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name):
         owners = job["metadata"].get("ownerReferences") or []
         if not _has_ended(job) and owner["uid"] not in {item["uid"] for item in owners}:
-            await _join(op, Key(Kind.JOB, namespace, job["metadata"]["name"]), owner)
+            await _join(cluster, Key(Kind.JOB, namespace, job["metadata"]["name"]), owner)
 
 
-async def _join(op: Operator, key: Key, owner: dict[str, Any]) -> None:
-    job = await op.refresh(key)
+async def _join(cluster: Cluster, key: Key, owner: dict[str, Any]) -> None:
+    job = await cluster.refresh(key)
     if job is None:
         return
     owners = job["metadata"].get("ownerReferences") or []
@@ -177,58 +177,58 @@ async def _join(op: Operator, key: Key, owner: dict[str, Any]) -> None:
         return
     # Without the version a merge patch of the list would drop an owner that another worker has just added,
     # and the Job with it.
-    await op.patch_seen(Kind.JOB, job, {"metadata": {"ownerReferences": [*owners, owner]}})
+    await cluster.patch_seen(Kind.JOB, job, {"metadata": {"ownerReferences": [*owners, owner]}})
 
 
 class DatasetReconciler:
     """Keeps ``Dataset.status.variants`` true."""
 
-    async def __call__(self, op: Operator, key: Key) -> float | None:
+    async def __call__(self, cluster: Cluster, key: Key) -> float | None:
         """Take what preparation Jobs report into the Dataset's status."""
-        dataset = op.store.get(key)
+        dataset = cluster.store.get(key)
         if dataset is None:
             return None
         before = {entry.name: entry for entry in DatasetStatus.of(dataset).variants}
         after = dict(before)
         delays: list[float] = []
-        for job in op.store.select(Kind.JOB, key.namespace, Label.DATASET, key.name):
+        for job in cluster.store.select(Kind.JOB, key.namespace, Label.DATASET, key.name):
             name = job["metadata"].get("labels", {}).get(Label.VARIANT)
             if name is not None:
-                entry = self._entry(op, key.namespace, name, job, before.get(name))
-                after[name] = await self._while_waiting(op, job, entry, delays)
-        after = _within(op, key.namespace, after)
+                entry = self._entry(cluster, key.namespace, name, job, before.get(name))
+                after[name] = await self._while_waiting(cluster, job, entry, delays)
+        after = _within(cluster, key.namespace, after)
         if after != before:
-            await _write(op, dataset, after.values())
-            self._wake(op, key)
+            await _write(cluster, dataset, after.values())
+            self._wake(cluster, key)
         return min(delays, default=None)
 
     @staticmethod
     async def _while_waiting(
-        op: Operator, job: dict[str, Any], entry: VariantEntry, delays: list[float]
+        cluster: Cluster, job: dict[str, Any], entry: VariantEntry, delays: list[float]
     ) -> VariantEntry:
         """Return an entry with why its Job does not begin; one that can't for long has failed."""
         if entry.phase is not VariantPhase.PREPARING:
             return entry
-        waits = await patience(op, job, observe_variant(job, op.store.pods_of(job)).waiting)
+        waits = await patience(cluster, job, observe_variant(job, cluster.store.pods_of(job)).waiting)
         if waits.end is None:
             delays += [] if waits.seconds is None else [waits.seconds]
             return entry.replace(message=waits.why and waits.why[:MESSAGE_LENGTH])
-        await op.delete(key_of(Kind.JOB, job))
+        await cluster.delete(key_of(Kind.JOB, job))
         return entry.replace(
             phase=VariantPhase.FAILED,
             reason=waits.end.reason or Reason.SYSTEM_FAULT,
             message=(waits.end.message or "")[:MESSAGE_LENGTH],
-            changed_time=iso(op.clock()),
+            changed_time=iso(cluster.clock()),
         )
 
     @staticmethod
     def _entry(
-        op: Operator, namespace: str, name: str, job: dict[str, Any], known: VariantEntry | None
+        cluster: Cluster, namespace: str, name: str, job: dict[str, Any], known: VariantEntry | None
     ) -> VariantEntry:
         if known is not None and known.phase is VariantPhase.READY:
             return known
-        seen = observe_variant(job, op.store.select(Kind.POD, namespace, Label.VARIANT, name))
-        now = iso(op.clock())
+        seen = observe_variant(job, cluster.store.select(Kind.POD, namespace, Label.VARIANT, name))
+        now = iso(cluster.clock())
         # What was known of it before its folder was lost stays until it is told anew: see lose().
         before = known or VariantEntry(name=name)
         if seen.state is VariantState.READY and seen.description is not None:
@@ -253,57 +253,59 @@ class DatasetReconciler:
         return before.replace(phase=VariantPhase.FAILED, reason=reason, message=message, changed_time=now)
 
     @staticmethod
-    def _wake(op: Operator, key: Key) -> None:
-        for run in op.store.referring(key.namespace, Kind.DATASET, key.name):
-            op.queue.add(key_of(Kind.MAPPING_RUN, run))
+    def _wake(cluster: Cluster, key: Key) -> None:
+        for run in cluster.store.referring(key.namespace, Kind.DATASET, key.name):
+            cluster.queue.add(key_of(Kind.MAPPING_RUN, run))
 
 
-async def touch(op: Operator, key: Key, name: str) -> None:
+async def touch(cluster: Cluster, key: Key, name: str) -> None:
     """Note that a variant is used, at most once an hour."""
-    entry, dataset = _entry_of(op, key, name), op.store.get(key)
+    entry, dataset = _entry_of(cluster, key, name), cluster.store.get(key)
     if entry is None or dataset is None:
         return
     used = moment(entry.last_used_time) or 0.0
-    if op.clock() - used >= _TOUCH_SECONDS:
-        await _change(op, dataset, entry.replace(last_used_time=iso(op.clock())))
+    if cluster.clock() - used >= _TOUCH_SECONDS:
+        await _change(cluster, dataset, entry.replace(last_used_time=iso(cluster.clock())))
 
 
-async def lose(op: Operator, key: Key, name: str) -> None:
+async def lose(cluster: Cluster, key: Key, name: str) -> None:
     """Note that a variant turned out to be gone from the volume, so that it is prepared anew.
 
     What is known of it stays: its name stands for one content, and runs that have read it can be measured
     only by its description.
     """
-    for job in op.store.select(Kind.JOB, key.namespace, Label.VARIANT, name):
-        await op.delete(key_of(Kind.JOB, job))  # its report would have it ready again
-    entry, dataset = _entry_of(op, key, name), op.store.get(key)
+    for job in cluster.store.select(Kind.JOB, key.namespace, Label.VARIANT, name):
+        await cluster.delete(key_of(Kind.JOB, job))  # its report would have it ready again
+    entry, dataset = _entry_of(cluster, key, name), cluster.store.get(key)
     if entry is None or dataset is None or entry.phase is VariantPhase.PENDING:
         return
-    now = iso(op.clock())
+    now = iso(cluster.clock())
     await _change(
-        op, dataset, entry.replace(phase=VariantPhase.PENDING, reason=None, message=None, changed_time=now)
+        cluster,
+        dataset,
+        entry.replace(phase=VariantPhase.PENDING, reason=None, message=None, changed_time=now),
     )
 
 
-async def _change(op: Operator, dataset: dict[str, Any], entry: VariantEntry) -> None:
+async def _change(cluster: Cluster, dataset: dict[str, Any], entry: VariantEntry) -> None:
     """Write one entry of a Dataset's status."""
     known = DatasetStatus.of(dataset).variants
-    await _write(op, dataset, [entry if item.name == entry.name else item for item in known])
+    await _write(cluster, dataset, [entry if item.name == entry.name else item for item in known])
 
 
-async def _write(op: Operator, dataset: dict[str, Any], entries: Iterable[VariantEntry]) -> None:
+async def _write(cluster: Cluster, dataset: dict[str, Any], entries: Iterable[VariantEntry]) -> None:
     # Not checked here: where there are too many, the API server has a sentence for it.
-    await op.write_status(Kind.DATASET, dataset, DatasetStatus().replace(variants=list(entries)))
+    await cluster.write_status(Kind.DATASET, dataset, DatasetStatus().replace(variants=list(entries)))
 
 
-def _within(op: Operator, namespace: str, known: dict[str, VariantEntry]) -> dict[str, VariantEntry]:
+def _within(cluster: Cluster, namespace: str, known: dict[str, VariantEntry]) -> dict[str, VariantEntry]:
     """Return the entries that may stay: unused ones go while a namespace's variants are too large."""
-    limit = quantity(op.settings.variants_limit)
+    limit = quantity(cluster.settings.variants_limit)
     # The limit holds for a namespace, as all its Datasets share one volume. Of the others' entries, which can
     # be thousands, only the sizes are read.
     others = sum(
         item.get("sizeBytes", 0)
-        for dataset in op.store.of(Kind.DATASET, namespace)
+        for dataset in cluster.store.of(Kind.DATASET, namespace)
         for item in (dataset.get("status") or {}).get("variants") or ()
         if item["name"] not in known
     )
@@ -311,7 +313,7 @@ def _within(op: Operator, namespace: str, known: dict[str, VariantEntry]) -> dic
     # A run that has ended is measured by the description of what it read.
     used = {
         (run.get("status") or {}).get("variant")
-        for run in op.store.of(Kind.MAPPING_RUN, namespace)
+        for run in cluster.store.of(Kind.MAPPING_RUN, namespace)
         if not is_settled(run)
     }
     kept = dict(known)
@@ -320,7 +322,7 @@ def _within(op: Operator, namespace: str, known: dict[str, VariantEntry]) -> dic
             break
         ready_unused = entry.phase is not VariantPhase.PREPARING and entry.name not in used
         # Use is noted once an hour at most, so a new entry may look unused although runs read it.
-        recent = op.clock() - (moment(entry.changed_time) or 0.0) < _TOUCH_SECONDS
+        recent = cluster.clock() - (moment(entry.changed_time) or 0.0) < _TOUCH_SECONDS
         if ready_unused and not recent:
             total -= entry.size_bytes or 0
             # Only the entry goes here. The collector removes the folder when no Dataset names it any more.
@@ -328,18 +330,18 @@ def _within(op: Operator, namespace: str, known: dict[str, VariantEntry]) -> dic
     return kept
 
 
-def _entry_of(op: Operator, key: Key, name: str) -> VariantEntry | None:
+def _entry_of(cluster: Cluster, key: Key, name: str) -> VariantEntry | None:
     """Return the entry of one variant in a Dataset's status; the others are not even read."""
-    return variant_of(op.store.get(key) or {}, name)
+    return variant_of(cluster.store.get(key) or {}, name)
 
 
-def described(op: Operator, key: Key, name: str) -> dict[str, Any] | None:
+def described(cluster: Cluster, key: Key, name: str) -> dict[str, Any] | None:
     """Return the description of a variant, from its Job where the Dataset's status does not say it yet."""
-    entry = _entry_of(op, key, name)
+    entry = _entry_of(cluster, key, name)
     if entry is not None and entry.description:
         return dict(entry.description)
-    for job in op.store.select(Kind.JOB, key.namespace, Label.VARIANT, name):
-        seen = observe_variant(job, op.store.select(Kind.POD, key.namespace, Label.VARIANT, name))
+    for job in cluster.store.select(Kind.JOB, key.namespace, Label.VARIANT, name):
+        seen = observe_variant(job, cluster.store.select(Kind.POD, key.namespace, Label.VARIANT, name))
         if seen.description is not None:
             return seen.description.as_json()
     return None
