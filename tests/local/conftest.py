@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.archive import Archive
-from slamhive.engine import PointState
 from slamhive.local.home.catalog import Workshop
 from slamhive.local.running.choosing import Wish
-from slamhive.local.running.runner import Job, Runner, Watcher
+from slamhive.local.running.runner import Job, Runner
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
-from slamhive.model.sweep import Sweep
 from slamhive.plan import Plan, local_uid
+
+from .running.sweeps import Notes, sweep_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from slamhive.local.home.folder import Home
-    from slamhive.model.results import Phase, RunRecord
+    from slamhive.model.sweep import Sweep
 
 
 @pytest.fixture
@@ -38,38 +38,6 @@ def bench(home: Home, workshop: Workshop) -> Iterator[Workbench]:
     """A workbench on the home."""
     with Archive.open(home.archive_url) as archive:
         yield Workbench(home, workshop, archive)
-
-
-class Notes(Watcher):
-    """A watcher that remembers what it was told."""
-
-    def __init__(self) -> None:
-        self.phases: list[tuple[int, Phase]] = []
-        self.active: list[set[int]] = []
-        self.records: list[RunRecord] = []
-
-    def phase(self, job: Job, index: int, phase: Phase) -> None:
-        self.phases.append((index, phase))
-        self.active.append({point for point, state in enumerate(job.states) if state == PointState.ACTIVE})
-
-    def finished(self, job: Job, record: RunRecord) -> None:
-        self.records.append(record)
-
-
-def sweep_of(acts: Sequence[str], name: str = "acts", **fields: object) -> Sweep:
-    """Return a sweep over acts."""
-    template = {"algorithmRef": {"name": "actor"}, "datasetRef": {"name": "tiny"}}
-    template |= fields.pop("template", {})  # type: ignore[arg-type]
-    return Sweep.model_validate(
-        {
-            "metadata": {"name": name},
-            "spec": {
-                "template": {"spec": template},
-                "matrix": [{"path": "parameters.act", "values": list(acts)}],
-                **fields,
-            },
-        }
-    )
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from starlette.testclient import TestClient
 from slamhive.dashboard.server.app import create_app
 from slamhive.dashboard.sources.archived import Workstation
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "fuzz"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "fuzz"))
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from slamhive.local.running.outlook import Outlook, Standing
 from slamhive.model.errors import InputError
 from slamhive.plan import Plan
 
-from .conftest import sweep_of
+from .sweeps import sweep_of
 
 if TYPE_CHECKING:
     from slamhive.local.home.catalog import Workshop

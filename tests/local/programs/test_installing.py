@@ -16,7 +16,7 @@ from slamhive.local.programs import installing
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PROGRAM = ROOT / "operator/slamhive/local/programs/installing.py"
 
 

@@ -16,7 +16,7 @@ from slamhive.dashboard.sources.archived import Workstation
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-ICRA = Path(__file__).parents[3] / "shared" / "data" / "icra2023"
+ICRA = Path(__file__).parents[4] / "shared" / "data" / "icra2023"
 DESK = "rgbd-dataset-freiburg2-desk"
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from slamhive.dashboard.answering.workers import Cost
 
-sys.path.append(str(Path(__file__).parents[1] / "bench"))
+sys.path.append(str(Path(__file__).parents[2] / "bench"))
 
 from bench_dashboard import fill
 

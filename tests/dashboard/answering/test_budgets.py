@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-sys.path += [str(Path(__file__).parents[1] / name) for name in ("bench", "fuzz")]
+sys.path += [str(Path(__file__).parents[2] / name) for name in ("bench", "fuzz")]
 
 from bench_dashboard import fill
 from bench_hostile import fill_home, made_up, traps

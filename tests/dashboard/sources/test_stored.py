@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1] / "storage"))
+sys.path.append(str(Path(__file__).parents[2] / "storage"))
 
 from buckets import S3, make_place, place, s3
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from slamhive_eval.formats.csv_writing import csv_blocks, csv_text, write_csv
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 

@@ -21,15 +21,15 @@ from slamhive.model.results import Outcome, Phase, RunRecord
 from slamhive.model.sweep import Sweep
 from slamhive.plan import Plan, local_uid
 
-from .conftest import Notes
+from .sweeps import Notes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from slamhive.local.home.folder import Home
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "algorithms.md"
-SHARED = Path(__file__).parents[3] / "shared" / "data" / "bags"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "algorithms.md"
+SHARED = Path(__file__).parents[4] / "shared" / "data" / "bags"
 SWEEP = {"algorithmRef": {"name": "wheels"}, "datasetRef": {"name": "ground"}}
 
 

@@ -214,7 +214,7 @@ def records(tiny: Path, base: Path) -> dict[str, RunRecord]:
     """Records of one run of each try, by the try; one ``slamhive run`` makes them all."""
     home, actor = base / "home", base / "home" / "algorithms" / "actor"
     shutil.copytree(tiny, home / "datasets")
-    shutil.copytree(Path(__file__).parents[1] / "actor", actor)
+    shutil.copytree(Path(__file__).parents[2] / "actor", actor)
     truth = next(tiny.glob("tiny-*/groundtruth.txt")).read_text()
     (actor / "truth.txt").write_text("".join(line + "\n" for line in truth.splitlines() if line[0] != "#"))
     tries = {name: code for name, (code, _) in (SEEN | FATAL).items()} | WITHOUT_EFFECT | {"nothing": "pass"}

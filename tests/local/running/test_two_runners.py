@@ -19,7 +19,7 @@ from slamhive.local.running.runner import Job, Runner
 from slamhive.local.running.workbench import Workbench
 from slamhive.plan import Plan, local_uid
 
-from .conftest import Notes, sweep_of
+from .sweeps import Notes, sweep_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

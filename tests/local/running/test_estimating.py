@@ -13,7 +13,7 @@ from slamhive.local.running.estimating import Estimate
 from slamhive.monitor.measuring.machine import cpu_model
 from slamhive.plan import Plan
 
-from .conftest import sweep_of
+from .sweeps import sweep_of
 
 if TYPE_CHECKING:
     from slamhive.local.home.catalog import Workshop

@@ -13,7 +13,7 @@ import anyio
 import pytest
 from sqlalchemy import create_engine, exc, text
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "archive"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "archive"))
 
 from servers import PostgreSQL, postgresql
 
@@ -72,7 +72,7 @@ async def test_a_killed_archive_stays_on_view_and_is_followed_again(
         assert (await client.get("/runs/uid-004"))["uid"] == "uid-004"
 
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 async def test_an_account_that_only_reads_sees_all_pages_and_changes_nothing(
