@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import yaml
 
+from slamhive.kube.api.kinds import Kind, reference
 from slamhive.kube.builders import (
     ANNOTATION_LIMIT,
     Companion,
@@ -24,7 +25,6 @@ from slamhive.kube.builders import (
     evaluator_job_name,
     job_name,
     label_value,
-    owner_reference,
     read_job,
     run_job,
     variant_job,
@@ -147,14 +147,13 @@ def batch(count: int = 2) -> dict[str, Any]:
 
 
 def evaluating(request: dict[str, Any], evaluator: Evaluator | None = None) -> dict[str, Any]:
-    owner = owner_reference(
-        {"apiVersion": API, "kind": "Evaluation", "metadata": {"name": "ate", "uid": UID}}
-    )
+    owner = reference(Kind.EVALUATION, {"metadata": {"name": "ate", "uid": UID}})
     return evaluator_job(
         "lab",
         request,
         settings_hash=SHA,
         attempt=1,
+        labels={"slamhive.io/evaluation": "ate"},
         owners=[owner],
         settings=settings(),
         evaluator=evaluator,
@@ -170,7 +169,7 @@ def preparing(preparation: dict[str, Any] | None = None, **spec: Any) -> dict[st
         algorithm=declared,
         spec=spec_of(declared, data),
         settings=settings().replace(preparation=PreparationJobs.model_validate(preparation or {})),
-        owners=[owner_reference(run())],
+        owners=[reference(Kind.MAPPING_RUN, run())],
     )
 
 

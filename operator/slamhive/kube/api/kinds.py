@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
 from slamhive.model.base import GROUP, VERSION, Choice
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 Object = dict[str, Any]
 """An object of the API in plain JSON, or a part of one."""
@@ -118,7 +121,7 @@ def key_of(kind: Kind, obj: Object) -> Key:
     return Key(kind, metadata.get("namespace", ""), metadata["name"])
 
 
-def reference(kind: Kind, obj: Object, *, controller: bool = False) -> Object:
+def reference(kind: Kind, obj: Mapping[str, Any], *, controller: bool = False) -> Object:
     """Return the owner reference that makes an object the owner of others."""
     metadata = obj["metadata"]
     body = {

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builders: from our objects to the manifests of Jobs. Pure: no API, no clock, no volume."""
 
-from slamhive.kube.builders.common import ANNOTATION_LIMIT, label, label_value, owner_reference
+from slamhive.kube.builders.common import ANNOTATION_LIMIT, label, label_value
 from slamhive.kube.builders.evaluation import (
     batches,
     evaluator_job,
     evaluator_job_name,
-    log_container,
     read_job,
     read_job_name,
 )
@@ -23,8 +22,6 @@ __all__ = [
     "job_name",
     "label",
     "label_value",
-    "log_container",
-    "owner_reference",
     "read_job",
     "read_job_name",
     "run_job",

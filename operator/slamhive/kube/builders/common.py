@@ -14,6 +14,7 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
+from slamhive.kube.api.kinds import MANAGER, Label
 from slamhive.model.base import GROUP
 from slamhive.model.errors import InputError
 
@@ -29,8 +30,6 @@ ANNOTATION_LIMIT = 200 * 1024
 
 _ALL_ANNOTATIONS = 256 * 1024
 
-MANAGED_BY = "app.kubernetes.io/managed-by"
-MANAGER = "slamhive"
 
 # The length of a label: the names of Jobs and runs are labels of their pods.
 _NAME_LENGTH = 63
@@ -81,24 +80,6 @@ def segment(text: str, what: str) -> str:
     if not _UID.match(text):
         raise InputError(f"{what} {text!r} cannot be part of a path: letters, digits and - are allowed")
     return text
-
-
-def owner_reference(owner: Mapping[str, Any], *, controller: bool = False) -> Manifest:
-    """Return the reference by which an object goes when its owner goes.
-
-    Args:
-        owner: the owner as the API server returned it.
-        controller: whether it manages the object; at most one owner may.
-    """
-    metadata = owner["metadata"]
-    reference = {
-        "apiVersion": owner["apiVersion"],
-        "kind": owner["kind"],
-        "name": metadata["name"],
-        "uid": metadata["uid"],
-        "blockOwnerDeletion": False,
-    }
-    return reference | ({"controller": True} if controller else {})
 
 
 def passed_on(values: Mapping[str, str] | None, settings: Settings) -> dict[str, str]:
@@ -192,7 +173,7 @@ def equal_resources(cpu: str, memory: str, *, logs: str, extra: Mapping[str, str
 def container(
     name: str,
     image: str,
-    settings: Settings,
+    pull_policy: str,
     *,
     command: Sequence[str],
     env: Iterable[Manifest],
@@ -206,7 +187,7 @@ def container(
     body: Manifest = {
         "name": name,
         "image": image,
-        "imagePullPolicy": str(settings.image_pull_policy),
+        "imagePullPolicy": str(pull_policy),
         "env": list(env),
         "volumeMounts": list(mounts),
         "resources": resources,
@@ -260,6 +241,7 @@ def job(
     annotations: Mapping[str, str],
     passed_labels: Mapping[str, str] | None = None,
     passed_annotations: Mapping[str, str] | None = None,
+    notes: Mapping[str, str] | None = None,
     ttl_seconds: int | None = None,
 ) -> Manifest:
     """Return a Job of one pod that is never repeated, but for what takes a pod from outside.
@@ -273,16 +255,17 @@ def job(
         annotations: annotations of the pod.
         passed_labels: further labels of both, which never replace ours.
         passed_annotations: the same for annotations.
+        notes: annotations of the Job alone.
         ttl_seconds: how long it stays when it has finished; None: as long as its owners.
 
     Raises:
         InputError: the annotations don't fit into an object.
     """
-    ours = {MANAGED_BY: MANAGER} | {key: label_value(value) for key, value in labels.items()}
+    ours = {str(Label.MANAGED_BY): MANAGER} | {key: label_value(value) for key, value in labels.items()}
     all_labels = dict(passed_labels or {}) | ours
     metadata: Manifest = {"namespace": namespace, "name": name, "labels": all_labels}
-    if passed_annotations:
-        metadata["annotations"] = dict(passed_annotations)
+    if passed_annotations or notes:
+        metadata["annotations"] = {**(passed_annotations or {}), **(notes or {})}
     if owners:
         metadata["ownerReferences"] = list(owners)
     noted = dict(passed_annotations or {}) | dict(annotations)

@@ -6,23 +6,21 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
+from slamhive.kube.api.kinds import Kind, reference
 from slamhive.kube.builders.common import (
     ANNOTATION_LIMIT,
     Manifest,
     claim,
     container,
-    downward,
     equal_resources,
-    job,
     label,
     mount,
-    owner_reference,
     pod_spec,
-    request_text,
     scratch,
     segment,
     variables,
 )
+from slamhive.kube.builders.request import ENVIRONMENT, KEPT_SECONDS, REQUEST, TMP, module, request_job
 from slamhive.model.canonical import digest
 
 if TYPE_CHECKING:
@@ -38,12 +36,10 @@ REPORT = "report"
 READ = "read"
 
 _HASH_LENGTH = 20
-_KEPT_SECONDS = 3600
 _DEADLINE_SECONDS = 2 * 3600
 _READ_SECONDS = 600
 _SCRATCH = "2Gi"
 _HEAD = 4096
-_MODULE = ("python3", "-P", "-m", "slamhive.jobs.evaluate")
 
 
 def batches(runs: Iterable[Mapping[str, Any]], size: int) -> Iterator[list[Mapping[str, Any]]]:
@@ -87,9 +83,11 @@ def evaluator_job(
     *,
     settings_hash: str,
     attempt: int,
+    labels: Mapping[str, str],
     owners: Sequence[Manifest],
     settings: Settings,
     evaluator: Evaluator | None = None,
+    notes: Mapping[str, str] | None = None,
 ) -> Manifest:
     """Return the Job that measures a batch of runs.
 
@@ -98,9 +96,11 @@ def evaluator_job(
         request: ``evaluation``, ``settings`` and ``runs`` as the evaluator reads them.
         settings_hash: of how is measured.
         attempt: number of the attempt at this batch, from 1.
+        labels: labels by which its end leads back to who waits for it.
         owners: references to what it goes with; without, it goes an hour after its end.
         settings: the operator's.
         evaluator: a container that measures in the place of ours.
+        notes: annotations of the Job.
 
     Raises:
         InputError: the request doesn't fit into an object, or an identity in it is no segment of a path.
@@ -108,46 +108,35 @@ def evaluator_job(
     for run in request["runs"]:
         segment(run["uid"], "the uid")
     name = evaluator_job_name(namespace, request, settings_hash, attempt)
-    work = _custom(evaluator, settings) if evaluator else _ours(settings)
-    volumes = [
-        downward("request", label("request"), "request.json"),
-        claim("results", settings.volumes.results.claim),
-        claim("data", settings.volumes.data.claim),
-        scratch("tmp", _SCRATCH),
-    ]
-    if evaluator:
-        volumes.append(scratch("runs", "64Mi"))
-    pod = pod_spec(settings) | work | {"activeDeadlineSeconds": _DEADLINE_SECONDS, "volumes": volumes}
-    for body in (*pod.get("initContainers", []), *pod["containers"]):
-        for place in body["volumeMounts"]:
-            if place["mountPath"] == "/slamhive/output":
-                place["subPath"] = f"evaluations/{name}"
-    return job(
+    output = f"evaluations/{name}"
+    return request_job(
         namespace,
         name,
-        pod,
-        labels={
-            label("role"): EVALUATE,
-            label("evaluation"): request.get("evaluation") or settings_hash[:63],
-        },
+        pod_spec(settings),
+        role=EVALUATE,
+        containers=_custom(evaluator, output, settings) if evaluator else [_ours(output, settings)],
+        claims=[
+            claim("results", settings.volumes.results.claim),
+            claim("data", settings.volumes.data.claim),
+        ],
+        deadline_seconds=_DEADLINE_SECONDS,
+        request=request,
+        volumes=[scratch("runs", "64Mi")] if evaluator else [],
+        scratch_size=_SCRATCH,
+        labels=labels,
         owners=owners,
-        annotations={label("request"): request_text(request)},
-        ttl_seconds=None if owners else _KEPT_SECONDS,
+        notes=notes,
+        ttl_seconds=None if owners else KEPT_SECONDS,
     )
 
 
-def log_container(*, custom: bool) -> str:
-    """Return the name of the container whose log carries the results."""
-    return REPORT if custom else EVALUATE
-
-
-def _mounts(*, writable: bool = True) -> list[Manifest]:
+def _mounts(output: str, *, writable: bool = True) -> list[Manifest]:
     return [
-        mount("request", "/slamhive/request", read_only=True),
+        REQUEST,
         mount("results", "/slamhive/results", read_only=True),
-        mount("results", "/slamhive/output", read_only=not writable),
+        mount("results", "/slamhive/output", read_only=not writable, subPath=output),
         mount("data", "/slamhive/groundtruth", read_only=True, subPath="groundtruth"),
-        mount("tmp", "/tmp"),  # noqa: S108
+        TMP,
     ]
 
 
@@ -158,7 +147,7 @@ def _container(
     return container(
         name,
         image,
-        settings,
+        settings.image_pull_policy,
         command=command,
         env=variables({"HOME": "/tmp", "TMPDIR": "/tmp", "LANG": "C.UTF-8"}),  # noqa: S108
         mounts=mounts,
@@ -166,29 +155,21 @@ def _container(
     )
 
 
-def _ours(settings: Settings) -> Manifest:
-    image = settings.measuring_image
-    return {"containers": [_container(EVALUATE, image, _MODULE, _mounts(), settings)]}
+def _ours(output: str, settings: Settings) -> Manifest:
+    return _container(EVALUATE, settings.measuring_image, module("evaluate"), _mounts(output), settings)
 
 
-def _custom(evaluator: Evaluator, settings: Settings) -> Manifest:
-    image = settings.measuring_image
-    report = ("python3", "-P", "-m", "slamhive.jobs.report")
+def _custom(evaluator: Evaluator, output: str, settings: Settings) -> list[Manifest]:
+    image, seen = settings.measuring_image, _mounts(output, writable=False)
     links = mount("runs", "/slamhive/runs")
-    return {
-        "initContainers": [
-            _container(LINKS, image, [*_MODULE, "--links"], [*_mounts(writable=False), links], settings),
-            _container(
-                EVALUATOR,
-                evaluator.image,
-                evaluator.command,
-                [*_mounts(), links | {"readOnly": True}],
-                settings,
-            ),
-        ],
-        # The foreign evaluator is an init container, so that our own reads what it left after it has ended.
-        "containers": [_container(REPORT, image, report, _mounts(writable=False), settings)],
-    }
+    theirs = [*_mounts(output), mount("runs", "/slamhive/runs", read_only=True)]
+    # The foreign evaluator comes before the last container, so that our own reads what it left after it has
+    # ended.
+    return [
+        _container(LINKS, image, module("evaluate", "--links"), [*seen, links], settings),
+        _container(EVALUATOR, evaluator.image, evaluator.command, theirs, settings),
+        _container(REPORT, image, module("report"), seen, settings),
+    ]
 
 
 def read_job_name(run_uid: str, pod_uid: str) -> str:
@@ -213,31 +194,21 @@ def read_job(*, run: Mapping[str, Any], pod_uid: str, settings: Settings) -> Man
     body = container(
         READ,
         settings.image,
-        settings,
-        command=["python3", "-P", "-m", "slamhive.jobs.read"],
-        env=variables({"HOME": "/tmp", "LANG": "C.UTF-8"}),  # noqa: S108
-        mounts=[
-            mount("results", "/slamhive/results", read_only=True),
-            mount("request", "/slamhive/request", read_only=True),
-            mount("tmp", "/tmp"),  # noqa: S108
-        ],
+        settings.image_pull_policy,
+        command=module("read"),
+        env=variables(ENVIRONMENT),
+        mounts=[mount("results", "/slamhive/results", read_only=True), REQUEST, TMP],
         resources=equal_resources("100m", "128Mi", logs="64Mi"),
     )
-    pod = pod_spec(settings) | {
-        "activeDeadlineSeconds": _READ_SECONDS,
-        "containers": [body],
-        "volumes": [
-            downward("request", label("request"), "request.json"),
-            claim("results", settings.volumes.results.claim),
-            scratch("tmp", "16Mi"),
-        ],
-    }
-    return job(
+    return request_job(
         metadata["namespace"],
         read_job_name(run_uid, pod_uid),
-        pod,
-        labels={label("role"): READ, label("run"): metadata["name"]},
-        owners=[owner_reference(run)],
-        annotations={label("request"): request_text({"path": path})},
-        ttl_seconds=_KEPT_SECONDS,
+        pod_spec(settings),
+        role=READ,
+        containers=[body],
+        claims=[claim("results", settings.volumes.results.claim)],
+        deadline_seconds=_READ_SECONDS,
+        request={"path": path},
+        labels={label("run"): metadata["name"]},
+        owners=[reference(Kind.MAPPING_RUN, run)],
     )

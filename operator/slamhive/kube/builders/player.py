@@ -64,7 +64,7 @@ def player(
     body = container(
         NAME,
         image,
-        settings,
+        settings.image_pull_policy,
         command=COMMAND,
         env=[from_field("POD_UID", "metadata.uid"), *variables(pod.variables)],
         mounts=[

@@ -10,16 +10,13 @@ from slamhive.kube.builders.common import (
     claim,
     config_map,
     container,
-    downward,
     equal_resources,
-    job,
     label,
     mount,
     pod_spec,
-    request_text,
-    scratch,
     variables,
 )
+from slamhive.kube.builders.request import ENVIRONMENT, REQUEST, TMP, module, request_job
 from slamhive.model.canonical import digest
 
 if TYPE_CHECKING:
@@ -36,7 +33,6 @@ STORE_SECRET = "store-secret"  # noqa: S105 - the name of a volume
 _STORE_FOLDER = "/etc/slamhive-store"
 _SECRET_FOLDER = "/etc/slamhive-store-secret"  # noqa: S105
 _HASH_LENGTH = 20
-_KEPT_SECONDS = 3600
 _DEADLINE_SECONDS = 6 * 3600
 
 
@@ -89,35 +85,23 @@ def restore_job(
     body = container(
         RESTORE,
         settings.image,
-        settings,
-        command=["python3", "-P", "-m", "slamhive.jobs.restore", *store_words(store)],
-        env=variables({"HOME": "/tmp", "LANG": "C.UTF-8"}),  # noqa: S108
-        mounts=[
-            mount("request", "/slamhive/request", read_only=True),
-            mount("results", "/slamhive/results"),
-            mount("tmp", "/tmp"),  # noqa: S108
-            *store_mounts(store),
-        ],
+        settings.image_pull_policy,
+        command=module("restore", *store_words(store)),
+        env=variables(ENVIRONMENT),
+        mounts=[REQUEST, mount("results", "/slamhive/results"), TMP, *store_mounts(store)],
         resources=equal_resources("500m", "512Mi", logs="64Mi"),
     )
-    pod = pod_spec(settings) | {
-        "activeDeadlineSeconds": _DEADLINE_SECONDS,
-        "containers": [body],
-        "volumes": [
-            downward("request", label("request"), "request.json"),
-            claim("results", settings.volumes.results.claim),
-            scratch("tmp", "16Mi"),
-            *store_volumes(store),
-        ],
-    }
-    made = job(
+    return request_job(
         namespace,
         restore_job_name(namespace, owner["uid"], folders),
-        pod,
-        labels={label("role"): RESTORE, **labels},
+        pod_spec(settings),
+        role=RESTORE,
+        containers=[body],
+        claims=[claim("results", settings.volumes.results.claim)],
+        deadline_seconds=_DEADLINE_SECONDS,
+        request={"folders": list(folders)},
+        volumes=store_volumes(store),
+        labels=labels,
         owners=[owner],
-        annotations={label("request"): request_text({"folders": list(folders)})},
-        ttl_seconds=_KEPT_SECONDS,
+        notes={FOLDERS: ",".join(folders)},
     )
-    made["metadata"]["annotations"] = {FOLDERS: ",".join(folders)}
-    return made

@@ -14,6 +14,7 @@ import yaml
 from slamhive.contract.environment import SETTINGS_FOLDER, program_variables
 from slamhive.contract.posefiles import FRAMES
 from slamhive.jobs.requests import RenderRequest
+from slamhive.kube.api.kinds import Kind, reference
 from slamhive.kube.builders.common import (
     Manifest,
     annotation,
@@ -26,7 +27,6 @@ from slamhive.kube.builders.common import (
     joined_name,
     label,
     mount,
-    owner_reference,
     passed_on,
     pod_spec,
     request_text,
@@ -34,6 +34,7 @@ from slamhive.kube.builders.common import (
     segment,
     variables,
 )
+from slamhive.kube.builders.request import module
 from slamhive.model.base import quantity, seconds
 from slamhive.model.errors import InputError
 from slamhive.model.variant import VariantDescription
@@ -187,7 +188,7 @@ def run_job(
         job_name(metadata["name"], attempt),
         pod,
         labels=_labels(plan),
-        owners=[owner_reference(run, controller=True)],
+        owners=[reference(Kind.MAPPING_RUN, run, controller=True)],
         annotations={label("configuration"): annotation(text, "the configuration")} | _render_request(plan),
         passed_labels=passed_on(metadata.get("labels"), settings),
         passed_annotations=passed_on(metadata.get("annotations"), settings),
@@ -227,7 +228,7 @@ def _algorithm(plan: _Plan, settings: Settings) -> Manifest:
     body = container(
         ALGORITHM,
         algorithm.image,
-        settings,
+        settings.image_pull_policy,
         command=algorithm.command,
         env=[from_field("POD_UID", "metadata.uid"), *variables(values)],
         mounts=[
@@ -269,8 +270,8 @@ def _render(plan: _Plan, settings: Settings) -> list[Manifest]:
     body = container(
         RENDER,
         settings.image,
-        settings,
-        command=["python3", "-P", "-m", "slamhive.jobs.render"],
+        settings.image_pull_policy,
+        command=module("render"),
         env=[
             from_field("POD_UID", "metadata.uid"),
             *variables({"HOME": "/tmp", "LANG": "C.UTF-8"}),  # noqa: S108
@@ -327,7 +328,7 @@ def _monitor(plan: _Plan, settings: Settings) -> Manifest:
     body = container(
         MONITOR,
         settings.image,
-        settings,
+        settings.image_pull_policy,
         # A signal to end that comes before the monitor listens waits until it does.
         command=["env", "--block-signal=TERM", "python3", "-P", "-m", "slamhive.monitor.sidecar"],
         env=[

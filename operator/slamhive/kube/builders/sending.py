@@ -9,13 +9,12 @@ from slamhive.jobs.send import COMMAND
 from slamhive.kube.builders.common import (
     Manifest,
     claim,
+    container,
     equal_resources,
-    job,
-    label,
     mount,
-    scratch,
     variables,
 )
+from slamhive.kube.builders.request import ENVIRONMENT, TMP, request_job
 from slamhive.kube.builders.restoring import store_mounts, store_volumes
 from slamhive.model.errors import InputError
 
@@ -62,47 +61,36 @@ def sender_job(
     ours = [*(like.get("initContainers") or ()), *like["containers"]][0]
     if source is None:
         raise InputError(f"the pods of namespace {namespace} have no volume {RESULTS!r}")
-    body = {
-        "name": SEND,
-        "image": ours["image"],
-        "imagePullPolicy": ours.get("imagePullPolicy", "IfNotPresent"),
-        "command": [*COMMAND, "--wait", str(_UNASKED_SECONDS)],
-        "env": variables({"HOME": "/tmp", "LANG": "C.UTF-8", "PYTHONDONTWRITEBYTECODE": "1"}),  # noqa: S108
-        "volumeMounts": [
+    body = container(
+        SEND,
+        ours["image"],
+        ours.get("imagePullPolicy", "IfNotPresent"),
+        command=[*COMMAND, "--wait", str(_UNASKED_SECONDS)],
+        env=variables(ENVIRONMENT | {"PYTHONDONTWRITEBYTECODE": "1"}),
+        mounts=[
             mount(RESULTS, "/slamhive/results", read_only=True),
-            mount("tmp", "/tmp"),  # noqa: S108
+            TMP,
             *(store_mounts(store) if store else []),
         ],
         # The storage's library alone takes 100 MiB.
-        "resources": equal_resources("200m", "384Mi" if store else "128Mi", logs="64Mi"),
-        "terminationMessagePolicy": "FallbackToLogsOnError",
-        "securityContext": {
-            "allowPrivilegeEscalation": False,
-            "readOnlyRootFilesystem": True,
-            "capabilities": {"drop": ["ALL"]},
-        },
-    }
+        resources=equal_resources("200m", "384Mi" if store else "128Mi", logs="64Mi"),
+    )
     # A user's command can't read the operator's settings: how pods have to be here is taken from one of its
     # pods.
     pod = {key: like[key] for key in _TAKEN if like.get(key)} | {
         "restartPolicy": "Never",
         "automountServiceAccountToken": False,
         "enableServiceLinks": False,
-        "activeDeadlineSeconds": _LONGEST_SECONDS,
         "terminationGracePeriodSeconds": 1,
-        "containers": [body],
-        "volumes": [
-            claim(RESULTS, source["claimName"], read_only=True),
-            scratch("tmp", "16Mi"),
-            *(store_volumes(store) if store else []),
-        ],
     }
-    return job(
+    return request_job(
         namespace,
         name,
         pod,
-        labels={label("role"): SEND if store else "read"},
-        owners=[],
-        annotations={},
+        role=SEND if store else "read",
+        containers=[body],
+        claims=[claim(RESULTS, source["claimName"], read_only=True)],
+        deadline_seconds=_LONGEST_SECONDS,
+        volumes=store_volumes(store) if store else [],
         ttl_seconds=_KEPT_SECONDS,
     )

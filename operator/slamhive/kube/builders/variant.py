@@ -14,16 +14,13 @@ from slamhive.kube.builders.common import (
     claim,
     config_map,
     container,
-    downward,
     equal_resources,
-    job,
     label,
     mount,
     pod_spec,
-    request_text,
-    scratch,
     variables,
 )
+from slamhive.kube.builders.request import KEPT_SECONDS, REQUEST, TMP, module, request_job
 from slamhive.model.base import ObjectMeta, seconds
 from slamhive.model.canonical import digest, normalize
 from slamhive.model.catalogue import FOLDERS
@@ -44,7 +41,6 @@ _PROSE = ("description", "homepage", "license", "attributes")
 _MATTERS = ("frameRate", "resolution", "start", "duration", "lidar", "remap")
 _HASH_LENGTH = 20
 _SCRATCH = "2Gi"
-_KEPT_SECONDS = 3600
 _CATALOGUE, _CERTIFICATES = "/slamhive/catalogue", "/slamhive/certificates"
 
 
@@ -159,43 +155,33 @@ def variant_job(
     Raises:
         InputError: the request doesn't fit into an object.
     """
-    request = variant_request(dataset, algorithm, spec)
     wanted = settings.preparation
     body = container(
         PREPARE,
         settings.image,
-        settings,
-        command=["python3", "-P", "-m", "slamhive.jobs.prepare"],
+        settings.image_pull_policy,
+        command=module("prepare"),
         env=variables(_environment(wanted)),
         mounts=[
             mount("data", "/slamhive/data"),
-            mount("request", "/slamhive/request", read_only=True),
-            mount("tmp", "/tmp"),  # noqa: S108
+            REQUEST,
+            TMP,
             *(mount(name, path, read_only=True) for name, path, _ in _sources(wanted)),
         ],
         resources=equal_resources(wanted.cpu, wanted.memory, logs="4Gi"),
     )
-    pod = pod_spec(settings) | {
-        # The pod's own deadline leaves its last words, which the Job's would delete with it.
-        "activeDeadlineSeconds": math.ceil(seconds(wanted.timeout)),
-        "containers": [body],
-        "volumes": [
-            downward("request", label("request"), "request.json"),
-            claim("data", settings.volumes.data.claim),
-            scratch("tmp", _SCRATCH),
-            *(config_map(name, source) for name, _, source in _sources(wanted)),
-        ],
-    }
-    return job(
+    return request_job(
         namespace,
         variant_job_name(name),
-        pod,
-        labels={
-            label("role"): PREPARE,
-            label("variant"): name,
-            label("dataset"): dataset.name,
-        },
+        pod_spec(settings),
+        role=PREPARE,
+        containers=[body],
+        claims=[claim("data", settings.volumes.data.claim)],
+        deadline_seconds=math.ceil(seconds(wanted.timeout)),
+        request=variant_request(dataset, algorithm, spec).as_json(),
+        volumes=[config_map(name, source) for name, _, source in _sources(wanted)],
+        scratch_size=_SCRATCH,
+        labels={label("variant"): name, label("dataset"): dataset.name},
         owners=owners,
-        annotations={label("request"): request_text(request.as_json())},
-        ttl_seconds=None if owners else _KEPT_SECONDS,
+        ttl_seconds=None if owners else KEPT_SECONDS,
     )

@@ -249,16 +249,15 @@ class Evaluations:
             request,
             settings_hash=group.hash,
             attempt=self._failures.get(group.key, 0) + 1,
+            labels=group.labels,
             owners=[group.owner],
             settings=cluster.settings,
             evaluator=group.evaluator,
+            notes={
+                RUNS_ANNOTATION: ",".join(run["name"] for run in batch),
+                IMAGES_ANNOTATION: _images(cluster, group),
+            },
         )
-        names = ",".join(run["name"] for run in batch)
-        body["metadata"].setdefault("annotations", {})[RUNS_ANNOTATION] = names
-        body["metadata"]["annotations"][IMAGES_ANNOTATION] = _images(cluster, group)
-        for meta in (body["metadata"], body["spec"]["template"]["metadata"]):
-            labels = meta["labels"] | group.labels
-            meta["labels"] = {name: value for name, value in labels.items() if value is not None}
         try:
             await cluster.create(Kind.JOB, body)
         except AlreadyExists:

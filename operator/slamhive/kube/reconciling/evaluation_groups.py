@@ -70,12 +70,12 @@ class Group:
         return delay * min(1 + self.ongoing / _MANY, _LONGEST)
 
     @property
-    def labels(self) -> dict[str, str | None]:
-        """Return the labels by which the end of one of its Jobs leads back to it; None removes one."""
+    def labels(self) -> dict[str, str]:
+        """Return the labels by which the end of one of its Jobs leads back to it."""
         for prefix, label in OWN_EVALUATIONS.items():
             if self.key.name.startswith(prefix):
-                return {str(label): self.key.name.removeprefix(prefix), str(Label.EVALUATION): None}
-        return {}
+                return {str(label): self.key.name.removeprefix(prefix)}
+        return {str(Label.EVALUATION): self.key.name}
 
     def has_result(self, run: Mapping[str, Any]) -> bool:
         """Tell whether a run has been measured like this."""

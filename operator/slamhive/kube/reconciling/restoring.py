@@ -126,13 +126,12 @@ class Restoring:
 
     @staticmethod
     async def _start(cluster: Cluster, group: Group, folders: Sequence[str], store: StoreReference) -> None:
-        labels = {name: value for name, value in group.labels.items() if value is not None}
         body = restore_job(
             group.key.namespace,
             folders,
             owner=group.owner,
             store=store,
-            labels=labels or {str(Label.EVALUATION): group.key.name},
+            labels=group.labels,
             settings=cluster.settings,
         )
         try:

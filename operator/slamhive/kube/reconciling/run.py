@@ -274,7 +274,7 @@ class RunReconciler:
             image=cluster.settings.player_image,
         )
         body = run_job(
-            run=_typed(facts.body),
+            run=facts.body,
             spec=facts.spec,
             algorithm=facts.algorithm,
             configuration=told,
@@ -341,9 +341,7 @@ class RunReconciler:
     @staticmethod
     async def _read(cluster: Cluster, facts: RunFacts) -> ReadObserved:
         """Have a Job read what the pod did not tell; returns what is seen of it."""
-        body = read_job(
-            run=_typed(facts.body), pod_uid=facts.attempted.pod_uid or "", settings=cluster.settings
-        )
+        body = read_job(run=facts.body, pod_uid=facts.attempted.pod_uid or "", settings=cluster.settings)
         key = key_of(Kind.JOB, body)
         job = cluster.store.get(key)
         if job is None:
@@ -484,11 +482,6 @@ def _insist_on_effects(spec: dict[str, Any], algorithm: Algorithm, dataset: Data
     problems = option_problems(spec["input"], dataset, mode)
     if problems:
         raise InputError("\n".join(f"spec.{problem}" for problem in problems))
-
-
-def _typed(run: dict[str, Any]) -> dict[str, Any]:
-    """Return a run with its kind, which the store leaves out."""
-    return {"apiVersion": Kind.MAPPING_RUN.api_version, "kind": str(Kind.MAPPING_RUN)} | run
 
 
 def _label(obj: dict[str, Any], label: str) -> str | None:
