@@ -187,20 +187,21 @@ class Views:
         headings, _, *lines = [
             line.strip("|").split(" | ") for line in text.splitlines() if line.startswith("|")
         ]
-        count = len(question.metrics)
+        headings = [heading.strip() for heading in headings]
+        count, behind = len(question.metrics), len(headings) - headings.index("coverage")
         groups = []
         for line in lines:
             cells = [cell.strip() for cell in line]
-            shown = cells[len(headings) - count - 3 :]
+            shown = dict(zip(headings, cells, strict=True))
             figures = {}
-            for metric, cell in zip(question.metrics, shown, strict=False):
+            for metric, cell in zip(question.metrics, cells[-behind - count :], strict=False):
                 mean, _, std = cell.partition(" ± ")
                 figures[metric] = {"mean": mean, "std": std or None}
-            failures, _, untracked = shown[-1].partition("; in n: ")
+            failures, _, untracked = shown["failures"].partition("; in n: ")
             groups.append(
                 {
-                    "n": int(shown[-2].removesuffix(" =")),
-                    "deterministic": shown[-2].endswith(" ="),
+                    "n": int(shown["n"].removesuffix(" =")),
+                    "deterministic": shown["n"].endswith(" ="),
                     "failures": _words(failures),
                     "untracked": _words(untracked),
                     "figures": figures,

@@ -14,7 +14,7 @@ from slamhive.analysis.metrics import Metric
 from slamhive.analysis.names import name_of, with_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from slamhive.analysis.cells import Cell
     from slamhive.analysis.grouping import Aggregate
@@ -113,6 +113,14 @@ def failures_text(cell: Cell) -> str:
     return f"{failures}; in n: {counts_text(cell.untracked)}" if cell.untracked else failures
 
 
+_OF_GROUPS: Mapping[str, Callable[[Cell], str]] = {
+    "coverage": lambda cell: coverage_text(cell.coverage),
+    "n": n_text,
+    "failures": failures_text,
+}
+"""Columns of a table behind its metrics, by their heads."""
+
+
 def table_lines(
     found: Aggregate, across: Sequence[str], metrics: Sequence[Metric], left_out: Iterable[str] = ()
 ) -> tuple[list[str], list[list[str]]]:
@@ -127,7 +135,7 @@ def table_lines(
         left_out: keys that are said elsewhere.
     """
     rows = [name for name in found.keys if name not in {*across, *left_out}]
-    parts = [metric.title for metric in metrics] + ["coverage", "n", "failures"]
+    parts = [metric.title for metric in metrics] + list(_OF_GROUPS)
     sides = _distinct(tuple(cell.keys[name] for name in across) for cell in found.cells) if across else [()]
     headings = [key_title(name, rows) for name in rows]
     for values in sides:
@@ -229,9 +237,9 @@ def _lines(cells: Sequence[Cell], rows: Sequence[str], across: Sequence[str]) ->
 
 def _cell_texts(cell: Cell | None, metrics: Sequence[Metric]) -> list[str]:
     if cell is None:
-        return ["–"] * (len(metrics) + 3)
+        return ["–"] * (len(metrics) + len(_OF_GROUPS))
     figures = [spread_text(metric, cell.figures[metric.column].summary) for metric in metrics]
-    return [*figures, coverage_text(cell.coverage), n_text(cell), failures_text(cell)]
+    return [*figures, *(text(cell) for text in _OF_GROUPS.values())]
 
 
 def _distinct(values: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
