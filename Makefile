@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # make demo · make test · make lint · make bench: each sets up all it needs.
-PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+# The environment keeps its Python as long as that runs and no other is asked for.
+PYTHON ?= $(shell $(BIN)/python -c 'print("$(BIN)/python")' 2>/dev/null || echo python3)
 JAVASCRIPT := tests/javascript
 JAVASCRIPT_STAMP := $(JAVASCRIPT)/node_modules/.installed
 # Node.js comes with the Python packages.
@@ -18,7 +18,7 @@ pytest = $(BIN)/python -m pytest -n $(WORKERS) $(1) $(TESTS)
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test test-cluster test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest audit install crds clean help
+.PHONY: demo test test-cluster test-packages pins cluster-build cluster-up cluster-down images dist docs lint bench bench-scale fuzz fuzz-api fuzz-cluster coverage honest audit install demo-environment crds clean help
 
 help:
 	@echo 'make demo    compare real algorithms on a generated recording'
@@ -39,35 +39,27 @@ help:
 	@echo 'make bench   speed and memory, beside the limits'
 	@echo 'make bench-scale   one Sweep of 80,000 played runs (hours); ARGS=2000 for fewer'
 
-$(STAMP): pyproject.toml evaluator/pyproject.toml hatch_build.py constraints.txt
+# Looks whether the environment is as it should be, and makes it where it is not, by uv or else pip.
+# Everything is enough for the demo too.
+install demo-environment:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'slamhive needs Python 3.11 or newer: make PYTHON=python3.12 …'; exit 2; }
-	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
-	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get install -y -q python3-venv; } || \
-	  { echo 'Python has no venv module: sudo apt-get install python3-venv'; exit 2; }
-	$(PYTHON) -m venv $(VENV)
-	@echo "Installing $$(grep -c == constraints.txt) packages into $(VENV), which takes a minute or three."
-	@$(BIN)/python -P operator/slamhive/local/programs/installing.py constraints.txt $(BIN)/python \
-	  -m pip install --progress-bar off --require-hashes --only-binary :all: --requirement constraints.txt
-	$(BIN)/python -m pip install --quiet --no-index --no-deps --no-build-isolation --editable .
-	$(BIN)/python -m pip install --quiet --no-index --no-deps --no-build-isolation --editable ./evaluator
-	@touch $@
+	@PYTHONPATH=operator $(PYTHON) -P -m slamhive.local.programs.checkout $(VENV) \
+	  $(if $(filter install,$@),all,demo)
 
 # Biome and TypeScript, as the lock file has them; make lint alone needs them.
-$(JAVASCRIPT_STAMP): $(STAMP) $(JAVASCRIPT)/package.json $(JAVASCRIPT)/package-lock.json
+$(JAVASCRIPT_STAMP): $(JAVASCRIPT)/package.json $(JAVASCRIPT)/package-lock.json | install
 	$(NPM) ci --ignore-scripts --no-audit --no-fund --loglevel=error
 	@touch $@
 
-install: $(STAMP)
-
-demo: $(STAMP)
+demo: demo-environment
 	$(BIN)/slamhive demo
 
 # Neither root nor a cluster: those tests are the next command's.
-test: $(STAMP)
+test: install
 	$(call pytest,-m 'not ($(THE_REST))')
 
-test-cluster: $(STAMP) test-packages cluster-build
+test-cluster: install test-packages cluster-build
 	$(call pytest,-m '$(THE_REST)')
 
 # What the test cluster is made of; without root, Go or Debian its tests are skipped and say how to have them.
@@ -78,22 +70,22 @@ cluster-up:
 cluster-down:
 	@$(PYTHON) tests/cluster/cluster.py down
 
-images: $(STAMP)
+images: install
 	$(BIN)/python images/build $(IMAGES)
 
 test-packages:
 	@tests/install-packages
 
 # Source distributions and wheels of slamhive and slamhive-eval.
-dist: $(STAMP)
+dist: install
 	cd evaluator && ../$(BIN)/python -m hatchling build --directory ../dist
 	$(BIN)/python -m hatchling build --directory dist
 
 # The docs site, in site/.
-docs: $(STAMP)
+docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-lint: $(STAMP) $(JAVASCRIPT_STAMP)
+lint: install $(JAVASCRIPT_STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -101,49 +93,49 @@ lint: $(STAMP) $(JAVASCRIPT_STAMP)
 	$(BIN)/lint-imports --no-logo 2>/dev/null || $(BIN)/lint-imports
 	$(NPM) run --silent lint
 
-bench: $(STAMP)
+bench: install
 	$(BIN)/python tests/bench/run.py
 
-bench-scale: $(STAMP)
+bench-scale: install
 	$(BIN)/python tests/bench/scale.py $(ARGS)
 
-fuzz: $(STAMP)
+fuzz: install
 	$(BIN)/python tests/fuzz/readers.py --seconds 600
 	SLAMHIVE_EXAMPLES=thorough $(BIN)/python -m pytest -m hypothesis $(TESTS)
 
-fuzz-api: $(STAMP)
+fuzz-api: install
 	$(BIN)/python tests/fuzz/api.py --seconds 300
 
 # make test-cluster takes one side effect, and one behaviour, of each kind.
-fuzz-cluster: $(STAMP) test-packages cluster-build
+fuzz-cluster: install test-packages cluster-build
 	SLAMHIVE_EXAMPLES=thorough $(BIN)/python -m pytest -s tests/kube/faults/test_kills.py \
 	  tests/kube/faults/test_deletion.py tests/kube/faults/test_several_operators.py \
 	  tests/contract/test_container.py tests/e2e/test_contract.py
 
 # Slower than make test; what fails under it is no fault of the code.
-coverage: $(STAMP)
+coverage: install
 	rm -rf build/coverage && mkdir -p build/coverage
 	-$(BIN)/python -m coverage run -m pytest -q -n $(WORKERS) -m 'not ($(THE_REST))' $(TESTS)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage json --quiet -o build/coverage/report.json
 	$(BIN)/python tests/coverage/modules.py build/coverage/report.json
 
-honest: $(STAMP)
+honest: install
 	$(BIN)/python tests/honest/check.py --archives 5000
 
 # Versions and hashes of all Python packages: make pins writes them anew, NEWEST=1 takes newer versions.
-pins: $(STAMP)
+pins: install
 	images/pin $(if $(NEWEST),--newest)
 
 # Advisories about all that is pinned; needs pypi.org (or SERVICE=osv) and the npm registry itself, no mirror.
-audit: $(STAMP)
+audit: install
 	PATH="$(BIN):$$PATH" $(BIN)/python tests/audit/run.py $(if $(SERVICE),--service $(SERVICE))
 
 # The CRDs and the editors' schemas from the models, and the chart's copies of them and of the catalog.
-crds: $(STAMP)
+crds: install
 	$(BIN)/python -m slamhive.model.crd crds
 	$(BIN)/python -m slamhive.model.schemas schemas
 	SLAMHIVE_UPDATE=1 $(BIN)/python -m pytest -q tests/helm -k copies_are_equal
 
 clean:
-	rm -rf $(VENV) $(JAVASCRIPT)/node_modules build dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(VENV).making $(VENV).old $(JAVASCRIPT)/node_modules build dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -131,7 +131,7 @@ def test_an_algorithm_s_image_is_the_one_that_it_declares(name: str) -> None:
         assert ("CMD", f"[{command}]") in stage
 
 
-PINNED = [ROOT / "constraints.txt", ROOT / "images" / "hatchling.txt"]
+PINNED = [ROOT / "constraints.txt", ROOT / "constraints-demo.txt", ROOT / "images" / "hatchling.txt"]
 PINNED += sorted(path for path in (ROOT / "images").rglob("requirements.txt") if not path.is_symlink())
 HASHES = r"( \\\n    --hash=sha256:[0-9a-f]{64})+"
 PIN = re.compile(rf"(?P<name>[\w.-]+)==(?P<version>[\w.]+)( ; [^\\\n]+)?{HASHES}\n")
@@ -156,11 +156,16 @@ def test_packages_are_wheels_whose_hashes_are_known(recipe: Recipe) -> None:
         assert "--no-index" in command or {"--require-hashes", "--only-binary"} <= set(command.split())
 
 
-def test_the_project_is_installed_with_hashes_alone() -> None:
-    commands = re.findall(r"-m pip install (.*)", (ROOT / "Makefile").read_text())
-    assert commands
-    for command in commands:
-        assert "--no-index --no-deps" in command or "--require-hashes --only-binary :all:" in command
+def test_the_demo_has_what_it_shows_in_the_versions_that_are_tested() -> None:
+    demo, everything = (pinned(ROOT / name) for name in ("constraints-demo.txt", "constraints.txt"))
+    assert demo == {name: everything[name] for name in demo}
+    own = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    wanted = own["tool"]["hatch"]["metadata"]["hooks"]["custom"]["dependencies"]
+    wanted += [*own["dependency-groups"]["build"], "matplotlib", "uv", "fastapi", "uvicorn"]
+    assert {Requirement(line).name for line in wanted} <= set(demo)
+    assert not {"ruff", "mypy", "pytest", "kubernetes", "kopf", "s3fs", "mlflow-skinny", "pyarrow"} & set(
+        demo
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signs of life of `make install`: few lines in a log, one line that changes on a terminal."""
+"""Signs of life of an installation: few lines in a log, one line that changes on a terminal."""
 
 from __future__ import annotations
 
 import io
-import subprocess
+import os
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,9 +14,7 @@ from slamhive.local.programs import installing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-ROOT = Path(__file__).parents[3]
-PROGRAM = ROOT / "operator/slamhive/local/programs/installing.py"
+    from pathlib import Path
 
 
 class Terminal(io.StringIO):
@@ -36,10 +33,10 @@ def requirements(tmp_path: Path) -> Path:
 
 
 def said(requirements: Path, to: io.StringIO, moments: Callable[[int], float]) -> str:
-    """Return the words about 150 packages and a long installation, line by line of pip."""
+    """Return what is said of 150 packages and a long installation, line by line of pip."""
     now = 0.0
     teller = installing.Teller(to, lambda: now)
-    steps = installing.PipSteps(requirements)
+    steps = installing.Steps(requirements)
     for k in range(150):
         now = moments(k)
         for line in (
@@ -79,21 +76,42 @@ def test_a_terminal_has_one_line_that_goes_in_the_end(requirements: Path) -> Non
     assert text.endswith("\r\x1b[K")
 
 
-@pytest.mark.parametrize("code", [0, 3])
-def test_it_runs_before_anything_is_installed_and_ends_as_pip_does(requirements: Path, code: int) -> None:
+UV_SAYS = """\
+Using Python 3.11.7 environment at: .venv.making
+Resolved 50 packages in 1.59s
+Downloading numpy (16.1MiB)
+Downloading opencv-python-headless (58.4MiB)
+ Downloaded numpy
+ Downloaded opencv-python-headless
+Prepared 49 packages in 4.16s
+Installed 49 packages in 276ms
+ + annotated-doc==0.0.7
+"""
+
+
+def test_uv_is_followed_as_pip_is(requirements: Path) -> None:
+    steps = installing.Steps(requirements)
+    assert [step for line in UV_SAYS.splitlines() if (step := steps.step(line))] == [
+        ("fetching packages", 0, 50),
+        ("downloading numpy (16.1MiB)", 0, 50),
+        ("downloading opencv-python-headless (58.4MiB)", 0, 50),
+        ("fetched numpy", 1, 50),
+        ("fetched opencv-python-headless", 2, 50),
+        ("installing 49 packages", 50, 50),
+    ]
+
+
+@pytest.mark.parametrize(("code", "told"), [(0, []), (3, ["ERROR: no"])])
+def test_what_it_says_beside_its_steps_is_the_reason_why_it_failed(
+    requirements: Path, code: int, told: list[str]
+) -> None:
     pip = (
-        "import sys; print('Collecting x-0'); print('ERROR: no', file=sys.stderr); sys.exit(int(sys.argv[1]))"
+        "import sys; print('Collecting x-0', flush=True); print('ERROR: no', file=sys.stderr);"
+        "sys.exit(int(sys.argv[1]))"
     )
-    # -S: without any package but Python's own, as make install has it.
-    command = [sys.executable, "-S", "-P", PROGRAM, requirements, sys.executable, "-c", pip, str(code)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == code
-    assert done.stdout == "0 of 150 packages, 0 s: collecting x-0\n"
-    assert done.stderr == "ERROR: no\n"
-
-
-def test_make_install_runs_it() -> None:
-    command = ["make", "--dry-run", "--always-make", "VENV=elsewhere", "install"]
-    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    assert str(PROGRAM.relative_to(ROOT)) in told
-    assert "nothing is printed" not in told
+    to, nothing = io.StringIO(), os.open(os.devnull, os.O_RDONLY)
+    command = [sys.executable, "-c", pip, str(code)]
+    steps, teller = installing.Steps(requirements), installing.Teller(to, lambda: 0.0)
+    assert installing.install(command, steps, teller, os.environ, nothing) == told
+    os.close(nothing)
+    assert to.getvalue() == "0 of 150 packages, 0 s: collecting x-0\n"

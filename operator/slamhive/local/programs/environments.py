@@ -18,7 +18,7 @@ from slamhive.contract.environment import own_variables, program_variables
 from slamhive.local.home.catalog import bundled
 from slamhive.local.home.folder import lock
 from slamhive.local.programs.assets import place_assets
-from slamhive.local.programs.installing import PipSteps
+from slamhive.local.programs.installing import Steps
 from slamhive.local.programs.interpreters import interpreter
 from slamhive.local.programs.pipcommands import run_command
 from slamhive.local.programs.playing import own_player
@@ -355,7 +355,7 @@ class _Made:
 
     def __init__(self, name: str, requirements: Path, making: dict[str, float]) -> None:
         self._what = self._said = f"making the environment of {name}"
-        self._pip = PipSteps(requirements)
+        self._pip = Steps(requirements)
         self._making = making
 
     def __enter__(self) -> Self:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of pip, by what it prints: for environments of algorithms, and for ``make install``.
+"""Progress of pip and uv, by what they print: for environments of algorithms, and for ``make install``.
 
-The standard library alone: ``make install`` runs this file before there is anything else.
+The standard library alone: ``make install`` uses this before there is anything else.
 """
 
 from __future__ import annotations
@@ -9,17 +9,17 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-import sys
 import threading
 import time
-from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
 _STEP = re.compile(r"\s*(?P<verb>Collecting|Downloading|Installing) (?:collected packages: )?(?P<rest>.+)")
-_SIZE = re.compile(r" \([\d.]+ [kMG]?B\)")
+_STEP_OF_UV = re.compile(r" ?(?P<verb>Resolved|Downloaded|Prepared) (?P<rest>[\w.-]+)")
+_SIZE = re.compile(r" \([\d.]+ ?[kKMG]?i?B\)")
 _NAME_ENDS = {"collecting": re.compile(r"[\s=<>~!\[;]"), "downloading": re.compile(r"-\d|\s")}
 _LINES = 12
 """Lines while packages come, where there is no terminal."""
@@ -28,7 +28,7 @@ _FIRST_WAIT = 10.0
 
 
 class Step(NamedTuple):
-    """Step of an installation by pip, with the number of packages fetched so far.
+    """Step of an installation, with the number of packages fetched so far.
 
     Attributes:
         what: in words.
@@ -46,11 +46,11 @@ class Step(NamedTuple):
         return self.done / (self.total + 1)
 
 
-class PipSteps:
-    """Follows what pip prints.
+class Steps:
+    """Follows what pip or uv prints.
 
     Args:
-        requirements: what it installs: a file that states each package on a line.
+        requirements: what is installed: a file that states each package on a line.
     """
 
     def __init__(self, requirements: Path) -> None:
@@ -58,19 +58,32 @@ class PipSteps:
         self._seen = 0
 
     def step(self, line: str) -> Step | None:
-        """Return the step that a line of pip's is about; None where it is about none."""
+        """Return the step that a line of theirs is about; None where it is about none."""
         found = _STEP.match(line)
         if found is None:
-            return None
+            return self._of_uv(line)
         verb, rest = found["verb"].lower(), found["rest"]
         size = _SIZE.search(rest)
-        done = max(0, self._seen - (verb == "downloading"))  # what is being fetched isn't yet
+        # What pip is fetching isn't there yet; uv fetches many at a time, and says which have come.
+        done = max(0, self._seen - (verb == "downloading" and ".whl" in rest))
         if verb == "installing":
             what = f"{rest.count(',') + 1} packages"
         else:
             self._seen += verb == "collecting"
             what = _NAME_ENDS[verb].split(rest, maxsplit=1)[0] + (size[0] if size else "")
         return Step(f"{verb} {what}", done, max(self._stated, self._seen))
+
+    def _of_uv(self, line: str) -> Step | None:
+        found = _STEP_OF_UV.match(line)
+        if found is None:
+            return None
+        if found["verb"] == "Downloaded":
+            self._seen += 1
+            return Step(f"fetched {found['rest']}", self._seen, self._stated)
+        if found["verb"] == "Prepared":
+            return Step(f"installing {found['rest']} packages", self._stated, self._stated)
+        self._stated = int(found["rest"])
+        return Step("fetching packages", 0, self._stated)
 
 
 class Teller:
@@ -133,22 +146,43 @@ class Teller:
         self._to.flush()
 
 
-def install(requirements: Path, command: Sequence[str], teller: Teller) -> int:
-    """Run pip, tell how far it is, and return its exit code; its errors go to standard error as they come."""
-    steps, ended = PipSteps(requirements), threading.Event()
+def install(
+    command: Sequence[str], steps: Steps, teller: Teller, variables: Mapping[str, str], held: int
+) -> list[str]:
+    """Run pip or uv, tell how far it is, and return what it said where it failed, nothing where it did not.
+
+    Args:
+        command: what is run.
+        steps: follows it.
+        teller: tells how far it is.
+        variables: those that it is started with.
+        held: descriptor of a lock that it holds as long as it runs.
+    """
+    ended, said = threading.Event(), []
 
     def beats() -> None:
         while not ended.wait(1.0):
             teller.beat()
 
     beating = threading.Thread(target=beats, daemon=True)
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, errors="replace") as process:
+    with subprocess.Popen(
+        command,
+        env=variables,
+        pass_fds=(held,),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+    ) as process:
         beating.start()
         try:
             for line in process.stdout or ():
                 step = steps.step(line)
                 if step is not None:
                     teller.take(step)
+                elif line.strip():
+                    said.append(line.rstrip())
         except BaseException:
             process.kill()
             raise
@@ -156,8 +190,4 @@ def install(requirements: Path, command: Sequence[str], teller: Teller) -> int:
             ended.set()
             beating.join()
             teller.end()
-    return process.returncode
-
-
-if __name__ == "__main__":
-    sys.exit(install(Path(sys.argv[1]), sys.argv[2:], Teller(sys.stdout)))
+    return (said or [f"exit code {process.returncode}"]) if process.returncode else []
