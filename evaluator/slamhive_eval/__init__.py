@@ -64,13 +64,14 @@ if TYPE_CHECKING:
         segment_numbers,
         within,
     )
-    from slamhive_eval.metrics import Statistics, ape_errors, rpe_errors
+    from slamhive_eval.metrics import ape_errors, rpe_errors
     from slamhive_eval.pairs import find_pairs
     from slamhive_eval.preparing import Preparation, Prepared, prepare
     from slamhive_eval.reports.figures import save_figure, save_trajectories
     from slamhive_eval.reports.report import report_html
     from slamhive_eval.reports.result_tables import csv_table, latex_table
     from slamhive_eval.robust import align_robustly
+    from slamhive_eval.statistics import Statistics
     from slamhive_eval.timing import TimeOffset, find_offset
     from slamhive_eval.trajectory import Trajectory
 
@@ -100,7 +101,8 @@ _MODULES = {
     ),
     "evaluation": ("Evaluation", "Options", "Outcome", "RpeOptions", "evaluate"),
     "formats.files": ("read_euroc", "read_kitti", "read_trajectory", "read_tum", "write_tum"),
-    "metrics": ("Statistics", "ape_errors", "rpe_errors"),
+    "metrics": ("ape_errors", "rpe_errors"),
+    "statistics": ("Statistics",),
     "pairs": ("find_pairs",),
     "measures.relations": ("RelationErrors", "Relations", "evaluate_relations", "read_relations"),
     "measures.points": ("ControlPoints", "PointErrors", "evaluate_points"),

@@ -18,9 +18,9 @@ from slamhive_eval.alignment import METHODS, Alignment, Method, stands_still, um
 from slamhive_eval.association import DEFAULT_GAP_SECONDS, Association, Matching, no_overlap, pair_up
 from slamhive_eval.coverage import Coverage, measure_coverage, no_coverage
 from slamhive_eval.errors import AssociationError, OptionError
-from slamhive_eval.metrics import Statistics
 from slamhive_eval.pairs import MIN_RANKED_PAIRS, Unit, find_pairs
 from slamhive_eval.preparing import Clock, Preparation, Prepared, lay, set_clock
+from slamhive_eval.statistics import STATISTICS, Statistics
 
 if TYPE_CHECKING:
     from slamhive_eval.robust import Loss
@@ -177,7 +177,7 @@ class RelativeError:
             "relTolerance": float(asked.rel_tolerance),
             "count": len(self.pairs),
             "ranked": self.ranked,
-            **(self.statistics.as_dict() if self.statistics else dict.fromkeys(Statistics.__match_args__)),
+            **(self.statistics.as_dict() if self.statistics else dict.fromkeys(STATISTICS)),
             "rotationDeg": self.rotation_deg.as_dict() if self.rotation_deg else None,
         }
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Absolute and relative pose errors and their statistics, in every relation evo has.
+"""Absolute and relative pose errors, in every relation evo has.
 
 Absolute (APE, Sturm et al. 2012; Zhang and Scaramuzza 2018): E = P⁻¹·Q of the aligned estimate P and the
 reference Q. Relative (RPE): E = (Q_i⁻¹·Q_j)⁻¹·(P_i⁻¹·P_j) over pairs (i, j).
@@ -7,7 +7,6 @@ reference Q. Relative (RPE): E = (Q_i⁻¹·Q_j)⁻¹·(P_i⁻¹·P_j) over pair
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -33,49 +32,6 @@ RELATION_UNITS: dict[Relation, str] = {
     "point_distance": "m",
     "point_distance_error_ratio": "%",
 }
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """Statistics of errors e ≥ 0 under evo's names, in the errors' unit.
-
-    Attributes:
-        rmse: √(Σe²/n).
-        mean: Mean.
-        median: Median.
-        std: Standard deviation, divided by n.
-        min: Smallest.
-        max: Largest.
-        sse: Σe², in the unit squared.
-    """
-
-    rmse: float
-    mean: float
-    median: float
-    std: float
-    min: float
-    max: float
-    sse: float
-
-    @classmethod
-    def of(cls, errors: FloatArray) -> Statistics | None:
-        """Statistics of errors, shape (n,); None for n = 0."""
-        if not errors.size:
-            return None
-        sse = float(np.sum(errors * errors))
-        return cls(
-            rmse=float(np.sqrt(sse / errors.size)),
-            mean=float(np.mean(errors)),
-            median=_median(errors),
-            std=float(np.std(errors)),
-            min=float(np.min(errors)),
-            max=float(np.max(errors)),
-            sse=sse,
-        )
-
-    def as_dict(self) -> dict[str, float | None]:
-        """The seven numbers by name; one that isn't finite becomes None, for JSON knows no infinity."""
-        return {name: value if np.isfinite(value) else None for name, value in asdict(self).items()}
 
 
 def ape_errors(reference: Trajectory, estimate: Trajectory, relation: Relation = "trans_part") -> FloatArray:
@@ -182,14 +138,6 @@ def _of_matrices(turn: FloatArray, distance: FloatArray, relation: Relation) -> 
         return radians if relation == "angle_rad" else np.rad2deg(radians)
     part: FloatArray = np.sqrt(np.sum((turn - np.eye(3)) ** 2, axis=(1, 2)))
     return part if relation == "rot_part" else np.hypot(part, distance)
-
-
-def _median(errors: FloatArray) -> float:
-    """Return np.median, without its import of numpy.ma: a tenth of what a small evaluation takes."""
-    upper = errors.size // 2
-    lower = upper - 1 + errors.size % 2
-    middle = np.partition(errors, (lower, upper))
-    return float(np.mean(middle[lower : upper + 1]))
 
 
 def _check_relation(relation: str) -> None:

@@ -22,7 +22,7 @@ from slamhive_eval import (
     rotation,
 )
 from slamhive_eval.evaluation import judge
-from slamhive_eval.metrics import Statistics
+from slamhive_eval.statistics import Statistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.analysis.names import declared_units, label_of
+from slamhive.analysis.metrics import declared_units, label_of
 from slamhive.archive import Archive
 from slamhive.archive.records import CatalogEntry
 from slamhive.dashboard.answers.columns import heading

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from slamhive_eval import metrics
 from slamhive_eval.commands import measuring, tables
 from slamhive_eval.commands.output import Measured
+from slamhive_eval.statistics import Statistics
 
 if TYPE_CHECKING:
     import argparse
@@ -38,7 +39,7 @@ def _errors(
     asked: argparse.Namespace, name: str, reference: Trajectory, estimate: Trajectory, about: dict[str, Any]
 ) -> Measured:
     errors = metrics.ape_errors(reference, estimate, asked.relation)
-    statistics = metrics.Statistics.of(errors)
+    statistics = Statistics.of(errors)
     assert statistics is not None  # noqa: S101 - a pose is associated at least
     result = {"relation": asked.relation, **statistics.as_dict(), **about, "estimate": name}
     return Measured("ape", name, reference, estimate, errors, None, statistics, result)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive_eval.commands import measuring, output
 from slamhive_eval.measures import motion, relative, support
-from slamhive_eval.metrics import Statistics
 from slamhive_eval.preparing import prepare
+from slamhive_eval.statistics import Statistics
 
 if TYPE_CHECKING:
     import argparse

@@ -15,6 +15,7 @@ from slamhive_eval.errors import OptionError
 from slamhive_eval.formats import files
 from slamhive_eval.formats.column_tables import read_columns
 from slamhive_eval.preparing import Preparation, prepare
+from slamhive_eval.statistics import IN_UNIT, STATISTICS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -268,10 +269,7 @@ def measure(
 def show(result: dict[str, Any]) -> str:
     """The table of one estimate."""
     lines = [_head(result)]
-    lines += [
-        f"{name:>8}  {number(result[name])}"
-        for name in ("rmse", "mean", "median", "std", "min", "max", "sse")
-    ]
+    lines += [f"{name:>8}  {number(result[name])}" for name in STATISTICS]
     lines += [f"{name:>8}  {result[name]}" for name in ("poses", "pairs") if name in result]
     lines.append(f"{'scale':>8}  {number(result['alignment']['scale'])}")
     if "clock" in result:
@@ -283,12 +281,11 @@ def show(result: dict[str, Any]) -> str:
 
 def show_several(results: list[dict[str, Any]]) -> str:
     """One line for each estimate."""
-    names = ("rmse", "mean", "median", "std", "min", "max")
     count = "pairs" if "pairs" in results[0] else "poses"
     width = max(len(result["estimate"]) for result in results)
-    lines = [_head(results[0]), " " * width + "".join(f"  {name:>10}" for name in (*names, count, "scale"))]
+    lines = [_head(results[0]), " " * width + "".join(f"  {name:>10}" for name in (*IN_UNIT, count, "scale"))]
     for result in results:
-        numbers = "".join(f"  {number(result[name]):>10}" for name in names)
+        numbers = "".join(f"  {number(result[name]):>10}" for name in IN_UNIT)
         scale = number(result["alignment"]["scale"])
         lines.append(f"{result['estimate']:<{width}}{numbers}  {result[count]:>10}  {scale:>10}")
     notes = [f"note: {result['estimate']}: {note}" for result in results for note in result["notes"]]

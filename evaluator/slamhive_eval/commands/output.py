@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Sequence
 
-    from slamhive_eval.metrics import Statistics
     from slamhive_eval.rotation import FloatArray, IndexArray
+    from slamhive_eval.statistics import Statistics
     from slamhive_eval.trajectory import Trajectory
 
 WRITERS: tuple[str, ...] = ("slamhive_eval.commands.saving",)

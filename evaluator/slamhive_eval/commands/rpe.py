@@ -10,6 +10,7 @@ from slamhive_eval.commands import measuring
 from slamhive_eval.commands.output import Measured
 from slamhive_eval.errors import EvaluationError
 from slamhive_eval.pairs import MIN_RANKED_PAIRS
+from slamhive_eval.statistics import Statistics
 
 if TYPE_CHECKING:
     import argparse
@@ -54,7 +55,7 @@ def _errors(
         source, asked.delta, asked.unit, all_pairs=asked.all_pairs, rel_tolerance=asked.rel_tolerance
     )
     errors = metrics.rpe_errors(reference, estimate, found, asked.relation)
-    statistics = metrics.Statistics.of(errors)
+    statistics = Statistics.of(errors)
     if statistics is None:
         raise EvaluationError(
             f"{name}: none of the {len(reference)} associated poses form a pair "

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slamhive_eval.errors import FileError, OptionError
+from slamhive_eval.statistics import IN_UNIT, STATISTICS
 
 if TYPE_CHECKING:
     import argparse
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from slamhive_eval.commands.output import Measured
     from slamhive_eval.formats.evo_zip import ErrorSeries
 
-STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
 COLUMNS = ("estimate", "relation", *STATISTICS, "poses", "pairs", "delta", "unit", "alignment", "scale")
 
 
@@ -49,13 +49,11 @@ def write(asked: argparse.Namespace, measured: Sequence[Measured]) -> None:
         if asked.csv:
             _write_text(asked.csv, result_tables.csv_table(rows, COLUMNS))
         if asked.latex:
-            names = ("estimate", *STATISTICS[:-1], "poses" if measured[0].metric == "ape" else "pairs")
+            names = ("estimate", *IN_UNIT, "poses" if measured[0].metric == "ape" else "pairs")
             caption = _series(asked, measured[0]).title.replace("\n", " ")
             _write_text(
                 asked.latex,
-                result_tables.latex_table(
-                    rows, dict(zip(names, names, strict=True)), caption, best=STATISTICS[:-1]
-                ),
+                result_tables.latex_table(rows, dict(zip(names, names, strict=True)), caption, best=IN_UNIT),
             )
 
 

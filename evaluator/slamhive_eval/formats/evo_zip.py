@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamhive_eval.errors import FileError
-from slamhive_eval.metrics import RELATION_UNITS, Statistics
+from slamhive_eval.metrics import RELATION_UNITS
+from slamhive_eval.statistics import Statistics
 
 if TYPE_CHECKING:
     from pathlib import Path

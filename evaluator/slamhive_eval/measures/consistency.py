@@ -15,7 +15,7 @@ import numpy as np
 
 from slamhive_eval import rotation
 from slamhive_eval.errors import OptionError
-from slamhive_eval.metrics import Statistics
+from slamhive_eval.statistics import Statistics
 
 if TYPE_CHECKING:
     import numpy.typing as npt

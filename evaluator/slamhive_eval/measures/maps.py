@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive_eval.errors import EvaluationError, OptionError
-from slamhive_eval.metrics import Statistics
+from slamhive_eval.statistics import Statistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable

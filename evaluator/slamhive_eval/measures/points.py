@@ -30,8 +30,8 @@ from slamhive_eval.evaluation import (
     Outcome,
     alignment_fields,
 )
-from slamhive_eval.metrics import Statistics
 from slamhive_eval.preparing import lay
+from slamhive_eval.statistics import Statistics
 from slamhive_eval.trajectory import Trajectory
 
 if TYPE_CHECKING:

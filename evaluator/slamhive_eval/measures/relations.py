@@ -17,7 +17,7 @@ from slamhive_eval import rotation
 from slamhive_eval.association import interpolate, nearest
 from slamhive_eval.errors import OptionError, TrajectoryError
 from slamhive_eval.formats.textfiles import fault_in_row, parse_table, read_bytes
-from slamhive_eval.metrics import Statistics
+from slamhive_eval.statistics import Statistics
 from slamhive_eval.trajectory import LARGEST_METRES, check_rigid
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ import numpy as np
 from slamhive_eval import rotation
 from slamhive_eval.alignment import umeyama_scale
 from slamhive_eval.errors import OptionError
-from slamhive_eval.metrics import Statistics
 from slamhive_eval.pairs import find_pairs
+from slamhive_eval.statistics import Statistics
 
 if TYPE_CHECKING:
     from slamhive_eval.rotation import FloatArray, IndexArray

@@ -19,8 +19,8 @@ from slamhive_eval.association import pair_up
 from slamhive_eval.coverage import FRAME_STEP_SECONDS, KEYFRAME_STEP_SECONDS, is_keyframes
 from slamhive_eval.errors import AssociationError, OptionError
 from slamhive_eval.evaluation import Evaluation, Options, evaluate
-from slamhive_eval.metrics import Statistics
 from slamhive_eval.preparing import set_clock
+from slamhive_eval.statistics import Statistics
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

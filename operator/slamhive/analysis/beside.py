@@ -12,6 +12,7 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from slamhive.analysis.measures import ERRORS
 from slamhive.analysis.measuring import measure, read_estimate
 from slamhive.contract.files import NotRegularError, compression_problem
 from slamhive.contract.lines import LIMIT_BYTES, named
@@ -30,10 +31,7 @@ if TYPE_CHECKING:
 
 BESIDE = "beside"
 _FILES = {"keyframes": KEYFRAMES, "online": ONLINE}
-_KEPT = (
-    *("message", "scale", "estimatePoses", "poses"),
-    *("ate", "ateRotationDeg", "rpe", "relations", "points"),
-)
+_KEPT = ERRORS | {"message", "scale", "estimatePoses", "poses", "points"}
 
 
 def with_others(
@@ -70,7 +68,7 @@ def with_others(
         except OSError as error:
             found[word] = {"message": f"{named(name)}: can't be read: {error.strerror or error}"}
         else:
-            figures = {key: own.values[key] for key in _KEPT if own.values.get(key) not in (None, "")}
+            figures = {k: value for k, value in own.values.items() if k in _KEPT and value not in (None, "")}
             found[word] = {"outcome": str(own.outcome), "coverage": own.coverage, **figures}
     return result.replace(values=result.values | {BESIDE: found}) if found else result
 

@@ -33,7 +33,7 @@ from slamhive.analysis.conditions import (
     NullTest,
     Truth,
 )
-from slamhive.analysis.names import columns_ending_in
+from slamhive.analysis.measures import columns_ending_in
 from slamhive.model.errors import InputError, suggestion
 
 if TYPE_CHECKING:

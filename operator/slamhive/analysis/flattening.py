@@ -17,6 +17,7 @@ import numpy as np
 
 from slamhive.analysis.columns import Column, times
 from slamhive.analysis.shapes import MOST_ITEMS, turned
+from slamhive_eval.statistics import STATISTICS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,14 +29,12 @@ if TYPE_CHECKING:
     Document = Mapping[str, Any]
     Part = tuple[dict[str, Column], int]
 
-_STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
-
 CORE_COLUMNS: tuple[str, ...] = (
     *("run", "sweep", "algorithm", "sensors", "dataset", "repetition", "seed"),
     *("phase", "reason", "message", "attempts"),
     *("evaluation", "alignment", "outcome", "coverage", "scale"),
-    *(f"ate.{name}" for name in _STATISTICS),
-    *(f"rpe[0].{name}" for name in ("delta", "unit", "pairs", "count", *_STATISTICS)),
+    *(f"ate.{name}" for name in STATISTICS),
+    *(f"rpe[0].{name}" for name in ("delta", "unit", "pairs", "count", *STATISTICS)),
     *("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.cpu.seconds", "usage.cpu.secondsPerDataSecond"),
     *("usage.memory.peakBytes", "usage.memory.meanBytes", "usage.memory.kind"),
     *("usage.memory.anonymousPeakBytes", "usage.memory.workingSetPeakBytes"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from slamhive.analysis.columns import Column
 from slamhive.analysis.flattening import CORE_COLUMNS
-from slamhive.analysis.names import columns_ending_in
+from slamhive.analysis.measures import columns_ending_in
 from slamhive.model.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:

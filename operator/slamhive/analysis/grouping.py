@@ -9,7 +9,6 @@ docs/results.md, "What counts", says the same in words.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -18,7 +17,7 @@ import numpy as np
 
 from slamhive.analysis.cells import Cell, Figure, Places, error_figures, figures
 from slamhive.analysis.columns import Column, renumbered
-from slamhive.analysis.names import CONFIGURATION
+from slamhive.analysis.measures import BESIDE, CONFIGURATION, follows_trajectory, is_error
 from slamhive.analysis.statistics import edges
 from slamhive.model.base import Choice
 from slamhive.model.results import Outcome, Reason
@@ -65,11 +64,6 @@ MEMORY = "usage.memory."
 
 DISTURBED = ("usage.cpu.meanCores", "usage.cpu.maxCores", "usage.wallSeconds")
 """Columns that say nothing where a run shared its cores with other work or was throttled."""
-
-ERRORS = ("ate.", "rpe[", "relations.", "ateRotationDeg.")
-"""Beginnings of the names of errors that follow from a run's trajectory: equal ones have equal errors."""
-
-_BESIDE = re.compile(r"(beside\.\w+\.)(.+)")
 
 FAILED_OF_ITSELF = frozenset(
     {
@@ -179,7 +173,7 @@ def aggregate(
     pooled = [name for name in changing if name not in groups.names]
     notes = [*pooling_notes(pooled), *disturbance_notes(frame, metrics)]
     same = sum(cell.deterministic for cell in cells)
-    if same and any(name.startswith(ERRORS) for name in metrics):
+    if same and any(map(follows_trajectory, metrics)):
         rows = "1 row is" if same == 1 else f"{same} rows are"
         notes.append(f"{rows} deterministic: one result, n equal runs")
     return Aggregate(groups.names, tuple(facets), tuple(metrics), cells, members, tuple(notes))
@@ -226,18 +220,12 @@ def failing(frame: Frame, outcomes: Outcomes) -> Mask:
     return failed
 
 
-def is_error(metric: str) -> bool:
-    """Tell whether a metric is an error, of a run's trajectory or of one beside it: failed runs rank last."""
-    beside = _BESIDE.fullmatch(metric)
-    return (metric if beside is None else beside[2]).startswith(ERRORS)
-
-
 def falling_short(frame: Frame, metric: str) -> Mask:
     """Tell which rows' metric is of a trajectory beside the run's own that is no tracked one, (n,)."""
-    beside = _BESIDE.fullmatch(metric)
+    beside = BESIDE.fullmatch(metric)
     if beside is None:
         return np.zeros(len(frame), dtype=bool)
-    name = f"{beside[1]}outcome"
+    name = f"beside.{beside[1]}.outcome"
     return frame.column(name).present & ~where_equal(frame, name, Outcome.TRACKED.value)
 
 
@@ -440,7 +428,7 @@ def _figures(
     numbers = places.numbers(frame.column(name).floats(), inside)
     if not is_error(name):
         return figures(numbers)
-    single = same if name.startswith(ERRORS) else [False] * len(same)
+    single = same if follows_trajectory(name) else [False] * len(same)
     return error_figures(numbers, places.counts(worst(frame, name, outcomes)), single)
 
 

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS, mean_of_known, mean_ranks, prepare, scaled_ranks
-from slamhive.analysis.grouping import ERRORS, Outcomes
+from slamhive.analysis.grouping import Outcomes
+from slamhive.analysis.measures import follows_trajectory
 from slamhive.analysis.statistics import (
     Interval,
     Summary,
@@ -210,7 +211,7 @@ def _standings(grid: Grid, ranks: Floats) -> Iterator[tuple[int, Standing]]:
     places = grid.places
     trajectory = grid.frame.column("trajectory.sha256")
     same = [False] * places.count
-    if grid.metric.startswith(ERRORS) and not trajectory.kind.is_numeric:
+    if follows_trajectory(grid.metric) and not trajectory.kind.is_numeric:
         same = places.agree(trajectory.codes.astype(np.intp), grid.counted).tolist()
     lists = zip(
         grid.at.tolist(),

@@ -1,14 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A column of numbers with the unit and the digits it is shown in: ``ate.rmse:cm:.3f``."""
+"""Columns as people read them: names with units, and numbers with the digits they are shown in.
+
+An axis of a chart has room for all of a column's name ("ATE RMSE [m]", ``label_of``), the head of a table for
+less ("ATE [m]", ``title_of``); ``ate.rmse:cm:.3f`` says unit and digits. Settings are called as their author
+called them, with the unit that the manifest of their algorithm gives them: a table of runs knows those
+(``Frame.units``), ``declared_units`` has them hold while it is shown.
+"""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import Self
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Self
 
-from slamhive.analysis.names import CONFIGURATION, label_of, name_of, with_unit
+from slamhive.analysis.measures import CONFIGURATION, measure_of
 from slamhive.model.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from slamhive.analysis.measures import Measure
 
 UNITS: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "cm": 1e2, "mm": 1e3},
@@ -20,6 +34,61 @@ UNITS: dict[str, dict[str, float]] = {
 
 _SHOWN_IN = {"B": "MiB"}
 _FORMAT = re.compile(r"\.\d{1,2}[efg]")
+_SETTINGS = re.compile(r"(parameters|input|resources|dataset\.attributes|label)\.(.+)")
+
+_DECLARED: ContextVar[Mapping[str, str]] = ContextVar("units of settings", default=MappingProxyType({}))
+
+
+@contextmanager
+def declared_units(units: Mapping[str, str]) -> Iterator[None]:
+    """Have settings named with their units inside.
+
+    Args:
+        units: by column.
+    """
+    before = _DECLARED.set(units)
+    try:
+        yield
+    finally:
+        _DECLARED.reset(before)
+
+
+def name_of(column: str) -> Measure:
+    """Return the measure of a column, with its name for people; a setting's with the unit declared for it."""
+    measure = measure_of(column)
+    unit = _DECLARED.get().get(column)
+    return measure if unit is None else replace(measure, unit=unit)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return a name with its unit in brackets, if it has one."""
+    return f"{text} [{unit}]" if unit else text
+
+
+def label_of(column: str, unit: str | None = None, among: Iterable[str] = ()) -> str:
+    """Return the name of an axis.
+
+    Args:
+        column: what is drawn along it.
+        unit: of the numbers as they are drawn; None for the unit that they are stored in.
+        among: names of the columns beside it, from which it must stay apart.
+    """
+    name = name_of(column)
+    return with_unit(_own(column, name.text, among), name.unit if unit is None else unit)
+
+
+def title_of(column: str, unit: str | None = None, among: Iterable[str] = ()) -> str:
+    """Return the head of a table's column; arguments as for ``label_of``."""
+    name = name_of(column)
+    return with_unit(_own(column, name.short, among), name.unit if unit is None else unit)
+
+
+def _own(column: str, text: str, among: Iterable[str]) -> str:
+    """Return a setting's own name, without what it is a setting of where that is clear."""
+    match = _SETTINGS.fullmatch(column)
+    if text != column or match is None or sum(other.endswith(f".{match[2]}") for other in among) > 1:
+        return text
+    return match[2]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.grouping import (
-    ERRORS,
     SUBJECT,
     Groups,
     Outcomes,
@@ -18,6 +17,7 @@ from slamhive.analysis.grouping import (
     pooling_notes,
     varying,
 )
+from slamhive.analysis.measures import follows_trajectory
 
 if TYPE_CHECKING:
     from slamhive.analysis.cells import Cell
@@ -91,7 +91,7 @@ def repeatability(frame: Frame, metric: str = "ate.rmse") -> tuple[list[Repetiti
     for cell, rows in zip(found.cells, found.members, strict=True):
         tracked = np.array([counted.values[code] == "Tracked" for code in counted.codes[rows]], dtype=bool)
         inside = rows[tracked & ~np.isnan(numbers[rows])]
-        unnamed = trajectories.kind.is_numeric or not metric.startswith(ERRORS)
+        unnamed = trajectories.kind.is_numeric or not follows_trajectory(metric)
         hashes = np.full(len(inside), -1) if unnamed else trajectories.codes[inside]
         _, firsts = np.unique(hashes, return_index=True)
         unknown = np.flatnonzero(hashes < 0)

@@ -20,7 +20,6 @@ import numpy as np
 from slamhive.analysis.comparing import LEVEL, log_ratios, signed_differences
 from slamhive.analysis.derived import ALGORITHM_CHANGED, DATASET_CHANGED
 from slamhive.analysis.grouping import (
-    ERRORS,
     SUBJECT,
     Groups,
     Outcomes,
@@ -29,7 +28,6 @@ from slamhive.analysis.grouping import (
     disturbance_notes,
     failing,
     falling_short,
-    is_error,
     ranked_errors,
     sound,
     tally,
@@ -37,7 +35,7 @@ from slamhive.analysis.grouping import (
     varies,
     varying,
 )
-from slamhive.analysis.names import CONFIGURATION
+from slamhive.analysis.measures import CONFIGURATION, follows_trajectory, is_error
 from slamhive.analysis.statistics import ENOUGH, average_ranks, holm, median_of_sorted, sign_flip_test
 
 if TYPE_CHECKING:
@@ -385,7 +383,7 @@ class _Material:
         status = self._frame.column("status")
         everything = ranked_errors(self._numbers[rows], counted, failed)
         ranked = everything
-        if self._metric.startswith(ERRORS):
+        if follows_trajectory(self._metric):
             kept = self._different(rows)
             ranked = ranked_errors(self._numbers[rows][kept], counted[kept], failed[kept])
         failures = tally(status.values, status.codes[rows[~counted]])

@@ -15,7 +15,7 @@ import typer
 from slamhive import __version__
 from slamhive.analysis import Metric, Outcomes
 from slamhive.analysis.boards import COMPETITORS
-from slamhive.analysis.names import declared_units
+from slamhive.analysis.metrics import declared_units
 from slamhive.cli.parts.choosing import (
     Also,
     EvaluationName,

@@ -12,7 +12,7 @@ import numpy as np
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import sort_key
 from slamhive.analysis.grouping import Groups, aggregate, counting, sound, varies
-from slamhive.analysis.names import label_of
+from slamhive.analysis.metrics import label_of
 from slamhive.analysis.pareto import pareto
 from slamhive.figures.asking import (
     check_categories,

@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 from slamhive import __version__
-from slamhive.analysis.names import declared_units
+from slamhive.analysis.metrics import declared_units
 from slamhive.data.files.outputs import output_whole
 from slamhive.figures.asking import Kind
 from slamhive.model.errors import InputError

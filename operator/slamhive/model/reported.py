@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError, create_model
 
 from slamhive.model.base import Model, explain, optional
+from slamhive_eval.statistics import STATISTICS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,18 +24,13 @@ _WORDS = {
 }
 
 
-class ErrorFigures(Model):
+_FIELDS: dict[str, Any] = {name: (float | None, optional(f"{name} of the error.")) for name in STATISTICS}
+
+
+class ErrorFigures(create_model("_Statistics", __base__=Model, **_FIELDS)):  # type: ignore[misc]
     """Statistics of an error; an evaluator may add its own."""
 
     model_config = ConfigDict(extra="ignore", strict=True)
-
-    rmse: float | None = optional("rmse of the error.")
-    mean: float | None = optional("mean of the error.")
-    median: float | None = optional("median of the error.")
-    std: float | None = optional("std of the error.")
-    min: float | None = optional("min of the error.")
-    max: float | None = optional("max of the error.")
-    sse: float | None = optional("sse of the error.")
 
 
 class ReportedValues(Model):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from slamhive import __version__
 from slamhive.analysis import Outcomes
 from slamhive.analysis.boards import COMPETITORS
-from slamhive.analysis.names import declared_units
+from slamhive.analysis.metrics import declared_units
 from slamhive.reporting.charts import study_chart
 from slamhive.reporting.drawing import legend
 from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown

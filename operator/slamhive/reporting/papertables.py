@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis import Metric, Outcomes
-from slamhive.analysis.grouping import aggregate, is_error
+from slamhive.analysis.grouping import aggregate
 from slamhive.analysis.leaderboard import leaderboard
+from slamhive.analysis.measures import Better, measure_of
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 
@@ -23,13 +24,8 @@ if TYPE_CHECKING:
     from slamhive.analysis.cells import Cell
     from slamhive.analysis.frame import Frame
 
-SMALL_IS_GOOD = ("usage.", "frames.dropped")
-"""Beginnings of the names of columns whose smallest number is the best."""
-
 LEAST_FOR_SECOND = 3
 """Rows from which on the second best is marked too."""
-
-LARGE_IS_GOOD = ("coverage", "frames.processed")
 
 _MOST_DIGITS = 6
 
@@ -427,8 +423,7 @@ def _costs(place: Place | None, metrics: Sequence[Metric]) -> list[float]:
     ]
 
 
-def _way(column: str) -> int:
+def _way(column: str) -> float:
     """Return 1 where small is good, -1 where large is, 0 where neither is known."""
-    if is_error(column) or column.startswith(SMALL_IS_GOOD):
-        return 1
-    return -1 if column in LARGE_IS_GOOD else 0
+    measure = measure_of(column)
+    return 0 if measure.better is Better.NONE else measure.sign

@@ -10,7 +10,7 @@ from urllib.parse import parse_qsl
 from slamhive.analysis.boards import COMPETITORS
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.grouping import varies, varying
-from slamhive.analysis.names import CONFIGURATION
+from slamhive.analysis.measures import CONFIGURATION
 from slamhive.model.errors import InputError
 from slamhive.tables import queries
 from slamhive.tables.reading import with_figure

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.grouping import SUBJECT
-from slamhive.analysis.names import title_of
+from slamhive.analysis.metrics import title_of
 from slamhive.reporting.markup import parse_metric, shown
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Any
 
-from slamhive.analysis.metrics import Metric
-from slamhive.analysis.names import name_of, with_unit
+from slamhive.analysis.metrics import Metric, name_of, with_unit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -9,8 +9,8 @@ import numpy as np
 
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.flattening import OF_RUN
-from slamhive.analysis.metrics import Metric
-from slamhive.analysis.names import declared_units
+from slamhive.analysis.measures import is_error
+from slamhive.analysis.metrics import Metric, declared_units
 from slamhive.dashboard.answering.encoding import plain
 from slamhive.tables.text import PARTS
 
@@ -76,13 +76,11 @@ def group_of(name: str) -> str:
         ("frames.", "frames"),
         ("provenance.", "provenance"),
         ("trajectory.", "trajectory"),
-        ("ate", "errors"),
-        ("rpe", "errors"),
-        ("relations.", "errors"),
-        ("points.", "errors"),
     ):
         if name.startswith(prefix):
             return group
+    if is_error(name):
+        return "errors"
     return "run" if name in _OF_RUN else "result"
 
 

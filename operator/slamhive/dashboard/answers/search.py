@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slamhive.analysis.grouping import SUBJECT, varying
-from slamhive.analysis.names import CONFIGURATION
+from slamhive.analysis.measures import CONFIGURATION
 from slamhive.analysis.selection import first_rows
 from slamhive.dashboard.answering.encoding import Body
 from slamhive.dashboard.answers.columns import heading

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measures: the one table of what is known of each column, behind rankings, tables, pages, figures, reports.
+
+A column such as ``ate.rmse`` is what people type. Its measure says what they call it where they read it, its
+unit, whether small or large is good, and whether failed runs rank behind all others by it. Of a figure that
+stands in no row here, as of somebody else's evaluator or in an algorithm's own ``metrics.json``, nothing of
+that is known: it is shown, averaged and sorted under its own name, and nothing calls one value of it better.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING
+
+from slamhive_eval.statistics import STATISTICS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+CONFIGURATION = ("parameters.", "input.", "dataset.attributes.", "resources.")
+"""Beginnings of the names of settings."""
+
+
+class Better(StrEnum):
+    """Direction in which a measure is better; none where nobody has said so."""
+
+    LOWER = "lower"
+    HIGHER = "higher"
+    NONE = ""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A column, or in the table several of one kind.
+
+    Attributes:
+        name: of the column. In the table ``[]`` stands for any number of a list, and ``.*`` for the
+            statistics of an error, whose names and units follow from its own.
+        text: what people call it, where there is room; empty for its name. In the table ``{0}`` is the number
+            in a list, ``{1}`` that from 1 on with a space before it, nothing for the first.
+        unit: of its numbers as they are stored; empty for a plain number, and for what isn't one.
+        better: whether small or large is good.
+        is_error: whether it is measured against the ground truth: an error, or if large is good an accuracy.
+            A run that failed is worse than any number, and runs with the same trajectory have the same one.
+        short: its name in the head of a table, where that is shorter.
+    """
+
+    name: str
+    text: str = ""
+    unit: str = ""
+    better: Better = Better.NONE
+    is_error: bool = False
+    short: str = ""
+
+    @property
+    def sign(self) -> float:
+        """What makes a cost of a number, small is good: -1 where large is good, else 1."""
+        return -1.0 if self.better is Better.HIGHER else 1.0
+
+
+_LOWER, _HIGHER = Better.LOWER, Better.HIGHER
+_error = partial(Measure, better=_LOWER, is_error=True)
+_TABLE = (
+    Measure("algorithm", "algorithm"),
+    Measure("algorithm.version", "version of the algorithm", short="algorithm.version"),
+    Measure("sensors", "sensors"),
+    Measure("dataset", "dataset"),
+    Measure("dataset.version", "version of the dataset", short="dataset.version"),
+    Measure("repetition", "repetition"),
+    Measure("evaluation", "evaluation"),
+    Measure("alignment", "alignment"),
+    Measure("settings", "evaluation settings", short="settings"),
+    Measure("outcome", "outcome"),
+    Measure("status", "outcome or reason", short="status"),
+    # What the evaluator finds.
+    Measure("coverage", "coverage", "", _HIGHER),
+    Measure("scale", "scale"),
+    Measure("poses"),
+    Measure("referencePoses"),
+    Measure("estimatePoses"),
+    Measure("pathLength", "", "m"),
+    Measure("coveredLength", "", "m"),
+    _error("ate.*", "ATE", "m"),
+    _error("ate.rmse", "ATE RMSE", "m", short="ATE"),
+    _error("ate.extended", "extended ATE RMSE", "m", short="extended ATE"),
+    _error("ateRotationDeg.*", "ATE of rotation", "°"),
+    _error("rpe[].*", "RPE{1}", "m"),
+    _error("rpe[0].rmse", "RPE RMSE", "m", short="RPE"),
+    _error("rpe[].rotationDeg.*", "RPE{1} of rotation", "°"),
+    *(Measure(f"rpe[].{name}") for name in ("delta", "relTolerance", "count")),
+    Measure("clock.offsetSeconds", "", "s"),
+    Measure("clock.origin", "", "s"),
+    Measure("clock.drift"),
+    Measure("clock.correlation"),
+    # Of one map among several: nothing is said of the run by it.
+    *(Measure(name) for name in ("mainSegment", "segmentsLeftOut", "posesOutside")),
+    *(Measure(f"segments[].{name}") for name in ("segment", "poses", "scale")),
+    Measure("segments[].begin", "", "s"),
+    Measure("segments[].end", "", "s"),
+    Measure("segments[].metres", "", "m"),
+    Measure("segments[].coverage", "", "", _HIGHER),
+    Measure("segments[].ate.*", "", "m", _LOWER),
+    Measure("segments[].ateInMainFrame.*", "", "m", _LOWER),
+    Measure("points.count", "control points"),
+    Measure("points.met", "control points met", "", _HIGHER),
+    Measure("points.missing", "control points missed", "", _LOWER),
+    Measure("points.share", "share of control points met", "", _HIGHER),
+    Measure("points.medianSpacingSeconds", "median time between control points", "s"),
+    Measure("points.longestSpacingSeconds", "longest time between control points", "s"),
+    Measure("points.rmseStandardError", "standard error of the RMSE at control points", "m"),
+    _error("relations.translation.*", "error over relations", "m"),
+    _error("relations.translation.mean", "error over relations mean", "m", short="relations"),
+    _error("relations.rotationDeg.*", "error over relations of rotation", "°"),
+    _error("relations.rotationDeg.mean", "error over relations of rotation mean", "°", short="relations"),
+    _error("relations.byTime[].translation.*", "error over relations {0}", "m"),
+    _error("relations.byTime[].rotationDeg.*", "error over relations {0} of rotation", "°"),
+    Measure("relations.relations"),
+    Measure("relations.count"),
+    Measure("relations.missing", "", "", _LOWER),
+    Measure("relations.byTime[].fromSeconds", "", "s"),
+    Measure("relations.byTime[].toSeconds", "", "s"),
+    Measure("relations.byTime[].count"),
+    # What a run was given, and what it took.
+    Measure("input.pace", "pace"),
+    Measure("input.frameRate", "frame rate", "Hz"),
+    Measure("input.resolution", "resolution"),
+    Measure("input.start", "start", "s"),
+    Measure("input.duration", "duration", "s"),
+    Measure("prepared.frameRate", "prepared frame rate", "Hz"),
+    Measure("prepared.recordedFrameRate", "recorded frame rate", "Hz"),
+    Measure("usage.cpu.meanCores", "mean CPU load", "cores", _LOWER, short="CPU"),
+    Measure("usage.cpu.maxCores", "maximum CPU load", "cores", _LOWER, short="CPU max"),
+    Measure("usage.cpu.seconds", "CPU time", "s", _LOWER),
+    Measure("usage.cpu.totalSeconds", "CPU time with the reader", "s", _LOWER, short="CPU time, total"),
+    Measure("usage.cpu.secondsPerDataSecond", "CPU time per second of data", "s/s", _LOWER, short="CPU"),
+    Measure("usage.readerCpuSeconds", "CPU time of the reader", "s", _LOWER, short="reader"),
+    Measure("usage.readerShare", "share of the reader", "", _LOWER),
+    Measure("usage.wallSeconds", "wall time", "s", _LOWER),
+    Measure("usage.throttledSeconds", "", "s", _LOWER),
+    Measure("usage.contendedSeconds", "", "s", _LOWER),
+    Measure("usage.includesReader", "reader included"),
+    Measure("usage.memory.peakBytes", "peak memory", "B", _LOWER),
+    Measure("usage.memory.meanBytes", "mean memory", "B", _LOWER),
+    Measure("usage.memory.anonymousPeakBytes", "peak anonymous memory", "B", _LOWER),
+    Measure("usage.memory.workingSetPeakBytes", "peak working set", "B", _LOWER),
+    Measure("usage.memory.kernelPeakBytes", "peak memory by the kernel", "B", _LOWER),
+    Measure("usage.memory.kind", "kind of memory"),
+    Measure("frames.offered", "frames offered"),
+    Measure("frames.processed", "frames processed", "", _HIGHER),
+    Measure("frames.dropped", "frames dropped", "", _LOWER),
+    Measure("trajectory.poses", "poses"),
+    Measure("trajectory.durationSeconds", "duration of the trajectory", "s"),
+    Measure("provenance.cpuModel", "processor"),
+)
+_BY_NAME = {measure.name: measure for measure in _TABLE}
+
+ERRORS = frozenset(re.split(r"[.\[]", measure.name)[0] for measure in _TABLE if measure.is_error)
+"""Fields of a result that hold errors."""
+
+_STATISTICS = {
+    "rmse": "RMSE",
+    "std": "standard deviation",
+    "min": "minimum",
+    "max": "maximum",
+    "sse": "sum of squares",
+}
+"""What the statistics are called that aren't called by their names."""
+
+_NUMBER = re.compile(r"\[(\d+)\]")
+BESIDE = re.compile(r"beside\.(\w+)\.(.+)")
+"""Names of figures of a trajectory beside the run's own."""
+
+
+@lru_cache(maxsize=4096)
+def measure_of(column: str) -> Measure:
+    """Return the measure of a column; of one without a row, its name and the unit that its name tells."""
+    beside = BESIDE.fullmatch(column)
+    if beside and (found := _listed(beside[2])):
+        text = f"{found.text} of {beside[1]}"
+        return replace(found, name=column, text=text, short=text)
+    if found := _listed(column):
+        return found
+    unit = "s" if column.endswith(("Seconds", ".seconds")) else "B" if column.endswith("Bytes") else ""
+    return Measure(column, column, unit, short=column)
+
+
+def _listed(column: str) -> Measure | None:
+    """Return the measure of a column that has a row, of its own or of its kind; None where it has none."""
+    kind = _NUMBER.sub("[]", column)
+    found = _BY_NAME.get(column) or _BY_NAME.get(kind)
+    text, unit = (found.text, found.unit) if found else ("", "")
+    stem, _, statistic = kind.rpartition(".")
+    if found is None and statistic in STATISTICS and (found := _BY_NAME.get(f"{stem}.*")):
+        text = found.text and f"{found.text} {_STATISTICS.get(statistic, statistic)}"
+        unit = f"{found.unit}²" if statistic == "sse" else found.unit
+    if found is None:
+        return None
+    number = int(match[1]) if (match := _NUMBER.search(column)) else 0
+    text = text.format(number, f" {number + 1}" if number else "") or column
+    return replace(found, name=column, text=text, unit=unit, short=found.short or text)
+
+
+def is_known(column: str) -> bool:
+    """Tell whether the table has a row for a column."""
+    beside = BESIDE.fullmatch(column)
+    return _listed(beside[2] if beside else column) is not None
+
+
+def is_error(column: str) -> bool:
+    """Tell whether a column is an error, of a run's trajectory or of one beside it: failed runs rank last."""
+    return measure_of(column).is_error
+
+
+def follows_trajectory(column: str) -> bool:
+    """Tell whether runs with equal trajectories have equal figures: errors that are of none beside it."""
+    return is_error(column) and not BESIDE.fullmatch(column)
+
+
+def columns_ending_in(name: str, columns: Iterable[str]) -> list[str]:
+    """Return the columns whose last part is a name: of several the only setting, else all of them, sorted.
+
+    >>> columns_ending_in("k", ["parameters.k", "metrics.k"]), columns_ending_in("x", ["b.x", "a.x", "y"])
+    (['parameters.k'], ['a.x', 'b.x'])
+    """
+    ending = sorted(column for column in columns if column.endswith(f".{name}"))
+    settings = [column for column in ending if column.startswith(CONFIGURATION)]
+    return settings if len(settings) == 1 else ending
