@@ -16,8 +16,7 @@ from slamhive.analysis.derived import SweepVersion, with_derived
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import Outcomes, aggregate, varying
 from slamhive.analysis.leaderboard import leaderboard
-from slamhive.analysis.ordering import order_by
-from slamhive.analysis.selection import Selection, choose
+from slamhive.analysis.selection import Selection, choose, order_by
 from slamhive.analysis.statistics import Numbers
 from slamhive.model.errors import InputError
 

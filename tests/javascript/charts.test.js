@@ -38,6 +38,8 @@ import { overTime, plane } from '../../operator/slamhive/dashboard/static/charts
 import { dressed } from '../../operator/slamhive/dashboard/static/core/chart.js';
 import { answer, HOSTILE } from './helpers.js';
 
+const ERROR = { better: 'lower' };
+const ACCURACY = { better: 'higher' };
 const SIZE = { width: 800, height: 400 };
 const every = (data) => Array.from({ length: data.count }, (_, index) => index);
 
@@ -140,10 +142,11 @@ const CHARTS = {
       interactions: [{ a: text, b: 'b', variance: 0.1 }],
     }).option,
   pairs: (text) =>
-    pairsChart([
-      { a: { algorithm: text }, b: { algorithm: 'b' }, n: 2, wins: { a: 2, b: 0 }, effect: 1, pHolm: 0.01 },
-    ]).option,
-  ratios: (text) => ratioChart({ settings: [setting(text, 1, 2), setting('b', 1, null)] }).option,
+    pairsChart(
+      [{ a: { algorithm: text }, b: { algorithm: 'b' }, n: 2, wins: { a: 2, b: 0 }, effect: 1, pHolm: 0.01 }],
+      ERROR,
+    ).option,
+  ratios: (text) => ratioChart({ settings: [setting(text, 1, 2), setting('b', 1, null)] }, ERROR).option,
   spread: (text) =>
     spreadChart({
       metric: {},
@@ -197,7 +200,7 @@ test('kept answers of a dashboard are drawn', () => {
     assert.ok(drawn(box(data, indices, { ylog: false, tracked: false })).length > 1000);
   }
   assert.ok(drawn(line(answer('/analysis/aggregate'), { ...LINE, x: 'parameters.nFeatures' })).length > 1000);
-  assert.ok(drawn(pairsChart(answer('/analysis/compare').boards[0].pairs).option).length > 1000);
+  assert.ok(drawn(pairsChart(answer('/analysis/compare').boards[0].pairs, ERROR).option).length > 1000);
   assert.ok(drawn(spreadChart(answer('/analysis/repeatability')).option).length > 1000);
   assert.ok(drawn(suspectChart(answer('/analysis/suspects').items).option).length > 1000);
   assert.ok(drawn(importanceCharts(answer('/analysis/importance').subjects[0]).option).length > 1000);
@@ -207,7 +210,7 @@ test('kept answers of a dashboard are drawn', () => {
 test('where nothing can be drawn there is no chart', () => {
   assert.equal(dumbbells([]), null);
   assert.equal(dumbbells([entry('a', 0.1, 1, null, 1)]), null);
-  assert.equal(ratioChart({ settings: [] }), null);
+  assert.equal(ratioChart({ settings: [] }, ERROR), null);
   assert.equal(spreadChart({ metric: {}, groups: [] }), null);
   assert.equal(
     spreadChart({
@@ -451,7 +454,7 @@ test('of a pair both directions are shown, the better competitor first', () => {
     effect: -0.6,
     pHolm: 0.01,
   };
-  const { yAxis, series } = pairsChart([pair]).option(SIZE);
+  const { yAxis, series } = pairsChart([pair], ERROR).option(SIZE);
   assert.deepEqual(yAxis.data, ['1  better', '2  worse']);
   assert.deepEqual(
     series[0].data.map((one) => [...one.value, one.told]),
@@ -472,7 +475,7 @@ test('a pair without an effect or a test is drawn without a colour and a star', 
     pHolm: null,
   };
   assert.deepEqual(
-    pairsChart([pair])
+    pairsChart([pair], ERROR)
       .option(SIZE)
       .series[0].data.map((one) => [Math.abs(one.value[2]), one.told]),
     [
@@ -492,10 +495,24 @@ test('settings that fail now stand beyond the worst, those that recovered beyond
       setting(5, 1, 0.5),
     ],
   };
-  const values = ratioChart(change)
-    .option(SIZE)
-    .series[0].data.map((one) => one.value[0]);
-  assert.deepEqual(values, [2, 2.2, 0.5 / 1.1, 1, 0.5]);
+  /** @param {object} metric */
+  const drawnBy = (metric) => ratioChart(change, metric).option(SIZE).series[0].data;
+  const values = (metric) => drawnBy(metric).map((one) => one.value[0]);
+  assert.deepEqual(values(ERROR), [2, 2.2, 0.5 / 1.1, 1, 0.5]);
+  assert.deepEqual(values(ACCURACY), [2, 0.5 / 1.1, 2.2, 1, 0.5]);
+  const colours = (metric) => [0, 4].map((at) => drawnBy(metric)[at].itemStyle.color);
+  assert.deepEqual(colours(ERROR), colours(ACCURACY).reverse());
+  // Where nobody has said which way is good, nothing looks better.
+  assert.equal(new Set(colours({ better: null })).size, 1);
+});
+
+test('pairs are better or worse where it is known which way is good', () => {
+  const words = (metric) => pairsChart([], metric).option(SIZE).visualMap.text;
+  assert.deepEqual([ERROR, ACCURACY].map(words), [
+    ['better', 'worse'],
+    ['better', 'worse'],
+  ]);
+  assert.deepEqual(words({ better: null }), ['lower', 'higher']);
 });
 
 test('settings are told by what differs, by the dataset where nothing does', () => {

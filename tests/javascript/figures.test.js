@@ -230,6 +230,31 @@ test('a curve ends below 1 by the share of the runs that failed', () => {
   ]);
 });
 
+test('where large is good a curve comes from the right, and its end is where failed runs are', () => {
+  assert.deepEqual(steps({ x: [0.9, 0.5], share: [0.25, 0.5] }, 1, 0), [
+    [1, 0],
+    [0.9, 0.25],
+    [0.5, 0.5],
+    [0, 0.5],
+  ]);
+  const accuracy = { ...ECDF.metric, better: 'higher' };
+  const { series, tooltip, xAxis } = ecdfChart(
+    accuracy,
+    [{ ...CURVE, x: [4, 1] }],
+    { low: 0, high: 6 },
+    false,
+  );
+  assert.deepEqual(series[0].data, [
+    [xAxis.max, 0],
+    [4, 0.25],
+    [1, 0.5],
+    [0, 0.5],
+  ]);
+  assert.match(tooltip.formatter([{ axisValue: 2 }]), /≥ 2\n.*25 %/);
+});
+
+const CURVE = { name: 'a', place: 0, total: 4, share: [0.25, 0.5] };
+
 const made = (uid, algorithm, parameters, more = {}) => ({
   uid,
   run: uid,
@@ -432,6 +457,14 @@ test('slices share their limits, and what failed stands at the top', () => {
   assert.deepEqual(cross.value, [1, option.yAxis.max]);
   assert.match(cross.symbol, /^path/);
   assert.ok(drawn({ option: sliceChart(METRIC, AXES[1], slices.b, limits, true) }));
+});
+
+test('where large is good what failed stands at the bottom', () => {
+  const cells = [cell([1], 0.9), cell([2], null, { low: null, best: null, high: null })];
+  const accuracy = { ...METRIC, factor: 1, better: 'higher' };
+  const option = sliceChart(accuracy, AXES[0], cells, sharedLimits({ a: cells }, 1, false), false);
+  assert.deepEqual(option.series[1].data[1].value, [1, option.yAxis.min]);
+  assert.match(option.tooltip.formatter({ dataIndex: 0 }), /best/);
 });
 
 test('what matters comes first on a phone, and nothing is lost', () => {

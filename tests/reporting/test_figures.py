@@ -235,6 +235,31 @@ def test_a_front_goes_through_what_none_beats(study: Path) -> None:
     assert filled == [0]
 
 
+def test_where_large_is_good_shares_and_fronts_turn_round(records: Any, fill: Fill) -> None:
+    shares = [0.5, 0.9, 0.6, 0.8, 0.7, 0.7]
+    runs = [
+        records.run(
+            number,
+            spec={"datasetRef": {"name": "hall"}},
+            results=[records.result(points={"share": share})],
+            usage={"cpu": {"seconds": 1.0 + number % 2}},
+        )
+        for number, share in enumerate(shares)
+    ]
+    home = fill([*runs, records.failed(6, spec={"datasetRef": {"name": "hall"}})])
+    found = made(home, Kind.ECDF, x="points.share", by="algorithm")
+    first, _ = marks(found, Line)
+    assert first.x.tolist() == pytest.approx([0.7, 0.7, 0.6, 0.5, 0.5])
+    assert first.y.tolist() == pytest.approx([0, 0.25, 0.5, 0.75, 0.75])
+    assert "have at least this share of control points met" in found.notes[0]
+    front = made(home, Kind.PARETO, x="usage.cpu.seconds", y="points.share")
+    way = next(mark for mark in marks(front, Line) if mark.series < 0)
+    assert (way.x.tolist(), way.y.tolist()) == ([1.0, 2.0], pytest.approx([0.55, 0.8]))
+    back = made(home, Kind.PARETO, x="points.share", y="usage.cpu.seconds")
+    way = next(mark for mark in marks(back, Line) if mark.series < 0)
+    assert (way.x.tolist(), way.y.tolist()) == (pytest.approx([0.8, 0.6]), [2.0, 1.0])
+
+
 def test_repetitions_are_those_of_one_configuration(study: Path) -> None:
     found = made(study, Kind.REPETITIONS, where="dataset == 'dataset-0'")
     assert len(found.y.categories) == 4

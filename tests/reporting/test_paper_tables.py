@@ -188,6 +188,28 @@ def test_ranks_and_ratios_are_what_stands_for_all_datasets(three: Path) -> None:
     assert flat(found)["rank over datasets"][0] == pytest.approx(4 / 3)
 
 
+def test_where_large_is_good_the_largest_is_bold_and_ranks_first(
+    records: Any, fill: Callable[..., Path]
+) -> None:
+    shares = ((0.9, 0.2), (0.6, 0.8), (0.3, 0.1))
+    runs = [
+        records.run(
+            2 * number + place,
+            spec={"algorithmRef": {"name": "abc"[number]}, "datasetRef": {"name": f"dataset-{place}"}},
+            results=[records.result(points={"share": share})],
+        )
+        for number, both in enumerate(shares)
+        for place, share in enumerate(both)
+    ]
+    met = Metric.parse("points.share")
+    found = table(fill(runs), metrics=(met,), overall=(Overall.RANK, Overall.RATIO))
+    assert bold(found) == [[True, False], [False, True], [False, False]]
+    ranks, ratios = found.overall
+    assert [one.value for one in ranks.figures] == [1.5, 1.5, 3.0]
+    assert [one.value for one in ratios.figures] == pytest.approx([2.0, 1.5**0.5, 24**0.5])
+    assert [one.bold for one in ratios.figures] == [False, True, False]
+
+
 def test_a_rank_on_some_datasets_says_so(three: Path) -> None:
     found = table(three, overall=(Overall.RANK,), where="algorithm != 'b' or dataset == 'dataset-0'")
     assert "(1/3)" in latex(found)
@@ -289,7 +311,7 @@ def test_the_command_writes_both_forms(study: Path, slamhive: Callable[..., Any]
     [
         (["--overall", "mean"], "--overall: unknown figure over datasets 'mean'; known: rank, ratio"),
         (["--overall", "rank", "--columns", ""], "--overall: ranks and ratios are over datasets"),
-        (["--overall", "rank", "-m", "coverage"], "--overall: coverage: ranks are by a figure that is good"),
+        (["--overall", "rank", "-m", "scale"], "--overall: scale: ranks are by a figure that is good"),
         (["--preset", "V"], "--preset: unknown table 'V'"),
         (["-m", "ate.rmes"], "--metric: unknown column 'ate.rmes'; did you mean 'ate.rmse'?"),
         (["-m", "ate.rmse:km"], "ate.rmse:km: 'km' is neither a unit"),

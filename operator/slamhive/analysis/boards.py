@@ -16,6 +16,7 @@ from slamhive.analysis.grouping import (
     apart,
     counting,
     covered,
+    direction_notes,
     disturbance_notes,
     pooling_notes,
     sound,
@@ -24,6 +25,7 @@ from slamhive.analysis.grouping import (
     varying,
     worst,
 )
+from slamhive.analysis.measures import measure_of
 from slamhive.analysis.statistics import Numbers, average_ranks
 
 if TYPE_CHECKING:
@@ -108,10 +110,20 @@ class Grid:
     failed: Mask
     coverage: Floats
 
+    @property
+    def sign(self) -> float:
+        """What makes costs of figures, of which small is good."""
+        return measure_of(self.metric).sign
+
     @cached_property
     def figures(self) -> Numbers:
         """The figures that count, of each place."""
         return self.places.numbers(self.numbers, self.counted)
+
+    @cached_property
+    def costs(self) -> Numbers:
+        """The same as costs."""
+        return self.figures.times(self.sign)
 
     @cached_property
     def behind(self) -> Indices:
@@ -120,16 +132,16 @@ class Grid:
 
     @cached_property
     def medians(self) -> Floats:
-        """Medians with failed runs last, (c, d): infinite for a failed one, NaN where no run has a rank."""
+        """Medians of costs, (c, d): infinite for a failed run, NaN where no run has a rank."""
         found = np.full((len(self.competitors), len(self.datasets)), np.nan)
         found[self.at[:, 0], self.at[:, 1]] = [
-            np.nan if median is None else median for median in self.figures.medians(self.behind)
+            np.nan if median is None else median for median in self.costs.medians(self.behind)
         ]
         return found
 
     def ranked(self, place: int) -> Floats:
-        """Return the sorted figures of a place, failed runs last."""
-        return np.concatenate([self.figures.ordered(place), np.full(self.behind[place], np.inf)])
+        """Return the sorted costs of a place, failed runs last."""
+        return np.concatenate([self.costs.ordered(place), np.full(self.behind[place], np.inf)])
 
     def mean_coverages(self) -> list[float | None]:
         """Return the mean coverage of each place; None where nothing is known of it."""
@@ -192,7 +204,8 @@ def prepare(
     if "alignment" in facets or "evaluation" in facets:
         notes.append("runs of different evaluations are ranked apart: their errors can't be compared")
     pooled = [name for name in varying(frame) if name not in (*by, *facets)]
-    notes += [*pooling_notes(pooled), *disturbance_notes(frame, metrics), *unranked_notes(frame, outcomes)]
+    notes += [*pooling_notes(pooled), *direction_notes(metrics), *disturbance_notes(frame, metrics)]
+    notes += unranked_notes(frame, outcomes)
     if by_dataset:
         facets = [*facets, "dataset"]
     metric = metrics[0]
@@ -242,7 +255,7 @@ def scaled_ranks(medians: Floats) -> Floats:
     Where a competitor has no run there is NaN, which is no one's rival.
 
     Args:
-        medians: failed runs' are infinite, (…, competitors).
+        medians: of costs, failed runs' are infinite, (…, competitors).
     """
     there = ~np.isnan(medians)
     # NaN is sorted behind all others, so that it moves no rank.
@@ -255,7 +268,7 @@ def mean_ranks(medians: Floats) -> Floats:
     """Return each competitor's scaled rank, averaged over the datasets it has runs on, (c,).
 
     Args:
-        medians: failed runs' are infinite, NaN where there is no run, (c, d).
+        medians: of costs, failed runs' are infinite, NaN where there is no run, (c, d).
     """
     return mean_of_known(scaled_ranks(medians.T).T)
 

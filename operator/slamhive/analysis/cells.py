@@ -153,24 +153,28 @@ def figures(numbers: Numbers) -> list[Figure]:
     return found
 
 
-def error_figures(numbers: Numbers, failed: Indices, single: Sequence[bool]) -> list[Figure]:
+def error_figures(
+    numbers: Numbers, failed: Indices, single: Sequence[bool], sign: float = 1.0
+) -> list[Figure]:
     """Return the figures of an error, by which failed runs rank behind all others.
 
     Args:
         numbers: the errors.
         failed: number of failed runs of each group, (groups,).
         single: whether the runs of a group are one and the same result.
+        sign: -1 where large numbers are good: then failed runs are below all others.
     """
-    found = []
+    found, costs = [], numbers.times(sign)
     rows = zip(
         numbers.summaries(),
         numbers.points(),
-        numbers.medians(failed),
+        costs.medians(failed),
         failed.tolist(),
         single,
         strict=True,
     )
-    for group, (summary, points, middle, behind, same) in enumerate(rows):
+    for group, (summary, points, cost, behind, same) in enumerate(rows):
+        middle = None if cost is None else sign * cost
         if same and summary is not None:
             # One result, however often it came out: there is no sample that could have a spread.
             mean = summary.median if summary.min == summary.max else summary.mean
@@ -180,6 +184,6 @@ def error_figures(numbers: Numbers, failed: Indices, single: Sequence[bool]) -> 
         interval = mean_interval(summary) if summary and count >= ENOUGH else None
         middles = None
         if count + behind >= ENOUGH:
-            middles = median_interval(np.concatenate([numbers.ordered(group), np.full(behind, np.inf)]))
-        found.append(Figure(summary, points, interval, middles, behind, middle))
+            middles = median_interval(np.concatenate([costs.ordered(group), np.full(behind, np.inf)]))
+        found.append(Figure(summary, points, interval, middles and middles.times(sign), behind, middle))
     return found

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of competitors in pairs: which has the smaller errors, and whether that is more than chance.
+"""Comparison of competitors in pairs: which one is better, and whether that is more than chance.
 
 The unit is the dataset: repetitions on one dataset are not independent of each other, so each dataset gives
 one pair of medians. Their differences are logarithms of ratios, tested by flipping signs (exact up to 14
@@ -17,10 +17,12 @@ import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS, Window, prepare
 from slamhive.analysis.grouping import Outcomes
+from slamhive.analysis.measures import Better, measure_of
 from slamhive.analysis.statistics import (
     Interval,
     average_ranks,
     holm,
+    log_ratios,
     percentiles,
     resampled_medians,
     sign_flip_tests,
@@ -55,13 +57,14 @@ class Pair:
         a, b: what they are.
         datasets: names of the datasets.
         medians: of a and of b on each, infinite where the median run failed.
-        ratio: geometric mean of b over a; above 1 a has the smaller errors. NaN where failed runs forbid it.
+        ratio: geometric mean of b over a. NaN where failed runs forbid it.
         ratio_interval: where it lies with 95 % confidence, by hierarchical bootstrap.
         wins: datasets on which a is better, b is better, neither.
-        effect: matched-pairs rank-biserial correlation, −1 … 1; above 0 a has the smaller errors.
+        effect: matched-pairs rank-biserial correlation, −1 … 1; above 0 a is better.
         p: that both are equally good, two-sided.
         p_holm: corrected for the number of pairs.
         least_p: the smallest p that so many datasets can give.
+        word: what the one is more often than the other: better, or lower where it isn't known which is good.
     """
 
     a: dict[str, Any]
@@ -75,13 +78,14 @@ class Pair:
     p: float
     p_holm: float
     least_p: float
+    word: str
 
     @property
     def sentence(self) -> str:
         """Result in a sentence: how often each competitor is better, and whether that may be chance."""
         count = len(self.datasets)
         datasets = "1 dataset" if count == 1 else f"{count} datasets"
-        better = f"{_words(self.a)} {self.wins[0]} times better, {_words(self.b)} {self.wins[1]} times"
+        better = f"{_words(self.a)} {self.wins[0]} times {self.word}, {_words(self.b)} {self.wins[1]} times"
         if self.p_holm <= LEVEL:
             return f"{better} on {datasets}: more than chance (p = {self.p_holm:.3g} after correction)"
         if self.least_p > LEVEL:
@@ -119,7 +123,7 @@ def compare(
 
     Args:
         frame: one row a run and evaluation.
-        metric: a column of numbers, small is good.
+        metric: a column of numbers.
         by: columns that tell competitors apart.
         outcomes: which runs have a figure that counts; all others are ranked last.
         window: the competitors whose pairs are shown.
@@ -160,7 +164,8 @@ def _compared(grid: Grid, chosen: Indices) -> Comparison:
         for start in range(0, len(alike), most := max(1, _RATIOS_AT_ONCE // length)):
             pairs = alike[start : start + most]
             line = np.nonzero(common[pairs])[1].reshape(-1, length)
-            differences = log_ratios(medians[first[pairs, None], line], medians[second[pairs, None], line])
+            of_a, of_b = (medians[one[pairs, None], line] for one in (first, second))
+            differences = log_ratios(of_a, of_b, grid.sign)
             signs = signed_differences(differences)
             chances[pairs], effects[pairs] = sign_flip_tests(signs), rank_biserial(signs)
             wins[pairs] = np.stack([(signs > 0).sum(1), (signs < 0).sum(1), (signs == 0).sum(1)], axis=1)
@@ -172,14 +177,15 @@ def _compared(grid: Grid, chosen: Indices) -> Comparison:
             a=grid.competitors[a],
             b=grid.competitors[b],
             datasets=[grid.datasets[place] for place in both.tolist()],
-            medians=list(zip(medians[a, both].tolist(), medians[b, both].tolist(), strict=True)),
-            ratio=_mean_ratio(medians[a, both], medians[b, both]),
+            medians=list(zip(*(grid.sign * medians[[a, b]][:, both]).tolist(), strict=True)),
+            ratio=_mean_ratio(medians[a, both], medians[b, both], grid.sign),
             ratio_interval=interval,
             wins=(won, lost, even),
             effect=effect,
             p=p,
             p_holm=p_holm,
             least_p=min(1.0, 2.0 ** (1 - len(both))),
+            word="lower" if measure_of(grid.metric).better is Better.NONE else "better",
         )
         for (a, b, both), interval, (won, lost, even), effect, p, p_holm in zip(
             told,
@@ -195,11 +201,11 @@ def _compared(grid: Grid, chosen: Indices) -> Comparison:
     return Comparison(grid.facets, pairs_shown, len(grid.competitors), len(chosen))
 
 
-def _mean_ratio(first: Floats, second: Floats) -> float:
-    differences = log_ratios(first, second)
+def _mean_ratio(first: Floats, second: Floats, sign: float) -> float:
+    differences = log_ratios(first, second, sign)
     if not np.isfinite(differences).all():
         return math.nan
-    mean = float(differences.mean())
+    mean = sign * float(differences.mean())
     return math.exp(mean) if math.isfinite(mean) else math.nan
 
 
@@ -231,18 +237,12 @@ def _ratio_intervals(
                 drawn[row[np.array([pair[side] for pair in part])][:, np.newaxis], line] for side in (0, 1)
             )
             places = np.array([generator.integers(0, length, (DRAWS, length)) for _ in part])
-            samples = np.take_along_axis(log_ratios(first, second).swapaxes(1, 2), places, axis=2)
+            samples = np.take_along_axis(
+                grid.sign * log_ratios(first, second, grid.sign).swapaxes(1, 2), places, axis=2
+            )
             with np.errstate(invalid="ignore"):
                 found += percentiles(np.exp(np.ascontiguousarray(samples).mean(axis=2)))
     return found
-
-
-def log_ratios(first: Floats, second: Floats) -> Floats:
-    """Return log(second / first), of the same shape: ±inf where one failed, 0 where both did or are equal."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratios: Floats = np.log(second / first)
-    ratios[first == second] = 0.0
-    return ratios
 
 
 def signed_differences(differences: Floats) -> Floats:

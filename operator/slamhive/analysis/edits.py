@@ -88,7 +88,7 @@ def edits(frame: Frame, metrics: Sequence[str], names: Collection[str]) -> tuple
 
     Args:
         frame: one row a run and evaluation, superseded ones too.
-        metrics: columns of numbers, small is good; failures are counted by the first.
+        metrics: columns of numbers; failures are counted by the first.
         names: of the algorithms and datasets that were edited.
     """
     found: dict[tuple[str, str], list[tuple[Change, bool]]] = {}
@@ -169,6 +169,8 @@ def _line(keys: dict[str, Any], change: Change) -> Line:
 
 
 def _geometric_mean(values: Floats) -> float:
+    if np.isinf(values).any():
+        return float(values[np.isinf(values)][0])
     with np.errstate(divide="ignore"):
         return float(np.exp(np.log(values).mean()))
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from slamhive.analysis.cells import Cell, Figure, Places, error_figures, figures
 from slamhive.analysis.columns import Column, renumbered
-from slamhive.analysis.measures import BESIDE, CONFIGURATION, follows_trajectory, is_error
+from slamhive.analysis.measures import BESIDE, CONFIGURATION, Better, follows_trajectory, is_error, measure_of
 from slamhive.analysis.statistics import edges
 from slamhive.model.base import Choice
 from slamhive.model.results import Outcome, Reason
@@ -197,6 +197,15 @@ def disturbance_notes(frame: Frame, metrics: Iterable[str]) -> list[str]:
         return []
     runs = "1 run" if count == 1 else f"{count} runs"
     return [f"{runs} shared cores with other work or were throttled: left out of {', '.join(left_out)}"]
+
+
+def direction_notes(metrics: Iterable[str]) -> list[str]:
+    """Say of which figures nobody knows which way is good, where they are ranked by."""
+    return [
+        f"{name}: whether small or large is good isn't known: ranked from small to large"
+        for name in metrics
+        if measure_of(name).better is Better.NONE
+    ]
 
 
 def counting(frame: Frame, outcomes: Outcomes) -> Mask:
@@ -429,7 +438,7 @@ def _figures(
     if not is_error(name):
         return figures(numbers)
     single = same if follows_trajectory(name) else [False] * len(same)
-    return error_figures(numbers, places.counts(worst(frame, name, outcomes)), single)
+    return error_figures(numbers, places.counts(worst(frame, name, outcomes)), single, measure_of(name).sign)
 
 
 def tally(words: Sequence[str], codes: npt.NDArray[np.int32]) -> dict[str, int]:

@@ -21,6 +21,7 @@ from slamhive.analysis.statistics import (
     Interval,
     Summary,
     average_ranks,
+    log_ratios,
     percentiles,
     resampled_medians,
 )
@@ -47,7 +48,8 @@ class Standing:
         dataset: its name.
         runs, n: runs, and those that count.
         failures: runs that don't, by what became of them.
-        median: of the figures, failed runs last; infinite when it is a failed one, NaN where none has a rank.
+        median: of the figures, failed runs last; infinite, below 0 where large is good, when it is a failed
+            one, NaN where none has a rank.
         rank: among the competitors on the dataset, from 1; NaN where no run has one.
         summary: of the figures that count.
         coverage: mean over the evaluated runs, with 0 for those that failed of themselves.
@@ -72,8 +74,8 @@ class Entry:
         rank: its place in the order of ``score``, from 1; equal ones share the mean.
         rank_interval: where its place lies with 95 % confidence.
         score: mean over its datasets of its rank there, scaled to 0 (best of all) … 1 (last of all).
-        ratio: geometric mean over datasets of its median over the best median there; infinite where a
-            median is a failed run.
+        ratio: geometric mean over datasets of its median over the best median there, where large is good of
+            the best over it; infinite where a median is a failed run.
         ratio_interval: where that lies with 95 % confidence.
         standings: by dataset.
     """
@@ -117,7 +119,7 @@ class Leaderboard:
     """Boards, one for each combination of facets.
 
     Attributes:
-        metric: what is ranked by, small is good.
+        metric: what is ranked by.
         by: columns that tell competitors apart.
         boards: those with most runs first.
         notes: sentences on what is pooled.
@@ -136,7 +138,7 @@ def leaderboard(
     outcomes: Outcomes = Outcomes.TRACKED,
     draws: int = DRAWS,
 ) -> Leaderboard:
-    """Rank competitors over datasets by a metric that is better the smaller it is.
+    """Rank competitors over datasets by a metric: the best first, as its measure has it, else the smallest.
 
     Args:
         frame: one row a run and evaluation.
@@ -159,7 +161,7 @@ def leaderboard(
 
 
 def _board(grid: Grid, draws: int) -> Board:
-    scores, ratios = mean_ranks(grid.medians), np.exp(mean_of_known(_log_ratios(grid.medians.T).T))
+    scores, ratios = mean_ranks(grid.medians), np.exp(mean_of_known(_log_ratios(grid.medians.T, grid.sign).T))
     drawn_ranks, drawn_ratios = _bootstrap(grid, draws)
     ranks, within = _places(scores), _dataset_ranks(grid.medians)
     rank_intervals, ratio_intervals = percentiles(drawn_ranks.T), percentiles(drawn_ratios.T)
@@ -199,7 +201,7 @@ def _bootstrap(grid: Grid, draws: int) -> tuple[Floats, Floats]:
         medians = np.ascontiguousarray(drawn.T)
         weight = times[drawing, None] * ~np.isnan(medians)
         scores[drawing] += weight * np.nan_to_num(scaled_ranks(medians))
-        logs[drawing] += np.where(weight > 0, times[drawing, None] * _log_ratios(medians), 0.0)
+        logs[drawing] += np.where(weight > 0, times[drawing, None] * _log_ratios(medians, grid.sign), 0.0)
         weights[drawing] += weight
     with np.errstate(invalid="ignore", over="ignore"):
         scores, ratios = scores / weights, np.exp(logs / weights)
@@ -231,7 +233,7 @@ def _standings(grid: Grid, ranks: Floats) -> Iterator[tuple[int, Standing]]:
                 runs=runs,
                 n=n,
                 failures=failures,
-                median=float(grid.medians[number, place]),
+                median=grid.sign * float(grid.medians[number, place]),
                 rank=float(ranks[number, place]),
                 # Where all runs that count are one and the same result there is no spread.
                 summary=replace(summary, std=None) if single and summary is not None else summary,
@@ -256,11 +258,9 @@ def _places(scores: Floats) -> Floats:
     return ranks
 
 
-def _log_ratios(medians: Floats) -> Floats:
-    """Return the logarithm of medians over the best one of a dataset; the same shape, (…, competitors)."""
-    best = np.fmin.reduce(medians, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        logs = np.log(medians / best)
-    # All failed: nobody is worse than the best; an error of 0 is equalled by another one alone.
-    logs[medians == best] = 0.0
-    return logs
+def _log_ratios(medians: Floats, sign: float) -> Floats:
+    """Return by how much costs are worse than the best of a dataset; the same shape, (…, competitors).
+
+    All failed: nobody is worse than the best; an error of 0 is equalled by another one alone.
+    """
+    return log_ratios(np.fmin.reduce(medians, axis=-1, keepdims=True), medians, sign)

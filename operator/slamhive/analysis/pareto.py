@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy against cost: which competitors nobody beats in both."""
+"""Accuracy against cost: which competitors nobody beats in both, whichever way is good of each."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from slamhive.analysis.boards import COMPETITORS, prepare
 from slamhive.analysis.grouping import Outcomes, sound
+from slamhive.analysis.measures import measure_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +27,8 @@ class Spot:
 
     Attributes:
         keys: what it is.
-        x, y: medians; y is infinite when the median run failed, x is NaN where nothing is known.
+        x, y: medians; y is infinite, below 0 where large is good, when the median run failed; x is NaN where
+            nothing is known.
         x_range, y_range: smallest and largest of the runs that count.
         front: whether no other competitor is at least as good in both and better in one.
         runs, n: runs, and those that count.
@@ -48,7 +50,7 @@ class Spot:
 
 @dataclass(frozen=True)
 class Front:
-    """The competitors on one dataset under one set of facets, from cheap to costly."""
+    """The competitors on one dataset under one set of facets, the best in x first."""
 
     facets: dict[str, Any]
     spots: list[Spot]
@@ -65,8 +67,8 @@ def pareto(
 
     Args:
         frame: one row a run and evaluation.
-        x: the cost, a column of numbers, small is good.
-        y: the error, small is good; failed runs are last in it.
+        x: the cost, a column of numbers.
+        y: the error; failed runs are last in it.
         by: columns that tell competitors apart.
         outcomes: which runs have a figure that counts.
     """
@@ -80,9 +82,10 @@ def _front(grid: Grid, x: str) -> Front:
     costs = grid.places.numbers(grid.frame.column(x).floats(), inside)
     across = np.array([np.nan if median is None else median for median in costs.medians()])
     up = grid.medians[grid.at[:, 0], grid.at[:, 1]]
+    way = measure_of(x).sign
     lists = zip(
         grid.at[:, 0].tolist(),
-        zip(across.tolist(), up.tolist(), nondominated(across, up).tolist(), strict=True),
+        zip(across.tolist(), (grid.sign * up).tolist(), nondominated(way * across, up).tolist(), strict=True),
         *(zip(*map(np.ndarray.tolist, found.ends()), strict=True) for found in (costs, grid.figures)),
         grid.places.counts(np.ones(len(grid.frame), dtype=bool)).tolist(),
         grid.places.counts(grid.counted).tolist(),
@@ -105,12 +108,14 @@ def _front(grid: Grid, x: str) -> Front:
         )
         for number, (cost, error, front), x_range, y_range, runs, n, failures, coverage in lists
     ]
-    spots.sort(key=lambda spot: (math.isnan(spot.x), 0.0 if math.isnan(spot.x) else spot.x, spot.y))
+    spots.sort(
+        key=lambda spot: (math.isnan(spot.x), 0.0 if math.isnan(spot.x) else way * spot.x, grid.sign * spot.y)
+    )
     return Front(grid.facets, spots)
 
 
 def nondominated(x: Floats, y: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Tell which points no other one beats, (n,); those that aren't finite in both never stand."""
+    """Tell which points no other one beats in two costs, (n,); those not finite in both never stand."""
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     order = known[np.lexsort((y[known], x[known]))]
     across, up = x[order], y[order]

@@ -1,23 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rows that a question means, and what is left out of them: docs/results.md, "What counts"."""
+"""The rows that a question means, what is left out of them (docs/results.md, "What counts"), their order."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from slamhive.analysis.columns import count_distinct
+from slamhive.analysis.columns import count_distinct, sort_key
 from slamhive.analysis.expressions import parse_where
 from slamhive.analysis.grouping import where_equal
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.results import Phase, Reason
 
 if TYPE_CHECKING:
-    from slamhive.analysis.columns import Column, Indices, Mask
+    from collections.abc import Callable, Iterable, Sequence
+
+    from slamhive.analysis.columns import Column, Floats, Indices, Mask
     from slamhive.analysis.conditions import Node
     from slamhive.analysis.frame import Frame
+
+T = TypeVar("T")
+
+UNIQUE = ("id", "evaluation")
+"""Columns that every order ends with, so that no two rows are equal in it."""
 
 _LEAST_UID = 8
 _UNFINISHED = frozenset(phase.value for phase in Phase if not phase.is_finished)
@@ -247,3 +254,43 @@ def first_rows(frame: Frame) -> Indices:
     """Return the place of the first row of each run, in their order."""
     _, firsts = np.unique(frame.column("id").floats(), return_index=True)
     return np.sort(firsts)
+
+
+def order_by(items: Iterable[T], columns: Iterable[str], get: Callable[[T, str], Any]) -> list[T]:
+    """Return items sorted by columns, the first one slowest.
+
+    Args:
+        items: what to sort; equal ones keep their order.
+        columns: names; a dash before one turns its order round. What is missing comes last either way.
+        get: returns an item's value of a column.
+    """
+    found = list(items)
+    for column in reversed(list(columns)):
+        name = column.removeprefix("-")
+        present = [item for item in found if get(item, name) is not None]
+        absent = [item for item in found if get(item, name) is None]
+        present.sort(key=lambda item: sort_key(get(item, name)), reverse=column.startswith("-"))
+        found = present + absent
+    return found
+
+
+def order_rows(frame: Frame, sort: Sequence[str]) -> Indices:
+    """Return the places of the rows in the order of some columns.
+
+    Args:
+        frame: the rows.
+        sort: names; a dash before one turns its order round. What is missing comes last either way.
+    """
+    keys = [direction(frame, name) for name in complete(sort)]
+    return np.lexsort(keys[::-1])
+
+
+def complete(sort: Sequence[str]) -> list[str]:
+    """Return the columns of an order, with those that leave no two rows equal in it."""
+    return [*sort, *UNIQUE]
+
+
+def direction(frame: Frame, name: str) -> Floats:
+    """Return numbers, (n,), in the order of a column, turned round by a dash; +inf where missing."""
+    ranks = frame.column(name.removeprefix("-")).ranks()
+    return np.where(np.isinf(ranks), np.inf, -ranks) if name.startswith("-") else ranks

@@ -69,6 +69,10 @@ class Interval:
     high: float
     method: str
 
+    def times(self, sign: float) -> Interval:
+        """Return the interval turned round by -1, as it is by 1."""
+        return self if sign > 0 else Interval(-self.high, -self.low, self.method)
+
 
 class Numbers:
     """Finite numbers of groups.
@@ -80,12 +84,16 @@ class Numbers:
     """
 
     def __init__(self, values: Floats, of_value: Indices, count: int) -> None:
-        self._values = values
+        self._values, self._of_value = values, of_value
         self.counts = np.bincount(of_value, minlength=count)
         ends = np.cumsum(self.counts)
         self._starts = ends - self.counts
         self._edges = list(zip(self._starts.tolist(), ends.tolist(), strict=True))
         self._ordered = values[np.lexsort((values, of_value))]
+
+    def times(self, sign: float) -> Numbers:
+        """Return the numbers as costs, small is good: turned round by -1."""
+        return self if sign > 0 else Numbers(-self._values, self._of_value, len(self.counts))
 
     def points(self) -> Iterator[tuple[float, ...]]:
         """Go through the numbers of each group as they came; none where they are many."""
@@ -352,6 +360,28 @@ def holm(p_values: npt.ArrayLike) -> list[float]:
     corrected[order] = np.maximum.accumulate(weighted)
     found: list[float] = corrected.tolist()
     return found
+
+
+def log_ratios(first: Floats, second: Floats, sign: float) -> Floats:
+    """Return by how much the second is worse than the first, as logarithms of ratios, of the same shape.
+
+    ±inf where one failed or a ratio has no logarithm, by which is worse; 0 where both failed or are equal.
+
+    Args:
+        first: costs, that is figures times their sign; infinite for failed runs, NaN where there is none.
+        second: as many.
+        sign: -1 where large figures are good, else 1.
+    """
+    above, below = second, first
+    if sign < 0:
+        above, below = (np.where(np.isposinf(costs), 0.0, -costs) for costs in (first, second))
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        ratios: Floats = np.log(above / below)
+        if (odd := np.isnan(ratios)).any():
+            apart = second - first
+            ratios = np.where(odd & ~np.isnan(apart), np.copysign(np.inf, apart), ratios)
+    ratios[first == second] = 0.0
+    return ratios
 
 
 def average_ranks(values: Floats) -> Floats:

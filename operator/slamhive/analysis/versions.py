@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.comparing import LEVEL, log_ratios, signed_differences
+from slamhive.analysis.comparing import LEVEL, signed_differences
 from slamhive.analysis.derived import ALGORITHM_CHANGED, DATASET_CHANGED
 from slamhive.analysis.grouping import (
     SUBJECT,
@@ -25,6 +25,7 @@ from slamhive.analysis.grouping import (
     Outcomes,
     apart,
     counting,
+    direction_notes,
     disturbance_notes,
     failing,
     falling_short,
@@ -35,8 +36,15 @@ from slamhive.analysis.grouping import (
     varies,
     varying,
 )
-from slamhive.analysis.measures import CONFIGURATION, follows_trajectory, is_error
-from slamhive.analysis.statistics import ENOUGH, average_ranks, holm, median_of_sorted, sign_flip_test
+from slamhive.analysis.measures import CONFIGURATION, follows_trajectory, is_error, measure_of
+from slamhive.analysis.statistics import (
+    ENOUGH,
+    average_ranks,
+    holm,
+    log_ratios,
+    median_of_sorted,
+    sign_flip_test,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -91,9 +99,10 @@ class Side:
         runs: number of rows.
         n: number of those that count and have a figure.
         failures: number of the others, by what became of them.
-        median: over all that have a rank, failed ones last; infinite where it is a failed one.
+        median: over all that have a rank, failed ones last; infinite, below 0 where large is good, where it
+            is a failed one.
         points: the figures, where they are few.
-        ranked: different results, sorted, failed ones as +inf; equal trajectories once.
+        ranked: costs of different results, sorted, failed ones as +inf; equal trajectories once.
         same: whether several runs all gave one and the same result.
     """
 
@@ -113,17 +122,18 @@ class Setting:
     Attributes:
         keys: what they agree in, by column.
         before, after: what they came to.
+        sign: -1 where large figures are good, else 1.
     """
 
     keys: dict[str, Any]
     before: Side
     after: Side
+    sign: float
 
     @property
     def ratio(self) -> float:
         """Median after over median before: infinite or 0 where one failed, 1 where both did."""
-        medians = np.array([self.before.median]), np.array([self.after.median])
-        return float(np.exp(_differences(*medians))[0])
+        return float(np.exp(self.sign * _worse([self], self.sign))[0])
 
     @property
     def deterministic(self) -> bool:
@@ -151,14 +161,15 @@ class Change:
 
     Attributes:
         changed: what has versions: ``algorithm`` or ``dataset``.
-        metric: the figure, small is good.
+        metric: the figure.
         keys: what all of these runs share, by column.
         before, after: the versions.
         current: whether the later one is the current one.
         settings: those that ran with both.
         unpaired: number of settings that ran with one of them alone.
-        ratio: geometric mean of after over before; above 1 after is worse. NaN where failed runs forbid it.
-        wins: settings in which after is better, worse, the same.
+        ratio: geometric mean of after over before. NaN where failed runs forbid it.
+        wins: settings in which after is better, worse, the same; smaller and larger where nobody knows which
+            way is good.
         test: what was tested; None where nothing was.
         p: that both are equally good, two-sided.
         p_holm: corrected for the number of earlier versions.
@@ -208,16 +219,20 @@ class Change:
         better, worse, same = self.wins
         count = len(self.settings)
         settings = "1 setting" if count == 1 else f"{count} settings"
-        up, down = ("worse", "better") if is_error(self.metric) else ("higher", "lower")
+        turned = measure_of(self.metric).sign < 0
+        ratio = 1 / self.ratio if turned else self.ratio
+        up, down = ("worse", "better")
+        if not is_error(self.metric):
+            up, down = ("lower", "higher") if turned else ("higher", "lower")
         if same == count:
             return f"after is the same in {same} of {settings}"
-        if not math.isfinite(self.ratio):
+        if not math.isfinite(ratio):
             return f"after is {up} in {worse} and {down} in {better} of {settings}, some of which failed"
-        if abs(math.log(self.ratio)) < _CLOSE:
+        if abs(math.log(ratio)) < _CLOSE:
             return f"after is the same within 0.5 %, {up} in {worse} of {settings}"
-        if self.ratio > 1:
-            return f"after is {self.ratio:.3g} times {up}, in {worse} of {settings}"
-        return f"after is {1 / self.ratio:.3g} times {down}, in {better} of {settings}"
+        if ratio > 1:
+            return f"after is {ratio:.3g} times {up}, in {worse} of {settings}"
+        return f"after is {1 / ratio:.3g} times {down}, in {better} of {settings}"
 
 
 def verdict(p: float, least_p: float, corrected: str = "") -> str:
@@ -242,7 +257,7 @@ def before_and_after(
 
     Args:
         frame: one row a run and evaluation, superseded ones too.
-        metric: a column of numbers, small is good.
+        metric: a column of numbers.
         outcomes: which runs have a figure that counts; others that failed of themselves are ranked last.
 
     Returns:
@@ -250,7 +265,8 @@ def before_and_after(
         version first; and notes.
     """
     changes = []
-    notes = [*disturbance_notes(frame, [metric]), *unranked_notes(frame, outcomes)]
+    notes = [*direction_notes([metric]), *disturbance_notes(frame, [metric])]
+    notes += unranked_notes(frame, outcomes)
     for changed in _VERSIONS:
         material = _Material(frame, metric, outcomes, changed)
         notes += material.notes
@@ -267,7 +283,7 @@ class _Material:
     """
 
     def __init__(self, frame: Frame, metric: str, outcomes: Outcomes, changed: str) -> None:
-        self._changed, self._metric = changed, metric
+        self._changed, self._metric, self._sign = changed, metric, measure_of(metric).sign
         self._name = _VERSIONS[changed]
         known = frame.column(self._name).present
         self.notes: list[str] = []
@@ -342,8 +358,7 @@ class _Material:
         # What is always the same within a version but differs between them is part of the change.
         varied = dict.fromkeys([*self._setting, *sorted({*varying(old), *varying(new)})])
         settings, unpaired = self._paired([name for name in varied if name not in keys], before[1], after[1])
-        medians = [np.array([getattr(one, side).median for one in settings]) for side in ("before", "after")]
-        differences = _differences(*medians)
+        differences = _worse(settings, self._sign)
         signs = signed_differences(differences)
         test, p, least_p = _tested(settings, signs)
         finite = len(differences) > 0 and bool(np.isfinite(differences).all())
@@ -356,7 +371,7 @@ class _Material:
             current=_REASONS[self._changed] not in {*new.column("superseded").tolist()},
             settings=settings,
             unpaired=unpaired,
-            ratio=math.exp(float(differences.mean())) if finite else math.nan,
+            ratio=math.exp(self._sign * float(differences.mean())) if finite else math.nan,
             wins=(int((signs < 0).sum()), int((signs > 0).sum()), int((signs == 0).sum())),
             test=test,
             p=p,
@@ -375,23 +390,24 @@ class _Material:
             is_before = places < len(before)
             sides = self._side(rows[is_before]), self._side(rows[~is_before])
             if not any(math.isnan(side.median) for side in sides):
-                settings.append(Setting(keys, *sides))
+                settings.append(Setting(keys, *sides, self._sign))
         return settings, groups.count - len(settings)
 
     def _side(self, rows: Indices) -> Side:
         counted, failed = self._counted[rows], self._failed[rows]
         status = self._frame.column("status")
-        everything = ranked_errors(self._numbers[rows], counted, failed)
+        costs = self._sign * self._numbers[rows]
+        everything = ranked_errors(costs, counted, failed)
         ranked = everything
         if follows_trajectory(self._metric):
             kept = self._different(rows)
-            ranked = ranked_errors(self._numbers[rows][kept], counted[kept], failed[kept])
+            ranked = ranked_errors(costs[kept], counted[kept], failed[kept])
         failures = tally(status.values, status.codes[rows[~counted]])
         return Side(
             runs=len(rows),
             n=int(counted.sum()),
             failures=failures,
-            median=median_of_sorted(everything) if len(everything) else math.nan,
+            median=self._sign * median_of_sorted(everything) if len(everything) else math.nan,
             points=tuple(self._numbers[rows][counted].tolist()) if counted.sum() < ENOUGH else (),
             ranked=ranked,
             same=len(everything) > 1 and (len(ranked) == 1 or bool(np.isinf(everything).all())),
@@ -431,11 +447,11 @@ def _hashable(value: Any) -> Any:
     return str(value) if isinstance(value, list | dict) else value
 
 
-def _differences(before: Floats, after: Floats) -> Floats:
-    """Return log(after / before), (n,): ±inf where a logarithm has no meaning, by which side is smaller."""
-    found = log_ratios(before, after)
-    with np.errstate(invalid="ignore"):
-        return np.where(np.isnan(found), np.copysign(np.inf, after - before), found)
+def _worse(settings: Sequence[Setting], sign: float) -> Floats:
+    """Return by how much each setting is worse after than before, as logarithms, (n,)."""
+    sides = [[one.before.median for one in settings], [one.after.median for one in settings]]
+    before, after = sign * np.array(sides)
+    return log_ratios(before, after, sign)
 
 
 def _tested(settings: Sequence[Setting], signs: Floats) -> tuple[str | None, float, float]:

@@ -74,7 +74,7 @@ def report(
     title: Annotated[str, typer.Option(help="Heading of the page.")] = "SLAM comparison",
     metric: Annotated[
         str | None,
-        typer.Option("--metric", "-m", metavar="COLUMN", help="Column to rank by; small is good [ate.rmse]."),
+        typer.Option("--metric", "-m", metavar="COLUMN", help="Column to rank by [ate.rmse]."),
     ] = None,
     by: Annotated[
         str | None, typer.Option(metavar="COLUMN,…", help="What tells competitors apart [algorithm,sensors].")

@@ -15,8 +15,7 @@ import typer
 from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import Outcomes, aggregate, varying, where_equal
 from slamhive.analysis.metrics import Metric, declared_units
-from slamhive.analysis.ordering import order_by, order_rows
-from slamhive.analysis.selection import Chosen, Selection, choose
+from slamhive.analysis.selection import Chosen, Selection, choose, order_by, order_rows
 from slamhive.bridges.targets import Target
 from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import show_run

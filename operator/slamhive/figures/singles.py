@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slamhive.analysis.grouping import SUBJECT, Groups, Outcomes, disturbance_notes, tally, worst
+from slamhive.analysis.grouping import SUBJECT, Groups, Outcomes, disturbance_notes, tally
 from slamhive.analysis.limits import is_steep, robust_limits
+from slamhive.analysis.ranking import Ranking
 from slamhive.analysis.repeating import repeatability
 from slamhive.figures.asking import check_panels, cost_of, error_of, nothing, parted
 from slamhive.figures.counts import Tally
@@ -121,39 +122,37 @@ def ecdf(frame: Frame, wish: Wish) -> Picture:
     parts = parted(frame, facet, by, (x.column,))
     check_panels(len(parts.panels), parts.names, parts.frame, wish.facet)
     series = Series(by, parts.frame)
-    inside = counts(parts.frame, x, wish)
+    whole = Ranking(parts.frame, x.column, wish.outcomes)
+    inside, sign = whole.inside, whole.sign
     if not inside.any():
         raise nothing(x.column)
     every = parts.frame.column(x.column).floats()[inside] * x.factor
     log = is_steep(every) if wish.log.of("x") is None else wish.log.of("x")
     limits = robust_limits(every, log=bool(log)) if wish.robust else None
-    end = limits.high if limits is not None else float(every.max())
+    ends = (limits.low, limits.high) if limits is not None else (float(every.min()), float(every.max()))
+    end = max(sign * ends[0], sign * ends[1])
     panels, rows = [], []
     for keys, part in parts.panels:
         marks = []
         groups = Groups(part, by)
-        numbers, good, last = (
-            part.column(x.column).floats() * x.factor,
-            counts(part, x, wish),
-            worst(part, x.column, wish.outcomes),
-        )
+        ranking = Ranking(part, x.column, wish.outcomes)
         for members, values in zip(groups.members(), groups.keys, strict=True):
-            found = np.sort(numbers[members[good[members]]])
-            of = len(found) + int(np.count_nonzero(last[members] & ~good[members]))
-            if not len(found):
+            ranked = ranking.of(members)
+            if not ranked.n:
                 continue
-            share = np.arange(1, len(found) + 1) / of
+            found, share = ranked.values * x.factor, ranked.shares
             # It begins at zero, and goes on level where the slowest ends.
-            across = np.concatenate([found[:1], found, [max(end, found[-1])]])
+            across = np.concatenate([found[:1], found, [sign * max(end, sign * found[-1])]])
             up = np.concatenate([[0.0], share, share[-1:]])
             marks.append(Line(series.of(values), across, up, steps=True))
             rows += [
-                {**keys, **values, x.column: value / x.factor, "share": part_of, "n": len(found), "runs": of}
-                for value, part_of in zip(found.tolist(), share.tolist(), strict=True)
+                {**keys, **values, x.column: value, "share": part_of, "n": ranked.n, "runs": ranked.total}
+                for value, part_of in zip(ranked.values.tolist(), share.tolist(), strict=True)
             ]
         panels.append(Panel(parts.title(keys), tuple(marks)))
-    failed = int(np.count_nonzero(worst(parts.frame, x.column, wish.outcomes) & ~inside))
-    stated = "share of all runs that were tracked and have at most this error" if failed else "share of runs"
+    failed = int(np.count_nonzero(whole.failed))
+    which = "at most this error" if sign > 0 else f"at least this {x.label.partition(' [')[0]}"
+    stated = f"share of all runs that were tracked and have {which}" if failed else "share of runs"
     ended = int(len(inside) - inside.sum() - failed)
     apart = (
         [f"{ended:,} runs that the machine or the user ended, or without a number, count nowhere"]

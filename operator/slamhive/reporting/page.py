@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import importlib.resources
+import math
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,12 +18,14 @@ from typing import TYPE_CHECKING
 from slamhive import __version__
 from slamhive.analysis import Outcomes
 from slamhive.analysis.boards import COMPETITORS
+from slamhive.analysis.measures import measure_of
 from slamhive.analysis.metrics import declared_units
 from slamhive.reporting.charts import study_chart
 from slamhive.reporting.drawing import legend
 from slamhive.reporting.markup import Markup, clip, element, joined, parse_metric, shown
 from slamhive.reporting.overview import overview_section, provenance_section, runs_of, runs_section
 from slamhive.reporting.sections import (
+    RATIOS,
     comparison_section,
     figure,
     fronts_section,
@@ -62,7 +65,7 @@ class Contents:
 
     Attributes:
         title: its heading.
-        metric: column that competitors are ranked by, small is good.
+        metric: column that competitors are ranked by.
         by: columns that tell competitors apart.
         outcomes: which runs have a figure that counts.
         costs: columns that accuracy is drawn against; empty for processor time and memory.
@@ -169,8 +172,8 @@ def _leaderboard_words(contents: Contents) -> str:
     return (
         f"By {parse_metric(contents.metric).title}. Figures are over {counted}; all others are ranked last, "
         "never left out. Competitors are ranked on each dataset; score is the mean rank (0 best, 1 last), "
-        "“× best” the geometric mean of the ratio to the best. The interval of a rank is a "
-        "bootstrap over datasets and repetitions."
+        f"“{RATIOS[measure_of(contents.metric).better]}” the geometric mean of the ratio to the first. The "
+        "interval of a rank is a bootstrap over datasets and repetitions."
     )
 
 
@@ -267,5 +270,5 @@ def _study_sheet(made: Study, number: int) -> Sheet:
 def _median_text(cell: Cell, column: str) -> str:
     figure_, metric = cell.figures[column], parse_metric(column)
     if figure_.censored_median is not None:
-        return "failed" if figure_.censored_median == float("inf") else metric.show(figure_.censored_median)
+        return "failed" if math.isinf(figure_.censored_median) else metric.show(figure_.censored_median)
     return metric.show(figure_.summary.median if figure_.summary else None)

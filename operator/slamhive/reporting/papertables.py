@@ -14,7 +14,7 @@ import numpy as np
 from slamhive.analysis import Metric, Outcomes
 from slamhive.analysis.grouping import aggregate
 from slamhive.analysis.leaderboard import leaderboard
-from slamhive.analysis.measures import Better, measure_of
+from slamhive.analysis.measures import measure_of
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError
 
@@ -233,7 +233,7 @@ def _over_datasets(frame: Frame, layout: Layout, rows: Sequence[dict[str, Any]])
     """Return ranks and ratios of the rows over the datasets, as the leaderboard has them.
 
     Raises:
-        InputError: the datasets don't stand side by side, or small isn't good in the first metric.
+        InputError: the datasets don't stand side by side, or nobody knows which way the first metric is good.
     """
     if not layout.overall:
         return ()
@@ -242,8 +242,11 @@ def _over_datasets(frame: Frame, layout: Layout, rows: Sequence[dict[str, Any]])
         raise InputError(
             "--overall: ranks and ratios are over datasets, which then stand side by side: --columns dataset"
         )
-    if _way(metric) != 1:
-        raise InputError(f"--overall: {metric}: ranks are by a figure that is good when it is small")
+    if not _way(metric):
+        raise InputError(
+            f"--overall: {metric}: ranks are by a figure that is good when it is small, or when it is large; "
+            "nobody has said so of this one"
+        )
     others = [name for name in layout.columns if name != "dataset"]
     if others:
         raise InputError(f"--overall: {others[0]} stands in the columns too: ranks are over datasets alone")
@@ -425,5 +428,4 @@ def _costs(place: Place | None, metrics: Sequence[Metric]) -> list[float]:
 
 def _way(column: str) -> float:
     """Return 1 where small is good, -1 where large is, 0 where neither is known."""
-    measure = measure_of(column)
-    return 0 if measure.better is Better.NONE else measure.sign
+    return measure_of(column).sign if measure_of(column).better else 0.0

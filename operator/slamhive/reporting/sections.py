@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.comparing import compare
 from slamhive.analysis.leaderboard import leaderboard
+from slamhive.analysis.measures import Better, measure_of
 from slamhive.analysis.pareto import pareto
 from slamhive.reporting.charts import MOST_ENTRIES, board_chart, front_chart
 from slamhive.reporting.drawing import legend
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 MOST_PAIRS = 30
 MOST_FRONTS = 12
 MOST_BOARDS = 12
+RATIOS = {Better.LOWER: "× best", Better.HIGHER: "best over it", Better.NONE: "× smallest"}
 
 
 def leaderboard_section(
@@ -72,7 +74,7 @@ def _board_title(facets: dict[str, Any], datasets: Sequence[Any]) -> str:
 def _board_sheet(board: Board, metric: Metric, number: int) -> Sheet:
     names = list(board.entries[0].keys)
     headings = [("rank", True), ("95 %", True), *((column_title(name, names), False) for name in names)]
-    headings += [("score", True), ("× best", True), ("n/runs", True)]
+    headings += [("score", True), (RATIOS[measure_of(metric.column).better], True), ("n/runs", True)]
     headings += [(shown(dataset), True) for dataset in board.datasets]
     lines = []
     for entry in board.entries:
@@ -148,7 +150,8 @@ def comparison_section(
 
 
 def _pairs_sheet(board: Comparison, number: int) -> Sheet:
-    headings = [("A", False), ("B", False), ("datasets", True), ("A better", True), ("B better", True)]
+    word = board.pairs[0].word
+    headings = [("A", False), ("B", False), ("datasets", True), (f"A {word}", True), (f"B {word}", True)]
     headings += [("B / A", True), ("95 %", True), ("effect", True), ("p (Holm)", True)]
     verdicts = [_verdict(pair) for pair in board.pairs]
     alike = len(set(verdicts)) == 1

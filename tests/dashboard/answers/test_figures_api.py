@@ -79,6 +79,40 @@ async def test_a_share_is_of_all_runs_failed_ones_among_them(judged: Any) -> Non
     assert any("NodeLost: no rank" in note for note in answer["notes"])
 
 
+async def test_where_large_is_good_the_best_come_first_and_failed_runs_below_all(
+    url: str, tmp_path: Path, open_app: Callable[..., Any], make_run: Callable[..., RunRecord]
+) -> None:
+    def found(share: float) -> list[Result]:
+        values = {"alignment": "se3", "points": {"share": share}}
+        return [Result(evaluation="se3", outcome=TRACKED, coverage=share, values=values)]
+
+    runs = [make_run(k, spec=spec("a"), results=found(share)) for k, share in enumerate((0.5, 1.0, 0.75))]
+    runs += [make_run(3, spec=spec("a"), reason=Reason.OUT_OF_MEMORY, **BROKEN)]
+    runs += [make_run(4 + k, spec=spec("b"), results=found(0.25)) for k in range(3)]
+    with Archive.open(url) as archive:
+        archive.put_runs(runs)
+    async with open_app(Workstation(url, tmp_path)) as api:
+        answer = await api.get("/analysis/ecdf?metric=points.share")
+        assert answer["metric"]["better"] == "higher"
+        a, _ = answer["curves"]
+        assert (a["x"], a["share"], a["median"]) == ([1.0, 0.75, 0.5], [0.25, 0.5, 0.75], 0.625)
+        (board,) = (await api.get("/analysis/leaderboard?metric=points.share"))["boards"]
+        entries = [(entry["keys"]["algorithm"], entry["ratio"]) for entry in board["entries"]]
+        assert entries == [("a", 1.0), ("b", 2.5)]
+        (pair,) = (await api.get("/analysis/compare?metric=points.share"))["boards"][0]["pairs"]
+        assert (pair["wins"], pair["ratio"]) == ({"a": 1, "b": 0, "ties": 0}, pytest.approx(0.4))
+        (cells,) = (await api.get("/analysis/surface?x=algorithm&y=dataset&metric=points.share"))["boards"]
+        assert [(one["best"], one["low"], one["high"]) for one in cells["cells"]] == [
+            (1.0, None, 0.8125),
+            (0.25, 0.25, 0.25),
+        ]
+        (front,) = (await api.get("/analysis/pareto?x=usage.cpu.seconds&y=points.share"))["fronts"]
+        assert [(spot["keys"]["algorithm"], spot["front"]) for spot in front["points"]] == [
+            ("a", True),
+            ("b", False),
+        ]
+
+
 async def test_what_counts_for_all_evaluated_runs(judged: Any) -> None:
     answer = await judged.get("/analysis/ecdf?dataset=hall&outcomes=all&algorithm=a")
     [curve] = answer["curves"]

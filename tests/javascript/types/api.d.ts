@@ -65,6 +65,8 @@ declare namespace Api {
     kind?: string;
     unit?: string | null;
     factor?: number;
+    /** Which way is good; null where nobody has said so. */
+    better?: 'lower' | 'higher' | null;
   };
   type Column = Heading & {
     kind: string;

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -202,7 +203,7 @@ def ranked(snapshot: Snapshot, pairs: Pairs, metric: str, by: str | None, which:
     Args:
         snapshot: the data.
         pairs: the query string: filters.
-        metric: column to rank by, small is good.
+        metric: column to rank by.
         by: list of columns that tell competitors apart; default: algorithm, sensors.
         which: tracked or all.
     """
@@ -253,7 +254,7 @@ def _standing_json(standing: Standing) -> dict[str, Any]:
         "n": standing.n,
         "failures": standing.failures,
         "median": plain(standing.median),
-        "medianFailed": standing.median == float("inf"),
+        "medianFailed": math.isinf(standing.median),
         "rank": plain(standing.rank),
         "summary": summary_json(standing.summary),
         "coverage": standing.coverage,

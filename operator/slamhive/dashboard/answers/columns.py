@@ -9,7 +9,7 @@ import numpy as np
 
 from slamhive.analysis.columns import ColumnKind
 from slamhive.analysis.flattening import OF_RUN
-from slamhive.analysis.measures import is_error
+from slamhive.analysis.measures import is_error, measure_of
 from slamhive.analysis.metrics import Metric, declared_units
 from slamhive.dashboard.answering.encoding import plain
 from slamhive.tables.text import PARTS
@@ -35,6 +35,7 @@ def heading(frame: Frame, name: str) -> dict[str, Any]:
             "label": metric.label,
             "unit": metric.unit or None,
             "factor": metric.factor,
+            "better": measure_of(name.partition(":")[0]).better or None,
         }
 
 

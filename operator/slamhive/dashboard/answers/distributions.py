@@ -3,29 +3,23 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slamhive.analysis.boards import Window
-from slamhive.analysis.cells import Places
 from slamhive.analysis.columns import Column
 from slamhive.analysis.grouping import (
     Groups,
     apart,
-    counting,
+    direction_notes,
     disturbance_notes,
     pooling_notes,
-    ranked_errors,
-    sound,
-    tally,
     unranked_notes,
     varying,
-    worst,
 )
-from slamhive.analysis.statistics import median_of_sorted
+from slamhive.analysis.ranking import Ranking
 from slamhive.dashboard.answering.encoding import Body, plain
 from slamhive.dashboard.answers.columns import heading
 from slamhive.dashboard.problems import BadRequest, TooLarge
@@ -35,9 +29,10 @@ from slamhive.tables.text import as_columns
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from slamhive.analysis.columns import Floats, Indices, Mask
+    from slamhive.analysis.columns import Mask
     from slamhive.analysis.frame import Frame
     from slamhive.analysis.grouping import Outcomes
+    from slamhive.analysis.ranking import Ranked
     from slamhive.dashboard.sources.archived import Snapshot
     from slamhive.tables.queries import Pairs
 
@@ -61,61 +56,6 @@ MOST_STEPS = 300
 """Steps of a curve that are sent: more could not be seen."""
 
 
-@dataclass(frozen=True)
-class Ranked:
-    """The runs of a group by a figure.
-
-    Attributes:
-        values: of the runs that have one, sorted, then infinite ones of those that failed, (total,).
-        runs: all of the group.
-        left_out: those that say nothing of the algorithm, by what became of them.
-        failures: those that failed, by what became of them.
-    """
-
-    values: Floats
-    runs: int
-    left_out: dict[str, int]
-    failures: dict[str, int]
-
-    @property
-    def n(self) -> int:
-        """The number of runs that reached a value."""
-        return int(np.isfinite(self.values).sum())
-
-
-class Ranking:
-    """Ranking of runs by a figure, failed ones last: arrays over all rows, taken out of their columns once.
-
-    Args:
-        frame: the rows.
-        metric: column of numbers.
-        which: the runs that count.
-    """
-
-    def __init__(self, frame: Frame, metric: str, which: Outcomes) -> None:
-        self._numbers: Floats = frame.column(metric).floats()
-        self._inside: Mask = counting(frame, which) & sound(frame, metric, which) & ~np.isnan(self._numbers)
-        self._failed: Mask = worst(frame, metric, which) & ~self._inside
-        status = frame.column("status")
-        self._words, self._status = status.values, status.codes
-
-    def medians(self, groups: Groups) -> Floats:
-        """Return the median of each group, failed runs last, (groups,): NaN where no run has a rank."""
-        places = Places(groups.order, groups.edges)
-        found = places.numbers(self._numbers, self._inside).medians(places.counts(self._failed))
-        return np.array([np.nan if median is None else median for median in found])
-
-    def of(self, rows: Indices) -> Ranked:
-        """Return the runs of some rows."""
-        inside, failed, status = self._inside[rows], self._failed[rows], self._status[rows]
-        return Ranked(
-            values=ranked_errors(self._numbers[rows], inside, failed),
-            runs=len(rows),
-            left_out=tally(self._words, status[~(inside | failed)]),
-            failures=tally(self._words, status[failed]),
-        )
-
-
 def ecdf(
     snapshot: Snapshot,
     pairs: Pairs,
@@ -125,7 +65,7 @@ def ecdf(
     *,
     window: Window | None = None,
 ) -> Body:
-    """Return for each group of runs which share of them has a figure of at most so much.
+    """Return for each group of runs which share of them has a figure of at most so much, or at least.
 
     The share is of all runs of the group that say something of the algorithm: those that failed never reach
     any value, so that a curve ends below 1 by their share.
@@ -133,7 +73,7 @@ def ecdf(
     Args:
         snapshot: the data.
         pairs: the query string: filters.
-        metric: column of numbers, small is good.
+        metric: column of numbers.
         told: list of columns that tell curves apart (default: algorithm), and of those whose values may be in
             one curve, such as dataset: a share of runs has a meaning where a mean of metres has none.
         which: tracked or all.
@@ -165,6 +105,7 @@ def ecdf(
             *shown.notes,
             *(note.replace("averaged over", "runs of") for note in pooling_notes(mixed)),
             *_unlike_notes(frame, groups, pooled),
+            *direction_notes([metric]),
             *disturbance_notes(frame, [metric]),
             *unranked_notes(frame, counted),
         ],
@@ -243,30 +184,29 @@ def _unlike_notes(frame: Frame, groups: Groups, pooled: list[str]) -> list[str]:
 
 
 def _curve(ranked: Ranked, keys: dict[str, Any]) -> dict[str, Any]:
-    total, n = len(ranked.values), ranked.n
+    n = ranked.n
     places = np.arange(n)
     if n > MOST_STEPS:
         places = np.unique(np.linspace(0, n - 1, MOST_STEPS).round().astype(np.intp))
     return {
         "keys": keys,
         "runs": ranked.runs,
-        "total": total,
+        "total": ranked.total,
         "n": n,
         "failures": ranked.failures,
         "leftOut": ranked.left_out,
-        "median": plain(median_of_sorted(ranked.values)) if total else None,
+        "median": plain(ranked.median),
         "x": ranked.values[places],
-        "share": (places + 1) / total if total else np.empty(0),
+        "share": ranked.shares[places],
     }
 
 
 def _steps(found: list[tuple[dict[str, Any], Ranked]]) -> Iterator[dict[str, Any]]:
     """Go through all steps of all curves: a table leaves out none."""
     for keys, ranked in found:
-        total = len(ranked.values)
-        shared = {**keys, "runs": ranked.runs, "total": total, "n": ranked.n}
-        for place, value in enumerate(ranked.values[: ranked.n].tolist(), 1):
-            yield shared | {"value": value, "share": place / total}
+        shared = {**keys, "runs": ranked.runs, "total": ranked.total, "n": ranked.n}
+        for value, share in zip(ranked.values.tolist(), ranked.shares.tolist(), strict=True):
+            yield shared | {"value": value, "share": share}
 
 
 def surface(snapshot: Snapshot, pairs: Pairs, axes: tuple[str, str], metric: str, which: str) -> Body:
@@ -276,7 +216,7 @@ def surface(snapshot: Snapshot, pairs: Pairs, axes: tuple[str, str], metric: str
         snapshot: the data.
         pairs: the query string: filters.
         axes: columns of the settings, x and y.
-        metric: column of numbers, small is good.
+        metric: column of numbers.
         which: tracked or all.
     """
     x, y = (column(snapshot.frame, name, field) for name, field in zip(axes, "xy", strict=True))
@@ -307,7 +247,7 @@ def slices(snapshot: Snapshot, pairs: Pairs, metric: str, which: str) -> Body:
     Args:
         snapshot: the data.
         pairs: the query string: filters.
-        metric: column of numbers, small is good.
+        metric: column of numbers.
         which: tracked or all.
     """
     number_column(snapshot.frame, metric, "metric")
@@ -341,7 +281,7 @@ def slices(snapshot: Snapshot, pairs: Pairs, metric: str, which: str) -> Body:
 
 
 def _load_notes(frame: Frame, metric: str, which: Outcomes) -> list[str]:
-    return [*disturbance_notes(frame, [metric]), *unranked_notes(frame, which)]
+    return [*direction_notes([metric]), *disturbance_notes(frame, [metric]), *unranked_notes(frame, which)]
 
 
 def _placed(frame: Frame, names: list[str]) -> tuple[Frame, list[str]]:
@@ -397,35 +337,21 @@ def _cells(board: Frame, ranking: Ranking, names: list[str]) -> list[dict[str, A
     cells = []
     for rows, keys in zip(groups.members(), groups.keys, strict=True):
         ranked = ranking.of(rows)
-        low, middle, high = _quartiles(ranked.values)
+        low, middle, high = map(plain, ranked.quartiles)
         cells.append(
             {
                 "at": [keys[name] for name in names],
                 "runs": ranked.runs,
-                "total": len(ranked.values),
+                "total": ranked.total,
                 "n": ranked.n,
                 "failures": ranked.failures,
-                "best": plain(ranked.values[0]) if len(ranked.values) else None,
+                "best": plain(ranked.values[0]) if ranked.n else None,
                 "low": low,
                 "median": middle,
                 "high": high,
             }
         )
     return cells
-
-
-def _quartiles(ordered: Floats) -> list[float | None]:
-    """Return quartiles of sorted numbers, None where they are failed runs' or there is none."""
-    if not len(ordered):
-        return [None, None, None]
-    last = len(ordered) - 1
-    found: list[float | None] = []
-    for share in (0.25, 0.5, 0.75):
-        below, above = ordered[math.floor(last * share)], ordered[math.ceil(last * share)]
-        found.append(
-            plain(float(below + (above - below) * (last * share % 1)) if below < above else float(below))
-        )
-    return found
 
 
 def _flat(cells: list[dict[str, Any]], names: list[str]) -> list[dict[str, Any]]:

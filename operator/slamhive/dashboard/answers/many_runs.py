@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
-from slamhive.analysis.ordering import order_rows
+from slamhive.analysis.selection import order_rows
 from slamhive.dashboard.answering.encoding import Body, Table
 from slamhive.dashboard.answers import paging
 from slamhive.dashboard.answers.columns import heading, profile

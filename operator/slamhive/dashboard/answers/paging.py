@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.analysis.columns import ColumnKind, sort_key
-from slamhive.analysis.ordering import complete, direction
+from slamhive.analysis.selection import complete, direction
 from slamhive.dashboard.problems import BadRequest
 
 if TYPE_CHECKING:

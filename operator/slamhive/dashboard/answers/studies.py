@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.boards import COMPETITORS, Window
@@ -140,7 +141,7 @@ def _spot_json(spot: Spot) -> dict[str, Any]:
         "x": plain(spot.x),
         "y": plain(spot.y),
         "failed": sum(spot.failures.values()),
-        "yFailed": spot.y == float("inf"),
+        "yFailed": math.isinf(spot.y),
         "xRange": [plain(value) for value in spot.x_range],
         "yRange": [plain(value) for value in spot.y_range],
         "front": spot.front,

@@ -29,7 +29,7 @@ def changed(snapshot: Snapshot, pairs: Pairs, metric: str, which: str) -> Body:
     Args:
         snapshot: the data.
         pairs: the query string: filters.
-        metric: column to compare by, small is good.
+        metric: column to compare by.
         which: tracked or all.
     """
     number_column(snapshot.frame, metric, "metric")

@@ -14,7 +14,7 @@ from slamhive.dashboard.server.routes import Filters, FormatName, Names, Where, 
 from slamhive.dashboard.server.service import Service, client_of
 from slamhive.dashboard.sources.archived import Snapshot
 
-Metric = Annotated[str, Query(max_length=10_000, description="A column of numbers, small is good.")]
+Metric = Annotated[str, Query(max_length=10_000, description="A column of numbers.")]
 ERROR = "ate.rmse"
 First = Annotated[
     int, Query(ge=1, le=1_000_000, description="Place by mean rank of the first competitor that is shown.")

@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-/** Cumulative shares: which share of the runs has at most a figure; failed runs never reach one. */
+/**
+ * Cumulative shares: which share of the runs has at most a figure, at least where large is good; failed runs
+ * never reach one.
+ */
 import { COLOURS, legendOfLines } from '../core/chart.js';
-import { axisName, clip, keysText, number } from '../core/format.js';
+import { axisName, clip, keysText, number, signOf } from '../core/format.js';
 import { outsideText, robustLimits, roundEnds } from './limits.js';
 
 /** Keys that charts are told apart by, rather than the curves in them. */
@@ -50,18 +53,19 @@ export function curveCharts(data, { facet, xlog }) {
 }
 
 /**
- * Return the corners of a curve's steps, from the left end of the axis to its right one.
- * @param {{x: number[], share: number[]}} curve
- * @param {number} low left end
- * @param {number} high right end
+ * Return the corners of a curve's steps, from the good end of the axis to its bad one.
+ * @param {{x: number[], share: number[]}} curve with the best first
+ * @param {number} good
+ * @param {number} bad
  * @returns {number[][]}
  */
-export function steps({ x, share }, low, high) {
-  const inside = x.map((value, at) => [value, share[at]]).filter(([value]) => value <= high);
-  const first = inside.findLastIndex(([value]) => value < low);
+export function steps({ x, share }, good, bad) {
+  const sign = good <= bad ? 1 : -1;
+  const inside = x.map((value, at) => [value, share[at]]).filter(([value]) => sign * (bad - value) >= 0);
+  const first = inside.findLastIndex(([value]) => sign * (good - value) > 0);
   const shown = inside.slice(first + 1);
   const begin = first < 0 ? 0 : inside[first][1];
-  return [[low, begin], ...shown, [high, shown.length ? shown[shown.length - 1][1] : begin]];
+  return [[good, begin], ...shown, [bad, shown.length ? shown[shown.length - 1][1] : begin]];
 }
 
 /**
@@ -74,7 +78,8 @@ export function steps({ x, share }, low, high) {
  */
 export function ecdfChart(metric, curves, limits, xlog) {
   const ends = roundEnds(limits, { log: xlog });
-  const [low, high] = [ends.min ?? 0, ends.max ?? 1];
+  const sign = signOf(metric);
+  const [good, bad] = sign > 0 ? [ends.min ?? 0, ends.max ?? 1] : [ends.max ?? 1, ends.min ?? 0];
   return {
     grid: { left: 60, right: 26, top: curves.length > 1 ? 40 : 16, bottom: 48 },
     legend: curves.length > 1 ? legendOfLines(curves.map((one) => one.name)) : undefined,
@@ -84,9 +89,9 @@ export function ecdfChart(metric, curves, limits, xlog) {
       formatter: (/** @type {Item[]} */ items) => {
         const at = Number(items[0].axisValue);
         return [
-          `${clip(axisName(metric), 40)} ≤ ${number(at)}`,
+          `${clip(axisName(metric), 40)} ${sign > 0 ? '≤' : '≥'} ${number(at)}`,
           ...curves.map((one) => {
-            const reached = one.x.findLastIndex((value) => value <= at);
+            const reached = one.x.findLastIndex((value) => sign * (at - value) >= 0);
             const share = reached < 0 ? 0 : one.share[reached];
             return `${clip(one.name, 40)}: ${number(100 * share, 3)} % of ${one.total} runs`;
           }),
@@ -102,7 +107,7 @@ export function ecdfChart(metric, curves, limits, xlog) {
     yAxis: { type: 'value', min: 0, max: 1, name: 'share of runs', nameGap: 38 },
     series: curves.flatMap((one) => {
       const colour = COLOURS[one.place % COLOURS.length];
-      const beyond = one.x.filter((value) => value > high).length;
+      const beyond = one.x.filter((value) => sign * (value - bad) > 0).length;
       return [
         {
           type: 'line',
@@ -111,7 +116,7 @@ export function ecdfChart(metric, curves, limits, xlog) {
           name: clip(one.name, 50),
           color: colour,
           lineStyle: { width: 2, type: DASHES[Math.floor(one.place / COLOURS.length) % DASHES.length] },
-          data: steps(one, low, high),
+          data: steps(one, good, bad),
         },
         ...(beyond
           ? [
@@ -120,11 +125,11 @@ export function ecdfChart(metric, curves, limits, xlog) {
                 name: clip(one.name, 50),
                 color: colour,
                 symbol: 'triangle',
-                symbolRotate: -90,
+                symbolRotate: -90 * sign,
                 symbolSize: 10,
                 clip: false,
                 silent: true,
-                data: [[high, steps(one, low, high).at(-1)?.[1] ?? 0]],
+                data: [[bad, steps(one, good, bad).at(-1)?.[1] ?? 0]],
               },
             ]
           : []),
@@ -134,7 +139,7 @@ export function ecdfChart(metric, curves, limits, xlog) {
 }
 
 /**
- * Say what lies beyond the right end of the charts.
+ * Say what lies beyond the ends of the charts.
  * @param {Limits|null} limits
  */
 export const beyondText = (limits) => outsideText(limits, 'run');

@@ -9,9 +9,10 @@ const NARROW = 560;
 /**
  * Return the chart of one board's pairs and its height.
  * @param {Api.Pair[]} pairs of /api/v1/analysis/compare
+ * @param {Api.Heading} metric
  * @returns {Drawn}
  */
-export function pairsChart(pairs) {
+export function pairsChart(pairs, metric) {
   const scores = new Map();
   /**
    * @param {Api.Keys} keys
@@ -72,7 +73,7 @@ export function pairsChart(pairs) {
         right: 0,
         top: 'middle',
         itemHeight: 110,
-        text: ['better', 'worse'],
+        text: metric.better ? ['better', 'worse'] : ['lower', 'higher'],
         inRange: { color: ['#b795cf', '#efe9f2', '#f2f4f0', '#7dbd90'] },
       },
       series: [

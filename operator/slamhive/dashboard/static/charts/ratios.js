@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** What a change did in each setting: median after over median before. */
 import { COLOURS } from '../core/chart.js';
-import { cell, clip, number } from '../core/format.js';
+import { cell, clip, number, signOf } from '../core/format.js';
 import { labelRoom, rowAxis } from './rows.js';
 
 const MOST = 40;
@@ -16,12 +16,13 @@ const SIGNS = {
 /**
  * Return the verdict on a setting.
  * @param {Api.Setting} setting
+ * @param {number} sign -1 where large is good
  * @returns {'better'|'worse'|'same'}
  */
-const verdict = ({ before, after }) => {
+const verdict = ({ before, after }, sign) => {
   if (before.medianFailed || after.medianFailed)
     return before.medianFailed === after.medianFailed ? 'same' : after.medianFailed ? 'worse' : 'better';
-  const [now, then] = [Number(after.median), Number(before.median)];
+  const [now, then] = [sign * Number(after.median), sign * Number(before.median)];
   return now < then ? 'better' : now > then ? 'worse' : 'same';
 };
 
@@ -53,9 +54,11 @@ export const toldApart = (settings) => {
 /**
  * Return the chart of a change and its height; null where nothing can be drawn.
  * @param {{settings: Api.Setting[]}} change of /api/v1/analysis/versions
+ * @param {Api.Heading} metric
  * @returns {Drawn|null}
  */
-export function ratioChart(change) {
+export function ratioChart(change, metric) {
+  const sign = signOf(metric);
   const shown = change.settings.slice(0, MOST);
   const known = shown
     .filter((one) => !failed(one))
@@ -68,7 +71,11 @@ export function ratioChart(change) {
   const place = (one) =>
     !failed(one) && Number(one.ratio) > 0
       ? one.ratio
-      : { better: least / 1.1, worse: most * 1.1, same: 1 }[verdict(one)];
+      : verdict(one, sign) === 'same'
+        ? 1
+        : (verdict(one, sign) === 'better') === sign > 0
+          ? least / 1.1
+          : most * 1.1;
   const told = toldApart(shown);
   return {
     height: 100 + shown.length * 26,
@@ -97,7 +104,9 @@ export function ratioChart(change) {
         {
           type: 'scatter',
           data: shown.map((one, at) => {
-            const [symbol, color] = SIGNS[verdict(one)];
+            const [symbol, told] = SIGNS[verdict(one, sign)];
+            // Nothing is good or bad of a figure of which nobody has said which way is good.
+            const color = metric.better || failed(one) ? told : COLOURS[0];
             return {
               value: [place(one), at],
               one,

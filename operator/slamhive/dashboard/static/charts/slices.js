@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Slices: a figure over the values of one setting, whatever the others are; one vertical axis for all. */
 import { COLOURS } from '../core/chart.js';
-import { axisName, cell, clip, number } from '../core/format.js';
+import { axisName, cell, clip, number, signOf } from '../core/format.js';
 import { robustLimits, roundEnds } from './limits.js';
 
 /**
@@ -32,11 +32,13 @@ export const sharedLimits = (slices, factor, log) =>
 export function sliceChart(metric, setting, cells, limits, log) {
   const factor = metric.factor ?? 1;
   const ends = roundEnds(limits, { log });
-  const ceiling = ends.max ?? 1;
+  const [floor, ceiling] = [ends.min ?? 0, ends.max ?? 1];
+  const larger = signOf(metric) < 0;
+  const failed = larger ? floor : ceiling;
   const known = cells.filter((one) => one.at[0] !== null);
   const names = known.map((one) => clip(cell(one.at[0], setting), 18));
   /** @param {number|null} value what fails is beyond the end */
-  const shown = (value) => (value === null ? ceiling : Math.min(ceiling, value * factor));
+  const shown = (value) => (value === null ? failed : Math.max(floor, Math.min(ceiling, value * factor)));
   return {
     grid: { left: 66, right: 14, top: 12, bottom: 50 },
     tooltip: {
@@ -45,7 +47,7 @@ export function sliceChart(metric, setting, cells, limits, log) {
         const one = known[item.dataIndex];
         return [
           `${clip(axisName(setting), 40)}: ${names[item.dataIndex]}`,
-          `best ${value(one.best, metric)}, median ${value(one.median, metric)}`,
+          `${bestOf(metric)} ${value(one.best, metric)}, median ${value(one.median, metric)}`,
           `middle half: ${value(one.low, metric)} to ${value(one.high, metric)}`,
           `${number(one.n)} of ${number(one.total)} runs reach a value`,
         ].join('\n');
@@ -61,12 +63,12 @@ export function sliceChart(metric, setting, cells, limits, log) {
     yAxis: { type: log ? 'log' : 'value', ...ends, name: `${clip(axisName(metric), 30)}`, nameGap: 48 },
     series: [
       {
-        // The middle half of the runs; open above where it reaches the failed ones.
+        // The middle half of the runs; open where it reaches the failed ones.
         type: 'custom',
         data: known.map((one, at) => [at, shown(one.low), shown(one.high)]),
         renderItem: (/** @type {any} */ params, /** @type {any} */ api) => {
           const one = known[params.dataIndex];
-          if (!one.total || one.low === null) return null;
+          if (!one.total || (larger ? one.high : one.low) === null) return null;
           const [x, bottom] = api.coord([api.value(0), api.value(1)]);
           const [, top] = api.coord([api.value(0), api.value(2)]);
           const width = Math.min(26, api.size([1, 0])[0] * 0.5);
@@ -86,7 +88,7 @@ export function sliceChart(metric, setting, cells, limits, log) {
         data: known.map((one, at) =>
           one.median === null
             ? {
-                value: [at, one.total ? ceiling : '-'],
+                value: [at, one.total ? failed : '-'],
                 symbol: 'path://M0 0L10 10M10 0L0 10',
                 itemStyle: { color: 'transparent', borderColor: '#c0392b', borderWidth: 2 },
               }
@@ -109,3 +111,6 @@ export function sliceChart(metric, setting, cells, limits, log) {
 
 /** @param {number|null} figure @param {Api.Heading} metric */
 const value = (figure, metric) => (figure === null ? 'failed' : cell(figure, metric));
+
+/** What the first run by a figure is called. @param {Api.Heading} metric */
+export const bestOf = (metric) => (metric.better ? 'best' : 'smallest');

@@ -177,3 +177,9 @@ export const tellingKeys = (all) =>
   Object.keys(all[0] ?? {}).filter(
     (name) => SUBJECT.includes(name) || new Set(all.map((keys) => String(keys[name]))).size > 1,
   );
+
+/**
+ * Return what makes costs of a column's numbers, of which small is good: -1 where large is good, else 1.
+ * @param {Api.Heading} heading
+ */
+export const signOf = (heading) => (heading.better === 'higher' ? -1 : 1);

@@ -62,6 +62,8 @@ export function Heat({ set, filters, title, onError }) {
   `;
 }
 
+const HEAT = ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'];
+
 /**
  * @param {Api.Aggregate} data
  * @param {Settings} set
@@ -118,12 +120,17 @@ function heat(data, groups, set, rows) {
   /** @param {number} width */
   const room = (width) => (width - labelRoom(width, 130) - (width < NARROW ? 14 : 90)) / across.length;
   const [least, most] = [Math.min(...numbers, Infinity), Math.max(...numbers, -Infinity)];
-  // The upper half of the colours is dark.
+  // What is bad is dark: the upper half of the colours.
+  const larger = metric.better === 'higher';
   const inked = cells.map((one) => ({
     ...one,
     label: {
       color:
-        one.figure !== null && one.figure - least > 0.5 * (most - least) && most > least ? '#fff' : '#16191d',
+        one.figure !== null &&
+        most > least &&
+        (larger ? most - one.figure : one.figure - least) > 0.5 * (most - least)
+          ? '#fff'
+          : '#16191d',
     },
   }));
   return {
@@ -167,7 +174,7 @@ function heat(data, groups, set, rows) {
         right: 0,
         top: 'middle',
         itemHeight: 100,
-        inRange: { color: ['#fff3c4', '#f0a93b', '#c44e1c', '#6b1030'] },
+        inRange: { color: larger ? [...HEAT].reverse() : HEAT },
       },
       series: [
         {

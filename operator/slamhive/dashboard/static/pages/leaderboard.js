@@ -129,6 +129,7 @@ function Board({ board, metric, by, csv, suspects, beside }) {
   const narrow = useNarrow();
   const facets = keysText(board.facets);
   const factor = metric.factor ?? 1;
+  const first = metric.better ? 'best' : 'smallest';
   // What is suspect on one dataset is marked there, what is so on all beside the competitor.
   const told = suspects.filter((one) => one.keys.dataset !== undefined);
   const always = suspects.filter((one) => one.keys.dataset === undefined);
@@ -149,8 +150,8 @@ function Board({ board, metric, by, csv, suspects, beside }) {
         }
       `,
     })),
-    { name: 'score', kind: 'number', title: 'score (0 best)' },
-    { name: 'ratio', title: 'over the best' },
+    { name: 'score', kind: 'number', title: `score (0 ${first})` },
+    { name: 'ratio', title: metric.better === 'higher' ? 'the best over it' : `over the ${first}` },
     { name: 'n', kind: 'integer', title: 'n' },
     { name: 'runs', kind: 'integer', title: 'runs' },
     { name: 'failed', kind: 'integer', title: 'failed' },

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-/** Error against cost: who is beaten by nobody in both. */
+/** Error against cost, or any two figures: who is beaten by nobody in both. */
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart, COLOURS } from '../core/chart.js';
-import { axisName, clip, columnTitle, keysText, number } from '../core/format.js';
+import { axisName, clip, columnTitle, keysText, number, signOf } from '../core/format.js';
 import { NothingFits, Notes, Waiting } from '../core/parts.js';
 import { html, useEffect, useMemo } from '../core/ui.js';
 
@@ -45,8 +45,7 @@ export function Pareto({ set, filters, title, onError }) {
       )}
     </div>
     <p class="quiet">
-      Filled: nobody has both a smaller error and a smaller cost. Crosses: the median run
-      failed.
+      Filled: nobody is better in both. Crosses: the median run failed.
     </p>
     <${Notes} notes=${data.notes} />
   `;
@@ -67,8 +66,12 @@ function pareto(data, front, set) {
   const points = front.points
     .map((point) => ({ ...point, sx: Number(scaled(point.x, data.x)), sy: scaled(point.y, data.y) }))
     .filter((point) => point.x !== null);
+  // What failed stands beyond the worst of the others.
   const top = Math.max(0, ...points.map((point) => point.sy ?? 0)) * 1.15 || 1;
-  const best = points.filter((point) => point.front && point.sy !== null).sort((a, b) => a.sx - b.sx);
+  const bottom = Math.min(top, ...points.flatMap((point) => point.sy ?? [])) * 0.85;
+  const beyond = signOf(data.y) > 0 ? top : bottom;
+  // They come with the best in x first, which way that may be.
+  const best = points.filter((point) => point.front && point.sy !== null);
   /** @param {Api.ParetoPoint & {sy: number|null}} point */
   const mark = (point) =>
     point.sy === null
@@ -137,7 +140,7 @@ function pareto(data, front, set) {
           symbolSize: 11,
           color: COLOURS[0],
           data: points.map((point) => ({
-            value: [point.sx, point.sy ?? top],
+            value: [point.sx, point.sy ?? beyond],
             ...mark(point),
             point,
           })),

@@ -7,7 +7,7 @@ import { address, useAddress } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
 import { columnOptions, Filters, isNumeric, shownByFilters, useColumns } from '../core/filters.js';
-import { cell, clip, columnTitle, keysText, number, SUBJECT, tellingKeys } from '../core/format.js';
+import { cell, clip, columnTitle, keysText, number, signOf, SUBJECT, tellingKeys } from '../core/format.js';
 import { Choice, Fault, Link, Notes, Outcomes, Places, Table, useTitle, Waiting } from '../core/parts.js';
 import { html, useMemo } from '../core/ui.js';
 import { Common, EACH_RUN, Narrowing } from './common.js';
@@ -226,7 +226,7 @@ function Pairs({ data, csv, without }) {
     () =>
       data.boards
         .filter((board) => board.pairs.length)
-        .map((board) => ({ board, option: pairsChart(board.pairs) })),
+        .map((board) => ({ board, option: pairsChart(board.pairs, data.metric) })),
     [data],
   );
   const { query, change } = useAddress();
@@ -259,6 +259,8 @@ function Pairs({ data, csv, without }) {
     { name: 'p', title: 'p', kind: 'number', show: (p) => number(p, 3) },
     { name: 'pHolm', title: 'p after Holm', kind: 'number', show: small },
   ];
+  const question = data.metric.better ? 'Who is better than whom' : 'Who has less than whom';
+  const [green, purple] = signOf(data.metric) > 0 ? ['smaller', 'larger'] : ['larger', 'smaller'];
   const sections = drawn.map(
     ({ board, option }) => html`
       <section>
@@ -268,11 +270,11 @@ function Pairs({ data, csv, without }) {
           height=${option.height}
           csv=${csv}
           table=${{ columns, rows: board.pairs }}
-          title=${`Who is better than whom: ${clip(data.metric.title, 60)}`}
+          title=${`${question}: ${clip(data.metric.title, 60)}`}
         />
         <p class="quiet">
-          Green: the row's errors are smaller than the column's, on more datasets and by more;
-          purple: larger. The size of the effect is the matched-pairs rank-biserial correlation,
+          Green: the row's figures are ${green} than the column's, on more datasets and by more;
+          purple: ${purple}. The size of the effect is the matched-pairs rank-biserial correlation,
           from −1 to 1; the numbers are datasets won and lost; a star marks p after Holm below 0.05.
         </p>
         <${Table} columns=${columns} rows=${board.pairs} caption="Competitors two by two" />

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /** Contours over two settings, and slices over each: drawings of Explore. */
 import { contourChart } from '../charts/contour.js';
-import { sharedLimits, sliceChart } from '../charts/slices.js';
+import { bestOf, sharedLimits, sliceChart } from '../charts/slices.js';
 import { address } from '../core/address.js';
 import { csvOf, useData } from '../core/api.js';
 import { Chart } from '../core/chart.js';
@@ -123,8 +123,8 @@ export function Slices({ set, filters, title, onError }) {
     )}
     <${Notes}
       notes=${[
-        'Dots are medians, failed runs ranked last; boxes the middle half of the runs, diamonds the best ' +
-          'one. All charts of a group have the same vertical axis.',
+        'Dots are medians, failed runs ranked last; boxes the middle half of the runs, diamonds the ' +
+          `${bestOf(data.metric)} one. All charts of a group have the same vertical axis.`,
         ...data.notes,
       ]}
     />
@@ -139,7 +139,7 @@ export function Slices({ set, filters, title, onError }) {
  */
 function cellTable(cells, axes, metric) {
   const figures = ['best', 'low', 'median', 'high'];
-  const titles = ['best', 'first quartile', 'median', 'third quartile'];
+  const titles = [bestOf(metric), 'first quartile', 'median', 'third quartile'];
   return {
     columns: [
       ...axes,

@@ -112,7 +112,7 @@ export function Versions({ data, csv, without }) {
 
 /** @param {{change: Api.Change, metric: Api.Heading, csv: string}} props */
 function Change({ change, metric, csv }) {
-  const drawn = useMemo(() => ratioChart(change), [change]);
+  const drawn = useMemo(() => ratioChart(change, metric), [change, metric]);
   const told = toldApart(change.settings);
   /** @type {TableColumn[]} */
   const columns = [
