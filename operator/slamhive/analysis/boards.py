@@ -112,7 +112,7 @@ class Grid:
 
     @property
     def sign(self) -> float:
-        """What makes costs of figures, of which small is good."""
+        """Factor that makes costs of figures, of which small is good."""
         return measure_of(self.metric).sign
 
     @cached_property

@@ -57,7 +57,7 @@ class Measure:
 
     @property
     def sign(self) -> float:
-        """What makes a cost of a number, small is good: -1 where large is good, else 1."""
+        """Factor that makes a cost of a number, small is good: -1 where large is good, else 1."""
         return -1.0 if self.better is Better.HIGHER else 1.0
 
 
@@ -167,7 +167,7 @@ _STATISTICS = {
     "max": "maximum",
     "sse": "sum of squares",
 }
-"""What the statistics are called that aren't called by their names."""
+"""Names of the statistics for people, where they aren't those of the evaluator."""
 
 _NUMBER = re.compile(r"\[(\d+)\]")
 BESIDE = re.compile(r"beside\.(\w+)\.(.+)")

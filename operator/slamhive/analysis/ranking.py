@@ -55,7 +55,7 @@ class Ranked:
 
     @property
     def shares(self) -> Floats:
-        """Which share of the runs is as good as each value or better, (n,): failed ones never are."""
+        """Shares of the runs that are as good as each value or better, (n,): failed ones never are."""
         return np.arange(1, self.n + 1) / max(self.total, 1)
 
     @property
