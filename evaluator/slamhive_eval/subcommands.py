@@ -56,19 +56,19 @@ def run(arguments: Sequence[str] | None) -> int:
     return code
 
 
-class _Parser(argparse.ArgumentParser):
+class _CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def parser(command: str | None) -> argparse.ArgumentParser:
     """The parser that knows all commands by name and the arguments of one of them."""
-    program = _Parser(
+    program = _CommandParser(
         prog="slamhive-eval",
         description="Measure estimated trajectories against ground truth.",
         epilog="Example: slamhive-eval ape groundtruth.txt trajectory.txt --align se3",
     )
-    commands = program.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    commands = program.add_subparsers(required=True, metavar="COMMAND", parser_class=_CommandParser)
     for name, (module, line) in COMMANDS.items():
         added = commands.add_parser(name, help=line)
         if name == command:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.local.programs.starting import Kind
+from slamhive.local.programs.starting import ExampleKind
 from slamhive.playback.ros import find_ros, what_it_takes
 
 if TYPE_CHECKING:
@@ -72,12 +72,17 @@ def commands(tmp_path: Path, environments: Path) -> Commands:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "kind", [Kind.LIDAR_PYTHON, Kind.PROGRAM, pytest.param(Kind.ROS1_NODE, marks=pytest.mark.ros)]
+    "kind",
+    [
+        ExampleKind.LIDAR_PYTHON,
+        ExampleKind.PROGRAM,
+        pytest.param(ExampleKind.ROS1_NODE, marks=pytest.mark.ros),
+    ],
 )
-def test_a_folder_passes_untouched(kind: Kind, commands: Commands) -> None:
-    if kind is Kind.ROS1_NODE and find_ros() is None:
+def test_a_folder_passes_untouched(kind: ExampleKind, commands: Commands) -> None:
+    if kind is ExampleKind.ROS1_NODE and find_ros() is None:
         pytest.skip(what_it_takes())
-    if kind is Kind.PROGRAM and (shutil.which("cc") is None or shutil.which("make") is None):
+    if kind is ExampleKind.PROGRAM and (shutil.which("cc") is None or shutil.which("make") is None):
         pytest.skip("there is no compiler: apt-get install gcc libc6-dev make")
     made = commands.call("new", "mine", "--from", kind.value)
     assert made.returncode == 0, made.stderr
@@ -87,9 +92,9 @@ def test_a_folder_passes_untouched(kind: Kind, commands: Commands) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", list(Kind))
+@pytest.mark.parametrize("kind", list(ExampleKind))
 def test_its_image_is_built_as_the_folder_says_and_passes(
-    kind: Kind, commands: Commands, image_of: Callable[[Path, str], str], tmp_path: Path
+    kind: ExampleKind, commands: Commands, image_of: Callable[[Path, str], str], tmp_path: Path
 ) -> None:
     name = f"started-{kind.value}"
     made = commands.call("new", name, "--from", kind.value)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slamhive.data.inspecting.vocabulary import (
-    Node,
+    VocabularyNode,
     cluster,
     grow,
     render,
@@ -109,7 +109,10 @@ def test_a_word_weighs_by_how_few_images_have_it() -> None:
 
 
 def test_renders_a_node_a_line() -> None:
-    nodes = [Node(0, np.zeros(32, np.uint8), [1]), Node(0, np.arange(32, dtype=np.uint8), weight=1.5)]
+    nodes = [
+        VocabularyNode(0, np.zeros(32, np.uint8), [1]),
+        VocabularyNode(0, np.arange(32, dtype=np.uint8), weight=1.5),
+    ]
     assert render(nodes, 2, 1) == f"2 1 0 0\n0 1 {' '.join(map(str, range(32)))} 1.5"
 
 

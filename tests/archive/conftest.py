@@ -97,7 +97,7 @@ def _put_version(url: str, version: int) -> None:
             if table is schema.shapes:
                 continue
             for column in table.columns:
-                if isinstance(column.type, schema.Document):
+                if isinstance(column.type, schema.JsonDocument):
                     kind = f'ALTER COLUMN "{column.name}" TYPE JSONB USING "{column.name}"::text::jsonb'
                     unset = f'ALTER COLUMN "{column.name}" DROP DEFAULT'
                     connection.execute(text(f"ALTER TABLE {table.name} {unset}, {kind}"))
@@ -112,7 +112,9 @@ def _put_version(url: str, version: int) -> None:
                     else value
                     for name, value in zip(names, values, strict=True)
                 }
-                documents = {name for name in names if isinstance(table.columns[name].type, schema.Document)}
+                documents = {
+                    name for name in names if isinstance(table.columns[name].type, schema.JsonDocument)
+                }
                 marks = ", ".join(
                     f"CAST(:{name} AS JSONB)" if name in documents else f":{name}" for name in names
                 )

@@ -179,7 +179,7 @@ def copied(engine: Engine, records: Sequence[RunRecord]) -> Rate:
 
 
 def _plain(column: Any, value: Any) -> Any:
-    if isinstance(column.type, schema.Document) and value is not None:
+    if isinstance(column.type, schema.JsonDocument) and value is not None:
         return json.dumps(value, separators=(",", ":"))
     return value.replace(tzinfo=None).isoformat(" ") if hasattr(value, "tzinfo") else value
 

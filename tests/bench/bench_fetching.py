@@ -32,7 +32,7 @@ from slamhive.data.files import fetching
 fetching.PAUSES = (0.0,) * 8
 pieces = Path(sys.argv[4]).read_text().split() if len(sys.argv) > 4 else []
 size = 8 << 20 if pieces else 0
-wanted = fetching.Wanted([sys.argv[1]], "bench", sys.argv[3] or None, piece_bytes=size, pieces=pieces)
+wanted = fetching.WantedFile([sys.argv[1]], "bench", sys.argv[3] or None, piece_bytes=size, pieces=pieces)
 fetching.fetch_file(wanted, Path(sys.argv[2]))
 """
 LIST = """

@@ -25,7 +25,7 @@ from buckets import KEYS
 
 from slamhive.jobs.moving import copy_folder
 from slamhive.runfiles.stored import Shelf
-from slamhive.storage.store import Store, StoreSettings
+from slamhive.storage.store import ObjectStorage, StoreSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,7 +71,7 @@ def plain_copy(client: Any, bucket: str, results: Path) -> None:
 
 def copy_all(settings: StoreSettings, results: Path, uids: list[str]) -> None:
     """Copy all folders as the offloader does."""
-    store = Store(settings)
+    store = ObjectStorage(settings)
     with ThreadPoolExecutor(AT_ONCE) as pool:
         for _ in pool.map(lambda uid: copy_folder(results, uid, store), uids):
             pass
@@ -131,7 +131,7 @@ def main() -> None:
 
 def page(settings: StoreSettings, folder: Path, uids: list[str]) -> float:
     """Return the median of the seconds that the files of a run's page take, with nothing kept before."""
-    shelf = Shelf(Store(settings), folder / "cache", 1 << 30)
+    shelf = Shelf(ObjectStorage(settings), folder / "cache", 1 << 30)
     taken = []
     for uid in uids[:15]:
         began = time.perf_counter()

@@ -25,7 +25,7 @@ from slamhive.kube.user import readiness as cluster
 from slamhive.local.home.catalog import Workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.programs import readiness
-from slamhive.model.readiness import Row, State, missing, there
+from slamhive.model.readiness import ReadinessRow, State, missing, there
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -90,7 +90,10 @@ def test_a_broken_archive_is_exit_code_1(command: Callable[..., tuple[int, str]]
 
 def test_what_never_answers_is_not_waited_for() -> None:
     forever = threading.Event()
-    looks = {"b": lambda: there("b", "fine"), "a": lambda: [Row("a", State.THERE, str(forever.wait()))]}
+    looks = {
+        "b": lambda: there("b", "fine"),
+        "a": lambda: [ReadinessRow("a", State.THERE, str(forever.wait()))],
+    }
     moments = iter([0.0, 0.0, 61.0])  # the end, b's turn, a's turn
     rows = cli.examine(looks, 60.0, lambda: next(moments))
     forever.set()
@@ -99,7 +102,7 @@ def test_what_never_answers_is_not_waited_for() -> None:
 
 
 def test_a_look_that_fails_hides_no_other() -> None:
-    def fails() -> Row:
+    def fails() -> ReadinessRow:
         raise ValueError("odd file")
 
     rows = cli.examine({"disk": fails, "load": lambda: there("load", "low")}, 60.0)

@@ -10,8 +10,8 @@ import pytest
 
 from slamhive.cli.parts.progress import Display, run_line, run_values
 from slamhive.engine import PointState
-from slamhive.local.running.execution import Step
-from slamhive.local.running.outlook import Outlook, Standing
+from slamhive.local.running.execution import RunStep
+from slamhive.local.running.outlook import Outlook, RunStanding
 from slamhive.local.running.runner import Job
 from slamhive.model.results import CpuUsage, Outcome, Phase, Provenance, Result, RunRecord, Usage
 from slamhive.model.sweep import Sweep
@@ -53,7 +53,7 @@ def job() -> Job:
     sweep = Sweep.model_validate(SWEEP)
     points = Plan(sweep, FixedCatalog(), strict=False)
     job = Job(sweep, local_uid(sweep), points)
-    job.outlook = Outlook(bytearray([Standing.NEW] * 3))
+    job.outlook = Outlook(bytearray([RunStanding.NEW] * 3))
     return job
 
 
@@ -70,7 +70,12 @@ def test_what_is_made_once_is_not_expected_of_each_run(
 ) -> None:
     display = Display(bench, clock=clock)
     display.begun(job)
-    for moment, step in ((0, Step.DATASET), (100, Step.PROGRAM), (300, Step.RECORDING), (301, Step.RUNNING)):
+    for moment, step in (
+        (0, RunStep.DATASET),
+        (100, RunStep.PROGRAM),
+        (300, RunStep.RECORDING),
+        (301, RunStep.RUNNING),
+    ):
         clock.now = moment
         display.step(job, 0, step)
     clock.now = 305

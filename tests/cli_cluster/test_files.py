@@ -26,7 +26,7 @@ from slamhive.kube.api.errors import NotFound, ServerFault
 from slamhive.kube.builders.restoring import store_words
 from slamhive.kube.builders.sending import sender_job
 from slamhive.kube.user import sending
-from slamhive.kube.user.run_files import Filed, Filing, RunFolder, Wanted
+from slamhive.kube.user.run_files import Filed, Filing, RunFolder, WantedRun
 from slamhive.model.errors import DataError, SystemFault
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Volume:
         self.pods: list[dict[str, Any]] = []
         self.options: tuple[str, ...] = ()
 
-    def put(self, name: str, files: dict[str, bytes] | None = None) -> Wanted:
+    def put(self, name: str, files: dict[str, bytes] | None = None) -> WantedRun:
         """Write a run's folder and return the run."""
         folder = self.root / "results" / "runs" / f"uid-of-{name}" / "pod"
         whole = {"output/trajectory.txt": POSES, "usage.csv": b"1\n", "config.yaml": b"{}\n"} | (files or {})
@@ -94,7 +94,7 @@ class Volume:
             "trajectory": {"sha256": hashlib.sha256(POSES).hexdigest()},
             "logTail": "the last line",
         }
-        return Wanted({"metadata": {"name": name, "uid": f"uid-of-{name}"}, "status": status}, "study")
+        return WantedRun({"metadata": {"name": name, "uid": f"uid-of-{name}"}, "status": status}, "study")
 
     @asynccontextmanager
     async def session(self) -> AsyncIterator[Talk]:
@@ -136,8 +136,8 @@ def fetch(tmp_path: Path, volume: Volume) -> Callable[..., Filed]:
     """A function that fetches runs to ``here``, and notes in ``kept`` which."""
     cluster: Any = SimpleNamespace(api=volume, namespace="lab")
 
-    def run(*wanted: Wanted, kept: list[str] | None = None) -> Filed:
-        def keep(item: Wanted, folder: RunFolder) -> None:
+    def run(*wanted: WantedRun, kept: list[str] | None = None) -> Filed:
+        def keep(item: WantedRun, folder: RunFolder) -> None:
             assert folder.is_whole
             if kept is not None:
                 kept.append(item.name)
@@ -310,10 +310,10 @@ def test_a_full_disk_ends_it_in_a_sentence(
 
 
 @pytest.fixture
-def moved(volume: Volume, place: Place, tmp_path: Path) -> Callable[..., Wanted]:
+def moved(volume: Volume, place: Place, tmp_path: Path) -> Callable[..., WantedRun]:
     """A function that puts a run's files into object storage alone."""
 
-    def move(name: str) -> Wanted:
+    def move(name: str) -> WantedRun:
         found = volume.put(name, {"output/map/a.ply": b"map", "output/line\nbreak": b"x"})
         (volume.root / "results" / found.folder / "output" / "link").symlink_to("/etc/passwd")
         copy_folder(volume.root / "results", found.uid, place.store())
@@ -329,7 +329,7 @@ def test_folders_come_from_object_storage_as_from_the_volume(
     tmp_path: Path,
     volume: Volume,
     fetch: Callable[..., Filed],
-    moved: Callable[..., Wanted],
+    moved: Callable[..., WantedRun],
     breaks: list[int],
 ) -> None:
     volume.breaks = [*breaks]
@@ -349,7 +349,7 @@ def test_folders_come_from_object_storage_as_from_the_volume(
 
 
 def test_a_changed_object_is_a_problem_of_its_run_alone(
-    tmp_path: Path, volume: Volume, fetch: Callable[..., Filed], moved: Callable[..., Wanted], place: Place
+    tmp_path: Path, volume: Volume, fetch: Callable[..., Filed], moved: Callable[..., WantedRun], place: Place
 ) -> None:
     bad, good = moved("bad"), moved("good")
     place.change(f"{bad.folder}/usage.csv", b"2\n")

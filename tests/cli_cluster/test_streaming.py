@@ -15,7 +15,7 @@ from slamhive.kube.api.kinds import Kind, Label
 from slamhive.kube.user import logs
 from slamhive.kube.user.api import UserApi
 from slamhive.kube.user.connecting import Cluster, Target
-from slamhive.kube.user.logs import Part, read_log
+from slamhive.kube.user.logs import LogPart, read_log
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
@@ -88,7 +88,7 @@ async def cluster(server: Server) -> AsyncIterator[Cluster]:
 
 async def lines(cluster: Cluster, **options: Any) -> list[str]:
     return [
-        text async for part, text in read_log(cluster, "one", "algorithm", **options) if part is Part.LINE
+        text async for part, text in read_log(cluster, "one", "algorithm", **options) if part is LogPart.LINE
     ]
 
 
@@ -113,7 +113,7 @@ async def test_a_tail_is_asked_for_once(cluster: Cluster, server: Server) -> Non
 async def test_further_attempts_are_followed_and_told(cluster: Cluster, server: Server) -> None:
     server.attempt = "2"
     told = [item async for item in read_log(cluster, "one", "algorithm", follow=True)]
-    assert told[0] == (Part.REMARK, "attempt 2")
+    assert told[0] == (LogPart.REMARK, "attempt 2")
     assert len(told) == 7
 
 

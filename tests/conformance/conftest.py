@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from slamhive.conformance.checking import Asked, check_algorithm
+from slamhive.conformance.checking import CheckRequest, check_algorithm
 from slamhive.conformance.workstation import OnWorkstation, bench_for_checks
 from slamhive.local.home.catalog import load_workshop
 from slamhive.local.running import attempt
@@ -94,7 +94,7 @@ def check(home: Home, workshop_of: Callable[[Home], Workshop]) -> Callable[..., 
         behaving(home, breaks, **spec)
         with bench_for_checks(home, workshop_of(home)) as bench:
             executors = [OnWorkstation(bench, NAME, "tiny")]
-            found = check_algorithm(bench, executors, Asked(NAME, "tiny", 60.0), notes or Notes())
+            found = check_algorithm(bench, executors, CheckRequest(NAME, "tiny", 60.0), notes or Notes())
         assert len({finding.check for finding in found}) == len(found)
         return {finding.check: finding for finding in found}
 

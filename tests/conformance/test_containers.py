@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.conformance.checking import Asked, check_algorithm
+from slamhive.conformance.checking import CheckRequest, check_algorithm
 from slamhive.conformance.workstation import OnWorkstation, bench_for_checks
 from slamhive.local.programs.containers import Containers
 from slamhive.local.programs.containerwords import HOME_LABEL
@@ -43,7 +43,7 @@ def test_an_image_is_checked_as_a_process_is(
     )
     with bench_for_checks(home, workshop_of(home)) as bench:
         executor = OnWorkstation.contained(bench, NAME, "tiny", pull=False)
-        findings = check_algorithm(bench, [executor], Asked(NAME, "tiny", 60.0), Notes())
+        findings = check_algorithm(bench, [executor], CheckRequest(NAME, "tiny", 60.0), Notes())
         label = Containers(bench.home).identity()
     found = {finding.check: finding for finding in findings}
     assert {name: one.found for name, one in found.items() if one.answer not in {"pass", "skipped"}} == {}

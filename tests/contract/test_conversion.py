@@ -14,7 +14,7 @@ import pytest
 from slamhive.contract import conversion
 from slamhive.contract.lines import TextFault
 from slamhive.contract.output import KEYFRAMES, read_output
-from slamhive.contract.posefiles import COLUMNS, PoseFile
+from slamhive.contract.posefiles import COLUMNS, DeclaredPoseFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -56,7 +56,7 @@ def frames_of(folder: Path, stamps: list[int]) -> str:
     return str(path)
 
 
-def converted(output: Path, source: PoseFile, frames: str | None = None) -> Array:
+def converted(output: Path, source: DeclaredPoseFile, frames: str | None = None) -> Array:
     """Return the converted poses: stamps, positions, quaternions, shape (n, 8)."""
     conversion.convert(str(output), source, frames, "trajectory.txt")
     return np.loadtxt(output / "trajectory.txt", ndmin=2)
@@ -77,7 +77,7 @@ def test_kitti_rows_as_scipy_reads_them(output: Path, tmp_path: Path, name: str,
     times = real("trajectories/KITTI_00_gt_times.txt").read_text().split()
     stamps = [round(float(time) * 1e9) for time in times]
     (output / "poses.txt").write_text(text)
-    source = PoseFile("poses.txt", "Kitti", "frame-index", inverted=inverted)
+    source = DeclaredPoseFile("poses.txt", "Kitti", "frame-index", inverted=inverted)
     found = converted(output, source, frames_of(tmp_path, stamps))
     rows = np.array([line.split() for line in text.splitlines()], dtype=float).reshape(-1, 3, 4)
     wanted = np.tile(np.eye(4), (len(rows), 1, 1))
@@ -93,7 +93,7 @@ def test_kitti_rows_as_scipy_reads_them(output: Path, tmp_path: Path, name: str,
 
 def test_kitti_rows_that_name_their_frames(output: Path, tmp_path: Path) -> None:
     (output / "poses.txt").write_text(f"1 {IDENTITY}3.000000 {IDENTITY}")
-    source = PoseFile("poses.txt", "Kitti", "frame-index")
+    source = DeclaredPoseFile("poses.txt", "Kitti", "frame-index")
     found = converted(output, source, frames_of(tmp_path, [10**9, 2 * 10**9, 3 * 10**9, 4 * 10**9 + 1]))
     assert found[:, 0].tolist() == [2.0, 4.000000001]
 
@@ -103,7 +103,7 @@ def test_seconds_of_a_kitti_folder_count_from_its_first_frame(output: Path, tmp_
     first = 1_600_000_000_123_456_789
     frames = frames_of(tmp_path, [first + round(float(time) * 1e9) for time in times])
     (output / "poses.txt").write_text("".join(LINE.format(time) for time in times))
-    converted(output, PoseFile("poses.txt", "Tum", "s-since-first"), frames)
+    converted(output, DeclaredPoseFile("poses.txt", "Tum", "s-since-first"), frames)
     stamps = [line.split()[0] for line in (output / "trajectory.txt").read_text().splitlines()]
     assert [int(stamp.replace(".", "")) for stamp in stamps] == [*map(int, Path(frames).read_text().split())]
 
@@ -117,7 +117,7 @@ def test_euroc_ground_truth_of_a_real_flight(output: Path) -> None:
     for stamp, x, y, z, qx, qy, qz, qw in reference:
         lines.append(f"{round(stamp * 1e5)}0000,{x},{y},{z},{qw},{qx},{qy},{qz},0,0,0,-0.002,0.02,0.07,0,0,0")
     (output / "data.csv").write_text("\r\n".join(lines) + "\r\n")
-    found = converted(output, PoseFile("data.csv", "Euroc", "ns"))
+    found = converted(output, DeclaredPoseFile("data.csv", "Euroc", "ns"))
     np.testing.assert_allclose(found, reference, rtol=0, atol=1e-12)
 
 
@@ -127,7 +127,7 @@ def test_inverted_poses_of_a_real_run(output: Path) -> None:
     turns = rotations().from_matrix(inverse[:, :3, :3]).as_quat()
     turns *= 1.03  # as some programs leave them
     np.savetxt(output / "Tcw.txt", np.column_stack([reference[:, 0], inverse[:, :3, 3], turns]), fmt="%.9f")
-    found = converted(output, PoseFile("Tcw.txt", "Tum", "s", inverted=True))
+    found = converted(output, DeclaredPoseFile("Tcw.txt", "Tum", "s", inverted=True))
     np.testing.assert_allclose(matrices(found), matrices(reference), atol=1e-7)
 
 
@@ -140,7 +140,7 @@ def test_matrices_of_all_turns(output: Path, tmp_path: Path, seed: int) -> None:
     turns = rotations().from_rotvec(axes / np.linalg.norm(axes, axis=1, keepdims=True) * angles[:, None])
     wanted = np.concatenate([turns.as_matrix(), draw.normal(size=(len(axes), 3, 1))], axis=2)
     np.savetxt(output / "poses.txt", wanted.reshape(-1, 12), fmt="%.17g")
-    source = PoseFile("poses.txt", "Kitti", "frame-index")
+    source = DeclaredPoseFile("poses.txt", "Kitti", "frame-index")
     found = converted(output, source, frames_of(tmp_path, [*range(len(axes))]))
     np.testing.assert_allclose(matrices(found)[:, :3], wanted, atol=1e-14)
 
@@ -152,14 +152,14 @@ def test_tables_without_a_first_line(output: Path, separator: str) -> None:
     (output / "table.csv").write_text(
         "\n# a, remark; it is\n" + "\n".join(rows).replace(" ", separator) + "\n"
     )
-    found = converted(output, PoseFile("table.csv", "Csv", "s", columns=SAME_NAMES, header=header))
+    found = converted(output, DeclaredPoseFile("table.csv", "Csv", "s", columns=SAME_NAMES, header=header))
     assert found.tolist() == [[7, 1, 2, 3, 0.5, -0.5, 0.5, 0.5], [8, 1, 2, 3, 0.5, -0.5, 0.5, 0.5]]
 
 
 def test_a_first_line_that_was_said_not_to_be_there(output: Path) -> None:
     (output / "table.csv").write_text(",".join(COLUMNS) + "\n1,1,2,3,0,0,0,1\n")
     with pytest.raises(TextFault, match=r"line 1: 'timestamp' is no number; expected the columns that its"):
-        converted(output, PoseFile("table.csv", "Csv", "s", columns=SAME_NAMES, header=COLUMNS))
+        converted(output, DeclaredPoseFile("table.csv", "Csv", "s", columns=SAME_NAMES, header=COLUMNS))
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_a_first_line_that_was_said_not_to_be_there(output: Path) -> None:
 )
 def test_tables_by_their_first_line(output: Path, head: str, row: str, columns: dict[str, str]) -> None:
     (output / "table.csv").write_text(f"\n{head}\n# a remark\n{row}\n\n")
-    found = converted(output, PoseFile("table.csv", "Csv", "s", columns=SAME_NAMES | columns))
+    found = converted(output, DeclaredPoseFile("table.csv", "Csv", "s", columns=SAME_NAMES | columns))
     assert found.tolist() == [[7, 1, 2, 3, 0.5, -0.5, 0.5, 0.5]]
 
 
@@ -190,7 +190,7 @@ def test_tables_by_their_first_line(output: Path, head: str, row: str, columns: 
 )
 def test_nanoseconds_are_exact(output: Path, word: str, seconds: str) -> None:
     (output / "poses.txt").write_text(LINE.format(word))
-    conversion.convert(str(output), PoseFile("poses.txt", "Tum", "ns"), None, "trajectory.txt")
+    conversion.convert(str(output), DeclaredPoseFile("poses.txt", "Tum", "ns"), None, "trajectory.txt")
     assert (output / "trajectory.txt").read_text() == LINE.format(seconds)
 
 
@@ -288,7 +288,9 @@ def test_what_is_wrong_is_said_with_file_and_line(
     (output / "trajectory.txt").write_text("the program's own\n")
     columns = SAME_NAMES if form[0] == "Csv" else None
     with pytest.raises(TextFault) as caught:
-        converted(output, PoseFile("poses.txt", *form, columns=columns), frames_of(tmp_path, [0, 10, 20]))
+        converted(
+            output, DeclaredPoseFile("poses.txt", *form, columns=columns), frames_of(tmp_path, [0, 10, 20])
+        )
     said = str(caught.value)
     assert said.startswith("output/poses.txt")
     assert message.partition("must be finite")[0] in said
@@ -300,7 +302,10 @@ def test_what_is_wrong_is_said_with_file_and_line(
 def test_what_grows_beyond_the_limit_is_refused(output: Path, tmp_path: Path) -> None:
     """A row of 24 bytes becomes one of 50."""
     (output / "poses.txt").write_text(IDENTITY * 40_000)
-    source, frames = PoseFile("poses.txt", "Kitti", "frame-index"), frames_of(tmp_path, [*range(40_000)])
+    source, frames = (
+        DeclaredPoseFile("poses.txt", "Kitti", "frame-index"),
+        frames_of(tmp_path, [*range(40_000)]),
+    )
     with pytest.raises(TextFault, match="its poses take more than 1 MiB as output/trajectory"):
         conversion.convert(str(output), source, frames, "trajectory.txt", 1 << 20)
     assert [path.name for path in output.iterdir()] == ["poses.txt"]

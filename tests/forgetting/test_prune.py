@@ -14,7 +14,7 @@ from slamhive.archive import Archive
 from slamhive.bridges import slamhive1
 from slamhive.dashboard.sources.archived import Workstation
 from slamhive.local.home import removed
-from slamhive.local.home.extent import Tally
+from slamhive.local.home.extent import DiskTally
 from slamhive.local.home.folder import lock
 from slamhive.local.home.removed import NOTE, removed_from
 from slamhive.local.housekeeping import forgetting
@@ -279,12 +279,12 @@ def test_room_is_counted_by_blocks_and_names(tmp_path: Path) -> None:
         file.truncate(1 << 30)
     (tmp_path / "link").symlink_to(tmp_path)
     size = (tmp_path / "b").stat().st_blocks * 512
-    taken = Tally()
+    taken = DiskTally()
     assert [taken.of(tmp_path / name).size for name in ("a", "b")] == [size, 0]
-    assert [Tally().of(tmp_path / name).size for name in ("sparse", "nothing")] == [0, 0]
-    freed = Tally(freed=True)
+    assert [DiskTally().of(tmp_path / name).size for name in ("sparse", "nothing")] == [0, 0]
+    freed = DiskTally(freed=True)
     assert [freed.of(tmp_path / name).size for name in ("a", "b")] == [0, size]
-    assert Tally().of(tmp_path).files == 4
+    assert DiskTally().of(tmp_path).files == 4
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from slamhive.dashboard.answering.workers import Cost
+    from slamhive.dashboard.answering.workers import AnswerCost
 
 CPU_SECONDS = 62.0
 """A stream's 60, and what leads to it; answers end at 10 by themselves."""
@@ -29,7 +29,7 @@ class Meter:
 
     def __init__(self, workers: Any, cpu_seconds: float = CPU_SECONDS, mib: float = MIB) -> None:
         self._most = cpu_seconds, mib
-        self._costs: list[Cost] = []
+        self._costs: list[AnswerCost] = []
         self._began = 0.0
         self._resident = 0.0
         self._peak = 0.0

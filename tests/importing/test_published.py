@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.cli.parts.tables import Format
+from slamhive.cli.parts.tables import PrintFormat
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -194,11 +194,11 @@ def test_default_table_keeps_both_evaluations_and_the_diverged_run_apart(publish
     assert (diverged["n"], diverged["failures.by"], diverged["ate.rmse.mean"]) == (0, {"Diverged": 1}, None)
 
 
-@pytest.mark.parametrize("form", [Format.CSV, Format.MARKDOWN])
-def test_every_format_of_export_has_every_digit(published: Results, form: Format) -> None:
+@pytest.mark.parametrize("form", [PrintFormat.CSV, PrintFormat.MARKDOWN])
+def test_every_format_of_export_has_every_digit(published: Results, form: PrintFormat) -> None:
     expected = {row["uid"]: row for row in json.loads(published("export", "--format", "json"))}
     text = published("export", "--format", form)
-    if form is Format.MARKDOWN:
+    if form is PrintFormat.MARKDOWN:
         names, _, *lines = (
             [part.strip() for part in re.split(r"(?<!\\)\|", line)[1:-1]] for line in text.splitlines()
         )

@@ -24,7 +24,7 @@ from slamhive.jobs.lines import decode
 from slamhive.jobs.requests import RunItem
 from slamhive.kube.reports import read_description
 from slamhive.local.home.catalog import Workshop
-from slamhive.local.running.evaluating import Evaluator
+from slamhive.local.running.evaluating import TrajectoryEvaluator
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.dataset import Dataset
@@ -224,7 +224,7 @@ def on_the_workstation(home: Home, algorithm: Algorithm, dataset: Dataset, folde
             variant = bench.prepare(spec | {"sensors": "lidar"}, lidar)
             variant = replace(variant, start_time=window[0], duration_seconds=window[1] - window[0])
             settings = EvaluationSettings.model_validate(SETTINGS)
-            result = Evaluator(bench).measure_file(estimate, spec, settings, variant)
+            result = TrajectoryEvaluator(bench).measure_file(estimate, spec, settings, variant)
         assert result is not None
         return json.loads(json.dumps(result.as_json()))
 

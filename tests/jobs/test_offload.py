@@ -21,7 +21,7 @@ from slamhive.archive import Archive
 from slamhive.jobs import collect, moving, offload
 from slamhive.model.results import Phase, RunRecord
 from slamhive.storage.state import read_state
-from slamhive.storage.store import PART_BYTES, StorageUnavailable, Store
+from slamhive.storage.store import PART_BYTES, ObjectStorage, StorageUnavailable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -263,7 +263,7 @@ def operations(monkeypatch: pytest.MonkeyPatch, before: Callable[[], None]) -> N
 
         return call
 
-    monkeypatch.setattr(Store, "write", preceded(Store.write))
+    monkeypatch.setattr(ObjectStorage, "write", preceded(ObjectStorage.write))
     monkeypatch.setattr(Path, "rename", preceded(Path.rename))
     monkeypatch.setattr(Path, "replace", preceded(Path.replace))
 
@@ -398,14 +398,14 @@ def test_a_file_that_is_written_meanwhile_keeps_its_folder(
     with target.open("ab") as file:
         file.write(bytes(2 * PART_BYTES))
     os.utime(target, (1, 1))
-    write = Store.write
+    write = ObjectStorage.write
 
-    def written(store: Store, name: str, pieces: Any) -> None:
+    def written(store: ObjectStorage, name: str, pieces: Any) -> None:
         if name.endswith("trajectory.txt"):
             target.write_bytes(b"short")
         write(store, name, pieces)
 
-    monkeypatch.setattr(Store, "write", written)
+    monkeypatch.setattr(ObjectStorage, "write", written)
     monkeypatch.setenv("SLAMHIVE_TERMINATION_LOG", str(tmp_path / "last"))
     assert offload.main(["--root", str(lab.root), *words(lab)]) == 0
     assert target.read_bytes() == b"short"
@@ -414,7 +414,7 @@ def test_a_file_that_is_written_meanwhile_keeps_its_folder(
 def test_an_object_of_another_size_is_noticed_before_anything_goes(
     lab: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Store, "sizes", lambda *_: {})
+    monkeypatch.setattr(ObjectStorage, "sizes", lambda *_: {})
     with pytest.raises(StorageUnavailable, match="were written"):
         moving.copy_folder(lab.results, OLD, lab.place.store())
     with pytest.raises(FileNotFoundError):

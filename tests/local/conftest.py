@@ -9,7 +9,7 @@ import pytest
 
 from slamhive.archive import Archive
 from slamhive.local.home.catalog import Workshop
-from slamhive.local.running.choosing import Wish
+from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job, Runner
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
@@ -47,7 +47,7 @@ def run_sweep(bench: Workbench) -> Callable[..., tuple[Job, Notes]]:
     def run(sweep: Sweep, *, rerun: bool = False, parallelism: int = 2) -> tuple[Job, Notes]:
         job = Job(sweep, local_uid(sweep), Plan(sweep, bench.workshop))
         notes = Notes()
-        Runner(bench, notes, parallelism=parallelism, wish=Wish(rerun=rerun)).run([job])
+        Runner(bench, notes, parallelism=parallelism, wish=RunChoice(rerun=rerun)).run([job])
         return job, notes
 
     return run

@@ -29,7 +29,7 @@ from slamhive.monitor import (
 )
 from slamhive.monitor.measuring import accounting, proc, processes
 from slamhive.monitor.measuring.hierarchy import Hierarchy, own_hierarchies, unified_parents
-from slamhive.monitor.outcome import Ending, judge
+from slamhive.monitor.outcome import ProgramEnding, judge
 from slamhive.monitor.programs import output
 from slamhive.monitor.programs.log import BoundedLog, clean_tail
 from slamhive.monitor.programs.output import OutputMeter
@@ -185,9 +185,9 @@ def test_tail_is_short() -> None:
 
 
 def test_out_of_memory_of_the_machine() -> None:
-    assert judge(Ending(status=9, machine_oom_kills=1)).reason == "OutOfMemory"
-    assert judge(Ending(status=9)).reason == "AlgorithmFailed"
-    assert judge(Ending(status=0, machine_oom_kills=1)).reason is None
+    assert judge(ProgramEnding(status=9, machine_oom_kills=1)).reason == "OutOfMemory"
+    assert judge(ProgramEnding(status=9)).reason == "AlgorithmFailed"
+    assert judge(ProgramEnding(status=0, machine_oom_kills=1)).reason is None
 
 
 NOBODY = 1 << 22  # the first number that no kernel gives to a process

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.contract.trajectory import TrajectoryInfo, check_trajectory
+from slamhive.contract.trajectory import SoundTrajectory, check_trajectory
 from slamhive.monitor import ProcessIdentity, SidecarSpec, SpecError
 from slamhive.monitor.pod import containers
 from slamhive.monitor.pod.containers import Finder, attach_cgroup
@@ -167,7 +167,7 @@ def test_a_file_without_a_pose_is_a_trajectory_of_none(tmp_path: Path, data: byt
     (tmp_path / "trajectory.txt").write_bytes(data)
     found = check_trajectory(str(tmp_path))
     assert (found.problem, found.missing) == (None, False)
-    assert found.info == TrajectoryInfo(0, 0.0, hashlib.sha256(data).hexdigest())
+    assert found.info == SoundTrajectory(0, 0.0, hashlib.sha256(data).hexdigest())
 
 
 USAGE = {"cpu": {"seconds": 1 / 3}, "memory": {"peakBytes": 5}, "wallSeconds": 2.0000000001}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from slamhive.playback.player.processes import Algorithm, carriers
+from slamhive.playback.player.processes import AlgorithmProcesses, carriers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -72,7 +72,7 @@ def test_it_is_ended(
 ) -> None:
     monkeypatch.setattr("slamhive.playback.player.processes._KILL_SECONDS", 0.3)
     process = start(code)
-    algorithm = Algorithm(mark)
+    algorithm = AlgorithmProcesses(mark)
     assert algorithm.seen()
     assert algorithm.lives()
     assert algorithm.end(50.0 if by == "SIGINT" else 0.3, lambda: False) == by
@@ -85,7 +85,7 @@ def test_it_is_ended(
 
 
 def test_nobody_is_found() -> None:
-    algorithm = Algorithm("SLAMHIVE_RUN=/no/such/run")
+    algorithm = AlgorithmProcesses("SLAMHIVE_RUN=/no/such/run")
     assert not algorithm.seen()
     assert not algorithm.lives()
     assert algorithm.end(1.0, lambda: False) == "none"

@@ -10,7 +10,7 @@ import pytest
 
 from browsers import poll
 from slamhive.analysis import Outcomes, Selection, choose
-from slamhive.reporting.page import Contents, report_html
+from slamhive.reporting.page import ReportContents, report_html
 from slamhive.reporting.questions import usual_questions
 from slamhive.tables.reading import archive_url, read_archive
 
@@ -28,7 +28,7 @@ def address(assorted: Path) -> str:
     frame = choose(read_archive(archive_url(assorted)), Selection()).frame
     questions = tuple(usual_questions(frame, "ate.rmse", Outcomes.TRACKED))
     file = assorted / "report.html"
-    file.write_text(report_html(frame, Contents(questions=questions)), encoding="utf-8")
+    file.write_text(report_html(frame, ReportContents(questions=questions)), encoding="utf-8")
     return file.as_uri()
 
 

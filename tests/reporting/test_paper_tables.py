@@ -17,7 +17,7 @@ from slamhive.analysis import Metric, Outcomes, Selection, choose
 from slamhive.model.results import Outcome
 from slamhive.reporting.latex import Rules, escaped, latex
 from slamhive.reporting.papermarkdown import markdown
-from slamhive.reporting.papertables import Best, Layout, Overall, Statistic, flat, make_table
+from slamhive.reporting.papertables import Best, Overall, Statistic, TableLayout, flat, make_table
 from slamhive.tables.reading import archive_url, read_archive
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ ERROR = Metric.parse("ate.rmse:cm:.2f")
 def table(home: Path, *, where: str | None = None, **layout: Any) -> PaperTable:
     given = {"rows": ("algorithm",), "columns": ("dataset",), "metrics": (ERROR,)}
     frame = choose(read_archive(archive_url(home)), Selection(where=where)).frame
-    return make_table(frame, Layout(**(given | layout)))
+    return make_table(frame, TableLayout(**(given | layout)))
 
 
 def values(found: PaperTable, number: int = 0) -> list[list[Any]]:

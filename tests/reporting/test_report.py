@@ -19,7 +19,7 @@ from slamhive.analysis import Outcomes, Selection, choose
 from slamhive.analysis.comparing import compare
 from slamhive.analysis.leaderboard import leaderboard
 from slamhive.analysis.pareto import pareto
-from slamhive.reporting.page import Contents, report_html
+from slamhive.reporting.page import ReportContents, report_html
 from slamhive.reporting.questions import parse_question, usual_questions
 from slamhive.tables.reading import archive_url, read_archive
 
@@ -73,7 +73,7 @@ def rows(home: Path, where: str | None = None) -> Frame:
 
 
 def page(frame: Frame, **contents: Any) -> Page:
-    return Page(report_html(frame, Contents(**contents), NOW))
+    return Page(report_html(frame, ReportContents(**contents), NOW))
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def study(records: Any, fill: Callable[..., Path]) -> Path:
 
 
 def test_it_asks_for_nothing_and_runs_nothing(assorted: Path) -> None:
-    text = report_html(rows(assorted), Contents(), NOW)
+    text = report_html(rows(assorted), ReportContents(), NOW)
     found = Page(text)
     assert {tag for tag, _ in found.tags} & {
         "script",
@@ -199,7 +199,7 @@ def test_odd_archives(records: Any, fill: Callable[..., Path], kind: str) -> Non
         parse_question(text, frame, Outcomes.ALL)
         for text in ("nFeatures:ate.rmse", "algorithm:ate.rmse", "x=seed&y=ate.rmse&kind=scatter")
     ]
-    text = report_html(frame, Contents(questions=tuple(questions)), NOW)
+    text = report_html(frame, ReportContents(questions=tuple(questions)), NOW)
     found = Page(text)
     assert len(found.files["runs.csv"]) == len(made)
     assert not re.search(r"\b(nan|inf)\b", re.sub(r'href="data:[^"]*"', "", text), re.IGNORECASE)
@@ -217,11 +217,11 @@ def test_equal_runs_make_equal_pages_and_others_another_revision(
     records: Any, fill: Callable[..., Path]
 ) -> None:
     home = fill([records.run(number) for number in range(4)])
-    first = report_html(rows(home), Contents(), NOW)
-    assert report_html(rows(home), Contents(), NOW) == first
+    first = report_html(rows(home), ReportContents(), NOW)
+    assert report_html(rows(home), ReportContents(), NOW) == first
     changed = fill([records.run(3, results=[records.result(ate={"rmse": 0.5})])])
     revision = re.compile(r"data ([0-9a-f]{16})")
-    again = revision.search(report_html(rows(changed), Contents(), NOW))
+    again = revision.search(report_html(rows(changed), ReportContents(), NOW))
     before = revision.search(first)
     assert before is not None
     assert again is not None

@@ -15,7 +15,7 @@ import boto3
 import pytest
 from moto.server import ThreadedMotoServer
 
-from slamhive.storage.store import Store, StoreSettings
+from slamhive.storage.store import ObjectStorage, StoreSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -70,8 +70,8 @@ class Place:
     options: dict[str, Any]
     s3: S3 | None = None
 
-    def store(self) -> Store:
-        return Store(StoreSettings(url=self.url, options=self.options))
+    def store(self) -> ObjectStorage:
+        return ObjectStorage(StoreSettings(url=self.url, options=self.options))
 
     def settings(self, folder: Path) -> tuple[str, ...]:
         """Write its settings as the chart does, the keys apart, and return the options of programs."""

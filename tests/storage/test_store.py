@@ -9,7 +9,7 @@ import pytest
 from buckets import S3, make_place
 
 from slamhive.model.errors import InputError
-from slamhive.storage.store import PART_BYTES, StorageUnavailable, Store, StoreSettings
+from slamhive.storage.store import PART_BYTES, ObjectStorage, StorageUnavailable, StoreSettings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,7 +40,9 @@ def test_objects_are_told_apart_by_their_folders(place: Place) -> None:
 def test_an_object_that_is_not_there_is_told_from_a_store_that_is_not(place: Place) -> None:
     with pytest.raises(FileNotFoundError):
         place.store().read("runs/none")
-    gone = Store(StoreSettings(url=f"{place.url.replace('lab-', 'no-')}-none/x", options=place.options))
+    gone = ObjectStorage(
+        StoreSettings(url=f"{place.url.replace('lab-', 'no-')}-none/x", options=place.options)
+    )
     with pytest.raises(StorageUnavailable, match=r"there is no folder|NoSuchBucket"):
         gone.check()
 
@@ -112,7 +114,7 @@ def test_wrong_settings_name_file_and_field(tmp_path: Path, text: str, said: str
 )
 def test_a_url_that_can_not_be_used_is_refused(url: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        Store(StoreSettings(url=url))
+        ObjectStorage(StoreSettings(url=url))
 
 
 def test_a_secret_s_files_are_options(tmp_path: Path) -> None:

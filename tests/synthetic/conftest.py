@@ -9,7 +9,7 @@ import pytest
 from slamhive.data.synthetic import generate, rig
 from slamhive.data.synthetic.camera import CameraModel
 from slamhive.data.synthetic.texture import Atlas, build_atlas
-from slamhive.data.synthetic.trajectory import Trajectory
+from slamhive.data.synthetic.trajectory import SyntheticMotion
 from slamhive.data.synthetic.world import World, build_world
 from slamhive.model.synthetic import SyntheticCamera, SyntheticLidar, SyntheticRecording
 
@@ -45,7 +45,7 @@ class Studio:
     spec: SyntheticRecording
     world: World
     atlas: Atlas
-    trajectory: Trajectory
+    trajectory: SyntheticMotion
 
     def camera(self, role: str, **changes: object) -> CameraModel:
         spec = self.spec.model_copy(update={"camera": self.spec.camera.model_copy(update=changes)})
@@ -63,4 +63,4 @@ def studio() -> Studio:
         camera=SyntheticCamera(width=240, height=180),
     )
     world = build_world(spec.seed)
-    return Studio(spec, world, build_atlas(world, spec.seed), Trajectory(spec))
+    return Studio(spec, world, build_atlas(world, spec.seed), SyntheticMotion(spec))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slamhive.data.synthetic import aiding, rig
-from slamhive.data.synthetic.trajectory import Trajectory
+from slamhive.data.synthetic.trajectory import SyntheticMotion
 from slamhive.data.synthetic.world import build_world
 from slamhive.model.synthetic import SyntheticRecording
 
@@ -17,7 +17,7 @@ T = np.arange(0.0, 20.0, 0.02)
 
 def wheel_poses(spec: SyntheticRecording) -> np.ndarray:
     """The true poses (n, 4, 4) of the wheels, from the first on."""
-    motion = Trajectory(spec).at(T)
+    motion = SyntheticMotion(spec).at(T)
     body = np.tile(np.eye(4), (len(T), 1, 1))
     body[:, :3, :3], body[:, :3, 3] = motion.rotation, motion.position
     wheels = body @ rig.MOUNTINGS["odometry"]
@@ -25,7 +25,7 @@ def wheel_poses(spec: SyntheticRecording) -> np.ndarray:
 
 
 def test_wheels_add_up_to_the_path_in_their_plane() -> None:
-    found, true = aiding.wheels(FLAT, Trajectory(FLAT), T), wheel_poses(FLAT)
+    found, true = aiding.wheels(FLAT, SyntheticMotion(FLAT), T), wheel_poses(FLAT)
     assert true[:, 2, 3] == pytest.approx(0.0, abs=1e-9)
     assert np.linalg.norm(found[:, 3:5] - true[:, :2, 3], axis=1).max() < 1e-3
     heading = np.arctan2(true[:, 1, 0], true[:, 0, 0])
@@ -34,13 +34,16 @@ def test_wheels_add_up_to_the_path_in_their_plane() -> None:
 
 def test_wheels_slip_with_noise() -> None:
     spec = FLAT.model_copy(update={"noise": 1.0})
-    found = aiding.wheels(spec, Trajectory(spec), T)[:, :3] - aiding.wheels(FLAT, Trajectory(FLAT), T)[:, :3]
+    found = (
+        aiding.wheels(spec, SyntheticMotion(spec), T)[:, :3]
+        - aiding.wheels(FLAT, SyntheticMotion(FLAT), T)[:, :3]
+    )
     expected = [aiding.SPEED_NOISE, aiding.SPEED_NOISE, aiding.TURN_NOISE]
     assert found.std(axis=0) == pytest.approx(expected, rel=0.1)
 
 
 def test_fixes_are_as_far_apart_as_the_antenna_moved() -> None:
-    trajectory = Trajectory(FLAT)
+    trajectory = SyntheticMotion(FLAT)
     motion = trajectory.at(T)
     antenna = motion.position + motion.rotation @ rig.MOUNTINGS["gnss"][:3, 3]
     found = aiding.fixes(FLAT, trajectory, T)
@@ -53,7 +56,7 @@ def test_fixes_are_as_far_apart_as_the_antenna_moved() -> None:
 
 
 def test_a_magnetometer_turns_in_the_field() -> None:
-    trajectory = Trajectory(FLAT)
+    trajectory = SyntheticMotion(FLAT)
     found = aiding.fields(FLAT, trajectory, T)
     axes = trajectory.at(T).rotation @ rig.MOUNTINGS["magnetometer"][:3, :3]
     assert np.einsum("nij,nj->ni", axes, found) == pytest.approx(np.tile(aiding.FIELD, (len(T), 1)))
@@ -61,7 +64,7 @@ def test_a_magnetometer_turns_in_the_field() -> None:
 
 def test_pressure_falls_with_height() -> None:
     spec = FLAT.model_copy(update={"motion": 3.0})
-    trajectory = Trajectory(spec)
+    trajectory = SyntheticMotion(spec)
     motion = trajectory.at(T)
     height = (motion.position + motion.rotation @ rig.MOUNTINGS["barometer"][:3, 3])[:, 2]
     slope = np.polyfit(height, aiding.pressures(spec, trajectory, T), 1)[0]
@@ -69,7 +72,7 @@ def test_pressure_falls_with_height() -> None:
 
 
 def test_rays_end_on_the_room_s_surfaces() -> None:
-    world, trajectory = build_world(FLAT.seed), Trajectory(FLAT)
+    world, trajectory = build_world(FLAT.seed), SyntheticMotion(FLAT)
     start = 10.0
     ranges = aiding.scan(FLAT, world, trajectory, start, 0)
     assert np.isfinite(ranges).mean() > 0.9

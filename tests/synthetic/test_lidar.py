@@ -4,12 +4,12 @@ import pytest
 
 from slamhive.data.synthetic import rig
 from slamhive.data.synthetic.lidar import RANGE_NOISE, LidarModel
-from slamhive.data.synthetic.trajectory import Trajectory
+from slamhive.data.synthetic.trajectory import SyntheticMotion
 from slamhive.data.synthetic.world import World, build_world
 from slamhive.model.synthetic import SyntheticLidar, SyntheticRecording
 
 SPEC = SyntheticRecording(seed=2, duration_seconds=30.0, lidar=SyntheticLidar(rings=16, columns=180))
-WORLD, TRAJECTORY = build_world(2), Trajectory(SPEC)
+WORLD, TRAJECTORY = build_world(2), SyntheticMotion(SPEC)
 
 
 def take(spec: SyntheticRecording, start: float = 14.0) -> np.ndarray:

@@ -4,7 +4,7 @@ import pytest
 
 from slamhive.data.synthetic import rig
 from slamhive.data.synthetic.inertial import sample_imu
-from slamhive.data.synthetic.trajectory import Trajectory, quaternion_from_rotation, rotation_from_euler
+from slamhive.data.synthetic.trajectory import SyntheticMotion, quaternion_from_rotation, rotation_from_euler
 from slamhive.data.synthetic.world import CLEARANCE, build_world
 from slamhive.model.synthetic import SyntheticRecording, SyntheticVibration
 
@@ -15,7 +15,7 @@ SHAKEN = SPEC.model_copy(update={"vibration": SyntheticVibration()})
 
 @pytest.mark.parametrize("spec", [SPEC, SHAKEN], ids=["smooth", "shaken"])
 def test_rates_are_the_derivatives_of_the_poses(spec: SyntheticRecording) -> None:
-    trajectory = Trajectory(spec)
+    trajectory = SyntheticMotion(spec)
     t = np.linspace(0.01, 29.99, 400)
     before, now, after = (trajectory.at(t + shift) for shift in (-STEP, 0.0, STEP))
 
@@ -32,7 +32,7 @@ def test_rates_are_the_derivatives_of_the_poses(spec: SyntheticRecording) -> Non
 @pytest.mark.parametrize("spec", [SPEC, SHAKEN], ids=["smooth", "shaken"])
 @pytest.mark.parametrize("t", [np.linspace(0.0, 3.0, 50), np.linspace(27.0, 30.0, 50)])
 def test_it_rests_exactly_at_both_ends(t: np.ndarray, spec: SyntheticRecording) -> None:
-    motion = Trajectory(spec).at(t)
+    motion = SyntheticMotion(spec).at(t)
     for still in (motion.velocity, motion.acceleration, motion.angular_rate, motion.angular_acceleration):
         assert not still.any()
     assert (np.ptp(motion.position, axis=0) == 0.0).all()
@@ -40,7 +40,7 @@ def test_it_rests_exactly_at_both_ends(t: np.ndarray, spec: SyntheticRecording) 
 
 @pytest.mark.parametrize("loops", [1, 2])
 def test_whole_laps_return_to_the_start(loops: int) -> None:
-    trajectory = Trajectory(SyntheticRecording(loops=loops))
+    trajectory = SyntheticMotion(SyntheticRecording(loops=loops))
     ends = trajectory.at([0.0, trajectory._moving + 6.0])
     np.testing.assert_allclose(ends.position[0], ends.position[1], atol=1e-9)
     np.testing.assert_allclose(ends.rotation[0], ends.rotation[1], atol=1e-9)
@@ -48,14 +48,14 @@ def test_whole_laps_return_to_the_start(loops: int) -> None:
 
 
 def test_all_six_degrees_of_freedom_are_excited() -> None:
-    motion = Trajectory(SPEC).at(np.linspace(0.0, 30.0, 600))
+    motion = SyntheticMotion(SPEC).at(np.linspace(0.0, 30.0, 600))
     assert (motion.angular_rate.std(axis=0) > 0.03).all()
     assert (np.ptp(motion.position, axis=0) > 0.3).all()
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_the_path_keeps_clear_of_obstacles(seed: int) -> None:
-    trajectory = Trajectory(SyntheticRecording(seed=seed))
+    trajectory = SyntheticMotion(SyntheticRecording(seed=seed))
     path = trajectory.at(np.linspace(0.0, 30.0, 500)).position
     assert build_world(seed).distance(path).min() > CLEARANCE - 0.2
 
@@ -75,7 +75,7 @@ def test_integrating_the_imu_gives_the_ground_truth(given: dict[str, object]) ->
     spec = spec.model_copy(update={"imu": SPEC.imu.model_copy(update={"rate": rate})})
     mounting = rig.imu_pose(spec)
     t = np.arange(0.0, 12.0, 1.0 / rate)
-    trajectory = Trajectory(spec)
+    trajectory = SyntheticMotion(spec)
     samples = sample_imu(spec.model_copy(update={"noise": 0.0}), trajectory, t)
     truth = trajectory.at(t)
     attitude = truth.rotation[0] @ mounting[:3, :3]
@@ -105,7 +105,7 @@ def test_a_vibration_changes_the_acceleration_between_frames_as_initialisation_a
     for name, vibration in (("smooth", None), ("shaken", {})):
         spec = SyntheticRecording.model_validate(given | {"vibration": vibration})
         t = np.arange(5.5, 24.5, 1.0 / 600.0)
-        force = sample_imu(spec, Trajectory(spec), t).specific_force
+        force = sample_imu(spec, SyntheticMotion(spec), t).specific_force
         samples = round(600.0 / rate)
         means = force[: len(force) // samples * samples].reshape(-1, samples, 3).mean(axis=1)
         steps[name] = np.linalg.norm(np.diff(means, axis=0), axis=1)
@@ -118,7 +118,7 @@ def test_a_vibration_is_as_large_as_asked_and_within_its_band() -> None:
     shaken = SyntheticRecording.model_validate({"durationSeconds": 60.0, "loops": 1, "vibration": asked})
     smooth = shaken.model_copy(update={"vibration": None})
     t = np.arange(6.0, 54.0, 0.01)
-    moved, path = Trajectory(shaken).at(t), Trajectory(smooth).at(t)
+    moved, path = SyntheticMotion(shaken).at(t), SyntheticMotion(smooth).at(t)
     added = moved.position - path.position
     np.testing.assert_allclose(added.std(axis=0), 0.004, rtol=0.1)
     turned = np.einsum("nji,njk->nik", path.rotation, moved.rotation)
@@ -132,7 +132,7 @@ def test_a_vibration_is_as_large_as_asked_and_within_its_band() -> None:
 
 def test_imu_noise_has_the_stated_densities() -> None:
     t = np.arange(0.0, 30.0, 1.0 / SPEC.imu.rate)
-    trajectory = Trajectory(SPEC)
+    trajectory = SyntheticMotion(SPEC)
     clean = sample_imu(SPEC.model_copy(update={"noise": 0.0}), trajectory, t)
     noisy = sample_imu(SPEC.model_copy(update={"noise": 3.0}), trajectory, t)
     stated = rig.sensors(SPEC.model_copy(update={"noise": 3.0}))["imu"]["imu"]
@@ -146,7 +146,7 @@ def test_imu_noise_has_the_stated_densities() -> None:
 
 
 def test_at_rest_the_imu_feels_gravity_upwards() -> None:
-    trajectory = Trajectory(SPEC)
+    trajectory = SyntheticMotion(SPEC)
     samples = sample_imu(SPEC.model_copy(update={"noise": 0.0}), trajectory, np.array([1.0]))
     to_world = trajectory.at([1.0]).rotation[0] @ rig.imu_pose(SPEC)[:3, :3]
     np.testing.assert_allclose(to_world @ samples.specific_force[0], [0.0, 0.0, rig.GRAVITY], atol=1e-12)

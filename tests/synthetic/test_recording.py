@@ -17,7 +17,7 @@ from slamhive.data.synthetic import (
     generate,
 )
 from slamhive.data.synthetic.messages import typestore
-from slamhive.data.synthetic.trajectory import Trajectory
+from slamhive.data.synthetic.trajectory import SyntheticMotion
 from slamhive.model.synthetic import SyntheticRecording
 
 START = 1_600_000_000
@@ -72,7 +72,7 @@ def test_ground_truth_has_every_stamp_and_the_exact_pose(
     asked = {stamp(m) for topic in messages if topic != "/tf_static" for _, m in messages[topic]}
     asked |= {stamp(m) + part for _, m in messages["/points"] for part in (50_000_000, 100_000_000)}
     assert set(nanoseconds.tolist()) == asked
-    motion = Trajectory(everything).at((nanoseconds - START * 10**9) / 1e9)
+    motion = SyntheticMotion(everything).at((nanoseconds - START * 10**9) / 1e9)
     numbers = np.array([word[1:] for word in words], dtype=float)
     np.testing.assert_allclose(numbers[:, :3], motion.position, atol=1e-11)
     np.testing.assert_allclose(np.linalg.norm(numbers[:, 3:], axis=1), 1.0, atol=1e-11)
@@ -163,5 +163,5 @@ def test_progress_rises_to_one(tmp_path: Path) -> None:
 def test_standard_recordings_are_laps_of_thirty_metres_in_thirty_seconds() -> None:
     for spec in (STANDARD_LIDAR, STANDARD_CAMERA):
         assert spec.total_seconds == 30.0
-        assert Trajectory(spec).length(0.0, 30.0) == pytest.approx(30.5, abs=0.5)
+        assert SyntheticMotion(spec).length(0.0, 30.0) == pytest.approx(30.5, abs=0.5)
     assert len({STANDARD_LIDAR.seed, STANDARD_CAMERA.seed, TRAINING_CAMERA.seed}) == 3

@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from slamhive.data.synthetic.inertial import sample_imu
-from slamhive.data.synthetic.trajectory import Trajectory
+from slamhive.data.synthetic.trajectory import SyntheticMotion
 from slamhive.model.synthetic import NOMINAL_LAP_METRES, SyntheticRecording
 
 
@@ -84,7 +84,7 @@ def test_options_that_are_not_given_are_no_part_of_a_manifest() -> None:
 def test_what_is_generated_by_default_stays_what_it_was() -> None:
     """Kept figures of one sample; results of all earlier versions stand on them."""
     spec = SyntheticRecording(seed=5, sensors=("Imu",), loops=0.15, duration_seconds=7.0)
-    trajectory = Trajectory(spec)
+    trajectory = SyntheticMotion(spec)
     samples = sample_imu(spec, trajectory, np.arange(0.0, 7.0, 0.005))
     np.testing.assert_allclose(
         samples.specific_force[777], [-14.71535651, -2.087056, 11.87377008], rtol=0, atol=1e-8

@@ -22,7 +22,7 @@ _FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
-class _Lines:
+class _CsvLines:
     """A stream whose lines end by a line feed; texts with a carriage return are quoted nevertheless."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -45,7 +45,7 @@ def write_csv(stream: TextIO, columns: Iterable[str], rows: Iterable[Sequence[An
 
 
 def _write_rows(stream: TextIO, rows: Iterable[Sequence[Any]]) -> None:
-    csv.writer(_Lines(stream), lineterminator="\r\n").writerows(map(_cell, row) for row in rows)
+    csv.writer(_CsvLines(stream), lineterminator="\r\n").writerows(map(_cell, row) for row in rows)
 
 
 def csv_blocks(columns: Iterable[str], blocks: Iterable[Sequence[Sequence[Any]]]) -> Iterator[str]:
@@ -66,7 +66,7 @@ def csv_blocks(columns: Iterable[str], blocks: Iterable[Sequence[Sequence[Any]]]
 
 def _write_columns(stream: TextIO, values: Iterable[Sequence[Any]]) -> None:
     rows = zip(*map(_cells, values), strict=True)
-    csv.writer(_Lines(stream), lineterminator="\r\n").writerows(rows)
+    csv.writer(_CsvLines(stream), lineterminator="\r\n").writerows(rows)
 
 
 def csv_text(columns: Mapping[str, Sequence[Any]]) -> str:

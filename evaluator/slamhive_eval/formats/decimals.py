@@ -47,7 +47,7 @@ _LARGEST_WHOLE = np.array([max(_LARGEST // 10**k - 1, 0) for k in range(_LONGEST
 _SPLITTER = 2.0**27 + 1.0
 
 
-class _Numbers(NamedTuple):
+class _NumberParts(NamedTuple):
     """Positions of the parts of n numbers in a text, row by row, each of shape (n,).
 
     Attributes:
@@ -98,7 +98,7 @@ def parse_rows(text: bytes) -> FloatArray | None:
     return values.reshape(-1, numbers.width)
 
 
-def _find(text: bytes) -> _Numbers | None:
+def _find(text: bytes) -> _NumberParts | None:
     """The numbers of a text; None where it is irregular."""
     end_of_text = b"" if text.endswith(b"\n") else b"\n"
     characters = np.frombuffer(b"".join((b"0" * _LONGEST, text, end_of_text)), np.uint8)
@@ -127,7 +127,7 @@ def _find(text: bytes) -> _Numbers | None:
     if characters.max() >= _FIRST_LETTER:
         end, exponent = _exponents(characters, first, end)
         point = np.minimum(point, end)
-    return _Numbers(characters, width, negative, first, point, end, exponent)
+    return _NumberParts(characters, width, negative, first, point, end, exponent)
 
 
 def _exponents(
@@ -143,7 +143,7 @@ def _exponents(
     return np.where(has, end - 4, end), np.where(has, (_COMMA - sign) * (10 * tens + units), 0)
 
 
-def _values(numbers: _Numbers) -> tuple[FloatArray, Flags]:
+def _values(numbers: _NumberParts) -> tuple[FloatArray, Flags]:
     """Value of each number, and whether it has to be read otherwise."""
     whole_length = numbers.point - numbers.first
     length = np.maximum(numbers.end - numbers.point - 1, 0)

@@ -56,7 +56,7 @@ _COMPARED = ("algorithm", "dataset", "sensors", "pace", "repetition", "seed", "c
 
 
 @dataclass
-class Findings:
+class ArchiveFindings:
     """Row counts, damage and remarks from a check of an archive.
 
     Attributes:
@@ -74,7 +74,7 @@ def _quiet(what: str, share: float) -> None:
     """Tell nobody."""
 
 
-def check(url: str, tell: Tell = _quiet) -> Findings:
+def check(url: str, tell: Tell = _quiet) -> ArchiveFindings:
     """Look an archive through: its file, then whether each row says what it should.
 
     Runs have records that can be read and agree with their columns, none is there twice, results belong to
@@ -88,7 +88,7 @@ def check(url: str, tell: Tell = _quiet) -> Findings:
         InputError: there is no archive, it can't be opened at all, or it is of another version.
         SystemFault: the database doesn't answer.
     """
-    findings = Findings()
+    findings = ArchiveFindings()
     engine = connect(url, read_only=True)
     try:
         with reading(engine) as connection:
@@ -299,7 +299,7 @@ def _is_empty(connection: Connection) -> bool:
     )
 
 
-def _check_rows(connection: Connection, found: Findings, tell: Tell) -> None:
+def _check_rows(connection: Connection, found: ArchiveFindings, tell: Tell) -> None:
     found.counts |= _counts(connection)
     total, done = sum(found.counts.values()), 0
     looks: tuple[tuple[Table, Callable[[dict[str, Any]], object]], ...] = (
@@ -326,7 +326,7 @@ def _check_rows(connection: Connection, found: Findings, tell: Tell) -> None:
     _check_references(connection, found)
 
 
-def _check_references(connection: Connection, found: Findings) -> None:
+def _check_references(connection: Connection, found: ArchiveFindings) -> None:
     runs, results, sweeps = schema.runs.c, schema.results.c, schema.sweeps.c
     twice = select(runs.uid, func.count()).group_by(runs.uid).having(func.count() > 1)
     for uid, count in connection.execute(twice):
@@ -345,9 +345,11 @@ def _check_references(connection: Connection, found: Findings) -> None:
         found.notes.append(f"{count} of the runs belong to a sweep {name!r} that is missing")
 
 
-def _rows(connection: Connection, table: Table, found: Findings) -> Iterator[tuple[str, dict[str, Any]]]:
+def _rows(
+    connection: Connection, table: Table, found: ArchiveFindings
+) -> Iterator[tuple[str, dict[str, Any]]]:
     """Go through a table's rows by their names; a document that is no JSON is noted and left out."""
-    documents = [column.name for column in table.columns if isinstance(column.type, schema.Document)]
+    documents = [column.name for column in table.columns if isinstance(column.type, schema.JsonDocument)]
     # As texts, so that one that can't be read doesn't end the reading of all others.
     columns = [
         cast(column, Text).label(column.name) if column.name in documents else column

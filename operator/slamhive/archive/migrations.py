@@ -101,7 +101,7 @@ def _shapes(connection: Connection) -> None:
         changes = ", ".join(
             f'ALTER COLUMN "{column.name}" TYPE JSON USING "{column.name}"::text::json'
             for column in table.columns
-            if isinstance(column.type, schema.Document)
+            if isinstance(column.type, schema.JsonDocument)
         )
         connection.execute(text(f"ALTER TABLE {table.name} {changes}"))
     connection.execute(text("ALTER TABLE runs ALTER COLUMN evaluations SET DEFAULT '[]'"))

@@ -43,7 +43,7 @@ metadata = MetaData()
 _Id = BigInteger().with_variant(Integer, "sqlite")
 
 
-class Document(TypeDecorator[Any]):
+class JsonDocument(TypeDecorator[Any]):
     """A JSON document, kept as its text: JSONB takes twice the room, and nothing searches in documents."""
 
     impl = JSON(none_as_null=True)
@@ -93,9 +93,9 @@ def _catalog(name: str) -> Table:
         metadata,
         Column("name", String(253), primary_key=True),
         Column("content_hash", String(64), primary_key=True),
-        Column("labels", Document, nullable=False),
-        Column("attributes", Document, nullable=False),
-        Column("spec", Document, nullable=False),
+        Column("labels", JsonDocument, nullable=False),
+        Column("attributes", JsonDocument, nullable=False),
+        Column("spec", JsonDocument, nullable=False),
         Column("stored", UtcDateTime, nullable=False),
     )
 
@@ -108,9 +108,9 @@ sweeps = Table(
     metadata,
     Column("uid", String(253), primary_key=True),
     Column("name", String(253), nullable=False, index=True),
-    Column("labels", Document, nullable=False),
-    Column("spec", Document, nullable=False),
-    Column("evaluation", Document),
+    Column("labels", JsonDocument, nullable=False),
+    Column("spec", JsonDocument, nullable=False),
+    Column("evaluation", JsonDocument),
     Column("created", UtcDateTime),
     Column("namespace", String(253)),
     Column("cluster", String(253)),
@@ -148,20 +148,20 @@ runs = Table(
     Column("wall_seconds", Float),
     Column("algorithm_hash", String(64)),
     Column("dataset_hash", String(64)),
-    Column("labels", Document, nullable=False),
-    Column("spec", Document, nullable=False),
-    Column("attributes", Document, nullable=False),
-    Column("usage", Document),
-    Column("frames", Document),
-    Column("metrics", Document, nullable=False),
-    Column("trajectory", Document),
-    Column("provenance", Document, nullable=False),
+    Column("labels", JsonDocument, nullable=False),
+    Column("spec", JsonDocument, nullable=False),
+    Column("attributes", JsonDocument, nullable=False),
+    Column("usage", JsonDocument),
+    Column("frames", JsonDocument),
+    Column("metrics", JsonDocument, nullable=False),
+    Column("trajectory", JsonDocument),
+    Column("provenance", JsonDocument, nullable=False),
     Column("folder", Text),
     Column("log_tail", Text),
     Column("sweep_uid", String(253)),
     Column("namespace", String(253)),
     Column("cluster", String(253)),
-    Column("evaluations", Document, nullable=False, server_default="[]"),
+    Column("evaluations", JsonDocument, nullable=False, server_default="[]"),
     Index("runs_of_sweep", "sweep", "phase"),
     Index("runs_of_sweep_uid", "sweep_uid", "phase"),
     sqlite_autoincrement=True,
@@ -178,5 +178,5 @@ results = Table(
     Column("scale", Float),
     Column("ate_rmse", Float),
     Column("rpe_rmse", Float),
-    Column("values", Document, nullable=False),
+    Column("values", JsonDocument, nullable=False),
 )

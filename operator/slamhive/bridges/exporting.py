@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.frame import Frame
     from slamhive.bridges.places import Here
-    from slamhive.bridges.targets import Target
+    from slamhive.bridges.targets import BridgeTarget
 
 
 def export(
-    frame: Frame, target: Target, folder: Path, source: Here, tell: Callable[[int], Any]
+    frame: Frame, target: BridgeTarget, folder: Path, source: Here, tell: Callable[[int], Any]
 ) -> tuple[int, int]:
     """Write the runs of a table into another program's folder.
 
@@ -49,7 +49,7 @@ def export(
     return new, same
 
 
-def next_step(target: Target, folder: Path) -> str:
+def next_step(target: BridgeTarget, folder: Path) -> str:
     """Return the command that opens what was written."""
     text: str = importlib.import_module(f"slamhive.bridges.{target}").NEXT
     return text.format(folder=folder)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from slamhive.archive.records import CatalogEntry
     from slamhive.model.results import RunRecord
-    from slamhive.runfiles.artifacts import Place
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.artifacts import ArtifactFolder
+    from slamhive.runfiles.ground_truth import DatasetTruth
 
 
 class Here:
@@ -45,11 +45,11 @@ class Here:
         """Return a run by its UID."""
         return self.archive.get(uid)
 
-    def place(self, record: RunRecord) -> Place | None:
+    def place(self, record: RunRecord) -> ArtifactFolder | None:
         """Return a run's folder, if it is there."""
         return self._files.place(record)
 
-    def truth(self, record: RunRecord) -> Truth | None:
+    def truth(self, record: RunRecord) -> DatasetTruth | None:
         """Return the ground truth of a run's dataset, if it is at hand."""
         dataset = str((record.spec.get("datasetRef") or {}).get("name"))
         return self._files.truth(dataset, record.labels.get("dataset"))

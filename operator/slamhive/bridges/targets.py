@@ -6,7 +6,7 @@ from __future__ import annotations
 from slamhive.model.base import Choice
 
 
-class Target(Choice):
+class BridgeTarget(Choice):
     """A program that runs are handed to."""
 
     TENSORBOARD = "tensorboard"

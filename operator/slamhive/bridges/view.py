@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from slamhive.bridges.places import Here
     from slamhive.model.results import RunRecord
-    from slamhive.runfiles.artifacts import Place
+    from slamhive.runfiles.artifacts import ArtifactFolder
 
 MOST_POSES = 20_000
 """Poses and samples of usage that are shown."""
@@ -58,7 +58,7 @@ def view(record: RunRecord, here: Here, save: Path | None) -> list[str]:
     else:
         stream.save(str(save))
     stream.send_recording_name(record.name)
-    shown = _Shown(rr, stream)
+    shown = _RerunRecorder(rr, stream)
     notes = _fill(shown, record, here, place)
     shown.document(record)
     stream.flush()
@@ -66,7 +66,7 @@ def view(record: RunRecord, here: Here, save: Path | None) -> list[str]:
     return notes
 
 
-def _fill(shown: _Shown, record: RunRecord, here: Here, place: Place) -> list[str]:
+def _fill(shown: _RerunRecorder, record: RunRecord, here: Here, place: ArtifactFolder) -> list[str]:
     """Show what is there of a run; return sentences on what is missing."""
     notes: list[str] = []
     configuration = configuration_of(place)
@@ -91,7 +91,7 @@ def _fill(shown: _Shown, record: RunRecord, here: Here, place: Place) -> list[st
     return notes
 
 
-class _Shown:
+class _RerunRecorder:
     """Puts what is found of a run into a recording of Rerun's."""
 
     def __init__(self, rr: Any, stream: Any) -> None:
@@ -163,7 +163,9 @@ class _Shown:
         return self._rr.TimeColumn(line, duration=np.asarray(times, dtype=np.float64))
 
 
-def _images(place: Place, configuration: dict[str, Any]) -> Iterator[tuple[float, npt.NDArray[np.uint8]]]:
+def _images(
+    place: ArtifactFolder, configuration: dict[str, Any]
+) -> Iterator[tuple[float, npt.NDArray[np.uint8]]]:
     """Yield times and small pictures of the first camera of a run's prepared recording, a few of many.
 
     Raises:

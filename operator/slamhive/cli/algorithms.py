@@ -19,7 +19,7 @@ from slamhive.cli.vocabulary import train
 from slamhive.local.home.catalog import link_algorithm, load_workshop
 from slamhive.local.home.folder import Home
 from slamhive.local.programs.executors import unavailable
-from slamhive.local.programs.starting import Kind, start_algorithm
+from slamhive.local.programs.starting import ExampleKind, start_algorithm
 from slamhive.model.algorithm import ParameterType
 from slamhive.model.errors import InputError
 from slamhive.model.loading import parse
@@ -128,8 +128,8 @@ def new_algorithm(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the algorithm and of its folder.")],
     *,
     kind: Annotated[
-        Kind, typer.Option("--from", help="A Python program, a ROS 1 node, or a program in C.")
-    ] = Kind.LIDAR_PYTHON,
+        ExampleKind, typer.Option("--from", help="A Python program, a ROS 1 node, or a program in C.")
+    ] = ExampleKind.LIDAR_PYTHON,
 ) -> None:
     """Make a folder to start an algorithm from, which runs as it is, and make it known by its name.
 

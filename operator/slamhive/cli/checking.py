@@ -19,7 +19,7 @@ from slamhive.cli.cluster.commands import Context, Namespace
 from slamhive.cli.parts import tables
 from slamhive.cli.parts.console import out, remark
 from slamhive.cli.parts.exits import FAILED, INTERRUPTED
-from slamhive.cli.parts.tables import Format
+from slamhive.cli.parts.tables import PrintFormat
 from slamhive.cli.parts.waiting import Work
 from slamhive.local.home.catalog import AlgorithmEntry, load_workshop
 from slamhive.local.home.folder import Home
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.conformance.cluster import OnCluster
-    from slamhive.conformance.executors import Executor
+    from slamhive.conformance.executors import CheckExecutor
     from slamhive.conformance.findings import Finding
-    from slamhive.conformance.workstation import Bench, OnWorkstation
+    from slamhive.conformance.workstation import CheckBench, OnWorkstation
 
 _COLOURS = {"pass": "green", "warning": "yellow", "fail": "red", "skipped": "dim"}
 
 
-class Place(Choice):
+class CheckPlace(Choice):
     """Places where ``slamhive algorithm check`` starts an algorithm: the values of its ``--on``."""
 
     PROCESS = "process"
@@ -52,7 +52,7 @@ _WIDTH = 160
 """Characters of a line where there is no terminal."""
 
 
-class _Watcher:
+class _CheckBar:
     """Shows how far a check is, by its starts."""
 
     def __init__(self, work: Work) -> None:
@@ -84,12 +84,12 @@ def check(
         typer.Option("--dataset", metavar="DATASET", help="Default: a short generated one for each mode."),
     ] = None,
     on: Annotated[
-        Place, typer.Option("--on", help="Where to start it; all: everywhere that is possible here.")
-    ] = Place.ALL,
+        CheckPlace, typer.Option("--on", help="Where to start it; all: everywhere that is possible here.")
+    ] = CheckPlace.ALL,
     timeout: Annotated[
         str, typer.Option("--timeout", metavar="DURATION", help="How long one start may take.")
     ] = _TIMEOUT,
-    form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
+    form: Annotated[PrintFormat, typer.Option("--format", help="How to print.")] = PrintFormat.TABLE,
     namespace: Namespace = None,
     context: Context = None,
 ) -> None:
@@ -100,7 +100,7 @@ def check(
     Example: slamhive algorithm check kiss-icp
     """
     limit = _seconds(timeout)
-    from slamhive.conformance.checking import Asked, check_algorithm
+    from slamhive.conformance.checking import CheckRequest, check_algorithm
     from slamhive.conformance.workstation import bench_for_checks
 
     home = Home.from_environment()
@@ -109,7 +109,7 @@ def check(
     if dataset is not None:
         workshop.dataset(dataset)
     if image is not None:
-        if on is Place.PROCESS:
+        if on is CheckPlace.PROCESS:
             raise InputError("--image: a process has no image; leave it out, or --on process")
         spec = entry.algorithm.spec.replace(image=image)
         workshop.algorithm_entries[name] = AlgorithmEntry(entry.algorithm.replace(spec=spec), entry.folder)
@@ -120,8 +120,8 @@ def check(
             work = stack.enter_context(Work(f"checking {name}"))
             bench = stack.enter_context(bench_for_checks(home, workshop, remark))
             work.follow(bench.making)
-            executors = _executors(_Wish(bench, name, dataset, on, image, context, namespace), stack)
-            findings = check_algorithm(bench, executors, Asked(name, dataset, limit), _Watcher(work))
+            executors = _executors(_CheckOptions(bench, name, dataset, on, image, context, namespace), stack)
+            findings = check_algorithm(bench, executors, CheckRequest(name, dataset, limit), _CheckBar(work))
     except KeyboardInterrupt:
         remark("interrupted; what was started has ended, and what was made is removed")
         raise typer.Exit(INTERRUPTED) from None
@@ -150,19 +150,19 @@ def _seconds(text: str) -> float:
     return found
 
 
-class _Wish(NamedTuple):
+class _CheckOptions(NamedTuple):
     """Request of ``slamhive algorithm check``: the algorithm and the options that executors are chosen by."""
 
-    bench: Bench
+    bench: CheckBench
     name: str
     dataset: str | None
-    on: Place
+    on: CheckPlace
     image: str | None
     context: str | None
     namespace: str | None
 
 
-def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
+def _executors(wish: _CheckOptions, stack: ExitStack) -> list[CheckExecutor]:
     """Return the executors that can start the algorithm here, of those asked for; the others are told of.
 
     Raises:
@@ -170,28 +170,28 @@ def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
     """
     from slamhive.conformance.workstation import OnWorkstation
 
-    found: list[Executor] = []
+    found: list[CheckExecutor] = []
     reasons: list[str] = []
-    if wish.on in {Place.PROCESS, Place.ALL} and wish.image is None:
+    if wish.on in {CheckPlace.PROCESS, CheckPlace.ALL} and wish.image is None:
         process = OnWorkstation(wish.bench, wish.name, wish.dataset)
         reason = process.unavailable()
         if reason is None:
             found.append(process)
         else:
             reasons.append(f"process: {reason}")
-    if wish.on in {Place.CONTAINER, Place.ALL}:
+    if wish.on in {CheckPlace.CONTAINER, CheckPlace.ALL}:
         contained = _contained(wish)
         if isinstance(contained, str):
             reasons.append(f"container: {contained}")
         else:
             found.append(contained)
-    if wish.on in {Place.CLUSTER, Place.ALL}:
+    if wish.on in {CheckPlace.CLUSTER, CheckPlace.ALL}:
         there = _on_cluster(wish)
         if isinstance(there, str):
             reasons += [f"cluster: {there}"] if there else []
         else:
             found.append(stack.enter_context(there))
-            if wish.on is Place.ALL:
+            if wish.on is CheckPlace.ALL:
                 remark("also on the cluster of the kubeconfig; --on process leaves it out")
     if not found:
         raise InputError(f"{wish.name} can't be started here: {'; '.join(reasons) or 'see --on'}")
@@ -200,12 +200,12 @@ def _executors(wish: _Wish, stack: ExitStack) -> list[Executor]:
     return found
 
 
-def _contained(wish: _Wish) -> OnWorkstation | str:
+def _contained(wish: _CheckOptions) -> OnWorkstation | str:
     """Return this machine's containers as an executor, or why they can't be."""
     from slamhive.conformance.workstation import OnWorkstation
     from slamhive.local.programs.unavailable import ImageMissing
 
-    asked = wish.on is Place.CONTAINER or wish.image is not None
+    asked = wish.on is CheckPlace.CONTAINER or wish.image is not None
     has_another = wish.bench.workshop.algorithm(wish.name).algorithm.spec.local is not None
     try:
         return OnWorkstation.contained(wish.bench, wish.name, wish.dataset, pull=asked or not has_another)
@@ -215,36 +215,36 @@ def _contained(wish: _Wish) -> OnWorkstation | str:
         return str(error)
 
 
-def _on_cluster(wish: _Wish) -> OnCluster | str:
+def _on_cluster(wish: _CheckOptions) -> OnCluster | str:
     """Return the cluster as an executor, or why there is none; empty where none was to be expected."""
     from slamhive.cli.cluster.commands import cluster_client
 
     try:
         with cluster_client():
-            from slamhive.cli.cluster.work import Place as Namespaced
+            from slamhive.cli.cluster.work import ClusterPlace as Namespaced
             from slamhive.conformance.cluster import OnCluster
             from slamhive.kube.user.connecting import find_target
         find_target(wish.context, wish.namespace)
     except SlamHiveError as error:
-        asked = wish.on is Place.CLUSTER or wish.context is not None or wish.namespace is not None
+        asked = wish.on is CheckPlace.CLUSTER or wish.context is not None or wish.namespace is not None
         return str(error) if asked else ""
     place = Namespaced(wish.context, wish.namespace)
     executor = OnCluster(wish.bench, wish.name, wish.dataset, place.connect)
     return executor.unavailable() or executor
 
 
-def show(findings: Sequence[Finding], form: Format) -> None:
+def show(findings: Sequence[Finding], form: PrintFormat) -> None:
     """Print findings as a table, and under it what helps."""
     rows = [finding.as_json() for finding in findings]
     headings = ("executor", "mode", "check", "did", "found", "answer", "help")
-    if form is Format.JSON:
+    if form is PrintFormat.JSON:
         tables.write_json(sys.stdout, rows)
         return
     lines = [[row[key] for key in headings] for row in rows]
-    if form is Format.MARKDOWN:
+    if form is PrintFormat.MARKDOWN:
         tables.write_markdown(sys.stdout, headings, lines)
         return
-    if form is Format.CSV:
+    if form is PrintFormat.CSV:
         write_csv(sys.stdout, headings, lines)
         return
     width = out.width if out.is_terminal else _WIDTH

@@ -16,7 +16,7 @@ from slamhive import __version__
 from slamhive.cli.cluster.commands import Context, Namespace
 from slamhive.cli.parts.console import out
 from slamhive.cli.parts.exits import FAILED
-from slamhive.model.readiness import Row, State
+from slamhive.model.readiness import ReadinessRow, State
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -60,10 +60,10 @@ def doctor(
 
 
 def examine(
-    looks: Mapping[str, Callable[[], Row | Iterable[Row]]],
+    looks: Mapping[str, Callable[[], ReadinessRow | Iterable[ReadinessRow]]],
     patience: float,
     clock: Callable[[], float] = time.monotonic,
-) -> list[Row]:
+) -> list[ReadinessRow]:
     """Look at all things side by side, and return what was seen in their order.
 
     Args:
@@ -71,15 +71,15 @@ def examine(
         patience: time for all of them together, s; what has not answered by then is unknown.
         clock: monotonic time, s.
     """
-    seen: dict[str, list[Row]] = {}
+    seen: dict[str, list[ReadinessRow]] = {}
 
-    def take(check: str, look: Callable[[], Row | Iterable[Row]]) -> None:
+    def take(check: str, look: Callable[[], ReadinessRow | Iterable[ReadinessRow]]) -> None:
         try:
             found = look()
-            seen[check] = [found] if isinstance(found, Row) else list(found)
+            seen[check] = [found] if isinstance(found, ReadinessRow) else list(found)
         except Exception as error:  # noqa: BLE001 - one look that fails hides no other
             said = f"{type(error).__name__}: {error}"
-            seen[check] = [Row(check, State.UNKNOWN, said, needed=check in _NEEDED)]
+            seen[check] = [ReadinessRow(check, State.UNKNOWN, said, needed=check in _NEEDED)]
 
     # Daemons, which nothing waits for: what they asked may never answer.
     threads = [threading.Thread(target=take, args=item, daemon=True) for item in looks.items()]
@@ -90,7 +90,7 @@ def examine(
         thread.join(max(0.0, until - clock()))
     rows = []
     for check in looks:
-        late = Row(
+        late = ReadinessRow(
             *(check, State.UNKNOWN, f"no answer within {patience:g} s"),
             helps="run this again when the machine is less busy",
         )
@@ -98,7 +98,9 @@ def examine(
     return rows
 
 
-def _looks(context: str | None, namespace: str | None) -> dict[str, Callable[[], Row | Iterable[Row]]]:
+def _looks(
+    context: str | None, namespace: str | None
+) -> dict[str, Callable[[], ReadinessRow | Iterable[ReadinessRow]]]:
     from slamhive.local.home.catalog import load_workshop
     from slamhive.local.home.folder import Home
     from slamhive.local.programs import readiness
@@ -123,7 +125,7 @@ def _looks(context: str | None, namespace: str | None) -> dict[str, Callable[[],
     }
 
 
-def _cluster(context: str | None, namespace: str | None) -> list[Row]:
+def _cluster(context: str | None, namespace: str | None) -> list[ReadinessRow]:
     import asyncio
 
     from slamhive.cli.cluster.commands import cluster_client
@@ -139,7 +141,7 @@ def _cluster(context: str | None, namespace: str | None) -> list[Row]:
     return asyncio.run(look(context, namespace))
 
 
-def _show(rows: Iterable[Row]) -> None:
+def _show(rows: Iterable[ReadinessRow]) -> None:
     """Print a line of each thing, and beneath it what it costs and what helps."""
     rows = list(rows)
     width = max(len(row.check) for row in rows)

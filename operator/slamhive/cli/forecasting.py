@@ -16,8 +16,8 @@ from slamhive.cli.parts.console import bytes_text, command_name, listing, out, p
 from slamhive.cli.parts.waiting import time_text
 from slamhive.local.programs.cores import cores_here
 from slamhive.local.running.costs import Knowledge
-from slamhive.local.running.forecast import Recordings, Wanted, forecast, recordings_needed
-from slamhive.local.running.outlook import MOST_LOOKED_UP, Looking, Outlook, Standing
+from slamhive.local.running.forecast import Recordings, WantedSweep, forecast, recordings_needed
+from slamhive.local.running.outlook import MOST_LOOKED_UP, Looking, Outlook, RunStanding
 from slamhive.local.running.runner import run_uid
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.errors import InputError, SlamHiveError, sentence
@@ -41,7 +41,7 @@ _SHARE = f"{COVERED:.0%}".replace("%", " %")
 
 
 @dataclass
-class _Found:
+class _RunsToDo:
     """Runs of sweeps that a cost forecast is made for, and those that need no computing: finished or reused.
 
     Attributes:
@@ -52,7 +52,7 @@ class _Found:
         notes: what could not be found out.
     """
 
-    wanted: list[Wanted] = field(default_factory=list)
+    wanted: list[WantedSweep] = field(default_factory=list)
     done: int = 0
     equal: int = 0
     recordings: Recordings | None = None
@@ -135,9 +135,9 @@ def _costs(home: Home, also: Sequence[str] | None, names: list[str], datasets: l
 
 def _found(
     plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop, home: Home, parallelism: int | None
-) -> _Found:
+) -> _RunsToDo:
     """Return the runs to do: those that `slamhive run` would begin."""
-    found = _Found()
+    found = _RunsToDo()
     outlooks = _outlooks(plans, workshop, home, found)
     for (sweep, points), outlook in zip(plans, outlooks, strict=True):
         standing = outlook.standing if outlook is not None else bytearray(len(points))
@@ -146,18 +146,18 @@ def _found(
         # Of very many runs it hardly matters which begins when, and to order them takes seconds.
         many = len(points) > MOST_LOOKED_UP
         for index in range(len(points)) if many else points.start_order(look_first=True):
-            if standing[index] in {Standing.DONE, Standing.FAILED}:
+            if standing[index] in {RunStanding.DONE, RunStanding.FAILED}:
                 found.done += 1
-            elif standing[index] == Standing.EQUAL or index in twins:
+            elif standing[index] == RunStanding.EQUAL or index in twins:
                 found.equal += 1
             else:
                 indices.append(index)
-        found.wanted.append(Wanted(points, indices, parallelism or sweep.spec.parallelism))
+        found.wanted.append(WantedSweep(points, indices, parallelism or sweep.spec.parallelism))
     found.recordings = _recordings(found.wanted, workshop, home)
     return found
 
 
-def _recordings(wanted: Sequence[Wanted], workshop: Workshop, home: Home) -> Recordings | None:
+def _recordings(wanted: Sequence[WantedSweep], workshop: Workshop, home: Home) -> Recordings | None:
     if home.missing_archive:
         return None
     with Archive.open(home.archive_url, read_only=True) as archive:
@@ -165,7 +165,7 @@ def _recordings(wanted: Sequence[Wanted], workshop: Workshop, home: Home) -> Rec
 
 
 def _outlooks(
-    plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop, home: Home, found: _Found
+    plans: Sequence[tuple[Sweep, Plan]], workshop: Workshop, home: Home, found: _RunsToDo
 ) -> list[Outlook | None]:
     if home.missing_archive:
         return [None] * len(plans)
@@ -235,7 +235,7 @@ def _days(seconds: float) -> str:
     return f"{seconds / _DAY:,.1f} days" if seconds >= 2 * _DAY else time_text(seconds)
 
 
-def _sentences(told: Forecast, found: _Found, knowledge: Knowledge, cores: int | None) -> Iterator[str]:
+def _sentences(told: Forecast, found: _RunsToDo, knowledge: Knowledge, cores: int | None) -> Iterator[str]:
     if told.runs:
         near = ", ".join(f"{told.nearness[one]:,} from {one}" for one in Nearness if told.nearness[one])
         yield f"{plural(told.runs, 'run')} to be done, predicted by the nearest finished ones: {near}"
@@ -297,7 +297,7 @@ def _processors(told: Forecast) -> Iterator[str]:
         yield f"measured on another processor than this one ({here}), so within wider limits: {places}"
 
 
-def _document(told: Forecast, found: _Found, knowledge: Knowledge) -> dict[str, Any]:
+def _document(told: Forecast, found: _RunsToDo, knowledge: Knowledge) -> dict[str, Any]:
     """Return a forecast as JSON."""
     return {
         "runs": told.runs,

@@ -18,7 +18,7 @@ from slamhive.cli.parts.asking import DryRun, Yes, agreed, progress, require_arc
 from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
 from slamhive.cli.parts.tables import show
 from slamhive.local.home.folder import Home
-from slamhive.local.housekeeping.forgetting import Known, alone, forget, plan_forgetting
+from slamhive.local.housekeeping.forgetting import ArchivedRun, alone, forget, plan_forgetting
 from slamhive.model.base import quantity
 from slamhive.model.errors import InputError
 from slamhive.model.results import Phase
@@ -145,11 +145,11 @@ def uids_of(frame: Frame) -> list[str]:
     return [str(row["uid"]) for row in frame.select(first_rows(frame)).records(["uid"])]
 
 
-def known_runs(frame: Frame) -> list[Known]:
+def known_runs(frame: Frame) -> list[ArchivedRun]:
     """Return all runs of a table."""
     names = ("uid", "name", "sweep", "folder", "label.source")
     rows = frame.select(first_rows(frame)).records(names)
-    return [Known(*(row[name] and str(row[name]) for name in names)) for row in rows]
+    return [ArchivedRun(*(row[name] and str(row[name]) for name in names)) for row in rows]
 
 
 def _plan(

@@ -22,7 +22,7 @@ from slamhive.model.errors import SystemFault
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from slamhive.local.housekeeping.collecting import Asked, Find
+    from slamhive.local.housekeeping.collecting import CollectOptions, HomeFind
     from slamhive.local.housekeeping.occupancy import Room
 
 
@@ -83,12 +83,12 @@ def gc(
 
     Example: slamhive gc --dry-run
     """
-    from slamhive.local.housekeeping.collecting import Asked, collect
+    from slamhive.local.housekeeping.collecting import CollectOptions, collect
     from slamhive.local.housekeeping.forgetting import alone
 
     place = Home.from_environment()
     require_archive(place)
-    asked = Asked(made_again, unrecorded)
+    asked = CollectOptions(made_again, unrecorded)
     finds = _survey(place, asked)
     _tell(finds)
     going = {find.path for find in finds if find.goes}
@@ -108,7 +108,7 @@ def gc(
         remark(f"{_counted(kept)} stayed, as somebody works with it")
 
 
-def _survey(place: Home, asked: Asked) -> list[Find]:
+def _survey(place: Home, asked: CollectOptions) -> list[HomeFind]:
     from slamhive.cli.forgetting import known_runs
     from slamhive.local.home.catalog import load_workshop
     from slamhive.local.housekeeping.collecting import survey
@@ -127,9 +127,9 @@ def _require_readable(place: Home) -> None:
         Archive.open(place.archive_url, read_only=True).close()
 
 
-def _tell(finds: Iterable[Find]) -> None:
+def _tell(finds: Iterable[HomeFind]) -> None:
     for goes, heading in ((False, "stays because"), (True, "goes because")):
-        groups: dict[tuple[str, str], list[Find]] = defaultdict(list)
+        groups: dict[tuple[str, str], list[HomeFind]] = defaultdict(list)
         for find in finds:
             if find.goes is goes:
                 groups[find.kind, find.why].append(find)
@@ -145,5 +145,5 @@ def _tell(finds: Iterable[Find]) -> None:
         out.print(f"to remove: {bytes_text(extent.size)} in {plural(extent.files, 'file')}")
 
 
-def _counted(finds: Iterable[Find]) -> str:
+def _counted(finds: Iterable[HomeFind]) -> str:
     return plural(len(list(finds)), "thing")

@@ -109,7 +109,7 @@ def import_slam_hive(
 
 
 @dataclass
-class Report:
+class ImportReport:
     """Counts of imported runs and their outcomes, with the problems found, for the summary of an import.
 
     Attributes:
@@ -151,9 +151,9 @@ class SlamHiveImporter:
             taken = self._repetitions.setdefault(record.provenance.spec_hash or "", set())
             taken.add(int(record.spec.get("repetition", 0)))
 
-    def take(self, folders: Iterable[Path]) -> Report:
+    def take(self, folders: Iterable[Path]) -> ImportReport:
         """Import folders and return what was done; a problem with one doesn't keep the others out."""
-        report = Report()
+        report = ImportReport()
         for folder in folders:
             try:
                 problem = self._take(folder, report)
@@ -169,7 +169,7 @@ class SlamHiveImporter:
             )
         return report
 
-    def _take(self, folder: Path, report: Report) -> str | None:
+    def _take(self, folder: Path, report: ImportReport) -> str | None:
         """Import a folder; return what is wrong with its run, if anything."""
         run = slamhive1.read_run(folder)
         report.datasets.add(run.dataset_name)
@@ -205,7 +205,7 @@ class SlamHiveImporter:
         run: slamhive1.OriginalRun,
         intended: list[IntendedEvaluation],
         problem: str,
-        report: Report,
+        report: ImportReport,
     ) -> str:
         reason = Reason.NO_TRAJECTORY if run.trajectory_is_empty else Reason.INVALID_TRAJECTORY
         message = f"{problem}; kept as a failed run ({reason})"
@@ -221,7 +221,7 @@ class SlamHiveImporter:
         taken.add(repetition)
         return record
 
-    def _put(self, run: slamhive1.OriginalRun, record: RunRecord, report: Report) -> None:
+    def _put(self, run: slamhive1.OriginalRun, record: RunRecord, report: ImportReport) -> None:
         self._archive.put_run(record, _algorithm_entry(run), _dataset_entry(run, self._truth))
         self._known[run.uid] = record
         report.added += 1

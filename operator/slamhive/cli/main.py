@@ -135,7 +135,7 @@ COMMANDS = {
 }
 
 
-class _Interrupted(BaseException):
+class _CommandInterrupted(BaseException):
     """A KeyboardInterrupt that Typer doesn't see: it would end the command without a word."""
 
 
@@ -144,7 +144,7 @@ def _interruption() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        raise _Interrupted from None
+        raise _CommandInterrupted from None
 
 
 class _Commands(TyperGroup):
@@ -225,7 +225,7 @@ def main() -> None:
         _end(str(error), WRONG_INPUT)
     except SlamHiveError as error:
         _end(str(error), FAILED)
-    except (KeyboardInterrupt, _Interrupted):
+    except (KeyboardInterrupt, _CommandInterrupted):
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is ending; another one must not break into that
         _end("interrupted", INTERRUPTED)
     except BrokenPipeError:

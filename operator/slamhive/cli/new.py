@@ -15,7 +15,7 @@ from slamhive.cli.parts.checked import check_files
 from slamhive.cli.parts.console import command_name, out, remark
 from slamhive.local.home.catalog import editor_line, load_workshop
 from slamhive.local.home.folder import Home
-from slamhive.local.programs.starting import Kind
+from slamhive.local.programs.starting import ExampleKind
 from slamhive.model.base import API_VERSION, seconds
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.loading import parse
@@ -161,7 +161,7 @@ def new_algorithm(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Name of the algorithm.")] = None,
     *,
     kind: Annotated[
-        Kind | None, typer.Option("--from", help="A Python program, a ROS 1 node, or a program in C.")
+        ExampleKind | None, typer.Option("--from", help="A Python program, a ROS 1 node, or a program in C.")
     ] = None,
 ) -> None:
     """Make a folder to start an algorithm from, as algorithm new does.
@@ -173,8 +173,8 @@ def new_algorithm(
     from slamhive.cli.algorithms import new_algorithm as begin
 
     chosen = _answer("name of the algorithm", name, "my-slam")
-    words = ", ".join(Kind)
-    begin(chosen, kind=_answer(f"begin with ({words})", kind, Kind.LIDAR_PYTHON, _kind))
+    words = ", ".join(ExampleKind)
+    begin(chosen, kind=_answer(f"begin with ({words})", kind, ExampleKind.LIDAR_PYTHON, _kind))
 
 
 def _answer(question: str, given: Any, default: Any, read: Callable[[str], Any] = str.strip) -> Any:
@@ -320,10 +320,10 @@ def _length(text: str) -> str:
     return text.strip()
 
 
-def _kind(text: str) -> Kind:
-    if text not in set(Kind):
-        raise UnknownNameError("kind", text, Kind, "--from")
-    return Kind(text)
+def _kind(text: str) -> ExampleKind:
+    if text not in set(ExampleKind):
+        raise UnknownNameError("kind", text, ExampleKind, "--from")
+    return ExampleKind(text)
 
 
 def _plain_name(source: str) -> str:

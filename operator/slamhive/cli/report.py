@@ -33,9 +33,9 @@ from slamhive.model.base import Choice
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.reporting.latex import Rules, latex
 from slamhive.reporting.overview import runs_of
-from slamhive.reporting.page import Contents, report_html
+from slamhive.reporting.page import ReportContents, report_html
 from slamhive.reporting.papermarkdown import markdown
-from slamhive.reporting.papertables import Best, Layout, Overall, Statistic, flat, make_table
+from slamhive.reporting.papertables import Best, Overall, Statistic, TableLayout, flat, make_table
 from slamhive.reporting.presets import preset
 from slamhive.reporting.questions import parse_question, usual_metric, usual_questions
 from slamhive.tables.homes import homes_beside
@@ -59,7 +59,7 @@ class TableStyle(Choice):
     CSV = "csv"
 
 
-class TableFormat(Choice):
+class EarlierStyle(Choice):
     """Earlier names of styles."""
 
     LATEX = "latex"
@@ -119,7 +119,7 @@ def report(
         if analysis
         else usual_questions(frame, metric, outcomes)
     )
-    contents = Contents(
+    contents = ReportContents(
         title=title,
         metric=metric,
         by=_names(by, ",".join(COMPETITORS)),
@@ -189,7 +189,7 @@ def paper_table(
     style: Annotated[
         TableStyle, typer.Option(help="LaTeX with booktabs or in IEEE style, Markdown, or CSV.")
     ] = TableStyle.BOOKTABS,
-    form: Annotated[TableFormat | None, typer.Option("--format", hidden=True)] = None,
+    form: Annotated[EarlierStyle | None, typer.Option("--format", hidden=True)] = None,
     output: Output = None,
     also: Also = None,
 ) -> None:
@@ -198,7 +198,7 @@ def paper_table(
     Example: slamhive paper-table --columns dataset -m ate.rmse:cm:.1f --spread -o table.tex
     """
     given = preset(named) if named is not None else None
-    layout = Layout(
+    layout = TableLayout(
         rows=_names(rows, given.rows if given else "algorithm,sensors"),
         columns=_names(columns, given.columns if given else "dataset"),
         metrics=tuple(map(Metric.parse, metric or (given.metrics if given else DEFAULT_METRICS))),
@@ -222,7 +222,7 @@ def paper_table(
     _check_numbers(frame, names, "--metric")
     table = make_table(frame, layout)
     table = replace(table, notes=(*left_out, *table.notes))
-    if TableFormat.CSV is form or style is TableStyle.CSV:
+    if EarlierStyle.CSV is form or style is TableStyle.CSV:
         _write(csv_text(flat(table)), output)
         return
     origin = (

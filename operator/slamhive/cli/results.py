@@ -16,12 +16,12 @@ from slamhive.analysis.frame import Frame
 from slamhive.analysis.grouping import Outcomes, aggregate, varying, where_equal
 from slamhive.analysis.metrics import Metric, declared_units
 from slamhive.analysis.selection import Chosen, Selection, choose, order_by, order_rows
-from slamhive.bridges.targets import Target
+from slamhive.bridges.targets import BridgeTarget
 from slamhive.cli.forgetting import prune
 from slamhive.cli.onerun import show_run
 from slamhive.cli.parts.choosing import Also, EvaluationName, Output, Superseded, Where
 from slamhive.cli.parts.console import out, plural, remark
-from slamhive.cli.parts.tables import Format, show, write_json, write_markdown
+from slamhive.cli.parts.tables import PrintFormat, show, write_json, write_markdown
 from slamhive.cli.parts.waiting import Work
 from slamhive.data.files.outputs import output_whole
 from slamhive.local.home.folder import Home
@@ -86,7 +86,7 @@ def list_results(
     columns: Columns = None,
     superseded: Superseded = False,
     also: Also = None,
-    form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
+    form: Annotated[PrintFormat, typer.Option("--format", help="How to print.")] = PrintFormat.TABLE,
 ) -> None:
     """List runs with their results, one line a run and evaluation.
 
@@ -99,7 +99,7 @@ def list_results(
     frame = found.frame
     wanted = _columns(columns, frame, "--columns")
     same: dict[str, Any] = {}
-    if wanted is None and form not in (Format.JSON, Format.CSV):
+    if wanted is None and form not in (PrintFormat.JSON, PrintFormat.CSV):
         wanted, same = _telling(frame)
     usual = wanted or usual_columns(_with_home(LIST_COLUMNS, frame), frame)
     shown = [Metric.parse(name) for name in usual]
@@ -107,9 +107,9 @@ def list_results(
     frame.require(names)
     rows = _sorted(frame, sort).records(names)
     match form:
-        case Format.JSON:
+        case PrintFormat.JSON:
             write_json(sys.stdout, rows)
-        case Format.CSV:
+        case PrintFormat.CSV:
             write_csv(sys.stdout, names, ([row[name] for name in names] for row in rows))
         case _:
             if same:
@@ -159,7 +159,7 @@ def show_table(
             "--published", help="Add published numbers on the same datasets, in a table of their own."
         ),
     ] = False,
-    form: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
+    form: Annotated[PrintFormat, typer.Option("--format", help="How to print.")] = PrintFormat.TABLE,
 ) -> None:
     """Average over repetitions: mean ± standard deviation (n − 1), coverage, n, and what failed.
 
@@ -182,11 +182,15 @@ def show_table(
         from slamhive.cli.published import found_for, print_published
 
         beside = found_for(frame)
-    flat = [*flat_cells(found), *(one.flat() for one in beside)] if form in {Format.JSON, Format.CSV} else []
+    flat = (
+        [*flat_cells(found), *(one.flat() for one in beside)]
+        if form in {PrintFormat.JSON, PrintFormat.CSV}
+        else []
+    )
     match form:
-        case Format.JSON:
+        case PrintFormat.JSON:
             write_json(sys.stdout, flat)
-        case Format.CSV:
+        case PrintFormat.CSV:
             names = list(dict.fromkeys(name for row in flat for name in row))
             write_csv(sys.stdout, names, ([row.get(name) for name in names] for row in flat))
         case _:
@@ -209,10 +213,10 @@ def show_table(
 def export(
     *,
     form: Annotated[
-        Format | None, typer.Option("--format", help="csv, json or markdown; default: csv.")
+        PrintFormat | None, typer.Option("--format", help="csv, json or markdown; default: csv.")
     ] = None,
     to: Annotated[
-        Target | None,
+        BridgeTarget | None,
         typer.Option(
             help="Write the runs for another program into the folder that -o names; nothing is sent."
         ),
@@ -240,7 +244,7 @@ def export(
         unused = {"--format": form, "--sort": sort, "--columns": columns, "--also": also}
         _hand_over(to, output, selection, unused)
         return
-    if form is Format.TABLE:
+    if form is PrintFormat.TABLE:
         raise InputError("--format: export writes csv, json or markdown; results list prints a table")
     chosen = _select(selection, also)
     frame = chosen.frame
@@ -248,10 +252,10 @@ def export(
     frame.require(wanted)
     ordered = _sorted(frame, sort)
     with _stream(output) as stream:
-        match form or Format.CSV:
-            case Format.JSON:
+        match form or PrintFormat.CSV:
+            case PrintFormat.JSON:
                 write_json(stream, _records(ordered, wanted))
-            case Format.CSV:
+            case PrintFormat.CSV:
                 stream.writelines(csv_blocks(wanted, _blocks(ordered, wanted)))
             case _:
                 rows = _records(ordered, wanted)
@@ -277,7 +281,7 @@ def _parts(frame: Frame) -> Iterator[Frame]:
         yield frame.select(np.arange(start, min(start + _BLOCK, len(frame))))
 
 
-def _hand_over(to: Target, output: Path | None, selection: Selection, unused: dict[str, Any]) -> None:
+def _hand_over(to: BridgeTarget, output: Path | None, selection: Selection, unused: dict[str, Any]) -> None:
     """Write runs for another program."""
     from slamhive.bridges.exporting import export, next_step
     from slamhive.bridges.places import Here
@@ -399,8 +403,8 @@ def _sorted_cells(found: Aggregate, sort: str | None) -> Aggregate:
     return replace(found, cells=order_by(found.cells, asked, get))
 
 
-def _print(form: Format, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
-    if form is Format.MARKDOWN:
+def _print(form: PrintFormat, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
+    if form is PrintFormat.MARKDOWN:
         write_markdown(sys.stdout, headings, lines)
     else:
         show(out, headings, lines)

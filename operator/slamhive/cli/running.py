@@ -42,7 +42,7 @@ from slamhive.local.home.sweeping import require_own_name
 from slamhive.local.programs.engines import ContainerChoice, find_engine
 from slamhive.local.programs.executors import unavailable
 from slamhive.local.programs.unavailable import Unavailable
-from slamhive.local.running.choosing import Wish, ask
+from slamhive.local.running.choosing import RunChoice, ask
 from slamhive.local.running.evaluations import bring_up_to_date, evaluate_again
 from slamhive.local.running.runner import Job, Runner
 from slamhive.local.running.workbench import Workbench
@@ -70,7 +70,7 @@ class On(Choice):
     CLUSTER = "cluster"
 
 
-class LogFormat(Choice):
+class ProgressFormat(Choice):
     """Formats of the progress messages of ``slamhive run``."""
 
     TEXT = "text"
@@ -111,8 +111,8 @@ def run(
     ] = False,
     bell: Annotated[bool, typer.Option("--bell", help="Ring the terminal's bell at the end.")] = False,
     log_format: Annotated[
-        LogFormat, typer.Option("--log-format", help="Lines of text, or of JSON on standard output.")
-    ] = LogFormat.TEXT,
+        ProgressFormat, typer.Option("--log-format", help="Lines of text, or of JSON on standard output.")
+    ] = ProgressFormat.TEXT,
     container: Annotated[
         ContainerChoice | None,
         typer.Option(
@@ -136,7 +136,7 @@ def run(
 
     Example: slamhive run sweep.yaml -j 2
     """
-    speak_json(wanted=log_format is LogFormat.JSON)
+    speak_json(wanted=log_format is ProgressFormat.JSON)
     if on is On.CLUSTER:
         given = {
             "--only": only,
@@ -153,7 +153,7 @@ def run(
         with cluster_client():
             from slamhive.cli.cluster import run as cluster_run
             from slamhive.cli.cluster import work as cluster_work
-        place = cluster_work.Place(context, namespace)
+        place = cluster_work.ClusterPlace(context, namespace)
         _end(cluster_run.run_on_cluster(files, place, parallelism), bell=bell)
     if namespace is not None or context is not None:
         raise InputError("--namespace and --context say where on a cluster: they need --on cluster")
@@ -164,7 +164,7 @@ def run(
             raise InputError(f"--container {container}: {error}") from None
     forbid_inspection()  # the programs that it runs have its user, and it keeps their figures
     home = Home.from_environment()
-    wish = Wish(first, rerun=rerun, retry_failed=retry_failed)
+    wish = RunChoice(first, rerun=rerun, retry_failed=retry_failed)
     how = _How(parallelism, wish, container, rerun_where, only, tuple(dataset or ()))
     with home.sharing():
         code = _watch(files, home, how, bell=bell) if watch else _run_files(files, home, how)
@@ -262,7 +262,7 @@ class _How:
     """
 
     parallelism: int | None
-    wish: Wish = field(default_factory=Wish)
+    wish: RunChoice = field(default_factory=RunChoice)
     container: ContainerChoice | None = None
     rerun_where: str | None = None
     only: str | None = None

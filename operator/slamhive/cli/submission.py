@@ -18,8 +18,8 @@ from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError
 from slamhive.reporting.submission import (
     Challenge,
-    Entry,
     Pick,
+    SubmissionFile,
     by_sequence,
     find_challenge,
     make_entry,
@@ -108,7 +108,7 @@ def _require_all(challenge: Challenge, found: list[str], *, partial: bool) -> li
     return missing
 
 
-def _tell(entries: list[Entry], missing: list[str], output: Path, *, as_json: bool) -> None:
+def _tell(entries: list[SubmissionFile], missing: list[str], output: Path, *, as_json: bool) -> None:
     lines = [
         {
             "sequence": entry.sequence,

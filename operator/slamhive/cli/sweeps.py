@@ -16,7 +16,7 @@ from slamhive.cli.forgetting import known_runs, prune_chosen, uids_of
 from slamhive.cli.parts.asking import DryRun, Yes, require_archive
 from slamhive.cli.parts.console import bytes_text, open_archive, out, plural, remark
 from slamhive.cli.parts.tables import show, write_json
-from slamhive.local.home.extent import Tally
+from slamhive.local.home.extent import DiskTally
 from slamhive.local.home.folder import Home
 from slamhive.local.home.removed import run_parts
 from slamhive.local.home.sweeping import named_sweeps, rename_sweep, sweeps_meant
@@ -47,7 +47,7 @@ def list_sweeps(
     place = Home.from_environment()
     require_archive(place, "")
     table = read_table(place.archive_url, place.path / "cache")
-    tally = Tally()
+    tally = DiskTally()
     rows = [
         _row(one, table.frame, place, tally if size else None) for one in named_sweeps(table.sweeps or ())
     ]
@@ -121,7 +121,7 @@ def _of(frame: Frame, uids: set[str]) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return mask
 
 
-def _row(sweep: Named, frame: Frame, place: Home, tally: Tally | None) -> dict[str, Any]:
+def _row(sweep: Named, frame: Frame, place: Home, tally: DiskTally | None) -> dict[str, Any]:
     own = frame.select(_of(frame, set(sweep.uids)))
     latest = sweep.versions[-1].created
     row: dict[str, Any] = {

@@ -74,11 +74,11 @@ def rename(name: Name, new: Annotated[str, typer.Argument(metavar="NEW", help="N
 
 
 def _remove(home: Home, entry: Listed, *, yes: bool, dry_run: bool) -> None:
-    from slamhive.local.home.extent import Tally
+    from slamhive.local.home.extent import DiskTally
     from slamhive.local.housekeeping.forgetting import alone
     from slamhive.local.housekeeping.unlisting import unlist
 
-    tally = Tally(freed=True)
+    tally = DiskTally(freed=True)
     link = f", a link to {entry.folder.resolve()}, which stays" if entry.folder.is_symlink() else ""
     for path in (entry.folder, *entry.made):
         extent = tally.of(path)

@@ -10,7 +10,7 @@ import numpy as np
 
 from slamhive.conformance import rows
 from slamhive.conformance.damaging import Damage
-from slamhive.conformance.executors import Executor, Start
+from slamhive.conformance.executors import CheckExecutor, CheckStart
 from slamhive.conformance.findings import Finding, failed, passed, skipped, warned
 from slamhive.conformance.readings import Declared, misread_stamps, readings
 from slamhive.conformance.recordings import recording_for
@@ -23,8 +23,8 @@ from slamhive.model.results import Phase
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from slamhive.conformance.executors import Ended
-    from slamhive.conformance.workstation import Bench
+    from slamhive.conformance.executors import CheckEnd
+    from slamhive.conformance.workstation import CheckBench
     from slamhive.data.making.preparation import Variant
     from slamhive.local.home.catalog import AlgorithmEntry
     from slamhive.model.algorithm import AlgorithmSpec, Mode
@@ -36,7 +36,7 @@ _WAIT_SECONDS, _WAIT_TIMES = 30.0, 3.0
 """Longest time of a program over a recording that lacks something: so long, and so many usual times."""
 
 
-class Watcher(Protocol):
+class CheckWatcher(Protocol):
     """Is told how far a check is."""
 
     def begin(self, steps: int) -> None:
@@ -50,7 +50,7 @@ class Watcher(Protocol):
 
 
 @dataclass(frozen=True)
-class Asked:
+class CheckRequest:
     """Request for a conformance check: the algorithm, the dataset, and the time limit of a start.
 
     Attributes:
@@ -65,7 +65,7 @@ class Asked:
 
 
 def check_algorithm(
-    bench: Bench, executors: Sequence[Executor], asked: Asked, watcher: Watcher
+    bench: CheckBench, executors: Sequence[CheckExecutor], asked: CheckRequest, watcher: CheckWatcher
 ) -> list[Finding]:
     """Start an algorithm in each of its modes, in each executor, and hold what it does against the contract.
 
@@ -111,7 +111,14 @@ def parameters(entry: AlgorithmEntry) -> Iterator[Finding]:
 class _Examination:
     """The check of one mode in one executor."""
 
-    def __init__(self, bench: Bench, executor: Executor, asked: Asked, mode: Mode, watcher: Watcher) -> None:
+    def __init__(
+        self,
+        bench: CheckBench,
+        executor: CheckExecutor,
+        asked: CheckRequest,
+        mode: Mode,
+        watcher: CheckWatcher,
+    ) -> None:
         self._bench = bench
         self._executor = executor
         self._asked = asked
@@ -129,7 +136,7 @@ class _Examination:
             variant = variant_of(self._bench, asked.name, mode, asked.dataset)
             ended = []
             for number in range(_EQUAL_STARTS):
-                ended.append(self._start(Start(mode, asked.timeout, number), f"run {number + 1}"))
+                ended.append(self._start(CheckStart(mode, asked.timeout, number), f"run {number + 1}"))
                 if ended[-1].record.phase is not Phase.SUCCEEDED:
                     break
             often = "once" if len(ended) == 1 else f"{len(ended)} times"
@@ -143,11 +150,11 @@ class _Examination:
         except SlamHiveError as error:
             yield failed("runs", str(error), "have what it names at hand, or give another --dataset")
 
-    def _start(self, start: Start, what: str) -> Ended:
+    def _start(self, start: CheckStart, what: str) -> CheckEnd:
         self._watcher.step(f"{self._executor.name}, {self._mode.name}: {what}")
         return self._executor.run(start)
 
-    def _of_sound(self, ended: list[Ended], variant: Variant) -> Iterator[Finding]:
+    def _of_sound(self, ended: list[CheckEnd], variant: Variant) -> Iterator[Finding]:
         """Look at what starts on a sound recording gave."""
         last, output = ended[-1], self._spec.output_of(self._mode)
         verdict = rows.settings(self._spec, last)
@@ -159,7 +166,7 @@ class _Examination:
         yield rows.repeatable(self._spec.deterministic, ended)
         yield rows.cost(variant.duration_seconds, ended)
 
-    def _poses(self, ended: Ended, variant: Variant) -> Iterator[Finding]:
+    def _poses(self, ended: CheckEnd, variant: Variant) -> Iterator[Finding]:
         """Tell whether poses fit the ground truth, and as declared better than in any other reading."""
         record = ended.record
         truth = self._bench.truth(record.spec["datasetRef"]["name"])
@@ -188,19 +195,19 @@ class _Examination:
         yield failed("accuracy", f"{result.outcome}: {result.values.get('message')}", "see the stamp below")
         yield misread_stamps(declared, truth.poses, ended.trajectory)
 
-    def _of_unsound(self, usual: Ended) -> Iterator[Finding]:
+    def _of_unsound(self, usual: CheckEnd) -> Iterator[Finding]:
         """Start it on recordings that lack something, and tell it to end."""
         wall = usual.record.usage.wall_seconds if usual.record.usage else None
         wall = wall or 0.0
         patience = min(self._asked.timeout, _WAIT_SECONDS + _WAIT_TIMES * wall)
         for role in self._mode.needs:
-            start = Start(self._mode, patience, damage=Damage(role))
+            start = CheckStart(self._mode, patience, damage=Damage(role))
             yield self._refusal(start, f"without {role}", f"started without the topic of {role}")
-        start = Start(self._mode, patience, damage=Damage())
+        start = CheckStart(self._mode, patience, damage=Damage())
         yield self._refusal(start, "no data", "started on a recording without a message")
         yield self._sigterm(wall)
 
-    def _refusal(self, start: Start, check: str, did: str) -> Finding:
+    def _refusal(self, start: CheckStart, check: str, did: str) -> Finding:
         objection = self._executor.objection(start)
         if objection is not None:
             self._watcher.step(f"{self._executor.name}, {self._mode.name}: {check}")
@@ -209,14 +216,14 @@ class _Examination:
 
     def _sigterm(self, wall: float) -> Finding:
         check = "SIGTERM"
-        objection = self._executor.objection(Start(self._mode, self._asked.timeout, stop_after=0.0))
+        objection = self._executor.objection(CheckStart(self._mode, self._asked.timeout, stop_after=0.0))
         if objection is not None:
             self._watcher.step(f"{self._executor.name}, {self._mode.name}: {check}")
             return skipped(check, objection)
         self._watcher.step(f"{self._executor.name}, {self._mode.name}: {check}")
         for share in _WHEN:
             after = share * wall
-            ended = self._executor.run(Start(self._mode, self._asked.timeout, stop_after=after))
+            ended = self._executor.run(CheckStart(self._mode, self._asked.timeout, stop_after=after))
             finding = rows.stopped(ended)
             if finding is not None:
                 return finding.at("", "", f"sent SIGTERM {after:.1f} s after its start")

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.conformance.executors import Ended, Start, read_poses
+from slamhive.conformance.executors import CheckEnd, CheckStart, read_poses
 from slamhive.conformance.recordings import RECORDINGS, asked_of
 from slamhive.kube.api.errors import ApiError, NotFound
 from slamhive.kube.api.kinds import Kind, Object
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-    from slamhive.conformance.workstation import Bench
+    from slamhive.conformance.workstation import CheckBench
     from slamhive.kube.user.connecting import Cluster
     from slamhive.kube.user.manifests import Manifest
     from slamhive.model.base import Resource
@@ -58,7 +58,7 @@ class OnCluster:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: CheckBench,
         name: str,
         dataset: str | None,
         connect: Callable[[], AbstractAsyncContextManager[Cluster]],
@@ -85,7 +85,7 @@ class OnCluster:
             return str(error)
         return None
 
-    def objection(self, start: Start) -> str | None:
+    def objection(self, start: CheckStart) -> str | None:
         """Say why something can't be started like this there, None where it can."""
         if start.damage is not None:
             return "a cluster refuses such a recording when it prepares it, before the algorithm is started"
@@ -93,7 +93,7 @@ class OnCluster:
             return "a cluster doesn't tell whether a pod ended by itself or was killed"
         return None
 
-    def run(self, start: Start) -> Ended:
+    def run(self, start: CheckStart) -> CheckEnd:
         """Submit a run, and wait for its end.
 
         Raises:
@@ -110,7 +110,7 @@ class OnCluster:
         if self._made:
             asyncio.run(self._remove())
 
-    async def _run(self, start: Start) -> Ended:
+    async def _run(self, start: CheckStart) -> CheckEnd:
         async with self._connect() as cluster:
             sweep = self._sweep(start)
             await self._send(cluster, [*await self._entries(cluster, sweep), entry_of(sweep, "the check")])
@@ -126,9 +126,9 @@ class OnCluster:
         asked = asked_of(self._algorithm, start, self._dataset, self._bench.workshop).spec.template.spec
         names = {name: asked[name] for name in ("algorithmRef", "datasetRef")}
         record = record.replace(spec=record.spec | names)
-        return Ended(record=record, text=text, trajectory=trajectory, absent=why)
+        return CheckEnd(record=record, text=text, trajectory=trajectory, absent=why)
 
-    def _sweep(self, start: Start) -> Sweep:
+    def _sweep(self, start: CheckStart) -> Sweep:
         """Return the sweep of one run, with names of the check's own in it."""
         asked = asked_of(self._algorithm, start, self._dataset, self._bench.workshop).as_json()
         asked["metadata"] = {"name": f"check-{self._token}-{start.mode.name}-{start.number}"}

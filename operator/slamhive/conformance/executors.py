@@ -20,7 +20,7 @@ _MOST_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
-class Start:
+class CheckStart:
     """One start of the algorithm.
 
     Attributes:
@@ -39,7 +39,7 @@ class Start:
 
 
 @dataclass(frozen=True, eq=False)
-class Ended:
+class CheckEnd:
     """Outcome of one start of an algorithm in a check: the run's record, trajectory and exit.
 
     Attributes:
@@ -75,17 +75,17 @@ def read_poses(path: Path) -> tuple[bytes, Trajectory | None]:
         return text, None
 
 
-class Executor(Protocol):
+class CheckExecutor(Protocol):
     """Interface to start an algorithm for a check and get the outcome: on this machine or on a cluster."""
 
     @property
     def name(self) -> str:
         """Return the executor's name for users."""
 
-    def objection(self, start: Start) -> str | None:
+    def objection(self, start: CheckStart) -> str | None:
         """Say why something can't be started like this here, None where it can."""
 
-    def run(self, start: Start) -> Ended:
+    def run(self, start: CheckStart) -> CheckEnd:
         """Start the algorithm and wait for its end, which is certain to come.
 
         Raises:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from slamhive.model.base import Choice
 
 
-class Answer(Choice):
+class CheckAnswer(Choice):
     """Verdicts that a finding of a check can have."""
 
     PASS = "pass"  # noqa: S105 - no password
@@ -31,7 +31,7 @@ class Finding:
         executor: where it was found; empty where nothing was started.
     """
 
-    answer: Answer
+    answer: CheckAnswer
     check: str
     found: str
     help: str = ""
@@ -58,19 +58,19 @@ class Finding:
 
 def passed(check: str, found: str, help: str = "", did: str = "") -> Finding:  # noqa: A002
     """Return a finding that is as it should be."""
-    return Finding(Answer.PASS, check, found, help, did)
+    return Finding(CheckAnswer.PASS, check, found, help, did)
 
 
 def warned(check: str, found: str, help: str = "", did: str = "") -> Finding:  # noqa: A002
     """Return a finding that a user should know of, or that can't be told."""
-    return Finding(Answer.WARNING, check, found, help, did)
+    return Finding(CheckAnswer.WARNING, check, found, help, did)
 
 
 def failed(check: str, found: str, help: str, did: str = "") -> Finding:  # noqa: A002
     """Return a finding that is wrong, with what helps."""
-    return Finding(Answer.FAIL, check, found, help, did)
+    return Finding(CheckAnswer.FAIL, check, found, help, did)
 
 
 def skipped(check: str, found: str) -> Finding:
     """Return the finding of a check that could not look, with the reason."""
-    return Finding(Answer.SKIPPED, check, found)
+    return Finding(CheckAnswer.SKIPPED, check, found)

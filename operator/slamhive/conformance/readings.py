@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from slamhive.analysis.measuring import Subject, measure
-from slamhive.conformance.findings import Answer, Finding, failed, warned
+from slamhive.conformance.findings import CheckAnswer, Finding, failed, warned
 from slamhive.model.algorithm import Poses
 from slamhive.model.evaluation import Association, EvaluationSettings
 from slamhive.model.results import Outcome
@@ -136,7 +136,7 @@ def readings(
     tracked = result.outcome is Outcome.TRACKED and share <= _MAX_SHARE
     told = f"{own}, {share:.2%} of {length:.1f} m; coverage {result.coverage or 0.0:.2f}"
     if tracked:
-        yield Finding(Answer.PASS, "accuracy", told)
+        yield Finding(CheckAnswer.PASS, "accuracy", told)
     else:
         why = result.values.get("message") or f"more than {_MAX_SHARE:.0%} of the path"
         yield _inaccurate(declared, f"{told}; {why}")
@@ -201,7 +201,9 @@ def _together(
     name = min(found, key=found.__getitem__)
     if found[name].metres <= limit and found[name].clearly_better(best):
         text = f"no single change fits, several together do: {name}: {found[name]}"
-        yield Finding(Answer.FAIL, "frame and stamp", text, f"the poses are {name}: write or declare that")
+        yield Finding(
+            CheckAnswer.FAIL, "frame and stamp", text, f"the poses are {name}: write or declare that"
+        )
 
 
 def misread_stamps(
@@ -232,14 +234,14 @@ def misread_stamps(
     fitting = [name for name, fit in found.items() if np.isfinite(fit.metres)]
     if not fitting:
         how = "write the sensor time of each frame: header stamp + timeOffset, in s"
-        return Finding(Answer.FAIL, "stamp", f"{told}: no ground truth is near them", how)
+        return Finding(CheckAnswer.FAIL, "stamp", f"{told}: no ground truth is near them", how)
     best = min(fitting, key=found.__getitem__)
     how = "write sensor time in s"
     if best == "frame indices":
         how = f"declare output.trajectory with stamps: frame-index, or {how}"
     elif best == "seconds since the first frame":
         how = f"declare output.trajectory with stamps: s-since-first, or {how}"
-    return Finding(Answer.FAIL, "stamp", f"{told}: as {best} they fit, {found[best]}", how)
+    return Finding(CheckAnswer.FAIL, "stamp", f"{told}: as {best} they fit, {found[best]}", how)
 
 
 def inverse(estimate: Trajectory) -> Trajectory:
@@ -263,18 +265,18 @@ def _compared(
     """
     told = f"{what}: {own}"
     if not others:
-        return Finding(Answer.PASS, check, f"{told}; there is no other to compare with")
+        return Finding(CheckAnswer.PASS, check, f"{told}; there is no other to compare with")
     best = min(others, key=others.__getitem__)
     if hidden:
         text = f"{told}; as {best}: {others[best]}; the drift is too large to tell"
-        return Finding(Answer.WARNING, check, text)
+        return Finding(CheckAnswer.WARNING, check, text)
     better = [name for name, other in others.items() if other.clearly_better(own)]
     if better:
         best = min(better, key=others.__getitem__)
         text = f"{told}; {best} fits better: {others[best]}, {others[best].compared(own)}"
-        return Finding(Answer.FAIL, check, text, how.format(best))
+        return Finding(CheckAnswer.FAIL, check, text, how.format(best))
     close = [name for name, other in others.items() if not own.clearly_better(other)]
     if close:
         best = min(close, key=others.__getitem__)
-        return Finding(Answer.WARNING, check, f"{told}; {best} fits about as well: {others[best]}")
-    return Finding(Answer.PASS, check, f"{told}; the next best, {best}: {others[best]}")
+        return Finding(CheckAnswer.WARNING, check, f"{told}; {best} fits about as well: {others[best]}")
+    return Finding(CheckAnswer.PASS, check, f"{told}; the next best, {best}: {others[best]}")

@@ -12,7 +12,7 @@ from slamhive.model.sensors import FOLLOWS, STAND_INS, Role, SensorMode
 from slamhive.model.sweep import RunTemplate, Sweep, SweepSpec
 
 if TYPE_CHECKING:
-    from slamhive.conformance.executors import Start
+    from slamhive.conformance.executors import CheckStart
     from slamhive.model.algorithm import Mode
     from slamhive.plan import Catalog
 
@@ -75,7 +75,7 @@ def recording_for(mode: Mode) -> str:
     return _SHAKEN_STEREO if inertial else _STEREO
 
 
-def asked_of(algorithm: str, start: Start, dataset: str | None, catalog: Catalog) -> Sweep:
+def asked_of(algorithm: str, start: CheckStart, dataset: str | None, catalog: Catalog) -> Sweep:
     """Return the sweep of one run that asks for a start.
 
     Args:

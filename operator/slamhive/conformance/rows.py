@@ -16,7 +16,7 @@ from slamhive.model.results import Phase, Reason
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from slamhive.conformance.executors import Ended
+    from slamhive.conformance.executors import CheckEnd
     from slamhive.model.algorithm import AlgorithmSpec, Output
     from slamhive.model.results import RunRecord
     from slamhive_eval import Trajectory
@@ -43,7 +43,7 @@ _WHAT_HELPS = {
 }
 
 
-def ran(ended: Sequence[Ended]) -> Finding:
+def ran(ended: Sequence[CheckEnd]) -> Finding:
     """Say whether all starts ended well."""
     bad = [one.record for one in ended if one.record.phase is not Phase.SUCCEEDED]
     if not bad:
@@ -54,7 +54,7 @@ def ran(ended: Sequence[Ended]) -> Finding:
     return failed("runs", told, how or "try it again; it is the machine's fault, not the algorithm's")
 
 
-def settings(spec: AlgorithmSpec, ended: Ended) -> Finding | None:
+def settings(spec: AlgorithmSpec, ended: CheckEnd) -> Finding | None:
     """Say whether the settings files were rendered, and opened by the program; None where there are none."""
     if not spec.files:
         return None
@@ -73,7 +73,7 @@ def settings(spec: AlgorithmSpec, ended: Ended) -> Finding | None:
     return passed("settings", f"rendered and opened: {', '.join(wanted)}")
 
 
-def data(frames: int, end: float, seconds: float, output: Output, ended: Ended) -> Finding:
+def data(frames: int, end: float, seconds: float, output: Output, ended: CheckEnd) -> Finding:
     """Say whether the recording was read to its end.
 
     Args:
@@ -105,7 +105,7 @@ def data(frames: int, end: float, seconds: float, output: Output, ended: Ended) 
     return late("data", told, how)
 
 
-def repeatable(declared: str, ended: Sequence[Ended]) -> Finding:
+def repeatable(declared: str, ended: Sequence[CheckEnd]) -> Finding:
     """Say whether equal starts gave equal trajectories, and whether that is what is declared."""
     check, count = "determinism", len(ended)
     written = {one.record.trajectory.sha256 if one.record.trajectory else None for one in ended}
@@ -148,7 +148,7 @@ def _difference(trajectories: Sequence[Trajectory | None]) -> tuple[str, bool]:
     return f"differ by up to {apart:.3g} m", False
 
 
-def refusal(what: str, ended: Ended, timeout: float) -> Finding:  # noqa: PLR0911 - a line a case
+def refusal(what: str, ended: CheckEnd, timeout: float) -> Finding:  # noqa: PLR0911 - a line a case
     """Say whether the program ends with a sentence when its recording lacks what it needs.
 
     Args:
@@ -178,7 +178,7 @@ def refusal(what: str, ended: Ended, timeout: float) -> Finding:  # noqa: PLR091
     return skipped(what, f"{record.reason}: {record.message}")
 
 
-def stopped(ended: Ended) -> Finding | None:
+def stopped(ended: CheckEnd) -> Finding | None:
     """Say what the program does with SIGTERM; None where it had ended before."""
     check, record = "SIGTERM", ended.record
     if record.phase is Phase.SUCCEEDED:
@@ -199,7 +199,7 @@ def stopped(ended: Ended) -> Finding | None:
     return passed(check, f"it ended{took} ({by}); {kept}")
 
 
-def cost(seconds: float, ended: Sequence[Ended]) -> Finding:
+def cost(seconds: float, ended: Sequence[CheckEnd]) -> Finding:
     """Tell time and memory, and whether anything speaks against the figures."""
     check = "time and memory"
     records = [one.record for one in ended]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from slamhive.archive import Archive
 from slamhive.conformance.damaging import Damage, damaged
-from slamhive.conformance.executors import Ended, Start, read_poses
+from slamhive.conformance.executors import CheckEnd, CheckStart, read_poses
 from slamhive.conformance.recordings import RECORDINGS, asked_of
 from slamhive.contract.environment import SETTINGS_FOLDER
 from slamhive.data.files.erasing import erase
@@ -47,7 +47,7 @@ _END_SECONDS = 20.0
 """Longest time of an interrupted start to its end: its program has 5 s."""
 
 
-class Bench(Workbench):
+class CheckBench(Workbench):
     """A workbench on which a recording may lack something.
 
     Attributes:
@@ -56,9 +56,9 @@ class Bench(Workbench):
 
     damage: Damage | None = None
 
-    def another(self, **options: Any) -> Bench:
+    def another(self, **options: Any) -> CheckBench:
         """Return a bench for another executor of this machine, in the same home."""
-        bench = Bench(self.home, self.workshop, self.archive, self.tell, **options)
+        bench = CheckBench(self.home, self.workshop, self.archive, self.tell, **options)
         bench.making = self.making
         return bench
 
@@ -73,7 +73,7 @@ class Bench(Workbench):
 @contextmanager
 def bench_for_checks(
     home: Home, workshop: Workshop, notify: Callable[[str], None] = lambda _: None
-) -> Iterator[Bench]:
+) -> Iterator[CheckBench]:
     """Lend a workbench whose runs and archive are removed again; only the home's one runner may ask for it.
 
     Args:
@@ -92,7 +92,7 @@ def bench_for_checks(
         # Whatever archive $SLAMHIVE_ARCHIVE names: this is none of it.
         own = Home(place, f"sqlite:///{place / 'archive.sqlite'}")
         with Archive.open(own.archive_url) as archive:
-            yield Bench(own, catalog, archive, notify)
+            yield CheckBench(own, catalog, archive, notify)
     finally:
         _remove(place)
 
@@ -114,7 +114,7 @@ class OnWorkstation:
     """
 
     def __init__(
-        self, bench: Bench, name: str, dataset: str | None = None, *, contained: bool = False
+        self, bench: CheckBench, name: str, dataset: str | None = None, *, contained: bool = False
     ) -> None:
         self.name = "container" if contained else "process"
         self._contained = contained
@@ -124,7 +124,9 @@ class OnWorkstation:
         self._cores = CorePool(bench.home.leases)
 
     @classmethod
-    def contained(cls, bench: Bench, name: str, dataset: str | None = None, *, pull: bool) -> OnWorkstation:
+    def contained(
+        cls, bench: CheckBench, name: str, dataset: str | None = None, *, pull: bool
+    ) -> OnWorkstation:
         """Return the executor that starts an algorithm's image as containers of this machine.
 
         Args:
@@ -150,7 +152,7 @@ class OnWorkstation:
         """Say why nothing can be started as a process here, None where it can."""
         return availability(self._bench.workshop.algorithm(self._algorithm))
 
-    def objection(self, start: Start) -> str | None:
+    def objection(self, start: CheckStart) -> str | None:
         """Say why something can't be started like this here, None where it can."""
         if start.damage is None:
             return None
@@ -162,7 +164,7 @@ class OnWorkstation:
             return f"nothing can be left out of a recording in the form {variant.format}"
         return None
 
-    def run(self, start: Start) -> Ended:
+    def run(self, start: CheckStart) -> CheckEnd:
         """Start the algorithm and wait for its end.
 
         Raises:
@@ -188,11 +190,11 @@ class OnWorkstation:
             erase(bench.home.folder("damaged"))
             self._cores.give_back(cores)
 
-    def _point(self, start: Start) -> Point:
+    def _point(self, start: CheckStart) -> Point:
         sweep = asked_of(self._algorithm, start, self._dataset, self._bench.workshop)
         return Plan(sweep, self._bench.workshop).point(0)
 
-    def _driven(self, order: RunOrder, cpus: tuple[int, ...], start: Start) -> Ended:
+    def _driven(self, order: RunOrder, cpus: tuple[int, ...], start: CheckStart) -> CheckEnd:
         driver = RunDriver(order, self._bench, cpus, lambda _: None)
         records: list[RunRecord] = []
         thread = threading.Thread(target=lambda: records.append(driver.drive()), daemon=True)
@@ -229,13 +231,13 @@ def _runs(folder: Path) -> bool:
     return False
 
 
-def _ended(record: RunRecord, driver: RunDriver, folder: Path, took: float | None) -> Ended:
+def _ended(record: RunRecord, driver: RunDriver, folder: Path, took: float | None) -> CheckEnd:
     """Return the outcome of a start; its folder may be removed then."""
     end = driver.attempt_end()
     text, trajectory = b"", None
     if record.trajectory is not None:
         text, trajectory = read_poses(folder / "run" / "output" / "trajectory.txt")
-    return Ended(
+    return CheckEnd(
         record=record,
         text=text,
         trajectory=trajectory,
@@ -271,8 +273,8 @@ def opened_files(folder: Path) -> dict[str, bool | None]:
     return found
 
 
-def variant_of(bench: Bench, algorithm: str, mode: Mode, dataset: str | None) -> Variant:
+def variant_of(bench: CheckBench, algorithm: str, mode: Mode, dataset: str | None) -> Variant:
     """Return the prepared recording of a mode, whole."""
-    sweep = asked_of(algorithm, Start(mode, timeout=1.0), dataset, bench.workshop)
+    sweep = asked_of(algorithm, CheckStart(mode, timeout=1.0), dataset, bench.workshop)
     point = Plan(sweep, bench.workshop).point(0)
     return bench.prepare(point.spec, bench.workshop.algorithm(algorithm).algorithm)

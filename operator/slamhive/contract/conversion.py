@@ -44,7 +44,7 @@ from slamhive.contract.trajectory import TrajectoryCheck, check_pose, parse_pose
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from slamhive.contract.posefiles import PoseFile, PoseFiles
+    from slamhive.contract.posefiles import DeclaredPoseFile, PoseFiles
 
 _MATRIX = 12
 _NORM_TOLERANCE = 5 * TOLERANCE
@@ -109,7 +109,7 @@ def convert_all(output_directory: str, files: PoseFiles, trajectory: str, keyfra
 
 
 def _convert(
-    output_directory: str, source: PoseFile | None, frames: str | None, target: str
+    output_directory: str, source: DeclaredPoseFile | None, frames: str | None, target: str
 ) -> TrajectoryCheck:
     """Convert a file of poses, and return what is wrong with it.
 
@@ -131,7 +131,7 @@ def _convert(
 
 
 def convert(
-    output_directory: str, source: PoseFile, frames: str | None, target: str, limit: int = LIMIT_BYTES
+    output_directory: str, source: DeclaredPoseFile, frames: str | None, target: str, limit: int = LIMIT_BYTES
 ) -> None:
     """Write the poses of a file as the contract has them: ``timestamp tx ty tz qx qy qz qw``, s and m.
 
@@ -153,7 +153,7 @@ def convert(
     name = named(source.path)
     with opened_text(output_directory, source.path, limit) as text:
         meaning = _MEANINGS[source.format]
-        rows = _Rows(source, stamps)
+        rows = _FileRows(source, stamps)
         with _written(output_directory, target) as write:
             total = 0
             for lines in blocks(text, name, meaning, limit):
@@ -186,10 +186,10 @@ def read_frames(path: str) -> array[int]:
     return stamps
 
 
-class _Rows:
+class _FileRows:
     """The lines of a file, one after another."""
 
-    def __init__(self, source: PoseFile, frames: array[int] | None) -> None:
+    def __init__(self, source: DeclaredPoseFile, frames: array[int] | None) -> None:
         self._source = source
         self._frames = frames
         self._meaning = _MEANINGS[source.format]
@@ -198,7 +198,7 @@ class _Rows:
         self._line = 0
         self._rows = 0
         self._width: int | None = None
-        self._table: _Table | None = None
+        self._table: _CsvTable | None = None
 
     def converted(self, lines: list[bytes]) -> bytes:
         """Return the poses of the next lines.
@@ -267,7 +267,7 @@ class _Rows:
             if remark and self._source.header is not None:
                 return None
             columns = self._source.columns or {name: name for name in COLUMNS}
-            self._table = _Table.of(line, columns, self._source.header)
+            self._table = _CsvTable.of(line, columns, self._source.header)
             if self._source.header is None:
                 return None
         return None if remark else self._table.cells(line)
@@ -310,7 +310,7 @@ class _Rows:
         return lambda word: word
 
 
-class _Table:
+class _CsvTable:
     """A CSV file by its first line.
 
     Args:
@@ -331,12 +331,12 @@ class _Table:
         self._separator = separator
 
     @classmethod
-    def of(cls, line: bytes, columns: Mapping[str, str], header: Sequence[str] | None) -> _Table:
+    def of(cls, line: bytes, columns: Mapping[str, str], header: Sequence[str] | None) -> _CsvTable:
         """Read the first line.
 
         Args:
             line: it.
-            columns: as `PoseFile` has them.
+            columns: as `DeclaredPoseFile` has them.
             header: the names where that line has none.
         """
         text = line.decode("utf-8", "replace").strip().removeprefix("#").strip()

@@ -38,7 +38,7 @@ _SHOWN_NAMES = 3
 _SHOWN_CHARACTERS = 40
 
 
-class Metrics(NamedTuple):
+class AlgorithmMetrics(NamedTuple):
     """Contents of an algorithm's metrics.json, with a note where the file can't be used.
 
     Attributes:
@@ -62,7 +62,7 @@ class Kept(NamedTuple):
     note: str | None = None
 
 
-def read_metrics(output_directory: str, *, bounded: bool = True) -> Metrics:
+def read_metrics(output_directory: str, *, bounded: bool = True) -> AlgorithmMetrics:
     """Read metrics.json; whatever is there, this neither fails nor waits.
 
     Args:
@@ -77,15 +77,17 @@ def read_metrics(output_directory: str, *, bounded: bool = True) -> Metrics:
                 data = file.read(FILE_BYTES + 1)
             values = json.loads(data) if len(data) <= FILE_BYTES else None
     except FileNotFoundError:
-        return Metrics({})
+        return AlgorithmMetrics({})
     except (OSError, ValueError, RecursionError, MemoryError):
         values = None
     if not isinstance(values, dict):
-        return Metrics({}, f"{_NAME} is no JSON object of at most {FILE_BYTES >> 20} MiB and was ignored")
-    return Metrics(values)
+        return AlgorithmMetrics(
+            {}, f"{_NAME} is no JSON object of at most {FILE_BYTES >> 20} MiB and was ignored"
+        )
+    return AlgorithmMetrics(values)
 
 
-def frame_counts(metrics: Metrics, offered: int | None) -> dict[str, int | None]:
+def frame_counts(metrics: AlgorithmMetrics, offered: int | None) -> dict[str, int | None]:
     """Return the numbers of frames offered, processed and dropped, as the algorithm counted.
 
     Args:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slamhive.contract.metrics import Metrics, frame_counts, keep_values, read_metrics
+from slamhive.contract.metrics import AlgorithmMetrics, frame_counts, keep_values, read_metrics
 from slamhive.contract.posefiles import PoseFiles
 from slamhive.contract.trajectory import FILE, TrajectoryCheck, check_trajectory
 
@@ -24,7 +24,7 @@ KEYFRAMES = "trajectory.keyframes.txt"
 """In the output folder: keyframes that a program wrote beside its trajectory, as the contract has poses."""
 
 
-class Output(NamedTuple):
+class OutputContents(NamedTuple):
     """Contents of an algorithm's output folder, read once when the run has ended.
 
     Attributes:
@@ -37,7 +37,7 @@ class Output(NamedTuple):
             blame.
     """
 
-    metrics: Metrics
+    metrics: AlgorithmMetrics
     kept: Kept
     trajectory: TrajectoryCheck
     offered: int | None = None
@@ -64,7 +64,7 @@ class Output(NamedTuple):
 
 def read_output(
     output_directory: str, offered: int | None = None, poses: Mapping[str, Any] | None = None
-) -> Output:
+) -> OutputContents:
     """Read an output folder; whatever is there, this neither fails nor waits.
 
     Args:
@@ -81,4 +81,4 @@ def read_output(
         found, keyframes, fault = convert_all(output_directory, PoseFiles.from_json(poses), FILE, KEYFRAMES)
     if found.problem is None:
         found = check_trajectory(output_directory)
-    return Output(metrics, keep_values(metrics.values), found, offered, keyframes, fault)
+    return OutputContents(metrics, keep_values(metrics.values), found, offered, keyframes, fault)

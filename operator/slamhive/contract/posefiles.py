@@ -22,7 +22,7 @@ COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True, slots=True)
-class PoseFile:
+class DeclaredPoseFile:
     """A file with poses.
 
     Attributes:
@@ -81,8 +81,8 @@ class PoseFiles:
         frames: File with the stamps of the recording's frames, None where no file counts from them.
     """
 
-    trajectory: PoseFile | None = None
-    keyframes: PoseFile | None = None
+    trajectory: DeclaredPoseFile | None = None
+    keyframes: DeclaredPoseFile | None = None
     frames: str | None = None
 
     @property
@@ -106,7 +106,11 @@ class PoseFiles:
         if not isinstance(values, dict) or values.keys() - {"trajectory", "keyframes", "frames"}:
             raise ValueError("expected an object with trajectory, keyframes and frames")
         try:
-            files = {name: PoseFile(**values[name]) for name in ("trajectory", "keyframes") if name in values}
+            files = {
+                name: DeclaredPoseFile(**values[name])
+                for name in ("trajectory", "keyframes")
+                if name in values
+            }
         except TypeError as error:
             raise ValueError(str(error)) from None
         found = cls(**files, frames=values.get("frames"))

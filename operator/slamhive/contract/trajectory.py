@@ -39,7 +39,7 @@ _SMALLEST_QUATERNION_COMPONENT = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class TrajectoryInfo:
+class SoundTrajectory:
     """A sound trajectory.
 
     Attributes:
@@ -65,7 +65,7 @@ class TrajectoryCheck:
         missing: There is no such file.
     """
 
-    info: TrajectoryInfo | None = None
+    info: SoundTrajectory | None = None
     problem: str | None = None
     missing: bool = False
 
@@ -97,20 +97,20 @@ def check_trajectory(output_directory: str, limit: int = LIMIT_BYTES) -> Traject
         return TrajectoryCheck(problem=f"{TRAJECTORY}: can't be read: {error.strerror or error}")
 
 
-def _read(file: IO[bytes], limit: int) -> TrajectoryInfo:
+def _read(file: IO[bytes], limit: int) -> SoundTrajectory:
     from hashlib import sha256  # noqa: PLC0415 - 5 MiB of memory that nobody needs while the algorithm runs
 
     digest = sha256()
     while block := file.read(BLOCK_BYTES):
         digest.update(block)
     file.seek(0)
-    poses = _Poses()
+    poses = _PoseCount()
     for lines in blocks(file, TRAJECTORY, _MEANING, limit):
         poses.add(lines)
-    return TrajectoryInfo(poses.count, poses.last - poses.first, digest.hexdigest())
+    return SoundTrajectory(poses.count, poses.last - poses.first, digest.hexdigest())
 
 
-class _Poses:
+class _PoseCount:
     """Count, first and last stamp of the poses in a trajectory's lines that were checked so far."""
 
     def __init__(self) -> None:

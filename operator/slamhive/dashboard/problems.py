@@ -9,9 +9,9 @@
     ├── NotAcceptable     406 the format is not to be had here
     ├── TooLarge          413 more is asked for than is read or computed at a time
     ├── TooCostly         422 computing the answer took more than it may
-    ├── Unavailable       503 what the answer comes from does not answer
+    ├── SourceUnavailable 503 what the answer comes from does not answer
     │   └── Busy          503 others are being answered
-    └── Refused           as a worker told it
+    └── WorkerRefusal     as a worker told it
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class NotAcceptable(Problem):
     status = 406
 
 
-class Unavailable(Problem):
+class SourceUnavailable(Problem):
     """Error of a request whose data source does not answer at present: status 503."""
 
     status = 503
@@ -86,7 +86,7 @@ class TooCostly(Problem):
     status = 422
 
 
-class Busy(Unavailable):
+class Busy(SourceUnavailable):
     """Others are being answered."""
 
     def __init__(self, sentence: str, retry_after: int = RETRY_SECONDS) -> None:
@@ -94,7 +94,7 @@ class Busy(Unavailable):
         self.retry_after = retry_after
 
 
-class Refused(Problem):
+class WorkerRefusal(Problem):
     """Error that a worker process sent instead of an answer.
 
     Args:
@@ -106,7 +106,7 @@ class Refused(Problem):
         super().__init__(str(body["error"]))
         self.status = status
         self._body = body
-        self.retry_after = RETRY_SECONDS if status == Unavailable.status else None
+        self.retry_after = RETRY_SECONDS if status == SourceUnavailable.status else None
 
     def body(self) -> dict[str, Any]:
         """Return the body of the answer."""
@@ -125,5 +125,5 @@ def told(error: BaseException) -> tuple[int, dict[str, Any]] | None:
         position = getattr(error, "position", None)
         return 400, body if position is None else body | {"position": position}
     if isinstance(error, SystemFault):
-        return Unavailable.status, {"error": str(error), "field": None}
+        return SourceUnavailable.status, {"error": str(error), "field": None}
     return None

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from slamhive.figures.asking import Wish
     from slamhive.local.home.folder import Home
     from slamhive.model.results import Result, RunRecord
-    from slamhive.runfiles.artifacts import Place
+    from slamhive.runfiles.artifacts import ArtifactFolder
     from slamhive.tables.homes import Beside
 
     Rows = dict[str, Floats]
@@ -65,7 +65,7 @@ class Found:
     """
 
     record: RunRecord
-    place: Place
+    place: ArtifactFolder
     evaluation: str | None
     algorithms: list[CatalogEntry]
     here: Here

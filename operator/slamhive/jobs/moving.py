@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from slamhive.storage.store import Store
+    from slamhive.storage.store import ObjectStorage
 
 MOST_FILES = 200_000
 _MOST_BYTES = 1 << 50
 _LONGEST_PATH = 1024
 
 
-def copy_folder(results: Path, uid: str, store: Store) -> Offloaded:
+def copy_folder(results: Path, uid: str, store: ObjectStorage) -> Offloaded:
     """Have a run's folder in a store, whole, and return what is there.
 
     Args:
@@ -76,7 +76,7 @@ def _described(results: Path, uid: str, path: str) -> StoredFile:
         return reading.file()
 
 
-def _copied(results: Path, uid: str, path: str, store: Store) -> StoredFile:
+def _copied(results: Path, uid: str, path: str, store: ObjectStorage) -> StoredFile:
     # Where the object is named by the sum, that has to be known first.
     before = _described(results, uid, path) if StoredFile.needs_sum(path) else None
     with opened(results, f"{folder_of(uid)}/{path}", _MOST_BYTES) as descriptor:
@@ -124,7 +124,7 @@ class _Reading:
         )
 
 
-def _confirm(store: Store, made: Offloaded) -> None:
+def _confirm(store: ObjectStorage, made: Offloaded) -> None:
     """Write the note behind its files, after a look at them, and read it back."""
     place = folder_of(made.uid)
     sizes = store.sizes(place)

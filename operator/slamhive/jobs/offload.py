@@ -41,7 +41,7 @@ from slamhive.jobs.program import add_store, arguments, run_program, write_aside
 from slamhive.jobs.trash import OFFLOADED, outdated, throw_away
 from slamhive.model.errors import DataError, SlamHiveError, sentence
 from slamhive.storage.state import STATE, OffloadState, read_state
-from slamhive.storage.store import StorageUnavailable, Store, StoreSettings
+from slamhive.storage.store import ObjectStorage, StorageUnavailable, StoreSettings
 
 if TYPE_CHECKING:
     import argparse
@@ -148,7 +148,7 @@ class Offloading:
         """
         options = self._options
         after, rest = (duration_of(name, getattr(options, name)) for name in ("after", "trash"))
-        store = Store(StoreSettings.read(options.store, options.secret))
+        store = ObjectStorage(StoreSettings.read(options.store, options.secret))
         self._url = store.url
         if not options.dry_run:
             self._erase_trash(0.0 if self._is_full() else rest)
@@ -160,7 +160,9 @@ class Offloading:
             _tell(f"the volume is more than {options.full} % full: folders younger than --after go too")
             self._move(iter(young), store, rest, self._is_full)
 
-    def _move(self, uids: Iterator[str], store: Store, rest: float, goes_on: Callable[[], bool]) -> None:
+    def _move(
+        self, uids: Iterator[str], store: ObjectStorage, rest: float, goes_on: Callable[[], bool]
+    ) -> None:
         while goes_on() and (batch := list(islice(uids, _BATCH))):
             if self._options.dry_run:
                 for uid in batch:
@@ -216,7 +218,7 @@ class Offloading:
         found = os.statvfs(self._results)
         return found.f_blocks > 0 and 100 * (1 - found.f_bavail / found.f_blocks) > self._options.full
 
-    def _copy(self, uids: Sequence[str], store: Store) -> _Batch:
+    def _copy(self, uids: Sequence[str], store: ObjectStorage) -> _Batch:
         """Copy some folders, several at a time; the first trouble with the store ends it."""
         done = _Batch()
 

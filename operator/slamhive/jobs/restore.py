@@ -19,7 +19,7 @@ from slamhive.jobs.requests import RestoreRequest
 from slamhive.model.errors import DataError
 from slamhive.storage.offloaded import folder_of
 from slamhive.storage.reading import Bucket
-from slamhive.storage.store import Store, StoreSettings
+from slamhive.storage.store import ObjectStorage, StoreSettings
 
 if TYPE_CHECKING:
     import argparse
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _work(options: argparse.Namespace) -> str:
     request = parse(RestoreRequest, read_request(options.root), "request")
-    bucket = Bucket(Store(StoreSettings.read(options.store, options.secret)))
+    bucket = Bucket(ObjectStorage(StoreSettings.read(options.store, options.secret)))
     uids = dict.fromkeys(folder.split("/")[1] for folder in request.folders)
     brought, left = 0, {}
     for uid in uids:

@@ -30,7 +30,7 @@ from slamhive.jobs.opening import opened
 from slamhive.jobs.program import add_store, arguments
 from slamhive.model.errors import DataError, SlamHiveError
 from slamhive.storage.reading import Bucket
-from slamhive.storage.store import Store, StoreSettings
+from slamhive.storage.store import ObjectStorage, StoreSettings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,7 +62,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.wait is not None:
         sign.wait(options.wait)
         return 0
-    bucket = Bucket(Store(StoreSettings.read(options.store, options.secret))) if options.store else None
+    bucket = (
+        Bucket(ObjectStorage(StoreSettings.read(options.store, options.secret))) if options.store else None
+    )
     return Sender(options.root / "results", sys.stdout.buffer, sign, bucket).serve(sys.stdin.buffer)
 
 

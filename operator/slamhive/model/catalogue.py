@@ -306,7 +306,7 @@ def load_family(path: Path, _changed: int) -> Family:
         InputError: It can't be read.
     """
     try:
-        plain = yaml.load(path.read_text(encoding="utf-8"), _Loader)  # noqa: S506 - a safe loader
+        plain = yaml.load(path.read_text(encoding="utf-8"), _CatalogueLoader)  # noqa: S506 - a safe loader
         rows = plain.pop("sequences")
         rows = {str(name): row or {} for name, row in rows.items()}
         family = Family(FamilyHead.model_validate(plain), rows, path)
@@ -324,7 +324,7 @@ def load_family(path: Path, _changed: int) -> Family:
     return family
 
 
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+class _CatalogueLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     """Reads YAML safely, fast where libyaml is there; a key that is there twice is a mistake."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:

@@ -89,14 +89,14 @@ class PoseFile(Model):
                 raise ValueError(f"header: it has {found} {name!r}, of which one is needed")
 
     @property
-    def told(self) -> posefiles.PoseFile:
+    def told(self) -> posefiles.DeclaredPoseFile:
         """Return its description for supervisor and sidecar."""
         columns = None
         if self.format is PoseFormat.CSV:
             columns = (self.columns or PoseColumns()).model_dump()
         stamps = self.stamps or posefiles.USUAL_STAMPS[self.format]
         header = None if self.header is None else tuple(self.header)
-        return posefiles.PoseFile(self.path, str(self.format), stamps, self.inverted, columns, header)
+        return posefiles.DeclaredPoseFile(self.path, str(self.format), stamps, self.inverted, columns, header)
 
 
 def told_files(trajectory: PoseFile | None, keyframes: PoseFile | None, frames: str) -> dict[str, Any] | None:

@@ -20,7 +20,7 @@ class State(Choice):
 
 
 @dataclass(frozen=True)
-class Row:
+class ReadinessRow:
     """Result of one check of ``slamhive doctor``.
 
     Attributes:
@@ -49,16 +49,16 @@ class Row:
         return asdict(self) | {"state": str(self.state)}
 
 
-def there(check: str, found: str, *, needed: bool = False) -> Row:
+def there(check: str, found: str, *, needed: bool = False) -> ReadinessRow:
     """Return the row of what is there."""
-    return Row(check, State.THERE, found, needed=needed)
+    return ReadinessRow(check, State.THERE, found, needed=needed)
 
 
-def limited(check: str, found: str, costs: str, helps: str = "", *, needed: bool = False) -> Row:
+def limited(check: str, found: str, costs: str, helps: str = "", *, needed: bool = False) -> ReadinessRow:
     """Return the row of what is there, but less than it could be."""
-    return Row(check, State.LIMITED, found, costs, helps, needed)
+    return ReadinessRow(check, State.LIMITED, found, costs, helps, needed)
 
 
-def missing(check: str, found: str, costs: str, helps: str = "", *, needed: bool = False) -> Row:
+def missing(check: str, found: str, costs: str, helps: str = "", *, needed: bool = False) -> ReadinessRow:
     """Return the row of what isn't there."""
-    return Row(check, State.MISSING, found, costs, helps, needed)
+    return ReadinessRow(check, State.MISSING, found, costs, helps, needed)

@@ -82,7 +82,7 @@ class _TooMuchError(ManifestError):
     """More than a manifest may hold: reading ends."""
 
 
-class _Reader:
+class _NodeReader:
     """Turns YAML nodes into plain values; what aliases repeat is held once and counts each time.
 
     Attributes:
@@ -316,7 +316,7 @@ def _read(loader: _Loader | _FastLoader, source: str, documents: list[Document])
     try:
         while loader.check_node():
             node = loader.get_node()
-            reader = _Reader(source)
+            reader = _NodeReader(source)
             value = None if node is None else reader.value(node)
             if node is not None and (value is not None or reader.problems):
                 documents.append(Document(source, value, node, list(dict.fromkeys(reader.problems))))

@@ -8,7 +8,13 @@ the algorithm's pod beside it and attaches to its container. Both read the same 
 Standard library alone, and little of it: this process starts once per run and its start counts.
 """
 
-from slamhive.monitor.measuring.accounting import Accounting, Contention, CpuUsage, MemoryUsage, Usage
+from slamhive.monitor.measuring.accounting import (
+    Accounting,
+    Contention,
+    MeasuredCpu,
+    MeasuredMemory,
+    MeasuredUsage,
+)
 from slamhive.monitor.measuring.cgroup import RunCgroup, make_run_cgroup, sweep_stale_cgroups
 from slamhive.monitor.measuring.proc import ProcSource
 from slamhive.monitor.measuring.processes import ProcessIdentity, identify
@@ -16,32 +22,32 @@ from slamhive.monitor.measuring.sources import (
     CgroupV1Source,
     CgroupV2Source,
     Sample,
-    Source,
+    UsageSource,
     cgroup_source_at,
 )
 from slamhive.monitor.programs.orphans import ProcessRecord, end_orphans, find_orphans
 from slamhive.monitor.spec import SidecarSpec, SpecError, SupervisorSpec
-from slamhive.monitor.summary import Reason, Summary
+from slamhive.monitor.summary import Reason, RunSummary
 
 __all__ = [
     "Accounting",
     "CgroupV1Source",
     "CgroupV2Source",
     "Contention",
-    "CpuUsage",
-    "MemoryUsage",
+    "MeasuredCpu",
+    "MeasuredMemory",
+    "MeasuredUsage",
     "ProcSource",
     "ProcessIdentity",
     "ProcessRecord",
     "Reason",
     "RunCgroup",
+    "RunSummary",
     "Sample",
     "SidecarSpec",
-    "Source",
     "SpecError",
-    "Summary",
     "SupervisorSpec",
-    "Usage",
+    "UsageSource",
     "cgroup_source_at",
     "end_orphans",
     "find_orphans",

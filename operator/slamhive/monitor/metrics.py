@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from slamhive.contract.metrics import is_number
 
 if TYPE_CHECKING:
-    from slamhive.contract.metrics import Metrics
+    from slamhive.contract.metrics import AlgorithmMetrics
 
 # A reader takes a part of a run's CPU seconds, hardly more than the algorithm itself.
 _PLAUSIBLE_SHARE = 0.5
@@ -78,7 +78,7 @@ class ReaderReport:
         return None
 
 
-def reader_report(metrics: Metrics) -> ReaderReport:
+def reader_report(metrics: AlgorithmMetrics) -> ReaderReport:
     """Return the algorithm's own report about its reader."""
     seconds, includes = metrics.values.get("readerCpuSeconds"), metrics.values.get("includesReader")
     included = includes if isinstance(includes, bool) else None

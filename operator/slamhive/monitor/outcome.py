@@ -11,7 +11,7 @@ from typing import NamedTuple
 from slamhive.monitor.summary import Reason
 
 
-class Stop(NamedTuple):
+class StopDecision(NamedTuple):
     """A decision to end a run.
 
     Attributes:
@@ -26,7 +26,7 @@ class Stop(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ending:
+class ProgramEnding:
     """Facts about a run's end that its outcome is judged by: wait status, stop decision, OOM kills.
 
     Attributes:
@@ -39,14 +39,14 @@ class Ending:
     """
 
     status: int | None
-    stop: Stop | None = None
+    stop: StopDecision | None = None
     last_line: str = ""
     group_oom_kills: int = 0
     machine_oom_kills: int = 0
     memory_limit: int | None = None
 
 
-class Outcome(NamedTuple):
+class ProgramOutcome(NamedTuple):
     """Exit code or signal, and what they mean; reason None for success."""
 
     exit_code: int | None
@@ -55,13 +55,13 @@ class Outcome(NamedTuple):
     message: str
 
 
-def out_of_memory(limit: int | None) -> Stop:
+def out_of_memory(limit: int | None) -> StopDecision:
     """Return the decision to end a run that took too much memory."""
     most = "there is" if limit is None else f"its limit of {limit / 2**20:.0f} MiB"
-    return Stop(Reason.OUT_OF_MEMORY, f"it needed more memory than {most}", at_once=True)
+    return StopDecision(Reason.OUT_OF_MEMORY, f"it needed more memory than {most}", at_once=True)
 
 
-def judge(ending: Ending) -> Outcome:
+def judge(ending: ProgramEnding) -> ProgramOutcome:
     """Say how a run ended."""
     status = ending.status
     exited = status is not None and os.WIFEXITED(status)
@@ -76,12 +76,12 @@ def judge(ending: Ending) -> Outcome:
     ):
         stop = out_of_memory(ending.memory_limit if ending.group_oom_kills else None)
     if stop is not None:
-        return Outcome(code, number, stop.reason, stop.message)
+        return ProgramOutcome(code, number, stop.reason, stop.message)
     if code == 0:
-        return Outcome(0, None, None, "")
+        return ProgramOutcome(0, None, None, "")
     what = f"exit code {code}" if number is None else f"ended by signal {number} ({_name(number)})"
     message = f"{what}: {ending.last_line}" if ending.last_line else what
-    return Outcome(code, number, Reason.ALGORITHM_FAILED, message)
+    return ProgramOutcome(code, number, Reason.ALGORITHM_FAILED, message)
 
 
 def _name(number: int) -> str:

@@ -23,7 +23,7 @@ from slamhive.contract.output import read_output
 from slamhive.monitor.measuring.machine import cpu_model, process_start
 from slamhive.monitor.measuring.processes import forbid_inspection, read_file
 from slamhive.monitor.metrics import reader_report
-from slamhive.monitor.outcome import Stop, out_of_memory
+from slamhive.monitor.outcome import StopDecision, out_of_memory
 from slamhive.monitor.playing import played_mean_cores
 from slamhive.monitor.pod.containers import Container, Finder
 from slamhive.monitor.pod.sidecarstate import SidecarState
@@ -32,12 +32,12 @@ from slamhive.monitor.pod.watching import UNENDED, USAGE, Watch
 from slamhive.monitor.programs.orphans import write_atomically
 from slamhive.monitor.signals import Signals
 from slamhive.monitor.spec import TERMINATION_MESSAGE, SidecarSpec, SpecError
-from slamhive.monitor.summary import Reason, Summary
+from slamhive.monitor.summary import Reason, RunSummary
 from slamhive.playback.outcome import read_report
 
 if TYPE_CHECKING:
-    from slamhive.contract.output import Output
-    from slamhive.monitor.measuring.accounting import Accounting, Usage
+    from slamhive.contract.output import OutputContents
+    from slamhive.monitor.measuring.accounting import Accounting, MeasuredUsage
     from slamhive.monitor.measuring.processes import ProcessIdentity
 
 VARIABLE = "SLAMHIVE_SIDECAR"
@@ -78,7 +78,7 @@ class Sidecar:
         restarted = any(os.path.lexists(self._path(name)) for name in (USAGE, _SUMMARY))
         if restarted:
             state.note(_RESTARTED)
-            state.stop = Stop(Reason.SYSTEM_FAULT, _RESTARTED, at_once=True)
+            state.stop = StopDecision(Reason.SYSTEM_FAULT, _RESTARTED, at_once=True)
         container = self._attach(state)
         if container is not None:
             try:
@@ -130,7 +130,7 @@ class Sidecar:
         folder = f"{spec.run_directory}/output"
         output = read_output(folder, spec.frames, spec.poses)
         if output.fault is not None and state.stop is None:
-            state.stop = Stop(Reason.SYSTEM_FAULT, output.fault)
+            state.stop = StopDecision(Reason.SYSTEM_FAULT, output.fault)
         account = state.accounting
         usage, problem = (None, None) if account is None else self._usage(state, account, output)
         if usage is None:
@@ -140,7 +140,7 @@ class Sidecar:
             if mean is not None:
                 usage = replace(usage, cpu=replace(usage.cpu, mean_cores=mean))
         stop = state.stop or (out_of_memory(spec.memory_limit_bytes) if state.oom_kills else None)
-        summary = Summary(
+        summary = RunSummary(
             # The kubelet alone knows how the container ended: the algorithm is not our child.
             exit_code=None,
             signal=None,
@@ -162,7 +162,9 @@ class Sidecar:
             "cpuModel": cpu_model(),
         }
 
-    def _usage(self, state: SidecarState, account: Accounting, output: Output) -> tuple[Usage, str | None]:
+    def _usage(
+        self, state: SidecarState, account: Accounting, output: OutputContents
+    ) -> tuple[MeasuredUsage, str | None]:
         """Return the figures, and what was wrong with what metrics.json says of the reader."""
         reader = reader_report(output.metrics).share(
             account.cpu_seconds, included=self._spec.includes_reader, measured=state.reader

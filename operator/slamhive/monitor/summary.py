@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from slamhive.contract.output import Output  # noqa: TC001 - the type of a public field
-from slamhive.monitor.measuring.accounting import Usage  # noqa: TC001 - the type of a public field
+from slamhive.contract.output import OutputContents  # noqa: TC001 - the type of a public field
+from slamhive.monitor.measuring.accounting import MeasuredUsage  # noqa: TC001 - the type of a public field
 
 
 class Reason(StrEnum):
@@ -25,7 +25,7 @@ class Reason(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
+class RunSummary:
     """Summary of a finished run, written to summary.json: how it ended, what it used and left.
 
     Attributes:
@@ -49,12 +49,12 @@ class Summary:
     message: str
     started_at: float | None
     finished_at: float | None
-    usage: Usage | None
+    usage: MeasuredUsage | None
     log_tail: str
     left_processes: int = 0
     metrics_problem: str | None = None
     notes: tuple[str, ...] = ()
-    output: Output | None = None
+    output: OutputContents | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the summary as plain values with camelCase keys and ISO 8601 times."""

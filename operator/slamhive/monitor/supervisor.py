@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from slamhive.contract.metrics import Metrics
+from slamhive.contract.metrics import AlgorithmMetrics
 from slamhive.contract.output import read_output
 from slamhive.monitor.measuring.accounting import Accounting, Contention, SampleTimes
 from slamhive.monitor.measuring.hierarchy import host_throttled
@@ -31,7 +31,7 @@ from slamhive.monitor.measuring.processes import (
 from slamhive.monitor.measuring.reader import ReaderClock
 from slamhive.monitor.measuring.sources import field
 from slamhive.monitor.metrics import reader_report
-from slamhive.monitor.outcome import Ending, Stop, judge, out_of_memory
+from slamhive.monitor.outcome import ProgramEnding, StopDecision, judge, out_of_memory
 from slamhive.monitor.playing import played_mean_cores
 from slamhive.monitor.programs.files import OutputPipe, UsageTable
 from slamhive.monitor.programs.launch import LaunchError
@@ -39,10 +39,10 @@ from slamhive.monitor.programs.log import BoundedLog
 from slamhive.monitor.programs.orphans import write_atomically
 from slamhive.monitor.programs.output import OutputMeter
 from slamhive.monitor.programs.program import NO_ACCOUNT, OwnProcesses
-from slamhive.monitor.summary import Reason, Summary
+from slamhive.monitor.summary import Reason, RunSummary
 
 if TYPE_CHECKING:
-    from slamhive.monitor.measuring.accounting import Usage
+    from slamhive.monitor.measuring.accounting import MeasuredUsage
     from slamhive.monitor.programs.program import Program
     from slamhive.monitor.spec import SupervisorSpec
 
@@ -62,12 +62,12 @@ class Supervisor:
         self._parent = spec.parent_pid or os.getppid()
         self._signals: list[int] = []
         self._notes: list[str] = []
-        self._stop: Stop | None = None
+        self._stop: StopDecision | None = None
         self._kill_at: float | None = None
         self._poll = select.poll()
         self._reader = ReaderClock()
 
-    def run(self) -> Summary:
+    def run(self) -> RunSummary:
         """Run the algorithm to its end, or end it, and write the summary.
 
         Raises:
@@ -125,7 +125,7 @@ class Supervisor:
         if problem is not None and problem not in self._notes:
             self._notes.append(problem)
 
-    def _supervise(self) -> Summary:
+    def _supervise(self) -> RunSummary:
         spec = self._spec
         throttled_before, kills_before = host_throttled(), _machine_oom_kills()
         self._out, self._err = (OutputPipe(self._log, self._poll) for _ in range(2))
@@ -135,7 +135,7 @@ class Supervisor:
             try:
                 self._start = self._program.start((self._out.writer, self._err.writer))
             except LaunchError as error:
-                self._stop = Stop(error.reason, str(error))
+                self._stop = StopDecision(error.reason, str(error))
         started_at = time.time() - (time.monotonic() - self._start)
         self._accounting = Accounting(self._start)
         self._contention = Contention(spec.cpus, self._program.source, self._start)
@@ -147,8 +147,10 @@ class Supervisor:
         folder = spec.output_directory
         output = None if folder is None else read_output(folder, spec.frames, spec.poses)
         if output is not None and output.fault is not None and self._stop is None:
-            self._stop = Stop(Reason.SYSTEM_FAULT, output.fault)
-        usage, problem = self._usage(finished, throttled, Metrics({}) if output is None else output.metrics)
+            self._stop = StopDecision(Reason.SYSTEM_FAULT, output.fault)
+        usage, problem = self._usage(
+            finished, throttled, AlgorithmMetrics({}) if output is None else output.metrics
+        )
         self._close_files()
         played = played_mean_cores(spec.output_directory, spec.usage_path, started_at)
         if played is not None:
@@ -156,8 +158,8 @@ class Supervisor:
         last_line = self._err.last_line() or self._out.last_line()
         never_ran = self._program.explain(last_line)
         if never_ran is not None and self._stop is None:
-            self._stop = Stop(Reason.ALGORITHM_FAILED, never_ran)
-        ending = Ending(
+            self._stop = StopDecision(Reason.ALGORITHM_FAILED, never_ran)
+        ending = ProgramEnding(
             status=self._program.status,
             stop=self._stop,
             last_line=last_line,
@@ -168,7 +170,7 @@ class Supervisor:
         measured = self._program.source.name != NO_ACCOUNT
         if not measured:
             self._note("it never ran, or ended before its account could be opened: nothing was measured")
-        return Summary(
+        return RunSummary(
             **judge(ending)._asdict(),
             started_at=started_at,
             finished_at=started_at + finished - self._start,
@@ -195,7 +197,7 @@ class Supervisor:
                 return
             if deadline is not None and now >= deadline:
                 deadline = None
-                self._end(Stop(Reason.DEADLINE_EXCEEDED, f"it took more than {timeout:g} s"), now)
+                self._end(StopDecision(Reason.DEADLINE_EXCEEDED, f"it took more than {timeout:g} s"), now)
             if now >= times.due:
                 self._sample(now)
                 times.advance(now)
@@ -216,15 +218,15 @@ class Supervisor:
         """Follow signals: the first asks the run to stop, a second doesn't wait for it."""
         signals, self._signals = self._signals, []
         if os.getppid() != self._parent:
-            self._end(Stop(Reason.CANCELLED, "the process that started the run ended"), now)
+            self._end(StopDecision(Reason.CANCELLED, "the process that started the run ended"), now)
         for number in signals:
             if number in _STOP_SIGNALS:
                 again = self._kill_at is not None
-                self._end(Stop(Reason.CANCELLED, "cancelled"), now)
+                self._end(StopDecision(Reason.CANCELLED, "cancelled"), now)
                 if again:
                     self._kill_at = now
 
-    def _end(self, stop: Stop, now: float) -> None:
+    def _end(self, stop: StopDecision, now: float) -> None:
         """End the run: kill it now, or ask all of it to end and kill it later. The first reason stays."""
         self._stop = self._stop or stop
         if stop.at_once:
@@ -248,7 +250,7 @@ class Supervisor:
         source = self._program.source
         if not self._program.limits_tasks and tasks is not None and len(source.processes()) > tasks:
             message = f"it had more than {tasks} processes at the same time"
-            self._end(Stop(Reason.ALGORITHM_FAILED, message, at_once=True), now)
+            self._end(StopDecision(Reason.ALGORITHM_FAILED, message, at_once=True), now)
         if self._contention.due(now):
             self._contention.add(now, sample.cpu)
             self._table.flush()
@@ -283,7 +285,9 @@ class Supervisor:
             return own
         return max(own or 0.0, now - before)
 
-    def _usage(self, finished: float, throttled: float | None, metrics: Metrics) -> tuple[Usage, str | None]:
+    def _usage(
+        self, finished: float, throttled: float | None, metrics: AlgorithmMetrics
+    ) -> tuple[MeasuredUsage, str | None]:
         """Take the last sample, exact as everything has ended, and sum up.
 
         Returns:

@@ -60,7 +60,7 @@ class Addition:
 
 
 @dataclass
-class _Entry:
+class _GridEntry:
     """An entry of include or exclude: allowed steps by axis, and what is no value of the matrix."""
 
     where: str
@@ -145,7 +145,7 @@ class Grid:
             return self._extra[row - self.matrix_rows]
         return self._additions[0 if self._addition_of is None else int(self._addition_of[row])]
 
-    def _keep(self, excluded: list[_Entry], *, only_include: bool) -> npt.NDArray[np.intp] | None:
+    def _keep(self, excluded: list[_GridEntry], *, only_include: bool) -> npt.NDArray[np.intp] | None:
         total = int(np.prod(self.shape, dtype=object))
         if only_include:
             return np.empty(0, dtype=np.intp)
@@ -167,7 +167,7 @@ class Grid:
                 mask[place] = False
         return np.flatnonzero(mask)
 
-    def _extend(self, included: list[_Entry]) -> None:
+    def _extend(self, included: list[_GridEntry]) -> None:
         rows = self.matrix_rows
         if rows > MAX_POINTS or not included:
             return
@@ -200,7 +200,7 @@ class Grid:
             self._addition_of[match & (self._addition_of == number)] = len(self._additions) - 1
 
     @staticmethod
-    def _added(entry: _Entry) -> tuple[Coordinates, Settings]:
+    def _added(entry: _GridEntry) -> tuple[Coordinates, Settings]:
         coordinates = {key: value for key, value in entry.coordinates.items() if key not in entry.matched}
         return coordinates, {
             path: entry.settings[path] for path in entry.settings if written(path) not in entry.matched
@@ -210,16 +210,16 @@ class Grid:
         self,
         items: Sequence[Mapping[str, Any]],
         where: str,
-        take: Callable[[_Entry, str, Any, str], None],
-    ) -> list[_Entry]:
+        take: Callable[[_GridEntry, str, Any, str], None],
+    ) -> list[_GridEntry]:
         found = (self._entry(item, f"{where}[{number}]", take) for number, item in enumerate(items))
         return [entry for entry in found if entry is not None]
 
     def _entry(
-        self, item: Mapping[str, Any], where: str, take: Callable[[_Entry, str, Any, str], None]
-    ) -> _Entry | None:
+        self, item: Mapping[str, Any], where: str, take: Callable[[_GridEntry, str, Any, str], None]
+    ) -> _GridEntry | None:
         """Return an entry of include or exclude; None where something of it is wrong or not known."""
-        entry = _Entry(where)
+        entry = _GridEntry(where)
         problems = self._findings.problems
         before = len(problems)
         if not item:
@@ -236,7 +236,7 @@ class Grid:
                 self._findings.lose(key)
         return entry if len(problems) == before and entry.is_known else None
 
-    def _include_key(self, entry: _Entry, key: str, value: Any, where: str) -> None:
+    def _include_key(self, entry: _GridEntry, key: str, value: Any, where: str) -> None:
         axis = self._points_axis(key)
         if axis is not None:
             step = self._point(axis, value, where)
@@ -254,7 +254,7 @@ class Grid:
                 raise InputError(f"{where}: sets {written(path)} a second time")
             entry.settings[path] = setting
 
-    def _include_path(self, entry: _Entry, key: str, path: Any, setting: Any) -> None:
+    def _include_path(self, entry: _GridEntry, key: str, path: Any, setting: Any) -> None:
         number = self._setter.get(path)
         label = written(path)
         if number is not None:
@@ -268,7 +268,7 @@ class Grid:
             label = key
         entry.coordinates[label] = setting
 
-    def _exclude_key(self, entry: _Entry, key: str, value: Any, where: str) -> None:
+    def _exclude_key(self, entry: _GridEntry, key: str, value: Any, where: str) -> None:
         axis = self._points_axis(key)
         if axis is not None:
             step = self._point(axis, value, where)

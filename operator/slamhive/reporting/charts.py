@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from slamhive.reporting.drawing import BAND, WIDTH, Drawing, Style, cut
+from slamhive.reporting.drawing import BAND, WIDTH, SeriesStyle, SvgDrawing, cut
 from slamhive.reporting.markup import parse_metric, shown
 from slamhive.reporting.scales import Scale
 from slamhive.reporting.titles import column_title, keys_text
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from slamhive.analysis.leaderboard import Board
     from slamhive.analysis.pareto import Front
     from slamhive.reporting.markup import Markup
-    from slamhive.reporting.studies import Panel, Study
+    from slamhive.reporting.studies import Study, StudyPanel
 
 MOST_ENTRIES = 30
 MOST_LANES = 8
@@ -41,7 +41,7 @@ def board_chart(board: Board, metric: Metric) -> Markup:
     lanes = min(len(board.datasets), MOST_LANES)
     step = _NAME + lanes * _LANE + 4
     bottom = _TOP + len(entries) * step
-    drawing = Drawing(f"{metric.title} of each competitor on each dataset", bottom + _BELOW)
+    drawing = SvgDrawing(f"{metric.title} of each competitor on each dataset", bottom + _BELOW)
     right = WIDTH - _FAILED
     numbers = [
         one.median * metric.factor
@@ -70,7 +70,7 @@ def board_chart(board: Board, metric: Metric) -> Markup:
         for standing in entry.standings:
             lane = board.datasets.index(standing.dataset)
             y = top + _NAME + (lane % lanes + 0.5) * _LANE
-            style = Style(lane)
+            style = SeriesStyle(lane)
             title = f"{name} on {shown(standing.dataset)}: {_standing_words(standing, metric)}"
             if standing.summary is not None and standing.n > 1:
                 low, high = (
@@ -116,7 +116,7 @@ def front_chart(front: Front, axes: tuple[str, str], names: Sequence[str], title
     drawing.path(corners, "front")
     for spot in spots:
         name = keys_text(spot.keys)
-        style = Style(names.index(name))
+        style = SeriesStyle(names.index(name))
         across = x.at(spot.x * cost.factor)
         words = f"{name}: {cost.show(spot.x)} {cost.unit}, {spot.n} of {spot.runs} runs count"
         if math.isinf(spot.y):
@@ -130,7 +130,7 @@ def front_chart(front: Front, axes: tuple[str, str], names: Sequence[str], title
     return drawing.svg()
 
 
-def study_chart(made: Study, panel: Panel, title: str) -> Markup:
+def study_chart(made: Study, panel: StudyPanel, title: str) -> Markup:
     """Draw one panel of a study."""
     question = made.question
     metrics = parse_metric(question.x), parse_metric(question.y)
@@ -158,10 +158,10 @@ def study_chart(made: Study, panel: Panel, title: str) -> Markup:
     return drawing.svg()
 
 
-def _plot(title: str, *, failures: bool) -> tuple[Drawing, float]:
+def _plot(title: str, *, failures: bool) -> tuple[SvgDrawing, float]:
     """Return an empty chart, and where its axes begin."""
     top = _TOP + (BAND + 4 if failures else 0)
-    drawing = Drawing(title, top + _PLOT + _BELOW)
+    drawing = SvgDrawing(title, top + _PLOT + _BELOW)
     if failures:
         drawing.band(_LEFT, _TOP, WIDTH - _LEFT - _RIGHT, BAND)
         drawing.text(_LEFT - 6, _TOP + BAND / 2 + 4, "failed", anchor="end")
@@ -173,7 +173,7 @@ def _x_title(made: Study, metric: Metric) -> str:
     return f"{metric.column} [h after the first]" if kind == "time" else column_title(metric.column)
 
 
-def _x_scale(made: Study, panel: Panel, metric: Metric) -> Scale:
+def _x_scale(made: Study, panel: StudyPanel, metric: Metric) -> Scale:
     if made.categories is not None:
         return Scale(-0.5, len(made.categories) - 0.5, _LEFT, WIDTH - _RIGHT, False, ())
     numbers = [dot.x for dot in panel.dots] or [
@@ -187,7 +187,7 @@ def _x_scale(made: Study, panel: Panel, metric: Metric) -> Scale:
     )
 
 
-def _heights(made: Study, panel: Panel, metric: Metric) -> Iterable[float]:
+def _heights(made: Study, panel: StudyPanel, metric: Metric) -> Iterable[float]:
     if made.question.points:
         return [dot.y * metric.factor for dot in panel.dots]
     heights = []
@@ -198,18 +198,22 @@ def _heights(made: Study, panel: Panel, metric: Metric) -> Iterable[float]:
     return heights
 
 
-def _fails(made: Study, panel: Panel) -> bool:
+def _fails(made: Study, panel: StudyPanel) -> bool:
     if made.question.points:
         return any(math.isnan(dot.y) for dot in panel.dots)
     return any(cell.failures for cell in panel.cells)
 
 
 def _draw_dots(
-    drawing: Drawing, panel: Panel, axes: tuple[Scale, Scale], metrics: tuple[Metric, Metric], top: float
+    drawing: SvgDrawing,
+    panel: StudyPanel,
+    axes: tuple[Scale, Scale],
+    metrics: tuple[Metric, Metric],
+    top: float,
 ) -> None:
     x, y = axes
     for dot in panel.dots:
-        style, across = Style(dot.series), x.at(dot.x * metrics[0].factor)
+        style, across = SeriesStyle(dot.series), x.at(dot.x * metrics[0].factor)
         words = f"{dot.run}: {metrics[1].show(dot.y)} at {metrics[0].show(dot.x)}, {dot.status}"
         if math.isnan(dot.y):
             drawing.cross(across, top - BAND / 2 - 4, style, f"{dot.run}: {dot.status}")
@@ -219,7 +223,9 @@ def _draw_dots(
             )
 
 
-def _draw_groups(drawing: Drawing, made: Study, panel: Panel, axes: tuple[Scale, Scale], top: float) -> None:
+def _draw_groups(
+    drawing: SvgDrawing, made: Study, panel: StudyPanel, axes: tuple[Scale, Scale], top: float
+) -> None:
     x, y = axes
     lines: dict[int, list[Cell]] = {}
     for cell in panel.cells:
@@ -228,7 +234,7 @@ def _draw_groups(drawing: Drawing, made: Study, panel: Panel, axes: tuple[Scale,
     crowded = len(lines) > MOST_CROSSES
     failed: Counter[float] = Counter()
     for turn, (number, cells) in enumerate(lines.items()):
-        style, way = Style(number), []
+        style, way = SeriesStyle(number), []
         # Series that share an x stand side by side.
         aside = (turn - (len(lines) - 1) / 2) * min(9.0, _crowd(made, len(lines)))
         for cell in cells:
@@ -258,7 +264,7 @@ def _crowd(made: Study, series: int) -> float:
 
 
 def _draw_group(
-    drawing: Drawing, cell: Cell, at: float, axis: tuple[Scale, Metric], style: Style
+    drawing: SvgDrawing, cell: Cell, at: float, axis: tuple[Scale, Metric], style: SeriesStyle
 ) -> tuple[float, float] | None:
     y, metric = axis
     figure = cell.figures[metric.column]

@@ -71,7 +71,7 @@ def coverage_chart(overview: dict[str, Any]) -> Markup:
     if not rows:
         return Markup("")
     low, high = min(row[1] for row in rows), max(row[2] for row in rows)
-    axis = _Axis(low, high, _LEFT, _WIDTH - _RIGHT)
+    axis = _PlotScale(low, high, _LEFT, _WIDTH - _RIGHT)
     height = len(rows) * _ROW + _BOTTOM
     parts = [*_time_axis(axis, height)]
     for number, (name, first, last, gaps) in enumerate(rows):
@@ -212,11 +212,11 @@ def _over_time(
 ) -> Markup:
     height = 140.0
     seconds = max(overview["seconds"], 1e-9)
-    axis = _Axis(0.0, seconds, _LEFT, _WIDTH - _RIGHT)
+    axis = _PlotScale(0.0, seconds, _LEFT, _WIDTH - _RIGHT)
     every = [value for _, values in lines for value in values]
     every += [value for _, *ends in bands for values in ends for value in values if value is not None]
     low, high = (min(0.0, *every), max(every)) if lines else (min(every), max(every))
-    up = _Axis(low, high if high > low else low + 1, height - _BOTTOM, 18)
+    up = _PlotScale(low, high if high > low else low + 1, height - _BOTTOM, 18)
     parts = [*_time_axis(axis, height)]
     parts += [_text(_LEFT - 8, up(value) + 4, f"{value:.3g}", anchor="end") for value in (low, high)]
     parts.append(_text(8, height / 2, unit))
@@ -244,7 +244,11 @@ def _over_time(
 
 
 def _bands(
-    axis: _Axis, up: _Axis, lows: Sequence[float | None], highs: Sequence[float | None], seconds: float
+    axis: _PlotScale,
+    up: _PlotScale,
+    lows: Sequence[float | None],
+    highs: Sequence[float | None],
+    seconds: float,
 ) -> list[str]:
     """Return outlines of the parts of a band between its holes."""
     step = seconds / len(lows)
@@ -258,7 +262,7 @@ def _bands(
     return found
 
 
-class _Axis:
+class _PlotScale:
     """Numbers to places."""
 
     def __init__(self, low: float, high: float, begin: float, end: float) -> None:
@@ -269,7 +273,7 @@ class _Axis:
         return self.begin + (value - self.low) / (self.high - self.low) * (self.end - self.begin)
 
 
-def _time_axis(axis: _Axis, height: float) -> list[Markup]:
+def _time_axis(axis: _PlotScale, height: float) -> list[Markup]:
     parts = []
     for value in nice_ticks(axis.low, axis.high, 8):
         x = f"{axis(value):.1f}"
@@ -278,7 +282,7 @@ def _time_axis(axis: _Axis, height: float) -> list[Markup]:
     return parts
 
 
-def _bar(axis: _Axis, first: float, last: float, top: float, ink: str) -> Markup:
+def _bar(axis: _PlotScale, first: float, last: float, top: float, ink: str) -> Markup:
     width = max(axis(last) - axis(first), 2.0)
     return element(
         "rect",
@@ -291,7 +295,7 @@ def _bar(axis: _Axis, first: float, last: float, top: float, ink: str) -> Markup
     )
 
 
-def _hole(axis: _Axis, begin: float, end: float, top: float) -> Markup:
+def _hole(axis: _PlotScale, begin: float, end: float, top: float) -> Markup:
     width = max(axis(end) - axis(begin), 0.8)
     return element(
         "rect",

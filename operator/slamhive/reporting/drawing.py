@@ -30,7 +30,7 @@ _LETTER = 6.4
 
 
 @dataclass
-class Drawing:
+class SvgDrawing:
     """A chart that grows.
 
     Attributes:
@@ -71,7 +71,7 @@ class Drawing:
             way = "M" + "L".join(f"{_n(x)} {_n(y)}" for x, y in points)
             self.parts.append(element("path", d=way, class_=f"curve {class_}"))
 
-    def mark(self, x: float, y: float, style: Style, title: str, *, hollow: bool = False) -> None:
+    def mark(self, x: float, y: float, style: SeriesStyle, title: str, *, hollow: bool = False) -> None:
         """Draw a mark with a sentence that shows when it is pointed at."""
         self.parts.append(
             element(
@@ -82,7 +82,7 @@ class Drawing:
             )
         )
 
-    def cross(self, x: float, y: float, style: Style, title: str) -> None:
+    def cross(self, x: float, y: float, style: SeriesStyle, title: str) -> None:
         """Draw the mark of a failure."""
         way = f"M{_n(x - 4)} {_n(y - 4)}l8 8m0 -8l-8 8"
         self.parts.append(element("path", element("title", title), d=way, class_=f"cross {style.colour}"))
@@ -110,13 +110,13 @@ class Drawing:
             element("rect", x=_n(x), y=_n(y), width=_n(width), height=_n(height), class_="failed")
         )
 
-    def dot(self, x: float, y: float, style: Style) -> None:
+    def dot(self, x: float, y: float, style: SeriesStyle) -> None:
         """Draw one run of several."""
         self.parts.append(element("circle", cx=_n(x), cy=_n(y), r="1.8", class_=f"dot {style.colour}"))
 
 
 @dataclass(frozen=True)
-class Style:
+class SeriesStyle:
     """Colour and shape of the marks of one series."""
 
     number: int
@@ -143,8 +143,8 @@ def legend(names: Sequence[str], only: Container[str] | None = None) -> Markup:
     for number, name in enumerate(names):
         if only is not None and name not in only:
             continue
-        drawing = Drawing(name, 16, 20)
-        drawing.mark(10, 8, Style(number), name)
+        drawing = SvgDrawing(name, 16, 20)
+        drawing.mark(10, 8, SeriesStyle(number), name)
         sign = element("svg", *drawing.parts, viewBox="0 0 20 16", aria_hidden="true")
         items.append(element("li", sign, clip(name, 80)))
     return element("ul", joined(items), class_="legend")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.analysis import Metric
-    from slamhive.reporting.papertables import Figure, PaperTable, Place
+    from slamhive.reporting.papertables import PaperTable, TableCell, TableNumber
 
 FEW = 4
 """Columns up to which n stands under each, beyond once a row."""
@@ -187,7 +187,7 @@ def _body(table: PaperTable, rules: Rules) -> list[str]:
     return lines
 
 
-def _cells(table: PaperTable, line: Sequence[Place | None], row: int) -> list[str]:
+def _cells(table: PaperTable, line: Sequence[TableCell | None], row: int) -> list[str]:
     cells = []
     for number, metric in enumerate(table.metrics):
         cells += [_figure(metric, place, number) for place in line]
@@ -203,10 +203,10 @@ def _cells(table: PaperTable, line: Sequence[Place | None], row: int) -> list[st
     return cells
 
 
-def _figure(metric: Metric, place: Place | None, number: int) -> str:
+def _figure(metric: Metric, place: TableCell | None, number: int) -> str:
     if place is None:
         return "--"
-    figure: Figure = place.figures[number]
+    figure: TableNumber = place.figures[number]
     if figure.value is None:
         return rf"\textit{{{escaped(place.verdict)}}}" if not place.n else "--"
     shape = metric.format or ".4g"
@@ -220,7 +220,7 @@ def _figure(metric: Metric, place: Place | None, number: int) -> str:
     return text + (_DAGGER if place.untracked and not number else "")
 
 
-def _marked(figure: Figure, text: str) -> str:
+def _marked(figure: TableNumber, text: str) -> str:
     if figure.bold:
         return rf"\textbf{{{text}}}"
     return rf"\underline{{{text}}}" if figure.second else text

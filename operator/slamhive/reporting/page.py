@@ -60,7 +60,7 @@ _COMMENT = re.compile(r"/\*.*?\*/\s*", re.DOTALL)
 
 
 @dataclass(frozen=True)
-class Contents:
+class ReportContents:
     """Choices of what a report shows: its title, metric, competitors, charts and notes.
 
     Attributes:
@@ -84,7 +84,7 @@ class Contents:
     notes: tuple[str, ...] = ()
 
 
-def report_html(frame: Frame, contents: Contents, now: datetime | None = None) -> str:
+def report_html(frame: Frame, contents: ReportContents, now: datetime | None = None) -> str:
     """Make the page.
 
     Args:
@@ -96,7 +96,7 @@ def report_html(frame: Frame, contents: Contents, now: datetime | None = None) -
         return _html(frame, contents, now or datetime.now(UTC))
 
 
-def _html(frame: Frame, contents: Contents, stamp: datetime) -> str:
+def _html(frame: Frame, contents: ReportContents, stamp: datetime) -> str:
     made = {
         "report made": f"{stamp:%Y-%m-%d} with slamhive {__version__}",
         "data revision": revision(frame),
@@ -158,16 +158,16 @@ _COMPARED = (
 )
 
 
-def _asked(contents: Contents) -> tuple[str, tuple[str, ...], Outcomes]:
+def _asked(contents: ReportContents) -> tuple[str, tuple[str, ...], Outcomes]:
     return contents.metric, contents.by, contents.outcomes
 
 
-def _board(frame: Frame, contents: Contents, left: list[str]) -> tuple[Markup, list[str]]:
+def _board(frame: Frame, contents: ReportContents, left: list[str]) -> tuple[Markup, list[str]]:
     content, notes = leaderboard_section(frame, *_asked(contents))
     return content, [*left, *notes]
 
 
-def _leaderboard_words(contents: Contents) -> str:
+def _leaderboard_words(contents: ReportContents) -> str:
     counted = "tracked runs" if contents.outcomes is Outcomes.TRACKED else "all evaluated runs"
     return (
         f"By {parse_metric(contents.metric).title}. Figures are over {counted}; all others are ranked last, "
@@ -184,7 +184,7 @@ def _ranked(
     return name, title, joined([element("p", words, class_="quiet"), content, notes_html(notes)])
 
 
-def _fronts(frame: Frame, contents: Contents) -> list[tuple[str, str, Markup]]:
+def _fronts(frame: Frame, contents: ReportContents) -> list[tuple[str, str, Markup]]:
     costs = list(contents.costs)
     if not costs:
         costs = [name for name in CPU if not frame.column(name).is_empty][:1]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.analysis import Metric
-    from slamhive.reporting.papertables import Figure, PaperTable, Place
+    from slamhive.reporting.papertables import PaperTable, TableCell, TableNumber
 
 _SPECIAL = re.compile(r"([\\`*_\[\]<>|~])")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]+")
@@ -70,7 +70,7 @@ def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _cell(metric: Metric, place: Place | None, number: int) -> str:
+def _cell(metric: Metric, place: TableCell | None, number: int) -> str:
     if place is None:
         return "–"
     figure = place.figures[number]
@@ -86,7 +86,7 @@ def _cell(metric: Metric, place: Place | None, number: int) -> str:
     return text + ("†" if place.untracked and not number else "")
 
 
-def _marked(figure: Figure, text: str) -> str:
+def _marked(figure: TableNumber, text: str) -> str:
     if figure.bold:
         return f"**{text}**"
     return f"<u>{text}</u>" if figure.second else text

@@ -53,7 +53,7 @@ class Best(Choice):
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """Layout of a table for a paper: its rows, columns, metrics and how runs are summarised.
 
     Attributes:
@@ -77,7 +77,7 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Figure:
+class TableNumber:
     """One number of a table.
 
     Attributes:
@@ -104,12 +104,12 @@ class OverAll:
     """
 
     kind: Overall
-    figures: tuple[Figure, ...]
+    figures: tuple[TableNumber, ...]
     datasets: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
-class Place:
+class TableCell:
     """The runs of a row under one set of column values.
 
     Attributes:
@@ -123,7 +123,7 @@ class Place:
     n: int
     failures: dict[str, int]
     untracked: dict[str, int]
-    figures: tuple[Figure, ...]
+    figures: tuple[TableNumber, ...]
 
     @property
     def tracked(self) -> int:
@@ -151,12 +151,12 @@ class PaperTable:
         overall: what stands for the rows over all datasets.
     """
 
-    layout: Layout
+    layout: TableLayout
     metrics: tuple[Metric, ...]
     keys: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
     columns: tuple[tuple[Any, ...], ...]
-    places: tuple[tuple[Place | None, ...], ...]
+    places: tuple[tuple[TableCell | None, ...], ...]
     notes: tuple[str, ...]
     overall: tuple[OverAll, ...] = ()
 
@@ -190,7 +190,7 @@ class PaperTable:
         ]
 
 
-def make_table(frame: Frame, layout: Layout) -> PaperTable:
+def make_table(frame: Frame, layout: TableLayout) -> PaperTable:
     """Lay out runs as a table.
 
     Algorithms, datasets, evaluations, paces and processors are never averaged together: where they vary
@@ -229,7 +229,7 @@ def make_table(frame: Frame, layout: Layout) -> PaperTable:
     )
 
 
-def _over_datasets(frame: Frame, layout: Layout, rows: Sequence[dict[str, Any]]) -> tuple[OverAll, ...]:
+def _over_datasets(frame: Frame, layout: TableLayout, rows: Sequence[dict[str, Any]]) -> tuple[OverAll, ...]:
     """Return ranks and ratios of the rows over the datasets, as the leaderboard has them.
 
     Raises:
@@ -277,13 +277,13 @@ def _over_datasets(frame: Frame, layout: Layout, rows: Sequence[dict[str, Any]])
     )
 
 
-def _marked(values: Sequence[float | None], layout: Layout) -> tuple[Figure, ...]:
+def _marked(values: Sequence[float | None], layout: TableLayout) -> tuple[TableNumber, ...]:
     """Return numbers of which the smallest is the best."""
     shown = [math.inf if value is None else float(format(value, ".2f")) for value in values]
     ordered = sorted({value for value in shown if math.isfinite(value)})
     told = layout.best is not Best.NONE and len(values) > 1
     return tuple(
-        Figure(
+        TableNumber(
             value,
             bold=told and bool(ordered) and number == ordered[0],
             second=told and len(values) >= LEAST_FOR_SECOND and len(ordered) > 1 and number == ordered[1],
@@ -314,7 +314,7 @@ def flat(table: PaperTable) -> dict[str, list[Any]]:
     return {name: [row.get(name) for row in rows] for name in names}
 
 
-def _spread_names(layout: Layout) -> tuple[str, ...]:
+def _spread_names(layout: TableLayout) -> tuple[str, ...]:
     return ("std",) if layout.statistic is Statistic.MEAN else ("min", "max")
 
 
@@ -359,28 +359,28 @@ def _with_digits(metric: Metric, cells: Sequence[Cell], statistic: Statistic) ->
     return replace(metric, format=f".{min(max(decimals, 0), _MOST_DIGITS)}f")
 
 
-def _place(cell: Cell | None, layout: Layout) -> Place | None:
+def _place(cell: Cell | None, layout: TableLayout) -> TableCell | None:
     if cell is None:
         return None
     figures = []
     for metric in layout.metrics:
         summary = cell.figures[metric.column].summary
         if summary is None:
-            figures.append(Figure(None))
+            figures.append(TableNumber(None))
             continue
         value = getattr(summary, layout.statistic) * metric.factor
         spread: tuple[float, ...] = ()
         if layout.spread and summary.n > 1 and summary.std is not None:
             ends = (summary.std,) if layout.statistic is Statistic.MEAN else (summary.min, summary.max)
             spread = tuple(end * metric.factor for end in ends)
-        figures.append(Figure(value, spread))
+        figures.append(TableNumber(value, spread))
     untracked = Counter(cell.failures) + Counter(cell.untracked)
-    return Place(cell.runs, cell.n, cell.failures, dict(sorted(untracked.items())), tuple(figures))
+    return TableCell(cell.runs, cell.n, cell.failures, dict(sorted(untracked.items())), tuple(figures))
 
 
 def _with_best(
-    places: list[list[Place | None]], rows: Sequence[tuple[Any, ...]], layout: Layout
-) -> list[list[Place | None]]:
+    places: list[list[TableCell | None]], rows: Sequence[tuple[Any, ...]], layout: TableLayout
+) -> list[list[TableCell | None]]:
     """Mark best and second numbers; one of which not even half of the runs were tracked is none."""
     if layout.best is Best.NONE:
         return places
@@ -414,7 +414,7 @@ def _with_best(
     ]
 
 
-def _costs(place: Place | None, metrics: Sequence[Metric]) -> list[float]:
+def _costs(place: TableCell | None, metrics: Sequence[Metric]) -> list[float]:
     """Return each figure as a cost, small is good, as it is shown; infinite for what can't be the best."""
     if place is None:
         return []

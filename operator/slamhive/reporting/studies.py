@@ -47,7 +47,7 @@ class Dot:
 
 
 @dataclass(frozen=True)
-class Panel:
+class StudyPanel:
     """One chart.
 
     Attributes:
@@ -79,7 +79,7 @@ class Study:
     question: Question
     categories: list[Any] | None
     series: list[tuple[Any, ...]]
-    panels: list[Panel]
+    panels: list[StudyPanel]
     found: Aggregate
     notes: list[str]
 
@@ -88,7 +88,7 @@ class Study:
         wanted = _plain([keys[name] for name in self.question.by])
         return next(number for number, values in enumerate(self.series) if _plain(values) == wanted)
 
-    def drawn(self, panel: Panel) -> set[int]:
+    def drawn(self, panel: StudyPanel) -> set[int]:
         """Return the numbers of the series in a panel."""
         return {dot.series for dot in panel.dots} or {self.series_of(cell.keys) for cell in panel.cells}
 
@@ -118,7 +118,7 @@ def study(question: Question) -> Study:
         cells = [cell for cell in found.cells if _plain([cell.keys[name] for name in names]) == mine]
         part = frame.select(rows)
         dots = _dots(made, part) if question.points else []
-        panels.append(Panel(keys, cells, dots, len(part)))
+        panels.append(StudyPanel(keys, cells, dots, len(part)))
     made.panels.extend(_worth_drawing(made, panels))
     return made
 
@@ -131,7 +131,7 @@ def _mixed(question: Question, frame: Frame) -> list[str]:
     return ["runs of different processors are drawn together"] if varies(frame, LOAD_FACETS[0]) else []
 
 
-def _worth_drawing(made: Study, panels: list[Panel]) -> list[Panel]:
+def _worth_drawing(made: Study, panels: list[StudyPanel]) -> list[StudyPanel]:
     """Leave out panels with a single x where others have several, and those beyond the most."""
     wide = [panel for panel in panels if _breadth(made, panel) > 1]
     kept = wide or panels
@@ -149,7 +149,7 @@ def _worth_drawing(made: Study, panels: list[Panel]) -> list[Panel]:
     return kept[:MOST_PANELS]
 
 
-def _breadth(made: Study, panel: Panel) -> int:
+def _breadth(made: Study, panel: StudyPanel) -> int:
     """Return the number of x of the series with most of them."""
     if panel.dots:
         return len({dot.x for dot in panel.dots})

@@ -20,7 +20,7 @@ from slamhive.analysis.measuring import read_estimate
 from slamhive.analysis.subjects import Surroundings, pose_of_role, subject_of
 from slamhive.contract.conversion import MachineFault, read_frames
 from slamhive.contract.posefiles import FRAMES
-from slamhive.local.running.evaluating import Evaluator
+from slamhive.local.running.evaluating import TrajectoryEvaluator
 from slamhive.model.canonical import digest
 from slamhive.model.errors import InputError, suggestion
 from slamhive.model.sensors import Role, SensorMode
@@ -91,7 +91,7 @@ CHALLENGES = {
 }
 
 
-class Entry(NamedTuple):
+class SubmissionFile(NamedTuple):
     """A file of a submission.
 
     Attributes:
@@ -215,14 +215,14 @@ def _error(record: RunRecord) -> float | None:
 
 def make_entry(
     bench: Workbench, challenge: Challenge, sequence: str, records: Sequence[RunRecord], pick: Pick
-) -> Entry:
+) -> SubmissionFile:
     """Return a sequence's file, made of one of the runs on it.
 
     Raises:
         InputError: the run's trajectory is gone or can't be used, or lacks a frame.
     """
     record, why = choose_run(records, pick)
-    path = Evaluator(bench).trajectory_of(record)
+    path = TrajectoryEvaluator(bench).trajectory_of(record)
     if path is None:
         raise InputError(f"{sequence}: the trajectory of {record.name} is gone; run it again")
     try:
@@ -236,7 +236,7 @@ def make_entry(
     poses = estimate.moved(_mount(bench, challenge, record, variant))
     if challenge.by_frames:
         poses = _at_frames(poses, variant, f"{sequence}: {record.name}")
-    return Entry(sequence, record, why, _text(poses, by_frames=challenge.by_frames), len(poses))
+    return SubmissionFile(sequence, record, why, _text(poses, by_frames=challenge.by_frames), len(poses))
 
 
 def _mount(
@@ -302,7 +302,7 @@ def missing_sequences(challenge: Challenge, found: Sequence[str]) -> list[str]:
     return [name for name in challenge.sequences if name not in found]
 
 
-def write_archive(path: Path, entries: Sequence[Entry]) -> None:
+def write_archive(path: Path, entries: Sequence[SubmissionFile]) -> None:
     """Write the archive, the same bytes for the same runs.
 
     Raises:

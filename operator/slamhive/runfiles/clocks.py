@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from slamhive.analysis.columns import Floats
     from slamhive.model.results import RunRecord
-    from slamhive.runfiles.artifacts import Place
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.artifacts import ArtifactFolder
+    from slamhive.runfiles.ground_truth import DatasetTruth
     from slamhive_eval import Trajectory
 
 CONFIGURATIONS = ("config.yaml", "run/config.yaml")
@@ -51,7 +51,7 @@ class Clock:
         return {"start": self.start, "of": self.of}
 
 
-def configuration_of(place: Place) -> dict[str, Any]:
+def configuration_of(place: ArtifactFolder) -> dict[str, Any]:
     """Return the configuration of a run, empty where it can't be read: the run itself may have written it."""
     for name in CONFIGURATIONS:
         try:
@@ -90,7 +90,7 @@ def _is_small(content: bytes) -> bool:
 
 
 def clock_of(
-    configuration: Mapping[str, Any], truth: Truth | None = None, poses: Trajectory | None = None
+    configuration: Mapping[str, Any], truth: DatasetTruth | None = None, poses: Trajectory | None = None
 ) -> Clock | None:
     """Return the clock of a run's dataset, None where nothing is known of it.
 
@@ -110,7 +110,7 @@ def clock_of(
 
 
 def sensor_times(
-    since_start: Floats, record: RunRecord, place: Place, configuration: Mapping[str, Any]
+    since_start: Floats, record: RunRecord, place: ArtifactFolder, configuration: Mapping[str, Any]
 ) -> Floats | None:
     """Return the sensor times at which samples of a run's load were taken, (n,) in s; None where unknown.
 

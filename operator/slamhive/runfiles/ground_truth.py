@@ -31,7 +31,7 @@ _DIGITS = re.compile(r"-[0-9a-f]{16}")
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class DatasetTruth:
     """Ground truth of a dataset.
 
     Attributes:
@@ -45,7 +45,7 @@ class Truth:
     are_points: bool = False
 
 
-class Truths:
+class DatasetTruths:
     """Looks for ground truth in a folder of files named after datasets, then in a home.
 
     Args:
@@ -63,9 +63,9 @@ class Truths:
         self._folders = [place for place in (folder, home and home / "groundtruth") if place is not None]
         self._home = home
         self._clock = clock
-        self._kept: OrderedDict[str, tuple[float, Truth]] = OrderedDict()
+        self._kept: OrderedDict[str, tuple[float, DatasetTruth]] = OrderedDict()
 
-    def find(self, dataset: str, label: str | None = None) -> Truth | None:
+    def find(self, dataset: str, label: str | None = None) -> DatasetTruth | None:
         """Return the ground truth of a dataset; None where there is none here, or none of poses.
 
         Args:
@@ -84,7 +84,7 @@ class Truths:
                 self._kept.popitem(last=False)
         return truth
 
-    def _in_folders(self, dataset: str, label: str | None) -> Truth | None:
+    def _in_folders(self, dataset: str, label: str | None) -> DatasetTruth | None:
         folders = [folder for folder in self._folders if folder.is_dir()]
         if not folders:
             return None
@@ -95,12 +95,12 @@ class Truths:
                 if name is None or "/" in name or name.startswith("."):
                     continue
                 try:
-                    return Truth(GroundTruthFolder(folder).read(name), np.eye(4))
+                    return DatasetTruth(GroundTruthFolder(folder).read(name), np.eye(4))
                 except (SlamHiveError, EvaluationError, OSError):
                     continue
         return None
 
-    def _in_home(self, dataset: str) -> Truth | None:
+    def _in_home(self, dataset: str) -> DatasetTruth | None:
         if self._home is None:
             return None
         try:
@@ -109,14 +109,14 @@ class Truths:
             return None
 
 
-def _of_home(home: Path, dataset: str) -> Truth | None:
+def _of_home(home: Path, dataset: str) -> DatasetTruth | None:
     from slamhive.local.home.catalog import load_datasets  # noqa: PLC0415 - a cluster's dashboard never needs it
     from slamhive.local.home.folder import Home  # noqa: PLC0415
 
     place = load_datasets(Home.at(home)).get(dataset)
     if place is None or place.dataset.spec.recording.synthetic is not None:
         made = _generated(home, place.dataset if place is not None else None, dataset)
-        return Truth(read_tum(made), np.eye(4)) if made is not None else None
+        return DatasetTruth(read_tum(made), np.eye(4)) if made is not None else None
     if place.dataset.spec.is_to_fetch:
         from slamhive.data.store.datasets import is_made, materialise  # noqa: PLC0415
         from slamhive.local.home.catalog import DatasetPlace  # noqa: PLC0415
@@ -135,10 +135,10 @@ def _of_home(home: Path, dataset: str) -> Truth | None:
 
     found = ground_truth(DatasetEntry(place.dataset, place.folder))
     if found is not None and isinstance(found.poses, ControlPoints):
-        return Truth(found.poses.trajectory, found.T_body_frame, are_points=True)
+        return DatasetTruth(found.poses.trajectory, found.T_body_frame, are_points=True)
     if found is None or not isinstance(found.poses, Trajectory):
         return None
-    return Truth(found.poses, found.T_body_frame)
+    return DatasetTruth(found.poses, found.T_body_frame)
 
 
 def _generated(home: Path, declared: Dataset | None, dataset: str) -> Path | None:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from slamhive.local.home.removed import absence, run_parts
 from slamhive.model.results import IMPORTED
-from slamhive.runfiles.artifacts import Place
-from slamhive.runfiles.ground_truth import Truths
+from slamhive.runfiles.artifacts import ArtifactFolder
+from slamhive.runfiles.ground_truth import DatasetTruths
 
 if TYPE_CHECKING:
     from slamhive.model.results import RunRecord
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.ground_truth import DatasetTruth
 
 _OF_IMPORTS = frozenset({"traj.txt", "profiling.csv", "config.yaml"})
 """Files that may be read of a folder that was imported from elsewhere."""
@@ -29,25 +29,25 @@ class HomeFiles:
 
     def __init__(self, home: Path | None, ground_truth: Path | None = None) -> None:
         self._home = home
-        self._truths = Truths(ground_truth, home)
+        self._truths = DatasetTruths(ground_truth, home)
 
-    def place(self, record: RunRecord) -> Place | None:
+    def place(self, record: RunRecord) -> ArtifactFolder | None:
         """Return the folder of a run in the home, or the one that it was imported from; None if not there."""
         if not record.folder:
             return None
         folder = Path(record.folder)
         if record.labels.get("source") == IMPORTED:
-            return Place(folder, allowed=_OF_IMPORTS) if folder.is_dir() else None
+            return ArtifactFolder(folder, allowed=_OF_IMPORTS) if folder.is_dir() else None
         parts = run_parts(record.folder)
         if self._home is None or parts is None or self.absence(record) is not None:
             return None
         runs = self._home / "runs"
-        return Place(runs, parts) if runs.joinpath(*parts).is_dir() else None
+        return ArtifactFolder(runs, parts) if runs.joinpath(*parts).is_dir() else None
 
     def absence(self, record: RunRecord) -> str | None:
         """Return the reason that a run's files aren't here, if somebody removed them: part of a sentence."""
         return absence(self._home, record.folder)
 
-    def truth(self, dataset: str, label: str | None) -> Truth | None:
+    def truth(self, dataset: str, label: str | None) -> DatasetTruth | None:
         """Return the ground truth of a dataset, also filed under its label, if it is at hand."""
         return self._truths.find(dataset, label)

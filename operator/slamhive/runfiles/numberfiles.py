@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.analysis.columns import Floats
-    from slamhive.runfiles.artifacts import Place
+    from slamhive.runfiles.artifacts import ArtifactFolder
 
     Table = npt.NDArray[np.float64]
 
@@ -32,7 +32,7 @@ _LONGEST_LINE = 2**16
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
+class FileNumbers:
     """Rows of numbers that were read from a run's file, thinned where it has too many.
 
     Attributes:
@@ -51,13 +51,13 @@ class Numbers:
 
 
 def read_numbers(
-    place: Place,
+    place: ArtifactFolder,
     names: tuple[str, ...],
     parse: Callable[[bytes], Table],
     fold: Callable[[npt.NDArray[np.float64]], Table] = lambda rows: rows[:, 0],
     *,
     headed: bool = False,
-) -> Numbers:
+) -> FileNumbers:
     """Read the first of some files that is there.
 
     Args:
@@ -97,7 +97,7 @@ def read_numbers(
             every *= 2
     if carried is not None and len(carried):
         kept.append(fold(carried[None]))
-    return Numbers(name, header, np.concatenate(kept) if kept else np.empty((0, 0)), count, every)
+    return FileNumbers(name, header, np.concatenate(kept) if kept else np.empty((0, 0)), count, every)
 
 
 def numbers_of(line: bytes, separator: bytes | None = None) -> list[float]:
@@ -113,7 +113,7 @@ def stacked(rows: list[list[float]], width: int) -> Floats:
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
-def _first(place: Place, names: tuple[str, ...]) -> tuple[str, Iterator[bytes]]:
+def _first(place: ArtifactFolder, names: tuple[str, ...]) -> tuple[str, Iterator[bytes]]:
     for name in names:
         try:
             with place.open(name) as descriptor:

@@ -15,7 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from slamhive.model.errors import SlamHiveError
-from slamhive.runfiles.artifacts import MAX_FILES, Place, split
+from slamhive.runfiles.artifacts import MAX_FILES, ArtifactFolder, split
 from slamhive.runfiles.errors import FileAwayError, FileMissingError, FileTooLargeError
 from slamhive.storage.reading import Bucket, Cache
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.storage.offloaded import Offloaded, StoredFile
-    from slamhive.storage.store import Store
+    from slamhive.storage.store import ObjectStorage
 
 _AT_ONCE = 8
 
@@ -38,7 +38,7 @@ class Shelf:
         limit: bytes that those may have.
     """
 
-    def __init__(self, store: Store, cache: Path, limit: int) -> None:
+    def __init__(self, store: ObjectStorage, cache: Path, limit: int) -> None:
         self.url = store.url
         self.bucket = Bucket(store)
         self.cache = Cache(cache, limit)
@@ -67,7 +67,7 @@ class Shelf:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class StoredPlace(Place):
+class StoredPlace(ArtifactFolder):
     """A run's folder in object storage.
 
     Attributes:
@@ -94,7 +94,7 @@ class StoredPlace(Place):
 
     @contextmanager
     def open(self, path: str) -> Iterator[int]:
-        """Open a file that is here, or bring it first; errors as of `Place.open`.
+        """Open a file that is here, or bring it first; errors as of `ArtifactFolder.open`.
 
         Raises:
             FileAwayError: the store doesn't give it, or not as it was written.
@@ -149,7 +149,7 @@ class StoredPlace(Place):
             raise FileAwayError(str(error)) from error
 
 
-def bring_all(places: Mapping[str, Place], names: tuple[str, ...]) -> dict[str, FileAwayError]:
+def bring_all(places: Mapping[str, ArtifactFolder], names: tuple[str, ...]) -> dict[str, FileAwayError]:
     """Have files of several runs here, some at a time.
 
     Args:
@@ -164,7 +164,7 @@ def bring_all(places: Mapping[str, Place], names: tuple[str, ...]) -> dict[str, 
         return {uid: error for uid, error in zip(places, told, strict=True) if error is not None}
 
 
-def _tried(place: Place, names: tuple[str, ...]) -> FileAwayError | None:
+def _tried(place: ArtifactFolder, names: tuple[str, ...]) -> FileAwayError | None:
     try:
         place.bring(names)
     except FileAwayError as error:

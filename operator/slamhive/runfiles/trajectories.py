@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from slamhive.analysis.columns import Floats, Indices
     from slamhive.archive.records import CatalogEntry
     from slamhive.model.results import Result, RunRecord
-    from slamhive.runfiles.artifacts import Place
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.artifacts import ArtifactFolder
+    from slamhive.runfiles.ground_truth import DatasetTruth
 
     Matrix = npt.NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class Path:
     every: int = 1
 
 
-def read_poses(place: Place) -> Path:
+def read_poses(place: ArtifactFolder) -> Path:
     """Return the trajectory in a run's TUM file; lines that can't be read are left out.
 
     Raises:
@@ -100,7 +100,7 @@ def _poses(lines: bytes) -> Matrix:
 def drawn(
     given: Path,
     result: Result | None,
-    truth: Truth | None,
+    truth: DatasetTruth | None,
     extrinsic: Matrix | None,
     most: int,
     *,
@@ -164,7 +164,7 @@ def _points(points: Trajectory, result: Result | None) -> dict[str, Any]:
 
 
 def _against(
-    poses: Trajectory, path: Floats, given: tuple[Truth, Matrix | None], expected: float | None
+    poses: Trajectory, path: Floats, given: tuple[DatasetTruth, Matrix | None], expected: float | None
 ) -> tuple[Trajectory, Floats, float]:
     """Return the ground truth in the estimate's frame, errors, and how far their RMSE is from the expected.
 
@@ -232,7 +232,7 @@ def extrinsic_of(
     record: RunRecord,
     configuration: Mapping[str, Any],
     algorithms: list[CatalogEntry],
-    truth: Truth | None,
+    truth: DatasetTruth | None,
 ) -> Matrix | None:
     """Return T_truth_estimate of a run, (4, 4), from its configuration and its Algorithm; None if unknown."""
     name = (record.spec.get("algorithmRef") or {}).get("name")
@@ -250,7 +250,7 @@ def extrinsic_of(
     return np.linalg.inv(truth.T_body_frame) @ pose if pose.shape == (4, 4) else None
 
 
-def usage_columns(place: Place, most: int) -> dict[str, Any]:
+def usage_columns(place: ArtifactFolder, most: int) -> dict[str, Any]:
     """Return CPU and memory over time from usage.csv, or the original system's profiling.csv, thinned.
 
     `kind` says what the memory is, as its header tells.

@@ -19,7 +19,7 @@ from slamhive.model.base import Model, RelativePath, Sha256
 from slamhive.model.errors import DataError
 
 if TYPE_CHECKING:
-    from slamhive.storage.store import Store
+    from slamhive.storage.store import ObjectStorage
 
 NOTE = "offloaded.json"
 NOTE_BYTES = 64 << 20
@@ -87,7 +87,7 @@ def folder_of(uid: str) -> str:
     return f"runs/{uid}"
 
 
-def look_up(store: Store, uid: str) -> Offloaded | None:
+def look_up(store: ObjectStorage, uid: str) -> Offloaded | None:
     """Return the files of a run in a store; None where it was not, or not wholly, moved there.
 
     Raises:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.storage.offloaded import Offloaded, StoredFile
-    from slamhive.storage.store import Store
+    from slamhive.storage.store import ObjectStorage
 
 _ABSENT_SECONDS = 30.0
 _KNOWN_SECONDS = 600.0
@@ -36,7 +36,7 @@ class Bucket:
         store: where they are.
     """
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: ObjectStorage) -> None:
         self._store = store
         self._known: dict[str, tuple[float, Offloaded | None]] = {}
         self._away: tuple[float, str] | None = None

@@ -58,7 +58,7 @@ class OffloadState(Model):
         return None
 
 
-class Offloading:
+class OffloadingWatch:
     """Word that the offloader left, looked at twice a minute.
 
     Args:

@@ -88,7 +88,7 @@ def _secrets(folder: Path) -> dict[str, str]:
         raise InputError(f"{folder}: the storage's secret can't be read: {error}") from None
 
 
-class Store:
+class ObjectStorage:
     """Objects by their names below a URL.
 
     Args:

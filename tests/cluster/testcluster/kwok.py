@@ -16,9 +16,9 @@ from testcluster.errors import ClusterError
 from testcluster.programs import build, path_of
 
 from slamhive.jobs.messages import described
-from slamhive.monitor.measuring.accounting import CpuUsage, MemoryUsage, Usage
+from slamhive.monitor.measuring.accounting import MeasuredCpu, MeasuredMemory, MeasuredUsage
 from slamhive.monitor.pod.termination import termination_message
-from slamhive.monitor.summary import Summary
+from slamhive.monitor.summary import RunSummary
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -58,11 +58,11 @@ class Pool:
 
 def run_message(**changes: Any) -> str:
     """Return the monitor's message on a run that succeeded, with some fields changed."""
-    usage = Usage(
-        cpu=CpuUsage(
+    usage = MeasuredUsage(
+        cpu=MeasuredCpu(
             mean_cores=0.8, max_cores=1.0, seconds=8.0, seconds_per_data_second=0.4, total_seconds=8.0
         ),
-        memory=MemoryUsage(
+        memory=MeasuredMemory(
             peak_bytes=200 << 20,
             mean_bytes=150.0 * 2**20,
             anonymous_peak_bytes=180 << 20,
@@ -79,7 +79,7 @@ def run_message(**changes: Any) -> str:
         includes_reader=False,
         max_includes_reader=False,
     )
-    summary = Summary(
+    summary = RunSummary(
         exit_code=None,
         signal=None,
         reason=None,

@@ -12,7 +12,7 @@ import yaml
 from slamhive.archive import Archive
 from slamhive.local.home.catalog import Workshop
 from slamhive.local.home.folder import Home
-from slamhive.local.running.choosing import Wish
+from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job, Runner, Watcher
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
@@ -80,7 +80,7 @@ class Process:
             runner = Runner(
                 Workbench(self.home, workshop, archive, container=self.container),
                 Silent(),
-                wish=Wish(rerun=rerun),
+                wish=RunChoice(rerun=rerun),
             )
             assert not runner.run([job])
         return self.home.archive_url

@@ -20,7 +20,7 @@ from slamhive.dashboard.sources.archived import Workstation
 from slamhive.dashboard.sources.cluster import MAX_LIVE_COLUMNS, ClusterSource
 from slamhive.dashboard.sources.live import narrow_run
 from slamhive.runfiles import numberfiles
-from slamhive.runfiles.artifacts import Place
+from slamhive.runfiles.artifacts import ArtifactFolder
 from slamhive.runfiles.clocks import configuration_of
 from slamhive.runfiles.trajectories import read_poses, usage_columns
 
@@ -83,8 +83,8 @@ async def test_no_request_costs_more_than_its_share(hostile_api: Any) -> None:
 async def test_what_would_cost_too_much_is_not_begun(
     hostile_api: Any, monkeypatch: pytest.MonkeyPatch, question: str, status: int, told: str
 ) -> None:
-    for place in ("api_analysis.MAX_FIGURES", "api_runs.MAX_CELLS", "api_runs.MAX_PAGE_CELLS"):
-        monkeypatch.setattr(f"slamhive.dashboard.{place}", 2000)
+    for place in ("analysis.MAX_FIGURES", "many_runs.MAX_CELLS", "many_runs.MAX_PAGE_CELLS"):
+        monkeypatch.setattr(f"slamhive.dashboard.answers.{place}", 2000)
     asked = question.replace("COLUMNS", "ate.rmse,scale,coverage")
     answer = await hostile_api.raw.get(f"/api/v1/{asked}")
     assert (answer.status_code, told in answer.json()["error"]) == (status, True), answer.text
@@ -136,10 +136,10 @@ async def test_a_table_that_breaks_off_is_not_taken_for_a_whole_one(
         await hostile_api.raw.get(f"/api/v1/runs?format=csv&columns={columns}")
 
 
-def write_run(folder: Path, name: str, content: str) -> Place:
+def write_run(folder: Path, name: str, content: str) -> ArtifactFolder:
     (folder / "output").mkdir(exist_ok=True)
     (folder / name).write_text(content)
-    return Place(folder)
+    return ArtifactFolder(folder)
 
 
 def test_a_path_is_thinned_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

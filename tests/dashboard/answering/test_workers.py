@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 import pytest
 
 from slamhive.analysis.frame import Frame
-from slamhive.dashboard.answering.workers import Budget, Cost, Limits, Workers
+from slamhive.dashboard.answering.workers import AnswerBudget, AnswerCost, AnswerLimits, AnswerWorkers
 from slamhive.dashboard.problems import BadRequest, Busy, Problem, TooCostly
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterator
 
-SMALL = Limits(
-    answer=Budget(cpu_seconds=1, seconds=300.0, memory=64 * 2**20),
-    stream=Budget(cpu_seconds=5, seconds=300.0, memory=64 * 2**20),
+SMALL = AnswerLimits(
+    answer=AnswerBudget(cpu_seconds=1, seconds=300.0, memory=64 * 2**20),
+    stream=AnswerBudget(cpu_seconds=5, seconds=300.0, memory=64 * 2**20),
     short=1,
     long=1,
     long_seconds=60.0,
@@ -34,8 +34,8 @@ SMALL = Limits(
 
 
 @pytest.fixture
-async def workers() -> AsyncIterator[Workers]:
-    found = Workers(SMALL)
+async def workers() -> AsyncIterator[AnswerWorkers]:
+    found = AnswerWorkers(SMALL)
     yield found
     await found.stop()
 
@@ -60,7 +60,7 @@ async def until(found: Callable[[], bool]) -> None:
             await asyncio.sleep(0.005)
 
 
-async def process_of(workers: Workers) -> int:
+async def process_of(workers: AnswerWorkers) -> int:
     """Return the number of the process that works."""
     await until(lambda: bool(workers._running))
     return next(iter(workers._running)).pid
@@ -74,7 +74,7 @@ def waits(pid: int) -> bool:
     return Path(f"/proc/{pid}/stat").read_text().split()[2] == "S"
 
 
-async def test_it_returns_what_was_computed_here(workers: Workers) -> None:
+async def test_it_returns_what_was_computed_here(workers: AnswerWorkers) -> None:
     table = list(range(1000))
     assert await workers.compute(lambda: sum(table)) == 499_500
     assert await workers.compute(os.getpid) != os.getpid()
@@ -86,7 +86,7 @@ async def test_it_returns_what_was_computed_here(workers: Workers) -> None:
     [(BadRequest("so not", "where"), 400, None), (InputError("nor so"), 400, None), (Busy("no"), 503, 5)],
 )
 async def test_what_it_refuses_is_told(
-    workers: Workers, error: Exception, status: int, retry: int | None
+    workers: AnswerWorkers, error: Exception, status: int, retry: int | None
 ) -> None:
     def refuse() -> None:
         raise error
@@ -97,30 +97,30 @@ async def test_what_it_refuses_is_told(
     assert raised.value.body()["error"] == str(error)
 
 
-async def test_a_mistake_is_logged_here(workers: Workers, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_mistake_is_logged_here(workers: AnswerWorkers, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(Problem, match=r"an error in the dashboard itself \(ZeroDivisionError\)") as raised:
         await workers.compute(lambda: 1 // 0)
     assert raised.value.status == 500
     assert "ZeroDivisionError" in caplog.text
 
 
-async def test_cpu_seconds_end(workers: Workers) -> None:
+async def test_cpu_seconds_end(workers: AnswerWorkers) -> None:
     with pytest.raises(TooCostly, match="more than 1 s of CPU time"):
         await workers.compute(spin)
 
 
-async def test_memory_ends(workers: Workers) -> None:
+async def test_memory_ends(workers: AnswerWorkers) -> None:
     with pytest.raises(TooCostly, match="more than 64 MiB of memory"):
         await workers.compute(grow)
 
 
 async def test_time_ends() -> None:
-    workers = Workers(Limits(answer=Budget(seconds=0.2)))
+    workers = AnswerWorkers(AnswerLimits(answer=AnswerBudget(seconds=0.2)))
     with pytest.raises(Busy, match=r"not ready in 0\.2 s"):
         await workers.compute(sleep)
 
 
-async def test_nobody_waits_in_vain_for_one_that_was_killed(workers: Workers) -> None:
+async def test_nobody_waits_in_vain_for_one_that_was_killed(workers: AnswerWorkers) -> None:
     task = asyncio.create_task(workers.compute(sleep))
     os.kill(await process_of(workers), 9)
     with pytest.raises(Busy, match="memory was short"):
@@ -128,7 +128,7 @@ async def test_nobody_waits_in_vain_for_one_that_was_killed(workers: Workers) ->
     assert await workers.compute(lambda: 1) == 1
 
 
-async def test_what_nobody_waits_for_is_ended(workers: Workers) -> None:
+async def test_what_nobody_waits_for_is_ended(workers: AnswerWorkers) -> None:
     task = asyncio.create_task(workers.compute(sleep))
     pid = await process_of(workers)
     task.cancel()
@@ -136,7 +136,7 @@ async def test_what_nobody_waits_for_is_ended(workers: Workers) -> None:
     assert await workers.compute(lambda: 1) == 1
 
 
-async def test_too_many_are_told_to_come_back(workers: Workers) -> None:
+async def test_too_many_are_told_to_come_back(workers: AnswerWorkers) -> None:
     first = asyncio.create_task(workers.compute(sleep))
     await process_of(workers)
     waiting = [asyncio.create_task(workers.compute(lambda: 1)) for _ in range(2)]
@@ -148,7 +148,7 @@ async def test_too_many_are_told_to_come_back(workers: Workers) -> None:
     assert await asyncio.gather(*waiting) == [1, 1]
 
 
-async def test_who_has_used_least_is_next(workers: Workers) -> None:
+async def test_who_has_used_least_is_next(workers: AnswerWorkers) -> None:
     with pytest.raises(TooCostly):
         await workers.compute(spin, "greedy")
     first = asyncio.create_task(workers.compute(sleep, "greedy"))
@@ -169,8 +169,8 @@ async def test_who_has_used_least_is_next(workers: Workers) -> None:
 
 
 async def test_others_pass_one_that_takes_long() -> None:
-    plenty = Budget(cpu_seconds=600, seconds=600.0)
-    workers = Workers(Limits(answer=plenty, short=1, long=1, long_seconds=0.1))
+    plenty = AnswerBudget(cpu_seconds=600, seconds=600.0)
+    workers = AnswerWorkers(AnswerLimits(answer=plenty, short=1, long=1, long_seconds=0.1))
     long = asyncio.create_task(workers.compute(spin))
     await process_of(workers)
     assert await workers.compute(lambda: 1) == 1
@@ -185,7 +185,7 @@ async def test_others_pass_one_that_takes_long() -> None:
         await long
 
 
-async def test_blocks_are_made_as_they_are_taken(workers: Workers, tmp_path: Path) -> None:
+async def test_blocks_are_made_as_they_are_taken(workers: AnswerWorkers, tmp_path: Path) -> None:
     made = tmp_path / "made"
 
     def blocks() -> Iterator[bytes]:
@@ -204,7 +204,7 @@ async def test_blocks_are_made_as_they_are_taken(workers: Workers, tmp_path: Pat
     await until(lambda: is_gone(pid))
 
 
-async def test_a_lock_of_another_thread_stops_no_worker(workers: Workers) -> None:
+async def test_a_lock_of_another_thread_stops_no_worker(workers: AnswerWorkers) -> None:
     """Up to Python 3.11 a property that is kept has a lock for all objects of its class."""
     holding, done = threading.Event(), threading.Event()
 
@@ -224,8 +224,8 @@ async def test_a_lock_of_another_thread_stops_no_worker(workers: Workers) -> Non
         thread.join()
 
 
-async def test_what_it_came_to_is_told(workers: Workers) -> None:
-    costs: list[Cost] = []
+async def test_what_it_came_to_is_told(workers: AnswerWorkers) -> None:
+    costs: list[AnswerCost] = []
     workers.told = costs.append
     await workers.compute(lambda: 1)
     await workers.stop()
@@ -233,7 +233,7 @@ async def test_what_it_came_to_is_told(workers: Workers) -> None:
     assert costs[0].cpu_seconds < 1
 
 
-async def test_it_holds_no_connection_open(workers: Workers) -> None:
+async def test_it_holds_no_connection_open(workers: AnswerWorkers) -> None:
     mine, other = os.pipe()
     task = asyncio.create_task(workers.compute(sleep))
     pid = await process_of(workers)
@@ -248,7 +248,7 @@ async def test_it_holds_no_connection_open(workers: Workers) -> None:
         task.cancel()
 
 
-async def test_one_that_is_gone_takes_no_other_with_it(workers: Workers, tmp_path: Path) -> None:
+async def test_one_that_is_gone_takes_no_other_with_it(workers: AnswerWorkers, tmp_path: Path) -> None:
     go_on = tmp_path / "go on"
 
     def wait() -> str:

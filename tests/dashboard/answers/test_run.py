@@ -20,7 +20,7 @@ from slamhive.model.configuration import DatasetView, InputView, RecordingPlace,
 from slamhive.model.results import Outcome, Result
 from slamhive.model.run import MappingRun
 from slamhive.model.sensors import SensorMode
-from slamhive.runfiles.artifacts import Place
+from slamhive.runfiles.artifacts import ArtifactFolder
 from slamhive.runfiles.trajectories import usage_columns
 from slamhive_eval import Options, evaluate, read_tum
 
@@ -135,7 +135,7 @@ async def test_thinned_usage_keeps_the_peak(api: Any) -> None:
 )
 def test_usage_says_what_its_memory_is(tmp_path: Path, header: bytes, kind: str | None) -> None:
     (tmp_path / "usage.csv").write_bytes(header + b"\n0.1,1,300,200,400\n")
-    found = usage_columns(Place(tmp_path), 10)
+    found = usage_columns(ArtifactFolder(tmp_path), 10)
     assert (found["kind"], found["memory"].tolist()) == (kind, [300])
 
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.dashboard.answering.workers import Limits, Workers
+from slamhive.dashboard.answering.workers import AnswerLimits, AnswerWorkers
 from slamhive.dashboard.problems import BadRequest, Busy
 from slamhive.dashboard.sources.archived import Workstation
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
 
-    from slamhive.dashboard.answering.workers import Cost
+    from slamhive.dashboard.answering.workers import AnswerCost
 
 sys.path.append(str(Path(__file__).parents[2] / "bench"))
 
@@ -51,7 +51,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 async def test_who_computes(
     filled: Path, open_app: Callable[..., Any], question: str, by_a_worker: bool
 ) -> None:
-    asked: list[Cost] = []
+    asked: list[AnswerCost] = []
     async with open_app(Workstation(f"sqlite:///{filled / 'archive.sqlite'}", filled)) as client:
         client.raw._transport.app.state.service.workers.told = asked.append
         await client.get(f"/{question}")
@@ -59,13 +59,13 @@ async def test_who_computes(
 
 
 @pytest.fixture
-async def workers() -> AsyncIterator[Workers]:
-    found = Workers(Limits(inside=1, waiting=1, waiting_of_one=1, waiting_seconds=300.0))
+async def workers() -> AsyncIterator[AnswerWorkers]:
+    found = AnswerWorkers(AnswerLimits(inside=1, waiting=1, waiting_of_one=1, waiting_seconds=300.0))
     yield found
     await found.stop()
 
 
-async def test_questions_wait_for_those_before_them(workers: Workers) -> None:
+async def test_questions_wait_for_those_before_them(workers: AnswerWorkers) -> None:
     begun, go_on = threading.Event(), threading.Event()
 
     def slow() -> str:
@@ -84,7 +84,7 @@ async def test_questions_wait_for_those_before_them(workers: Workers) -> None:
     assert await asyncio.gather(first, second) == ["first", "second"]
 
 
-async def test_what_is_wrong_is_told_and_the_place_is_free_again(workers: Workers) -> None:
+async def test_what_is_wrong_is_told_and_the_place_is_free_again(workers: AnswerWorkers) -> None:
     def wrong() -> None:
         raise BadRequest("no such column", "by")
 
@@ -93,7 +93,7 @@ async def test_what_is_wrong_is_told_and_the_place_is_free_again(workers: Worker
             await workers.compute_inside(wrong, "one")
 
 
-async def test_a_client_that_leaves_keeps_no_place(workers: Workers) -> None:
+async def test_a_client_that_leaves_keeps_no_place(workers: AnswerWorkers) -> None:
     begun, go_on = threading.Event(), threading.Event()
 
     def slow() -> None:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from buckets import Place as Bucket
 
     from slamhive.model.results import RunRecord
-    from slamhive.runfiles.artifacts import Place
+    from slamhive.runfiles.artifacts import ArtifactFolder
 
 __all__ = ["place", "s3"]
 
@@ -84,7 +84,7 @@ class Source(Workstation):
         super().__init__(url, None, volume.parent / "truth")
         self._cluster = ClusterSource([], results=volume, shelf=shelf)
 
-    def place(self, record: RunRecord) -> Place | None:
+    def place(self, record: RunRecord) -> ArtifactFolder | None:
         return self._cluster.place(record)
 
 

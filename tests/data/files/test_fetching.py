@@ -112,7 +112,7 @@ def test_a_full_disk_is_no_reason_to_ask_a_mirror(
     site: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (site.folder / "a.bin").write_bytes(CONTENT)
-    wanted = fetching.Wanted([f"{site.url}/a.bin", f"{site.url}/a.bin?again"], "hall: a.bin")
+    wanted = fetching.WantedFile([f"{site.url}/a.bin", f"{site.url}/a.bin?again"], "hall: a.bin")
 
     def write(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -153,8 +153,8 @@ def large(site: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     return site
 
 
-def wanted(site: Any, **fields: Any) -> fetching.Wanted:
-    return fetching.Wanted(**{"urls": [f"{site.url}/large.bag"], "what": "large", **fields})
+def wanted(site: Any, **fields: Any) -> fetching.WantedFile:
+    return fetching.WantedFile(**{"urls": [f"{site.url}/large.bag"], "what": "large", **fields})
 
 
 def test_a_connection_that_drops_is_gone_on_with(large: Any, tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_a_server_without_parts_or_with_another_file_begins_afresh(
             return super().pop(at)
 
     large.drops = Changing(large.drops)
-    fetching.fetch_file(wanted(large), tmp_path / "large.bag", fetching.Progress(notify=notify))
+    fetching.fetch_file(wanted(large), tmp_path / "large.bag", fetching.FetchProgress(notify=notify))
     assert (tmp_path / "large.bag").read_bytes() == path.read_bytes()
     assert "comes from its start again" in said[0]
 
@@ -315,7 +315,7 @@ def test_two_at_once_fetch_once(large: Any, tmp_path: Path) -> None:
 
     def one() -> None:
         start.wait(50)
-        progress = fetching.Progress(notify=said.append)
+        progress = fetching.FetchProgress(notify=said.append)
         results.append(fetching.fetch_file(wanted(large), tmp_path / "large.bag", progress))
 
     threads = [threading.Thread(target=one) for _ in range(3)]
@@ -352,7 +352,8 @@ from slamhive.data.files import fetching
 fetching.BLOCK, fetching.PAUSES = 1 << 18, (0.0,) * 5
 def count(held, total):
     print(held, flush=True)
-fetching.fetch_file(fetching.Wanted([sys.argv[1]], "large"), Path(sys.argv[2]), fetching.Progress(count))
+wanted = fetching.WantedFile([sys.argv[1]], "large")
+fetching.fetch_file(wanted, Path(sys.argv[2]), fetching.FetchProgress(count))
 """
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from slamhive.monitor.measuring.sources import CgroupV1Source, CgroupV2Source
 
 if TYPE_CHECKING:
-    from slamhive.monitor.measuring.sources import Source
+    from slamhive.monitor.measuring.sources import UsageSource
 
 ROOT = Path("/sys/fs/cgroup")
 
@@ -63,7 +63,7 @@ class Watch:
             pause.wait(0.005)
 
 
-def _source(container: str) -> Source:
+def _source(container: str) -> UsageSource:
     found = {path for path in ROOT.rglob(f"*{container}*") if path.is_dir()}
     cpu = next((path for path in found if path.relative_to(ROOT).parts[0].startswith("cpu")), None)
     if cpu is None:

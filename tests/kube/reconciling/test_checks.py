@@ -15,7 +15,7 @@ from slamhive.conformance import cluster as conformance_cluster
 from slamhive.conformance import rows
 from slamhive.conformance.cluster import OnCluster
 from slamhive.conformance.damaging import Damage
-from slamhive.conformance.executors import Start
+from slamhive.conformance.executors import CheckStart
 from slamhive.conformance.workstation import bench_for_checks
 from slamhive.kube.user.connecting import connected, find_target
 from slamhive.kube.user.run_files import Filed
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from testcluster.lab import Lab
 
     from slamhive.kube.user.connecting import Cluster
-    from slamhive.kube.user.run_files import Filing, Wanted
+    from slamhive.kube.user.run_files import Filing, WantedRun
     from slamhive.local.home.folder import Home
 
 
@@ -59,7 +59,7 @@ def executor(home: Home, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
         yield make
 
 
-async def sent(filing: Filing, wanted: Sequence[Wanted]) -> Filed:
+async def sent(filing: Filing, wanted: Sequence[WantedRun]) -> Filed:
     """Put a trajectory into the folder of each run, as if its files had been sent."""
     for item in wanted:
         folder = filing._folder(item)
@@ -69,9 +69,9 @@ async def sent(filing: Filing, wanted: Sequence[Wanted]) -> Filed:
     return Filed(runs=len(wanted))
 
 
-def start(executor: OnCluster, number: int = 0, **more: Any) -> Start:
+def start(executor: OnCluster, number: int = 0, **more: Any) -> CheckStart:
     (mode,) = executor._bench.workshop.algorithm("icp").algorithm.spec.modes
-    return Start(mode, timeout=60.0, number=number, **more)
+    return CheckStart(mode, timeout=60.0, number=number, **more)
 
 
 def names(lab: Lab) -> set[str]:
@@ -141,7 +141,7 @@ async def test_what_can_not_be_had_there_is_told_and_nothing_stays(
 async def test_where_files_can_not_be_had_figures_are_told_and_poses_are_not(
     fake_lab: Lab, executor: Callable[..., OnCluster], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def refused(filing: Filing, wanted: Sequence[Wanted]) -> Filed:
+    async def refused(filing: Filing, wanted: Sequence[WantedRun]) -> Filed:
         raise SystemFault("no pod may be made that sends files")
 
     monkeypatch.setattr(conformance_cluster.Filing, "fetch", refused)

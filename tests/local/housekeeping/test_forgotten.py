@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from slamhive.local.home.linking import LEAST_BYTES
-from slamhive.local.housekeeping.forgetting import Known, alone, forget, plan_forgetting
+from slamhive.local.housekeeping.forgetting import ArchivedRun, alone, forget, plan_forgetting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,9 +19,9 @@ with (run / "output" / "map.bin").open("wb") as file:
 """
 
 
-def forgotten(bench: Workbench) -> list[Known]:
+def forgotten(bench: Workbench) -> list[ArchivedRun]:
     """Remove the files of all runs, and return the runs."""
-    runs = [Known(one.uid, one.name, one.sweep, one.folder) for one in bench.archive.runs()]
+    runs = [ArchivedRun(one.uid, one.name, one.sweep, one.folder) for one in bench.archive.runs()]
     plan = plan_forgetting(bench.home.path, runs, {run.uid for run in runs})
     with alone(bench.home, "a test"):
         forget(bench.home, bench.archive, plan)

@@ -17,7 +17,7 @@ from slamhive.local.home.catalog import Workshop
 from slamhive.local.programs import engines
 from slamhive.local.programs.containers import Containers
 from slamhive.local.programs.engines import ContainerChoice
-from slamhive.local.running.choosing import Wish
+from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job, Runner, Watcher
 from slamhive.local.running.workbench import Workbench
 from slamhive.model.loading import load_file
@@ -81,7 +81,7 @@ class Boxes:
         with Archive.open(self.home.archive_url) as archive:
             job = Job(sweep, local_uid(sweep), Plan(sweep, workshop))
             bench = Workbench(self.home, workshop, archive, self.told.append, self.choice)
-            assert not Runner(bench, Silent(), wish=Wish(rerun=rerun)).run([job])
+            assert not Runner(bench, Silent(), wish=RunChoice(rerun=rerun)).run([job])
             found = {
                 record.spec["algorithmRef"]["name"]: record for record in archive.runs({"sweep": "boxes"})
             }

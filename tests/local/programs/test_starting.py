@@ -12,7 +12,7 @@ from slamhive.local.home.catalog import load_workshop
 from slamhive.local.home.parameters import parameter_uses
 from slamhive.local.programs import starting
 from slamhive.local.programs.environments import availability
-from slamhive.local.programs.starting import Kind, start_algorithm
+from slamhive.local.programs.starting import ExampleKind, start_algorithm
 from slamhive.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from slamhive.local.home.folder import Home
 
 
-@pytest.mark.parametrize("kind", Kind)
+@pytest.mark.parametrize("kind", ExampleKind)
 def test_a_folder_is_known_by_its_name_and_says_nothing_of_the_example(
-    kind: Kind, home: Home, tmp_path: Path
+    kind: ExampleKind, home: Home, tmp_path: Path
 ) -> None:
     folder, left = start_algorithm("stone-slam", kind, home, load_workshop(home), tmp_path)
     entry = load_workshop(home).algorithm("stone-slam")
@@ -36,7 +36,7 @@ def test_a_folder_is_known_by_its_name_and_says_nothing_of_the_example(
     for path in folder.iterdir():
         assert os.access(path, os.X_OK) == (path.read_bytes()[:2] in {b"#!", b"\x7fE"})
     assert [path for path in tmp_path.iterdir() if path.name.startswith(".")] == []
-    assert left == "" or kind is Kind.PROGRAM
+    assert left == "" or kind is ExampleKind.PROGRAM
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_what_can_not_be_a_folder_of_an_algorithm_is_refused(
     (tmp_path / "taken" / "thesis.tex").write_text("years of work")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(InputError) as error:
-        start_algorithm(name, Kind.PROGRAM, home, load_workshop(home), tmp_path)
+        start_algorithm(name, ExampleKind.PROGRAM, home, load_workshop(home), tmp_path)
     assert words in str(error.value)
     assert sorted(tmp_path.rglob("*")) == before
     assert (tmp_path / "taken" / "thesis.tex").read_text() == "years of work"
@@ -68,7 +68,7 @@ def test_without_a_compiler_the_next_step_is_to_build(
     home: Home, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(starting.shutil, "which", lambda _: None)
-    folder, left = start_algorithm("stone-slam", Kind.PROGRAM, home, load_workshop(home), tmp_path)
+    folder, left = start_algorithm("stone-slam", ExampleKind.PROGRAM, home, load_workshop(home), tmp_path)
     assert left.startswith("make -C stone-slam")
     assert not (folder / "odometry").exists()
     problem = availability(load_workshop(home).algorithm("stone-slam"))
@@ -78,4 +78,4 @@ def test_without_a_compiler_the_next_step_is_to_build(
 
 def test_a_folder_that_can_not_be_written_is_a_sentence(home: Home, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file or directory"):
-        start_algorithm("stone-slam", Kind.PROGRAM, home, load_workshop(home), tmp_path / "gone")
+        start_algorithm("stone-slam", ExampleKind.PROGRAM, home, load_workshop(home), tmp_path / "gone")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from slamhive.local.running.choosing import ask, first_of, twins_among
-from slamhive.local.running.outlook import Outlook, Standing
+from slamhive.local.running.outlook import Outlook, RunStanding
 from slamhive.model.errors import InputError
 from slamhive.plan import Plan
 
@@ -70,7 +70,7 @@ def test_what_can_not_be_meant_is_refused_in_a_sentence(
 
 
 def test_equal_results_cost_nothing_and_are_not_counted_among_the_first() -> None:
-    outlook = Outlook(bytearray([Standing.NEW, Standing.EQUAL, Standing.STALE, Standing.NEW]))
+    outlook = Outlook(bytearray([RunStanding.NEW, RunStanding.EQUAL, RunStanding.STALE, RunStanding.NEW]))
     assert first_of([3, 2, 1, 0], outlook, {0, 1, 2, 3}, 2) == {1, 3, 2}
     assert first_of([3, 2, 1, 0], outlook, {0}, 2) == {0}
 

@@ -18,7 +18,7 @@ from slamhive.model.formats import DataFormat
 from slamhive.model.loading import load_file
 from slamhive.model.run import InputOptions
 from slamhive.model.sensors import Role
-from slamhive.runfiles.ground_truth import Truths
+from slamhive.runfiles.ground_truth import DatasetTruths
 from slamhive.runfiles.trajectories import Path as Drawn
 from slamhive.runfiles.trajectories import drawn
 from slamhive_eval import ControlPoints, read_tum
@@ -88,7 +88,7 @@ def test_a_run_is_measured_at_the_points(  # noqa: PLR0917 - fixtures
     known = tmp_path / "other" / "datasets" / "surveyed"
     shutil.copytree(surveyed.root, known)
     (known / "dataset.yaml").write_text(json.dumps(surveyed.dataset.as_json()))
-    truth = Truths(None, tmp_path / "other").find("surveyed")
+    truth = DatasetTruths(None, tmp_path / "other").find("surveyed")
     assert truth is not None
     path = Drawn(truth.poses, len(truth.poses))
     drawing = drawn(path, result, truth, None, 1000)

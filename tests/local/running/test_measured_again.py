@@ -13,7 +13,7 @@ import pytest
 
 from slamhive.archive import Archive
 from slamhive.local.home.folder import Home
-from slamhive.local.running.evaluating import Evaluator
+from slamhive.local.running.evaluating import TrajectoryEvaluator
 from slamhive.local.running.evaluations import Unmeasured, bring_up_to_date, measure_record
 from slamhive.local.running.execution import RunDriver
 from slamhive.local.running.workbench import Workbench
@@ -125,7 +125,7 @@ def test_a_disk_that_fails_is_told_from_a_run_that_has_nothing_to_measure(
     def broken(*_: object, **__: object) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    monkeypatch.setattr(Evaluator, "measure_file", broken)
+    monkeypatch.setattr(TrajectoryEvaluator, "measure_file", broken)
     found = measure_record(bench, good, ORIGIN)
     assert found == Unmeasured("Read-only file system", is_fault=True)
     assert measure_record(bench, crashed, ORIGIN) == Unmeasured("Failed, it has no trajectory")

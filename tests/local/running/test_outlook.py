@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from slamhive.local.running.choosing import Wish
-from slamhive.local.running.outlook import Looking, Standing, moment_text, sentences
+from slamhive.local.running.choosing import RunChoice
+from slamhive.local.running.outlook import Looking, RunStanding, moment_text, sentences
 from slamhive.local.running.runner import Job, Runner
 from slamhive.model.results import Phase, Reason
 from slamhive.plan import Plan, local_uid
@@ -67,7 +67,7 @@ def test_an_edit_names_its_file_and_its_runs_and_looking_changes_nothing(
     edit(home, "helper.py")
     outlook, told = look(numbered(1, 2))
     assert told.startswith("2 runs of actor are stale: adapter.py and helper.py changed since ")
-    assert outlook.of(Standing.STALE) == [0, 1]
+    assert outlook.of(RunStanding.STALE) == [0, 1]
     assert [record.uid for record in bench.archive.runs()] == before
 
 
@@ -139,7 +139,9 @@ def test_a_dataset_that_is_not_made_is_not_made_to_look(look: Callable, workshop
     assert set((bench.home.path / "datasets").iterdir()) == folders
 
 
-def run_some(bench: Workbench, sweep: Sweep, wish: Wish, asked: set[int] | None = None) -> tuple[Job, Notes]:
+def run_some(
+    bench: Workbench, sweep: Sweep, wish: RunChoice, asked: set[int] | None = None
+) -> tuple[Job, Notes]:
     job, notes = Job(sweep, local_uid(sweep), Plan(sweep, bench.workshop)), Notes()
     job.asked = asked
     Runner(bench, notes, parallelism=1, wish=wish).run([job])
@@ -147,7 +149,7 @@ def run_some(bench: Workbench, sweep: Sweep, wish: Wish, asked: set[int] | None 
 
 
 def test_the_first_runs_are_one_of_each_setting(bench: Workbench) -> None:
-    job, notes = run_some(bench, numbered(1, 2, repetitions=3), Wish(first=3))
+    job, notes = run_some(bench, numbered(1, 2, repetitions=3), RunChoice(first=3))
     assert [(record.spec["parameters"]["number"], record.spec["repetition"]) for record in notes.records] == [
         *((1, 0), (2, 0), (1, 1)),
     ]
@@ -155,10 +157,10 @@ def test_the_first_runs_are_one_of_each_setting(bench: Workbench) -> None:
 
 
 def test_what_is_left_out_after_an_edit_stays_where_it_was(bench: Workbench, home: Home) -> None:
-    job, _ = run_some(bench, numbered(1, 2), Wish())
+    job, _ = run_some(bench, numbered(1, 2), RunChoice())
     folders = {index: bench.archive.get(job.run_uid(index)).folder for index in range(2)}
     edit(home)
-    again, notes = run_some(bench, numbered(1, 2), Wish(), asked={1})
+    again, notes = run_some(bench, numbered(1, 2), RunChoice(), asked={1})
     assert [record.index for record in notes.records] == [1]
     assert bench.archive.get(again.run_uid(0)).folder == folders[0]
     assert Path(folders[0]).is_dir()
@@ -168,8 +170,8 @@ def test_what_is_left_out_after_an_edit_stays_where_it_was(bench: Workbench, hom
 
 
 def test_runs_that_are_asked_for_again_are_done_again_and_no_others(bench: Workbench) -> None:
-    run_some(bench, numbered(1, 2, 3), Wish())
-    job, notes = run_some(bench, numbered(1, 2, 3), Wish(rerun=True), asked={1})
+    run_some(bench, numbered(1, 2, 3), RunChoice())
+    job, notes = run_some(bench, numbered(1, 2, 3), RunChoice(rerun=True), asked={1})
     assert ([record.index for record in notes.records], job.kept) == ([1], 2)
 
 

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from slamhive.conformance.checking import parameters as parameter_findings
-from slamhive.conformance.findings import Answer
+from slamhive.conformance.findings import CheckAnswer
 from slamhive.local.home.catalog import AlgorithmEntry
 from slamhive.local.home.parameters import parameter_uses
 from slamhive.local.running.configuring import rendered_for
@@ -146,20 +146,20 @@ def entry(folder: Path, adapter: str | None, template: str = "") -> AlgorithmEnt
 @pytest.mark.parametrize(
     ("adapter", "template", "unused", "answer"),
     [
-        ("", "", ["range.max", "size"], Answer.FAIL),
-        ("x = p['size']\ny = p['range.max']", "", [], Answer.PASS),
-        ("x = p['sizes']; y = p['rangeXmax']", "", ["range.max", "size"], Answer.FAIL),
-        ("x = p['size']", "{{ parameters['range.max'] }}", [], Answer.PASS),
-        ("", "{{ parameters.size }}", ["range.max"], Answer.FAIL),
-        ("", "{% for k, v in parameters.items() %}{{ k }}: {{ v }}{% endfor %}", [], Answer.PASS),
-        ("f(**config['parameters'])", "", ["range.max", "size"], Answer.WARNING),
-        ("for k in config['parameters'].items(): pass", "", ["range.max", "size"], Answer.WARNING),
-        (None, "{{ parameters.size }}", ["range.max"], Answer.WARNING),
-        (None, "{{ parameters.size }}{{ parameters['range.max'] }}", [], Answer.PASS),
+        ("", "", ["range.max", "size"], CheckAnswer.FAIL),
+        ("x = p['size']\ny = p['range.max']", "", [], CheckAnswer.PASS),
+        ("x = p['sizes']; y = p['rangeXmax']", "", ["range.max", "size"], CheckAnswer.FAIL),
+        ("x = p['size']", "{{ parameters['range.max'] }}", [], CheckAnswer.PASS),
+        ("", "{{ parameters.size }}", ["range.max"], CheckAnswer.FAIL),
+        ("", "{% for k, v in parameters.items() %}{{ k }}: {{ v }}{% endfor %}", [], CheckAnswer.PASS),
+        ("f(**config['parameters'])", "", ["range.max", "size"], CheckAnswer.WARNING),
+        ("for k in config['parameters'].items(): pass", "", ["range.max", "size"], CheckAnswer.WARNING),
+        (None, "{{ parameters.size }}", ["range.max"], CheckAnswer.WARNING),
+        (None, "{{ parameters.size }}{{ parameters['range.max'] }}", [], CheckAnswer.PASS),
     ],
 )
 def test_a_parameter_that_nothing_reads_is_found(
-    adapter: str | None, template: str, unused: list[str], answer: Answer, tmp_path: Path
+    adapter: str | None, template: str, unused: list[str], answer: CheckAnswer, tmp_path: Path
 ) -> None:
     item = entry(tmp_path, adapter, template)
     assert parameter_uses(item).unused == unused

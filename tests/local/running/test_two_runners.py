@@ -14,7 +14,7 @@ from slamhive.archive import Archive
 from slamhive.engine import PointState
 from slamhive.local.home.claims import Claims
 from slamhive.local.home.leases import LeaseKind
-from slamhive.local.running.choosing import Wish
+from slamhive.local.running.choosing import RunChoice
 from slamhive.local.running.runner import Job, Runner
 from slamhive.local.running.workbench import Workbench
 from slamhive.plan import Plan, local_uid
@@ -40,7 +40,7 @@ class Working(threading.Thread):
         super().__init__(daemon=True)
         self.job = Job(sweep, local_uid(sweep), Plan(sweep, workshop))
         self.notes = Notes()
-        self._home, self._workshop, self._wish = home, workshop, Wish(rerun=rerun)
+        self._home, self._workshop, self._wish = home, workshop, RunChoice(rerun=rerun)
         self.start()
 
     def run(self) -> None:

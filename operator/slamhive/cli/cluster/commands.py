@@ -33,7 +33,7 @@ Context = Annotated[
 ]
 
 
-class Container(Choice):
+class PodContainer(Choice):
     """A container of a run's pod."""
 
     ALGORITHM = "algorithm"
@@ -83,7 +83,7 @@ def submit(
     """
     with cluster_client():
         from slamhive.cli.cluster import work
-    place = work.Place(context, namespace)
+    place = work.ClusterPlace(context, namespace)
     work.submit(files, place, with_catalog=with_catalog, dry_run=dry_run)
 
 
@@ -108,7 +108,7 @@ def status(
     """
     with cluster_client():
         from slamhive.cli.cluster import status, work
-    place = work.Place(context, namespace)
+    place = work.ClusterPlace(context, namespace)
     status.status(names or [], place, watch=watch, as_json=as_json)
 
 
@@ -121,8 +121,8 @@ def logs(
         bool, typer.Option("-f", "--follow", help="Go on until the run is over, through all its attempts.")
     ] = False,
     container: Annotated[
-        Container, typer.Option("--container", "-c", help="Whose log.")
-    ] = Container.ALGORITHM,
+        PodContainer, typer.Option("--container", "-c", help="Whose log.")
+    ] = PodContainer.ALGORITHM,
     tail: Annotated[
         int | None, typer.Option("--tail", min=0, metavar="N", help="Only the last N lines.")
     ] = None,
@@ -133,7 +133,7 @@ def logs(
     """
     with cluster_client():
         from slamhive.cli.cluster import work
-    place = work.Place(context, namespace)
+    place = work.ClusterPlace(context, namespace)
     work.logs(run, place, container.value, follow=follow, tail=tail)
 
 
@@ -155,7 +155,7 @@ def cancel(
     """
     with cluster_client():
         from slamhive.cli.cluster import work
-    work.cancel(names, work.Place(context, namespace), delete=delete)
+    work.cancel(names, work.ClusterPlace(context, namespace), delete=delete)
 
 
 def fetch(
@@ -176,4 +176,4 @@ def fetch(
     """
     with cluster_client():
         from slamhive.cli.cluster import fetch, work
-    fetch.fetch(names, work.Place(context, namespace), files=files)
+    fetch.fetch(names, work.ClusterPlace(context, namespace), files=files)

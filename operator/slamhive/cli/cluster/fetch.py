@@ -17,7 +17,7 @@ from slamhive.cli.parts.waiting import Work
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.user.fetching import Fetched, Fetcher, put_folder, remarks
 from slamhive.kube.user.queries import find
-from slamhive.kube.user.run_files import Filed, Filing, Wanted
+from slamhive.kube.user.run_files import Filed, Filing, WantedRun
 from slamhive.kube.user.submitting import read_catalog
 from slamhive.local.home.folder import Home, lock
 from slamhive.model.errors import InputError
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slamhive.archive import Archive
-    from slamhive.cli.cluster.work import Place
+    from slamhive.cli.cluster.work import ClusterPlace
     from slamhive.kube.user.connecting import Cluster
 
 _SHOWN = 10
@@ -42,10 +42,10 @@ class Copied:
     """
 
     fetched: list[Fetched]
-    absent: list[Wanted]
+    absent: list[WantedRun]
 
 
-def fetch(names: Sequence[str], place: Place, *, files: bool) -> None:
+def fetch(names: Sequence[str], place: ClusterPlace, *, files: bool) -> None:
     """Copy finished runs into the archive here, with their files if asked for, and print what was copied."""
     home = Home.from_environment()
     home.folder(".")
@@ -95,7 +95,7 @@ async def fetch_into(archive: Archive, cluster: Cluster, names: Sequence[str]) -
     return copied
 
 
-async def _fetch_files(home: Home, archive: Archive, cluster: Cluster, wanted: Sequence[Wanted]) -> Filed:
+async def _fetch_files(home: Home, archive: Archive, cluster: Cluster, wanted: Sequence[WantedRun]) -> Filed:
     """Fetch the files of runs that have none here.
 
     Raises:

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from slamhive.cli.cluster.fetch import fetch_into
-from slamhive.cli.cluster.work import Place, Submission, read, show_sent, submit_to
+from slamhive.cli.cluster.work import ClusterPlace, Submission, read, show_sent, submit_to
 from slamhive.cli.parts.console import (
     command_name,
     complain,
@@ -54,7 +54,7 @@ _WATCHED = (Kind.SWEEP, Kind.MAPPING_RUN, Kind.EVALUATION)
 
 
 @dataclass
-class _Watched:
+class _AwaitedObject:
     """An object that is waited for.
 
     Attributes:
@@ -93,7 +93,7 @@ class _Watched:
         return bool(found.get("failed")) or (self.key.kind is Kind.SWEEP and found.get("phase") != "Complete")
 
 
-def run_on_cluster(files: Sequence[Path], place: Place, parallelism: int | None) -> int:
+def run_on_cluster(files: Sequence[Path], place: ClusterPlace, parallelism: int | None) -> int:
     """Run manifests on a cluster to their end, as if that were this machine; returns the exit code."""
     submission = read(files, place)
     if not any(manifest.kind in _WATCHED for manifest in submission.manifests):
@@ -102,7 +102,7 @@ def run_on_cluster(files: Sequence[Path], place: Place, parallelism: int | None)
         submission.manifests = [_narrowed(manifest, parallelism) for manifest in submission.manifests]
     home = Home.from_environment()
     home.folder(".")
-    submitted: list[_Watched] = []
+    submitted: list[_AwaitedObject] = []
     try:
         fetched = asyncio.run(_work(submission, home, submitted))
     except KeyboardInterrupt:
@@ -131,7 +131,7 @@ def _narrowed(manifest: Manifest, parallelism: int) -> Manifest:
     return replace(manifest, item=item, spec=manifest.spec | {"parallelism": parallelism})
 
 
-async def _work(submission: Submission, home: Home, submitted: list[_Watched]) -> list[Fetched]:
+async def _work(submission: Submission, home: Home, submitted: list[_AwaitedObject]) -> list[Fetched]:
     async with submission.place.connect() as cluster:
         sent = await submit_to(cluster, submission, with_catalog=True)
         show_sent(sent, submission, remark)
@@ -140,7 +140,7 @@ async def _work(submission: Submission, home: Home, submitted: list[_Watched]) -
                 plan = submission.plans.get(str(one.manifest))
                 naming = Naming(plan) if plan is not None else None
                 key = cluster.key(one.manifest.kind, one.manifest.name)
-                submitted.append(_Watched(key, naming=naming))
+                submitted.append(_AwaitedObject(key, naming=naming))
                 if plan is not None and speaks_json():
                     emit("begin", sweep=key.name, runs=len(plan))
         await _wait(cluster, submitted)
@@ -151,7 +151,7 @@ async def _work(submission: Submission, home: Home, submitted: list[_Watched]) -
             return (await fetch_into(archive, cluster, names)).fetched
 
 
-async def _wait(cluster: Cluster, items: Sequence[_Watched]) -> None:
+async def _wait(cluster: Cluster, items: Sequence[_AwaitedObject]) -> None:
     """Wait for the end of all objects, and show how far they are."""
     columns = (
         *(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()),
@@ -183,7 +183,7 @@ def _shows() -> bool:
     return err.is_terminal and not speaks_json()
 
 
-async def _look(cluster: Cluster, item: _Watched, now: float) -> None:
+async def _look(cluster: Cluster, item: _AwaitedObject, now: float) -> None:
     """See what has become of an object; faults that pass leave it as it was."""
     try:
         item.body = await cluster.api.get(item.key)
@@ -200,7 +200,7 @@ async def _look(cluster: Cluster, item: _Watched, now: float) -> None:
             raise
 
 
-async def _tell_runs(cluster: Cluster, item: _Watched, body: Object, now: float) -> None:
+async def _tell_runs(cluster: Cluster, item: _AwaitedObject, body: Object, now: float) -> None:
     """Print a line of each run that has ended since the last look."""
     found = status_of(body)
     done = found.get("succeeded", 0) + found.get("failed", 0)
@@ -214,7 +214,7 @@ async def _tell_runs(cluster: Cluster, item: _Watched, body: Object, now: float)
             _tell(item, record_of(run), found.get("total"))
 
 
-def _tell(item: _Watched, record: RunRecord, total: int | None) -> None:
+def _tell(item: _AwaitedObject, record: RunRecord, total: int | None) -> None:
     """Say in a line what came out of a run."""
     index, naming = record.index, item.naming
     if speaks_json():
@@ -249,7 +249,7 @@ def _shown(body: Object) -> dict[str, Any]:
     return {"total": found.get("total"), "completed": done, "notes": " ".join(notes)}
 
 
-def _warn(items: Sequence[_Watched]) -> bool:
+def _warn(items: Sequence[_AwaitedObject]) -> bool:
     """Tell of objects that no operator has taken notice of; returns whether there were any."""
     ignored = [item for item in items if item.body is not None and not status_of(item.body).get("conditions")]
     for item in ignored:
@@ -258,7 +258,7 @@ def _warn(items: Sequence[_Watched]) -> bool:
     return bool(ignored)
 
 
-def _report(fetched: Fetched, item: _Watched) -> None:
+def _report(fetched: Fetched, item: _AwaitedObject) -> None:
     """Print the table of a sweep's runs and a line of their number, as after a run on this machine."""
     if speaks_json():
         _emit_end(fetched, item)
@@ -280,7 +280,7 @@ def _report(fetched: Fetched, item: _Watched) -> None:
     out.print(f"More:       {more}", soft_wrap=True, markup=False)
 
 
-def _emit_end(fetched: Fetched, item: _Watched) -> None:
+def _emit_end(fetched: Fetched, item: _AwaitedObject) -> None:
     found = status_of(item.body or {})
     if item.key.kind is Kind.MAPPING_RUN:
         if item.body is not None and item.is_done:
@@ -307,7 +307,7 @@ def _emit_end(fetched: Fetched, item: _Watched) -> None:
     )
 
 
-def _interrupted(submitted: Sequence[_Watched], place: Place) -> int:
+def _interrupted(submitted: Sequence[_AwaitedObject], place: ClusterPlace) -> int:
     names = " ".join(item.key.name for item in submitted)
     if not names:
         remark("interrupted while submitting; slamhive status shows what was begun")

@@ -16,13 +16,13 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from slamhive.cli.cluster.work import Place
+from slamhive.cli.cluster.work import ClusterPlace
 from slamhive.cli.parts.console import bytes_text, out, plural, remark
 from slamhive.kube.api.errors import ApiError
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.status import metres, moment, phase_of
 from slamhive.kube.user.queries import (
-    Picture,
+    NamespacePicture,
     labels_of,
     look_around,
     look_at,
@@ -57,7 +57,7 @@ _WIDEST = 10_000
 
 
 def render(
-    cluster: Cluster, picture: Picture, most: int | None = _RUNS, width: int | None = None
+    cluster: Cluster, picture: NamespacePicture, most: int | None = _RUNS, width: int | None = None
 ) -> RenderableType:
     """Return tables of what there is, with sentences about what is wrong.
 
@@ -86,7 +86,7 @@ def render(
     return Group(*parts) if parts else Text(f"nothing in namespace {cluster.namespace}")
 
 
-def details(picture: Picture) -> list[RenderableType]:
+def details(picture: NamespacePicture) -> list[RenderableType]:
     """Return all that is to be said of what was asked for by name."""
     now = time.time()
     parts: list[RenderableType] = []
@@ -287,7 +287,7 @@ def _age(body: Object) -> str:
     return f"{int(seconds)}s"
 
 
-def status(names: Sequence[str], place: Place, *, watch: bool, as_json: bool) -> None:
+def status(names: Sequence[str], place: ClusterPlace, *, watch: bool, as_json: bool) -> None:
     """Show what is known by some names, or all that there is; stay as long as that changes if asked."""
 
     async def work() -> None:
@@ -306,11 +306,11 @@ def status(names: Sequence[str], place: Place, *, watch: bool, as_json: bool) ->
         raise typer.Exit from None
 
 
-async def _look(cluster: Cluster, names: Sequence[str], before: Picture | None) -> Picture:
+async def _look(cluster: Cluster, names: Sequence[str], before: NamespacePicture | None) -> NamespacePicture:
     return await look_at(cluster, names, before) if names else await look_around(cluster)
 
 
-async def _next(cluster: Cluster, names: Sequence[str], before: Picture) -> Picture:
+async def _next(cluster: Cluster, names: Sequence[str], before: NamespacePicture) -> NamespacePicture:
     """Look again after a while; faults that pass leave the picture as it was."""
     await asyncio.sleep(LOOK_SECONDS)
     try:
@@ -323,14 +323,14 @@ async def _next(cluster: Cluster, names: Sequence[str], before: Picture) -> Pict
         return before
 
 
-async def _live(cluster: Cluster, names: Sequence[str], picture: Picture) -> None:
+async def _live(cluster: Cluster, names: Sequence[str], picture: NamespacePicture) -> None:
     with Live(render(cluster, picture, width=out.width), console=out, auto_refresh=False) as live:
         while not (names and picture.is_over):
             picture = await _next(cluster, names, picture)
             live.update(render(cluster, picture, width=out.width), refresh=True)
 
 
-async def _lines(cluster: Cluster, names: Sequence[str], picture: Picture, *, as_json: bool) -> None:
+async def _lines(cluster: Cluster, names: Sequence[str], picture: NamespacePicture, *, as_json: bool) -> None:
     """Print a line of what changes where no terminal can show it in place."""
     shown: dict[str, str] = {}
     while True:
@@ -359,7 +359,7 @@ def _line(kind: Kind, body: Object) -> str:
     return "; ".join([f"{name}: {text}", *(sentence.splitlines()[0] for sentence in bad)])
 
 
-def _print(cluster: Cluster, picture: Picture, *, as_json: bool, named: bool) -> None:
+def _print(cluster: Cluster, picture: NamespacePicture, *, as_json: bool, named: bool) -> None:
     if as_json:
         typer.echo(json.dumps(as_plain(picture), indent=2, ensure_ascii=False))
         return
@@ -377,7 +377,7 @@ def _print(cluster: Cluster, picture: Picture, *, as_json: bool, named: bool) ->
         remark(f"nothing in namespace {cluster.namespace}; slamhive submit sends something there")
 
 
-def as_plain(picture: Picture) -> dict[str, Any]:
+def as_plain(picture: NamespacePicture) -> dict[str, Any]:
     """Return a picture as plain JSON values."""
 
     def plain(body: Object) -> dict[str, Any]:

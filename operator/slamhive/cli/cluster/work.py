@@ -18,7 +18,7 @@ from slamhive.cli.parts.planning import planned, sweeps_of
 from slamhive.kube.api.kinds import Kind
 from slamhive.kube.user import cancelling
 from slamhive.kube.user.connecting import Cluster, connected, find_target
-from slamhive.kube.user.logs import Part, read_log
+from slamhive.kube.user.logs import LogPart, read_log
 from slamhive.kube.user.manifests import STDIN, Manifest, common_namespace, read_manifests
 from slamhive.kube.user.submitting import (
     ClusterCatalog,
@@ -47,7 +47,7 @@ _REFUSED = 20
 
 
 @dataclass(frozen=True)
-class Place:
+class ClusterPlace:
     """Kubernetes context and namespace that a command works in, as its options say.
 
     Attributes:
@@ -84,7 +84,7 @@ class Submission:
     """
 
     manifests: list[Manifest]
-    place: Place
+    place: ClusterPlace
     plans: dict[str, Plan] = field(default_factory=dict)
     added: list[Manifest] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -98,7 +98,7 @@ def attempt(work: Coroutine[Any, Any, None]) -> None:
         raise typer.Exit(INTERRUPTED) from None
 
 
-def submit(files: Sequence[Path], place: Place, *, with_catalog: bool, dry_run: bool) -> None:
+def submit(files: Sequence[Path], place: ClusterPlace, *, with_catalog: bool, dry_run: bool) -> None:
     """Send manifests and print what became of each, and what to type next."""
 
     async def work() -> None:
@@ -115,7 +115,7 @@ def submit(files: Sequence[Path], place: Place, *, with_catalog: bool, dry_run: 
     attempt(work())
 
 
-def logs(run: str, place: Place, container: str, *, follow: bool, tail: int | None) -> None:
+def logs(run: str, place: ClusterPlace, container: str, *, follow: bool, tail: int | None) -> None:
     """Print a run's log: its lines to standard output, remarks to standard error."""
 
     async def work() -> None:
@@ -124,7 +124,7 @@ def logs(run: str, place: Place, container: str, *, follow: bool, tail: int | No
             aclosing(read_log(cluster, run, container, follow=follow, tail=tail)) as parts,
         ):
             async for part, text in parts:
-                if part is Part.LINE:
+                if part is LogPart.LINE:
                     sys.stdout.write(f"{text}\n")
                     sys.stdout.flush()
                 else:
@@ -133,7 +133,7 @@ def logs(run: str, place: Place, container: str, *, follow: bool, tail: int | No
     attempt(work())
 
 
-def cancel(names: Sequence[str], place: Place, *, delete: bool) -> None:
+def cancel(names: Sequence[str], place: ClusterPlace, *, delete: bool) -> None:
     """End Sweeps and runs, or delete them, and print what happened to each."""
 
     async def work() -> None:
@@ -145,7 +145,7 @@ def cancel(names: Sequence[str], place: Place, *, delete: bool) -> None:
     attempt(work())
 
 
-def read(files: Sequence[Path], place: Place) -> Submission:
+def read(files: Sequence[Path], place: ClusterPlace) -> Submission:
     """Read manifests, before any cluster is asked.
 
     Raises:
@@ -155,7 +155,7 @@ def read(files: Sequence[Path], place: Place) -> Submission:
     manifests = read_manifests(files, stdin)
     namespace = place.namespace or common_namespace(manifests, place.namespace)
     common_namespace(manifests, namespace)
-    return Submission(manifests, Place(place.context, namespace))
+    return Submission(manifests, ClusterPlace(place.context, namespace))
 
 
 async def submit_to(
@@ -227,7 +227,7 @@ def _known(manifest: Manifest, there: ClusterCatalog) -> bool:
     return isinstance(manifest.item, Algorithm | Dataset) and there.has(manifest.kind, manifest.name)
 
 
-def _show_next(sent: Sequence[Sent], place: Place) -> None:
+def _show_next(sent: Sequence[Sent], place: ClusterPlace) -> None:
     """Print what to type next."""
     name, options = command_name(), place.options
     begun = [one.manifest.name for one in sent if one.manifest.kind in {Kind.SWEEP, Kind.MAPPING_RUN}]

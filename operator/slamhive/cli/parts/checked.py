@@ -74,7 +74,7 @@ def check_files(paths: Sequence[Path], workshop: Workshop, *, strict: bool = Tru
         workshop: the catalog.
         strict: whether runs are checked against the catalog, too.
     """
-    files = _Files(workshop)
+    files = _JudgedFiles(workshop)
     for path in paths:
         files.read(path)
     checked = Checked([one.item for one in files.judged if one.item is not None and not one.problems])
@@ -84,7 +84,7 @@ def check_files(paths: Sequence[Path], workshop: Workshop, *, strict: bool = Tru
     return checked
 
 
-class _Files:
+class _JudgedFiles:
     """Files under judgement.
 
     Attributes:

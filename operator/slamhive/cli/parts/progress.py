@@ -16,8 +16,8 @@ from rich.text import Text
 from slamhive.cli.parts.console import bytes_text, emit, err, plural, speaks_json
 from slamhive.engine import PointState
 from slamhive.local.running.estimating import Estimate
-from slamhive.local.running.execution import Step
-from slamhive.local.running.outlook import Standing, sentences
+from slamhive.local.running.execution import RunStep
+from slamhive.local.running.outlook import RunStanding, sentences
 from slamhive.model.results import Phase
 from slamhive.tables.text import short_name
 
@@ -39,7 +39,7 @@ _MOST_SHOWN = 8
 _ESTIMATED_SECONDS = 1.0
 """For so long an estimate is shown."""
 
-_AWAITED = (Step.CORES, Step.DATASET, Step.PROGRAM)
+_AWAITED = (RunStep.CORES, RunStep.DATASET, RunStep.PROGRAM)
 """Steps that a run waits for before anything is done for it alone: datasets and programs are made once."""
 
 _MADE_AFTER_SECONDS = 15.0
@@ -89,7 +89,7 @@ class _Followed:
     naming: Naming
     estimate: Estimate
     began: dict[int, float] = field(default_factory=dict)
-    steps: dict[int, tuple[Step, float]] = field(default_factory=dict)
+    steps: dict[int, tuple[RunStep, float]] = field(default_factory=dict)
     before: Mapping[int, float] = field(default_factory=dict)
 
 
@@ -164,7 +164,7 @@ class Display:
         self._left = None
         told = sentences(outlook, job.points, again=job.again, left_out=job.left_out)
         if speaks_json():
-            counts = {kind.name.lower(): outlook.count(kind) for kind in Standing}
+            counts = {kind.name.lower(): outlook.count(kind) for kind in RunStanding}
             emit(
                 "begin",
                 **self._names(job),
@@ -185,7 +185,7 @@ class Display:
         if speaks_json():
             emit("phase", **self._names(job, index), phase=str(phase))
 
-    def step(self, job: Job, index: int, step: Step) -> None:
+    def step(self, job: Job, index: int, step: RunStep) -> None:
         """Note what a run is at, or waits for."""
         followed = self._followed.get(job.uid)
         if followed is None:
@@ -279,9 +279,9 @@ class Display:
             lines.append(Text(f"  … and {shown - _MOST_SHOWN} more", style="dim"))
         return Group(*lines)
 
-    def _at(self, uid: str, followed: _Followed, index: int, step: Step, since: float) -> str:
+    def _at(self, uid: str, followed: _Followed, index: int, step: RunStep, since: float) -> str:
         words = followed.naming.words(index) or self._jobs[uid].sweep.name
-        usual = followed.estimate.seconds(index) if step is Step.RUNNING else None
+        usual = followed.estimate.seconds(index) if step is RunStep.RUNNING else None
         expected = f" of about {clock_text(usual)}" if usual is not None else ""
         return f"{words}: {step} {clock_text(since)}{expected}"
 

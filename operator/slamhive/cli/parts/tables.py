@@ -23,7 +23,7 @@ _GAP = "   "
 _UNPRINTABLE = dict.fromkeys((*range(32), 127), " ")
 
 
-class Format(StrEnum):
+class PrintFormat(StrEnum):
     """Formats in which commands print a table."""
 
     TABLE = "table"

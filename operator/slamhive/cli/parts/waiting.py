@@ -36,7 +36,7 @@ _FORETELLS = (0.05, 3.0)
 
 
 @dataclass
-class _Step:
+class _WorkStep:
     """Step of a piece of work whose progress is shown: its description, start and share done.
 
     Attributes:
@@ -73,8 +73,8 @@ class Work:
         self._console = console.err if to is None else to
         self._clock = clock
         self._began = self._said = clock()
-        self._main = _Step(what, self._began)
-        self._made: _Step | None = None
+        self._main = _WorkStep(what, self._began)
+        self._made: _WorkStep | None = None
         self._making: Mapping[str, float] = {}
         self._ended = threading.Event()
         self._wait = self._ended.wait if wait is None else wait
@@ -98,7 +98,7 @@ class Work:
 
     def at(self, what: str) -> None:
         """Say what is being done from now on."""
-        self._main = _Step(what, self._clock())
+        self._main = _WorkStep(what, self._clock())
 
     def share(self, share: float) -> None:
         """Say how much of it is done, 0 to 1."""
@@ -146,11 +146,11 @@ class Work:
         return ", ".join(filter(None, parts))
 
     @property
-    def _step(self) -> _Step:
+    def _step(self) -> _WorkStep:
         for what, share in list(self._making.items())[:1]:
             if self._made is None or what != self._made.what:
                 self._end_making()
-                self._made = _Step(what, self._clock())
+                self._made = _WorkStep(what, self._clock())
             self._made.share = share
             return self._made
         self._end_making()

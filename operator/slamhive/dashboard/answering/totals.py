@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from slamhive.archive.records import SweepRecord
-    from slamhive.dashboard.answering.workers import Workers
+    from slamhive.dashboard.answering.workers import AnswerWorkers
 
 KEPT = 10_000
 
@@ -36,14 +36,14 @@ class StoredSweeps:
     totals: Mapping[str, int | None] = field(default_factory=dict)
 
 
-class Totals:
+class SweepTotals:
     """Remembers how many runs sweeps were asked for.
 
     Args:
         workers: lay their plans out.
     """
 
-    def __init__(self, workers: Workers) -> None:
+    def __init__(self, workers: AnswerWorkers) -> None:
         self._workers = workers
         self._known: OrderedDict[tuple[str, str], int | None] = OrderedDict()
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from slamhive.dashboard.answering.forking import BLOCK, END, MEMORY, MISTAKE, REFUSED, blocks, fork
-from slamhive.dashboard.problems import Busy, Problem, Refused, TooCostly
+from slamhive.dashboard.problems import Busy, Problem, TooCostly, WorkerRefusal
 from slamhive.monitor.measuring.processes import read_file, stat_fields
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ _log = logging.getLogger("slamhive.dashboard")
 
 
 @dataclass(frozen=True)
-class Budget:
+class AnswerBudget:
     """Limits of CPU time, duration and memory for one answer of the dashboard.
 
     Attributes:
@@ -56,7 +56,7 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Limits:
+class AnswerLimits:
     """Limits for all answers of the dashboard together: their budgets, how many are computed, how many wait.
 
     Attributes:
@@ -70,8 +70,8 @@ class Limits:
         waiting_seconds: how long one waits at most.
     """
 
-    answer: Budget = Budget()
-    stream: Budget = Budget(cpu_seconds=60, seconds=300.0, memory=96 * 2**20)
+    answer: AnswerBudget = AnswerBudget()
+    stream: AnswerBudget = AnswerBudget(cpu_seconds=60, seconds=300.0, memory=96 * 2**20)
     inside: int = 2
     short: int = 2
     long: int = 1
@@ -83,7 +83,7 @@ class Limits:
 
 
 @dataclass
-class Cost:
+class AnswerCost:
     """CPU time and memory that a worker process took to compute an answer.
 
     Attributes:
@@ -96,12 +96,12 @@ class Cost:
 
 
 @dataclass(eq=False)
-class _Worker:
+class _AnswerProcess:
     pid: int
     handle: int
     client: str
     lane: str
-    budget: Budget
+    budget: AnswerBudget
     began: float = field(default_factory=time.monotonic)
     reason: Problem | None = None
 
@@ -127,7 +127,7 @@ class _Worker:
         return (int(fields[11]) + int(fields[12])) / _TICK
 
 
-class Workers:
+class AnswerWorkers:
     """Computes answers in processes of their own.
 
     Who has used least of late is next: an address that asks for much waits behind the others.
@@ -136,14 +136,14 @@ class Workers:
         told: called with the cost of each worker that is gone; None for nobody.
     """
 
-    def __init__(self, limits: Limits | None = None) -> None:
-        self._limits = limits or Limits()
+    def __init__(self, limits: AnswerLimits | None = None) -> None:
+        self._limits = limits or AnswerLimits()
         self._busy = {"inside": 0, "short": 0, "long": 0, "streams": 0}
         self._waiting: dict[str, list[tuple[str, asyncio.Future[None]]]] = {"inside": [], "short": []}
         self._threads = ThreadPoolExecutor(self._limits.inside, thread_name_prefix="inside")
         self._used: dict[str, tuple[float, float]] = {}
-        self._running: dict[_Worker, asyncio.Future[int]] = {}
-        self.told: Callable[[Cost], None] | None = None
+        self._running: dict[_AnswerProcess, asyncio.Future[int]] = {}
+        self.told: Callable[[AnswerCost], None] | None = None
 
     async def compute_inside(self, work: Callable[[], T], client: str = "") -> T:
         """Return the result of a function that costs little, computed in a thread of this process.
@@ -285,7 +285,7 @@ class Workers:
         except OSError as error:
             self._leave(lane)
             raise Busy(f"no worker can be started at present: {error.strerror}") from None
-        worker = _Worker(pid, os.pidfd_open(pid), client, lane, budget)
+        worker = _AnswerProcess(pid, os.pidfd_open(pid), client, lane, budget)
         if lane == "streams":
             worker.step_back()
         gone = self._running[worker] = loop.create_future()
@@ -312,19 +312,19 @@ class Workers:
             worker.end()
             transport.close() if transport is not None else opened.close()
 
-    def _gone(self, worker: _Worker) -> None:
+    def _gone(self, worker: _AnswerProcess) -> None:
         asyncio.get_running_loop().remove_reader(worker.handle)
         _, status, usage = os.wait4(worker.pid, 0)
         os.close(worker.handle)
         worker.handle = _GONE  # the number is the next one's by now
         self._running.pop(worker).set_result(status)
-        cost = Cost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
+        cost = AnswerCost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
         self._add_use(worker.client, cost.cpu_seconds)
         if self.told is not None:
             self.told(cost)
         self._leave(worker.lane)
 
-    async def _watch(self, worker: _Worker) -> None:
+    async def _watch(self, worker: _AnswerProcess) -> None:
         """End a worker when its time is over; let the others pass one that takes long."""
         while True:
             await asyncio.sleep(_LOOK_SECONDS)
@@ -342,19 +342,19 @@ class Workers:
                 worker.end(Busy("this takes long, and so does what others ask: ask again in a while", 10))
 
 
-def _problem(kind: bytes, part: bytes, budget: Budget) -> Problem:
+def _problem(kind: bytes, part: bytes, budget: AnswerBudget) -> Problem:
     """Return the problem that a worker told instead of an answer."""
     if kind == REFUSED:
-        return Refused(*pickle.loads(part))  # noqa: S301 - written by a process of ours
+        return WorkerRefusal(*pickle.loads(part))  # noqa: S301 - written by a process of ours
     if kind == MISTAKE:
         name, text = pickle.loads(part)  # noqa: S301
         _log.error("an error in the dashboard itself\n%s", text)
         sentence = f"an error in the dashboard itself ({name}); its log says more"
-        return Refused(500, {"error": sentence, "field": None})
+        return WorkerRefusal(500, {"error": sentence, "field": None})
     return _too_much_memory(budget) if kind == MEMORY else Busy("the answer was lost on its way")
 
 
-def _death(status: int, budget: Budget) -> Problem:
+def _death(status: int, budget: AnswerBudget) -> Problem:
     """Return the problem for a worker that ended and was not ended from here."""
     number = os.waitstatus_to_exitcode(status)
     if number == -signal.SIGXCPU:
@@ -368,7 +368,7 @@ def _death(status: int, budget: Budget) -> Problem:
     return Busy(f"the process that computed the answer ended ({number}): ask again")
 
 
-def _too_much_memory(budget: Budget) -> Problem:
+def _too_much_memory(budget: AnswerBudget) -> Problem:
     return TooCostly(
         f"the answer takes more than {budget.memory // 2**20} MiB of memory: ask for fewer runs, columns or "
         "groups"

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.sources.archived import Snapshot, Source
     from slamhive.model.results import Result, RunRecord
-    from slamhive.runfiles.artifacts import Place
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.artifacts import ArtifactFolder
+    from slamhive.runfiles.ground_truth import DatasetTruth
     from slamhive.tables.queries import Pairs
     from slamhive_eval import Evaluation
 
@@ -89,7 +89,7 @@ class Meant:
 
 
 @dataclass(frozen=True)
-class Material:
+class ResultMaterial:
     """Records, run folders and ground truth that selected results are measured again from.
 
     Attributes:
@@ -103,9 +103,9 @@ class Material:
 
     meant: Meant
     records: dict[str, RunRecord]
-    places: dict[str, Place]
+    places: dict[str, ArtifactFolder]
     absences: dict[str, str]
-    truths: list[Truth | None]
+    truths: list[DatasetTruth | None]
     algorithms: list[CatalogEntry]
 
 
@@ -139,7 +139,7 @@ def meant(snapshot: Snapshot, pairs: Pairs, by: str | None, which: str) -> Meant
     return Meant([rows for _, rows in ordered], told, tracked, list(chosen.notes))
 
 
-def material(source: Source, meant: Meant) -> Material:
+def material(source: Source, meant: Meant) -> ResultMaterial:
     """Look up what results are measured again by: records, folders, ground truth."""
     records, places, absences = {}, {}, {}
     truths = []
@@ -164,10 +164,10 @@ def material(source: Source, meant: Meant) -> Material:
     for uid, trouble in bring_all(places, (*TRAJECTORIES, *CONFIGURATIONS)).items():
         absences[uid] = str(trouble)
         del places[uid]
-    return Material(meant, records, places, absences, truths, source.catalog("Algorithm"))
+    return ResultMaterial(meant, records, places, absences, truths, source.catalog("Algorithm"))
 
 
-def common(snapshot: Snapshot, given: Material) -> Body:
+def common(snapshot: Snapshot, given: ResultMaterial) -> Body:
     """Return results over the runs' own and over their common support, by dataset and evaluation."""
     meant = given.meant
     found = [_group(given, rows, truth) for rows, truth in zip(meant.rows, given.truths, strict=True)]
@@ -184,7 +184,7 @@ def common(snapshot: Snapshot, given: Material) -> Body:
     )
 
 
-def _group(given: Material, rows: list[dict[str, Any]], truth: Truth | None) -> dict[str, Any]:
+def _group(given: ResultMaterial, rows: list[dict[str, Any]], truth: DatasetTruth | None) -> dict[str, Any]:
     runs = []
     for row in rows:
         if given.meant.tracked and row["status"] != Outcome.TRACKED.value:
@@ -208,7 +208,7 @@ def _group(given: Material, rows: list[dict[str, Any]], truth: Truth | None) -> 
     }
 
 
-def _run(given: Material, row: dict[str, Any], truth: Truth | None) -> _Run:
+def _run(given: ResultMaterial, row: dict[str, Any], truth: DatasetTruth | None) -> _Run:
     """Return a run as it can be measured again."""
     uid = str(row["uid"])
     record = given.records.get(uid)
@@ -230,7 +230,7 @@ def _run(given: Material, row: dict[str, Any], truth: Truth | None) -> _Run:
         return _Run(row, own, str(error))
 
 
-def _poses(given: Material, uid: str) -> tuple[Place, Trajectory]:
+def _poses(given: ResultMaterial, uid: str) -> tuple[ArtifactFolder, Trajectory]:
     """Return the folder of a run, and all of its poses.
 
     Raises:
@@ -249,7 +249,7 @@ def _number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _fitting(run: _Run, result: Result, truth: Truth, extrinsic: npt.NDArray[Any] | None) -> _Run:
+def _fitting(run: _Run, result: Result, truth: DatasetTruth, extrinsic: npt.NDArray[Any] | None) -> _Run:
     """Return a run with the options of its evaluation: of what they may have been, the ones that fit best."""
     best, least = run, math.inf
     for matrix in (extrinsic, None) if extrinsic is not None else (None,):
@@ -340,7 +340,7 @@ def _entries(runs: list[_Run], told: Sequence[str]) -> list[dict[str, Any]]:
     return sorted(entries, key=lambda entry: (entry["rank"], entry["ownRank"]))
 
 
-def _notes(truth: Truth | None, runs: list[_Run], shared: Common | None) -> list[str]:
+def _notes(truth: DatasetTruth | None, runs: list[_Run], shared: Common | None) -> list[str]:
     notes = []
     if truth is None:
         notes.append("the ground truth of this dataset is not at hand here")

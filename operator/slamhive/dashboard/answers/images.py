@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.dashboard.sources.archived import Snapshot, Source
-    from slamhive.runfiles.artifacts import Place
+    from slamhive.runfiles.artifacts import ArtifactFolder
 
 _VARIANT = re.compile(r"[0-9a-f]{32}")
 _NEAR_NS = 1_000_000_000
@@ -31,7 +31,7 @@ _MOST_JSON = 2**20
 
 
 @dataclass(frozen=True)
-class Prepared:
+class GivenRecording:
     """The recording that a run was given.
 
     Attributes:
@@ -43,7 +43,7 @@ class Prepared:
     form: RecordingFormat
 
 
-def prepared(source: Source, uid: str) -> Prepared:
+def prepared(source: Source, uid: str) -> GivenRecording:
     """Return the recording that a run was given.
 
     Raises:
@@ -71,10 +71,10 @@ def prepared(source: Source, uid: str) -> Prepared:
         ) from None
     if not path.exists():
         raise Missing("the recording that this run was given is no longer there")
-    return Prepared(path, form)
+    return GivenRecording(path, form)
 
 
-def _variant_of(place: Place) -> str:
+def _variant_of(place: ArtifactFolder) -> str:
     """Return the name of the variant that a run's link leads to; nothing else of the link is heeded."""
     link = place.root.joinpath(*place.parts, "run", "dataset")
     try:
@@ -86,7 +86,7 @@ def _variant_of(place: Place) -> str:
     return name
 
 
-def images(snapshot: Snapshot, given: Prepared, moment: float) -> Body:
+def images(snapshot: Snapshot, given: GivenRecording, moment: float) -> Body:
     """Return the cameras' images nearest to a moment, as JPEG.
 
     Args:

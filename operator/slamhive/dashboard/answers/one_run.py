@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from slamhive.archive.records import CatalogEntry
     from slamhive.dashboard.sources.archived import Snapshot, Source
     from slamhive.model.results import Result, RunRecord
-    from slamhive.runfiles.artifacts import Place
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.artifacts import ArtifactFolder
+    from slamhive.runfiles.ground_truth import DatasetTruth
 
 _PARTS = ("usage", "frames", "trajectory")
 _SETTINGS = (f"{SETTINGS_FOLDER}/", f"run/{SETTINGS_FOLDER}/")
@@ -59,7 +59,7 @@ def find(source: Source, uid: str) -> RunRecord:
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundRun:
     """A run, and its folder or why that is not here.
 
     Attributes:
@@ -70,12 +70,12 @@ class Found:
     """
 
     record: RunRecord
-    place: Place | None
+    place: ArtifactFolder | None
     absence: str | None = None
     trouble: FileAwayError | None = None
 
     @property
-    def folder(self) -> Place:
+    def folder(self) -> ArtifactFolder:
         """Return its folder.
 
         Raises:
@@ -91,7 +91,9 @@ class Found:
         return self.place
 
 
-def found(source: Source, uid: str, wanted: Callable[[Place], Iterable[str]] | None = None) -> Found:
+def found(
+    source: Source, uid: str, wanted: Callable[[ArtifactFolder], Iterable[str]] | None = None
+) -> FoundRun:
     """Return a run with its folder, and have the files at hand that are read of it.
 
     Args:
@@ -108,11 +110,11 @@ def found(source: Source, uid: str, wanted: Callable[[Place], Iterable[str]] | N
         if place is not None and wanted is not None:
             place.bring(wanted(place))
     except FileAwayError as error:
-        return Found(record, None, trouble=error)
-    return Found(record, place, source.absence(record))
+        return FoundRun(record, None, trouble=error)
+    return FoundRun(record, place, source.absence(record))
 
 
-def detail(snapshot: Snapshot, found: Found) -> Body:
+def detail(snapshot: Snapshot, found: FoundRun) -> Body:
     """Return a run with its configuration, provenance, usage, results and log."""
     record = found.record
     spec = record.spec
@@ -170,7 +172,7 @@ def manifest(record: RunRecord) -> str:
     return str(yaml.safe_dump(body, sort_keys=False, allow_unicode=True, width=100))
 
 
-def files(snapshot: Snapshot, found: Found) -> Body:
+def files(snapshot: Snapshot, found: FoundRun) -> Body:
     """Return the list of a run's files."""
     items = found.folder.files()
     names = ("path", "size", "modified")
@@ -180,7 +182,7 @@ def files(snapshot: Snapshot, found: Found) -> Body:
     )
 
 
-def settings_files(snapshot: Snapshot, found: Found) -> Body:
+def settings_files(snapshot: Snapshot, found: FoundRun) -> Body:
     """Return the settings files that were rendered for a run, with their texts as far as they are short."""
     place = found.folder
     items = [
@@ -195,12 +197,12 @@ def settings_files(snapshot: Snapshot, found: Found) -> Body:
     return Body({"revision": snapshot.revision, "items": items})
 
 
-def wanted_settings(place: Place) -> list[str]:
+def wanted_settings(place: ArtifactFolder) -> list[str]:
     """Return the paths of the settings files that are shown."""
     return [str(item["path"]) for item in _settings_of(place) if item["size"] <= MOST_SETTINGS]
 
 
-def _settings_of(place: Place) -> list[dict[str, Any]]:
+def _settings_of(place: ArtifactFolder) -> list[dict[str, Any]]:
     return [item for item in place.files() if _below_settings(str(item["path"])) is not None][:FILES_LIMIT]
 
 
@@ -212,7 +214,7 @@ def _below_settings(path: str) -> str | None:
     return None
 
 
-def _text(place: Place, item: dict[str, Any]) -> str | None:
+def _text(place: ArtifactFolder, item: dict[str, Any]) -> str | None:
     try:
         return place.read(str(item["path"]), MOST_SETTINGS).decode("utf-8", "replace")
     except (FileMissingError, FileTooLargeError):  # it may have gone or grown since
@@ -220,7 +222,7 @@ def _text(place: Place, item: dict[str, Any]) -> str | None:
 
 
 @dataclass(frozen=True)
-class Material:
+class RunMaterial:
     """Record, folder and ground truth of a run, from which its trajectory is drawn.
 
     Attributes:
@@ -231,12 +233,12 @@ class Material:
     """
 
     record: RunRecord
-    place: Place
-    truth: Truth | None
+    place: ArtifactFolder
+    truth: DatasetTruth | None
     algorithms: list[CatalogEntry]
 
 
-def material(source: Source, uid: str) -> Material:
+def material(source: Source, uid: str) -> RunMaterial:
     """Look up what a run's path is drawn from.
 
     Raises:
@@ -246,10 +248,10 @@ def material(source: Source, uid: str) -> Material:
     record, place = seen.record, seen.folder
     dataset = str((record.spec.get("datasetRef") or {}).get("name"))
     truth = source.truth(dataset, record.labels.get("dataset"))
-    return Material(record, place, truth, source.catalog("Algorithm"))
+    return RunMaterial(record, place, truth, source.catalog("Algorithm"))
 
 
-def trajectory(snapshot: Snapshot, given: Material, evaluation: str | None, most: int) -> Body:
+def trajectory(snapshot: Snapshot, given: RunMaterial, evaluation: str | None, most: int) -> Body:
     """Return a run's aligned path over its ground truth, thinned, with errors and the dataset's clock."""
     record, truth = given.record, given.truth
     result = _chosen(record, evaluation)
@@ -276,7 +278,7 @@ def _chosen(record: RunRecord, evaluation: str | None) -> Result | None:
     )
 
 
-def usage(snapshot: Snapshot, found: Found, most: int) -> Body:
+def usage(snapshot: Snapshot, found: FoundRun, most: int) -> Body:
     """Return CPU and memory over time, thinned: since the program's start, and by sensor time where known."""
     place = found.folder
     shown = usage_columns(place, most)

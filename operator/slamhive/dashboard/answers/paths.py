@@ -19,9 +19,9 @@ from slamhive.tables.text import as_columns
 
 if TYPE_CHECKING:
     from slamhive.analysis.frame import Frame
-    from slamhive.dashboard.answers.common_support import Material
+    from slamhive.dashboard.answers.common_support import ResultMaterial
     from slamhive.dashboard.sources.archived import Snapshot
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.ground_truth import DatasetTruth
     from slamhive.tables.queries import Pairs
 
 RESERVED = ("of", "points", "format")
@@ -86,7 +86,7 @@ def _alike(frame: Frame, uid: str) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return same
 
 
-def paths(snapshot: Snapshot, given: Material, most: int) -> Body:
+def paths(snapshot: Snapshot, given: ResultMaterial, most: int) -> Body:
     """Return the paths of runs, thinned, with errors, by dataset and evaluation.
 
     Args:
@@ -117,7 +117,9 @@ def paths(snapshot: Snapshot, given: Material, most: int) -> Body:
     )
 
 
-def _group(given: Material, rows: list[dict[str, Any]], truth: Truth | None, most: int) -> dict[str, Any]:
+def _group(
+    given: ResultMaterial, rows: list[dict[str, Any]], truth: DatasetTruth | None, most: int
+) -> dict[str, Any]:
     reference: dict[str, Any] | None = None
     runs = []
     notes: dict[str, None] = {}
@@ -146,7 +148,9 @@ def _group(given: Material, rows: list[dict[str, Any]], truth: Truth | None, mos
     }
 
 
-def _drawn(given: Material, row: dict[str, Any], truth: Truth | None, most: int) -> dict[str, Any]:
+def _drawn(
+    given: ResultMaterial, row: dict[str, Any], truth: DatasetTruth | None, most: int
+) -> dict[str, Any]:
     """Return a run's path as its own page draws it.
 
     Raises:

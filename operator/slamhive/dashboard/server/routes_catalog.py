@@ -12,13 +12,13 @@ from starlette.responses import StreamingResponse
 
 from slamhive.archive.records import CatalogEntry
 from slamhive.dashboard.answers import catalog, one_run, recordings
-from slamhive.dashboard.problems import Unavailable
+from slamhive.dashboard.problems import SourceUnavailable
 from slamhive.dashboard.server.costs import costs_little
 from slamhive.dashboard.server.events import MAX_LISTENERS, Events
 from slamhive.dashboard.server.routes import FORMATS
 from slamhive.dashboard.server.service import Service
 from slamhive.dashboard.sources.archived import Snapshot
-from slamhive.runfiles.artifacts import Place
+from slamhive.runfiles.artifacts import ArtifactFolder
 
 Name = Annotated[str, Path(max_length=10_000)]
 Most = Annotated[int, Query(ge=10, le=20_000, description="Points at most.")]
@@ -38,7 +38,9 @@ def router(service: Service, events: Events) -> APIRouter:
     async def changes() -> StreamingResponse:
         """One event `revision` at once, and one whenever something changed."""
         if events.listeners >= MAX_LISTENERS:
-            raise Unavailable(f"{MAX_LISTENERS} pages are listening already; ask /api/v1 every few seconds")
+            raise SourceUnavailable(
+                f"{MAX_LISTENERS} pages are listening already; ask /api/v1 every few seconds"
+            )
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         return StreamingResponse(events.stream(), media_type="text/event-stream", headers=headers)
 
@@ -172,7 +174,7 @@ def _add_run(routes: APIRouter, service: Service) -> None:
     ) -> Response:
         """The pose with the largest error is always among those shown."""
 
-        async def material(_: Snapshot) -> one_run.Material:
+        async def material(_: Snapshot) -> one_run.RunMaterial:
             return await service.run(lambda: one_run.material(source, uid))
 
         return await service.answer_with(
@@ -195,11 +197,11 @@ def _add_run(routes: APIRouter, service: Service) -> None:
 
 
 def _found(
-    service: Service, uid: str, wanted: Callable[[Place], Iterable[str]] | None = None
-) -> Callable[[Snapshot], Awaitable[one_run.Found]]:
+    service: Service, uid: str, wanted: Callable[[ArtifactFolder], Iterable[str]] | None = None
+) -> Callable[[Snapshot], Awaitable[one_run.FoundRun]]:
     """Return a function that looks a run up, and has files of it at hand."""
 
-    async def find(_: Snapshot) -> one_run.Found:
+    async def find(_: Snapshot) -> one_run.FoundRun:
         return await service.run(lambda: one_run.found(service.source, uid, wanted))
 
     return find

@@ -93,7 +93,7 @@ def router(service: Service) -> APIRouter:
         """Runs without a path stay in the list, with the reason."""
         client = client_of(request)
 
-        async def material(data: Snapshot) -> common_support.Material:
+        async def material(data: Snapshot) -> common_support.ResultMaterial:
             meant = await service.workers.compute(lambda: paths_answer.meant(data, filters, of), client)
             return await service.run(lambda: common_support.material(service.source, meant))
 
@@ -124,7 +124,7 @@ def router(service: Service) -> APIRouter:
     ) -> Response:
         """JPEG in base64, from the recording as the run was given it; on a workstation alone."""
 
-        async def given(_: Snapshot) -> images_answer.Prepared:
+        async def given(_: Snapshot) -> images_answer.GivenRecording:
             return await service.run(lambda: images_answer.prepared(service.source, uid))
 
         return await service.answer_with(

@@ -112,7 +112,7 @@ def router(service: Service) -> APIRouter:
         """Errors over the runs' own and over their common support, from their trajectories."""
         client = client_of(request)
 
-        async def material(data: Snapshot) -> common_support.Material:
+        async def material(data: Snapshot) -> common_support.ResultMaterial:
             meant = await service.workers.compute(
                 lambda: common_support.meant(data, filters, by, outcomes), client
             )

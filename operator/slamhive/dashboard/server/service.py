@@ -27,9 +27,9 @@ from slamhive.dashboard.answering.encoding import (
     encode,
     encode_blocks,
 )
-from slamhive.dashboard.answering.totals import StoredSweeps, Totals
-from slamhive.dashboard.answering.workers import Limits, Workers
-from slamhive.dashboard.problems import Problem, TooCostly, Unavailable
+from slamhive.dashboard.answering.totals import StoredSweeps, SweepTotals
+from slamhive.dashboard.answering.workers import AnswerLimits, AnswerWorkers
+from slamhive.dashboard.problems import Problem, SourceUnavailable, TooCostly
 from slamhive.dashboard.server.security import HEAD
 
 if TYPE_CHECKING:
@@ -96,10 +96,10 @@ class Service:
         limits: what answers may cost.
     """
 
-    def __init__(self, source: Source, limits: Limits | None = None) -> None:
+    def __init__(self, source: Source, limits: AnswerLimits | None = None) -> None:
         self.source = source
-        self.workers = Workers(limits)
-        self._totals = Totals(self.workers)
+        self.workers = AnswerWorkers(limits)
+        self._totals = SweepTotals(self.workers)
         threads = min(_THREADS, (os.cpu_count() or 1) + 1)
         self.executor = ThreadPoolExecutor(threads, thread_name_prefix="answer")
         self._looking = ThreadPoolExecutor(1, thread_name_prefix="look")
@@ -123,11 +123,11 @@ class Service:
         """Return the data as they are now.
 
         Raises:
-            Unavailable: there are none yet.
+            SourceUnavailable: there are none yet.
         """
         snapshot = await self.source.fresh()
         if not self.source.ready:
-            raise Unavailable("; ".join(snapshot.problems) or "the data are still being read")
+            raise SourceUnavailable("; ".join(snapshot.problems) or "the data are still being read")
         return snapshot
 
     async def asked_for(self, _: Snapshot) -> StoredSweeps:
@@ -239,7 +239,7 @@ class Service:
             finally:
                 await blocks.aclose()
 
-        return _Sent(sent(), media_type=TYPES[form], headers=headers)
+        return _SentTable(sent(), media_type=TYPES[form], headers=headers)
 
     async def _remembered(
         self, key: tuple[str, ...], make: Callable[[], Awaitable[Answer]], request: Request
@@ -269,7 +269,7 @@ class Service:
         try:
             await asyncio.wait({pending.task, left}, return_when=asyncio.FIRST_COMPLETED)
             if not pending.task.done():
-                raise Unavailable("the client has left")
+                raise SourceUnavailable("the client has left")
             return pending.task.result()
         except TooCostly as error:
             # It would be the same again, at the same cost.
@@ -286,7 +286,7 @@ class Service:
                 del self._pending[key]
 
 
-class _Sent(StreamingResponse):
+class _SentTable(StreamingResponse):
     """A table on its way; one that breaks off has no end, so that nobody takes it for a whole one."""
 
     async def stream_response(self, send: Send) -> None:

@@ -13,7 +13,7 @@ from slamhive.kube.settings import NamespaceName
 from slamhive.model.base import Model, Quantity, explain, quantity
 from slamhive.model.errors import InputError
 from slamhive.runfiles.stored import Shelf
-from slamhive.storage.store import Store, StoreSettings
+from slamhive.storage.store import ObjectStorage, StoreSettings
 
 _SHARE = 0.8
 
@@ -60,7 +60,7 @@ class DashboardSettings(Model):
         """
         if self.store is None:
             return None
-        store = Store(StoreSettings.read(self.store, self.store_secret))
+        store = ObjectStorage(StoreSettings.read(self.store, self.store_secret))
         # A pod whose folder is fuller than it may be is ended: some room is left.
         return Shelf(store, self.store_cache, int(_SHARE * quantity(self.store_cache_limit)))
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from slamhive.analysis.frame import Frame
 from slamhive.archive import Archive
 from slamhive.archive.connection import connect, file_of, reading, require_version
-from slamhive.dashboard.problems import Unavailable
+from slamhive.dashboard.problems import SourceUnavailable
 from slamhive.dashboard.sources.underway import UnderWay
 from slamhive.model.errors import SlamHiveError
 from slamhive.runfiles.homefiles import HomeFiles
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from slamhive.analysis.derived import SweepVersion
     from slamhive.archive.records import CatalogEntry, SweepRecord
     from slamhive.model.results import RunRecord
-    from slamhive.runfiles.artifacts import Place
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.artifacts import ArtifactFolder
+    from slamhive.runfiles.ground_truth import DatasetTruth
 
 LOOK_SECONDS = 0.5
 """Least time between questions to the database whether anything was written."""
@@ -105,13 +105,13 @@ class Source(Protocol):
     def catalog(self, kind: str) -> list[CatalogEntry]:
         """Return Algorithms or Datasets, versions of a name in the order of storing."""
 
-    def place(self, record: RunRecord) -> Place | None:
+    def place(self, record: RunRecord) -> ArtifactFolder | None:
         """Return the folder that holds a run's files, if it is there."""
 
     def absence(self, record: RunRecord) -> str | None:
         """Return the reason that a run's files aren't here, if somebody removed them: part of a sentence."""
 
-    def truth(self, dataset: str, label: str | None) -> Truth | None:
+    def truth(self, dataset: str, label: str | None) -> DatasetTruth | None:
         """Return the ground truth of a dataset, if it is at hand."""
 
     def variants(self) -> Path | None:
@@ -238,11 +238,11 @@ class ArchiveData:
         """Return the archive's own reading methods.
 
         Raises:
-            Unavailable: the database does not answer.
+            SourceUnavailable: the database does not answer.
         """
         engine = self._engine
         if engine is None:
-            raise Unavailable(self.problem or "the archive is not there yet")
+            raise SourceUnavailable(self.problem or "the archive is not there yet")
         return Archive(engine)
 
     def keep(self) -> None:
@@ -282,7 +282,7 @@ class ArchiveData:
             self._held = self._engine.connect()
             self._mark = None
         if self._held is None:
-            raise Unavailable("the archive was closed")
+            raise SourceUnavailable("the archive was closed")
         with reading(self._engine) as connection:
             require_version(connection)
             mark = change_mark(self._engine, self._held)
@@ -375,7 +375,7 @@ class Workstation:
         """Return the catalog as runs used it."""
         return [] if self._data.is_absent else self._data.archive().catalog(kind)
 
-    def place(self, record: RunRecord) -> Place | None:
+    def place(self, record: RunRecord) -> ArtifactFolder | None:
         """Return the folder of a run in the home, or the one that it was imported from."""
         return self._files.place(record)
 
@@ -383,7 +383,7 @@ class Workstation:
         """Return the reason that a run's files aren't here, if somebody removed them."""
         return self._files.absence(record)
 
-    def truth(self, dataset: str, label: str | None) -> Truth | None:
+    def truth(self, dataset: str, label: str | None) -> DatasetTruth | None:
         """Return the ground truth of a dataset, if it is at hand."""
         return self._files.truth(dataset, label)
 

@@ -17,7 +17,7 @@ from slamhive.analysis.flattening import bound, stack
 from slamhive.analysis.frame import Frame
 from slamhive.dashboard.sources.archived import ArchiveData, Snapshot
 from slamhive.dashboard.sources.live import (
-    Cluster,
+    LiveObjects,
     catalog_entry,
     columns_of_live,
     narrow_other,
@@ -29,9 +29,9 @@ from slamhive.kube.api.errors import ApiError, NotFound
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.api.watching import Follower, open_session
 from slamhive.kube.records import record_of
-from slamhive.runfiles.artifacts import Place
-from slamhive.runfiles.ground_truth import Truths
-from slamhive.storage.state import Offloading
+from slamhive.runfiles.artifacts import ArtifactFolder
+from slamhive.runfiles.ground_truth import DatasetTruths
+from slamhive.storage.state import OffloadingWatch
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from slamhive.archive.records import CatalogEntry, SweepRecord
     from slamhive.dashboard.sources.live import LiveRun
     from slamhive.model.results import RunRecord
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.ground_truth import DatasetTruth
     from slamhive.runfiles.stored import Shelf
 
 _OTHERS = (Kind.ALGORITHM, Kind.DATASET, Kind.EVALUATION, Kind.SWEEP)
@@ -87,13 +87,13 @@ class ClusterSource:
         self._namespaces = namespaces
         self._archive = ArchiveData(archive_url, cache) if archive_url else None
         self._results = results
-        self._truths = Truths(ground_truth)
+        self._truths = DatasetTruths(ground_truth)
         self._name = name
         self._shelf = shelf
-        self._offloading = Offloading(results)
+        self._offloading = OffloadingWatch(results)
         self._identity: str | None = name or None
         self._connect = connect
-        self._cluster = Cluster()
+        self._cluster = LiveObjects()
         self._troubles: dict[tuple[Kind, str], str | None] = {}
         self._numbers: dict[str, int] = {}
         self._tasks: list[asyncio.Task[None]] = []
@@ -216,21 +216,21 @@ class ClusterSource:
         archived = self._archive.archive().catalog(kind) if self._archive and self._archived else []
         return [*archived, *(catalog_entry(word, obj) for obj in self._cluster.of(Kind(kind)))]
 
-    def place(self, record: RunRecord) -> Place | None:
+    def place(self, record: RunRecord) -> ArtifactFolder | None:
         """Return the folder of a run on the results volume, or in object storage."""
         parts = tuple((record.folder or "").split("/"))
         wrong = len(parts) < 2 or parts[0] != "runs" or any(part in {"", ".", ".."} for part in parts)
         if wrong:
             return None
         if self._results is not None and self._results.joinpath(*parts).is_dir():
-            return Place(self._results, parts)
+            return ArtifactFolder(self._results, parts)
         return self._shelf.place(parts) if self._shelf is not None else None
 
     def absence(self, record: RunRecord) -> str | None:  # noqa: ARG002 - a workstation's source needs it
         """Return None: a cluster's collector leaves no word of what it removed."""
         return None
 
-    def truth(self, dataset: str, label: str | None) -> Truth | None:
+    def truth(self, dataset: str, label: str | None) -> DatasetTruth | None:
         """Return the ground truth of a dataset, if its volume is mounted."""
         return self._truths.find(dataset, label)
 

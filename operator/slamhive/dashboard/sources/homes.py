@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from slamhive.archive.records import CatalogEntry, SweepRecord
     from slamhive.local.home.folder import Home
     from slamhive.model.results import RunRecord
-    from slamhive.runfiles.artifacts import Place
-    from slamhive.runfiles.ground_truth import Truth
+    from slamhive.runfiles.artifacts import ArtifactFolder
+    from slamhive.runfiles.ground_truth import DatasetTruth
     from slamhive.tables.homes import Beside
 
 _REFERENCES = {"algorithm": "algorithmRef", "dataset": "datasetRef"}
@@ -142,7 +142,7 @@ class Homes:
                 found.setdefault((name, entry.content_hash), entry.replace(name=name))
         return list(found.values())
 
-    def place(self, record: RunRecord) -> Place | None:
+    def place(self, record: RunRecord) -> ArtifactFolder | None:
         """Return the folder that holds a run's files, if it is there."""
         return self._stations[self._label(record.uid)].place(record)
 
@@ -150,7 +150,7 @@ class Homes:
         """Return the reason that a run's files aren't here, if somebody removed them."""
         return self._stations[self._label(record.uid)].absence(record)
 
-    def truth(self, dataset: str, label: str | None) -> Truth | None:
+    def truth(self, dataset: str, label: str | None) -> DatasetTruth | None:
         """Return the ground truth of a dataset: of the home in its name, else of the first that has it."""
         name, home = plain_name(dataset, self._stations)
         stations = [self._stations[home]] if home is not None else self._stations.values()

@@ -175,7 +175,7 @@ class _Intended:
 
 
 @dataclass
-class Cluster:
+class LiveObjects:
     """All live objects.
 
     Attributes:

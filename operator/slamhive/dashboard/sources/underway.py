@@ -15,7 +15,7 @@ from slamhive.contract.files import read_regular
 from slamhive.local.home.underway import runs_under_way
 from slamhive.local.programs.cores import processors_text
 from slamhive.model.results import Phase
-from slamhive.runfiles.artifacts import Place
+from slamhive.runfiles.artifacts import ArtifactFolder
 from slamhive.runfiles.clocks import configuration_of
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class UnderWay:
 def _told(runs: Path, sweep: str, run: str) -> dict[str, Any]:
     """Return the facts that the folder of a run tells that is at work."""
     folder = runs / sweep / run
-    given = configuration_of(Place(runs, (sweep, run)))
+    given = configuration_of(ArtifactFolder(runs, (sweep, run)))
     dataset = given.get("dataset")
     uid, processors = _read(folder / "attempt.json").get("uid"), _read(folder / "supervisor.json").get("cpus")
     return {

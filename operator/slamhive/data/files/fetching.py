@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
-from slamhive.data.files.https import TIMEOUT_SECONDS, Answer, Interrupted, open_url
+from slamhive.data.files.https import TIMEOUT_SECONDS, HttpsResponse, Interrupted, open_url
 from slamhive.data.files.partial import DiskFault, Partial, disk_words
 from slamhive.model.canonical import digest
 from slamhive.model.errors import DataError, SlamHiveError, SystemFault
@@ -51,7 +51,7 @@ _Blocks = queue.SimpleQueue[tuple[int, bytearray, int] | None]
 
 
 @dataclass(frozen=True)
-class Wanted:
+class WantedFile:
     """A file elsewhere.
 
     Attributes:
@@ -72,7 +72,7 @@ class Wanted:
 
 
 @dataclass
-class Progress:
+class FetchProgress:
     """Callbacks that a fetch reports to: its progress in bytes, and sentences on anything unusual.
 
     Attributes:
@@ -97,17 +97,17 @@ def fetch(url: str, place: Path, sha256: str, what: str) -> None:
         DataError: what came is another file, more than `MOST_BYTES`, or comes by a way that isn't https.
         SystemFault: it can't be had right now, or there is no room for it.
     """
-    fetch_file(Wanted([url], what, sha256), place)
+    fetch_file(WantedFile([url], what, sha256), place)
 
 
-def fetch_file(wanted: Wanted, place: Path, progress: Progress | None = None) -> str:
+def fetch_file(wanted: WantedFile, place: Path, progress: FetchProgress | None = None) -> str:
     """Fetch a file to a place, and return its sha256; one that another process fetches is waited for.
 
     Raises:
         DataError: What came is another file, more than `MOST_BYTES`, or comes by a way that isn't https.
         SystemFault: It can't be had right now, or there is no room for it; what came stays for the next time.
     """
-    progress = progress or Progress()
+    progress = progress or FetchProgress()
     place.parent.mkdir(parents=True, exist_ok=True)
     path = partial_path(wanted.urls[0], place.parent)
     with one_at_a_time(path, wanted.what, progress) as waited:
@@ -136,7 +136,7 @@ def partial_path(url: str, folder: Path) -> Path:
 
 
 @contextmanager
-def one_at_a_time(path: Path, what: str, progress: Progress) -> Iterator[bool]:
+def one_at_a_time(path: Path, what: str, progress: FetchProgress) -> Iterator[bool]:
     """Hold the right to fetch to a path, and tell whether another process had it first."""
     with disk_words(what, path):
         descriptor = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -168,7 +168,7 @@ def is_busy(path: Path) -> bool:
     return False
 
 
-def _whole(wanted: Wanted, partial: Partial, progress: Progress) -> str:
+def _whole(wanted: WantedFile, partial: Partial, progress: FetchProgress) -> str:
     """Fetch all of a file until its checksum is right, at most twice."""
     urls = list(wanted.urls)
     for last in (False, True):
@@ -194,7 +194,7 @@ def _whole(wanted: Wanted, partial: Partial, progress: Progress) -> str:
     raise AssertionError
 
 
-def _wrong_pieces(wanted: Wanted, partial: Partial) -> list[Span]:
+def _wrong_pieces(wanted: WantedFile, partial: Partial) -> list[Span]:
     """Return the spans of the pieces that aren't what their checksums say."""
     wrong = []
     if wanted.pieces:
@@ -208,11 +208,11 @@ def _wrong_pieces(wanted: Wanted, partial: Partial) -> list[Span]:
 
 
 def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
-    wanted: Wanted,
+    wanted: WantedFile,
     urls: Sequence[str],
     partial: Partial,
     span: tuple[int, int | None],
-    progress: Progress,
+    progress: FetchProgress,
     running: _Running | None = None,
 ) -> None:
     """Have a span of a file in its partial; addresses are tried in turn, each several times.
@@ -235,7 +235,7 @@ def fetch_span(  # noqa: PLR0917 - what, from where, to where, which part
         while True:
             before = partial.held
             try:
-                _attempt(_Order(wanted, url, partial, progress, running), span)
+                _attempt(_FetchOrder(wanted, url, partial, progress, running), span)
             except DiskFault:
                 raise
             except SystemFault as error:
@@ -283,13 +283,13 @@ class _Running:
 
 
 @dataclass(frozen=True)
-class _Order:
+class _FetchOrder:
     """Arguments of one attempt to fetch a file: its URL, the partial file that it goes to, callbacks."""
 
-    wanted: Wanted
+    wanted: WantedFile
     url: str
     partial: Partial
-    progress: Progress
+    progress: FetchProgress
     running: _Running | None
 
     @property
@@ -302,7 +302,7 @@ class _Order:
         return shutil.disk_usage(self.partial.path.parent).free - LEFT_BYTES
 
 
-def _attempt(order: _Order, span: tuple[int, int | None]) -> None:
+def _attempt(order: _FetchOrder, span: tuple[int, int | None]) -> None:
     """Fetch what is missing of a span, in one answer for each hole in it."""
     partial = order.partial
     if partial.url not in {None, order.url} and order.wanted.sha256 is None:
@@ -326,7 +326,7 @@ def _attempt(order: _Order, span: tuple[int, int | None]) -> None:
             _copy(order, answer, until)
 
 
-def _is_same(order: _Order, answer: Answer, start: int) -> bool:
+def _is_same(order: _FetchOrder, answer: HttpsResponse, start: int) -> bool:
     """Tell whether an answer goes on with what is there; where it doesn't, that is forgotten."""
     wanted, partial = order.wanted, order.partial
     if answer.total is not None and wanted.size is not None and answer.total != wanted.size:
@@ -345,13 +345,13 @@ def _is_same(order: _Order, answer: Answer, start: int) -> bool:
     return is_same
 
 
-def _copy(order: _Order, answer: Answer, until: int | None) -> None:
+def _copy(order: _FetchOrder, answer: HttpsResponse, until: int | None) -> None:
     """Write an answer within the limits of size, room and pace."""
     partial = order.partial
     expected = answer.total if until is None else until
     room = order.room
     at, counted, since = answer.start, 0, time.monotonic()
-    with _Writer(order, at) as writer:
+    with _BlockWriter(order, at) as writer:
         while expected is None or at < expected:
             block = answer.read(_READ)
             if not block:
@@ -376,13 +376,13 @@ def _copy(order: _Order, answer: Answer, until: int | None) -> None:
         raise Interrupted(f"ended after {at:,} of {expected:,} bytes")
 
 
-class _Writer:
+class _BlockWriter:
     """Writes what comes and computes its checksum, each on a thread of its own: neither waits for the other.
 
     A few blocks go round from the network to the disk, to the checksum and back, so that none is made anew.
     """
 
-    def __init__(self, order: _Order, at: int) -> None:
+    def __init__(self, order: _FetchOrder, at: int) -> None:
         self._order, self._at = order, at
         self._free: queue.SimpleQueue[bytearray] = queue.SimpleQueue()
         for _ in range(_BLOCKS):
@@ -453,7 +453,7 @@ class _Writer:
             self._free.put(block)
 
 
-def _require_room(size: int, room: int, order: _Order) -> None:
+def _require_room(size: int, room: int, order: _FetchOrder) -> None:
     if size > MOST_BYTES:
         raise DataError(f"{order.where}: has more than {MOST_BYTES >> 30} GiB, the most that is fetched")
     if size > room:

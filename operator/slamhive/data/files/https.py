@@ -41,7 +41,7 @@ class Interrupted(SystemFault):
 
 
 @dataclass
-class Answer:
+class HttpsResponse:
     """Response of an https server to a request for a file; a context manager that closes it.
 
     Attributes:
@@ -78,7 +78,7 @@ class Answer:
         return data
 
 
-def open_url(url: str, start: int = 0, end: int | None = None, validator: str | None = None) -> Answer:
+def open_url(url: str, start: int = 0, end: int | None = None, validator: str | None = None) -> HttpsResponse:
     """Ask for a file.
 
     Args:
@@ -97,7 +97,7 @@ def open_url(url: str, start: int = 0, end: int | None = None, validator: str | 
     if not _is_page(answer, url):
         return answer
     with answer:
-        page = _Page(answer.read(_PAGE_BYTES).decode("utf-8", "replace"))
+        page = _HtmlPage(answer.read(_PAGE_BYTES).decode("utf-8", "replace"))
     target = page.confirmation(url)
     if target is None:
         raise DataError(
@@ -144,7 +144,7 @@ def trusted() -> ssl.SSLContext:
     return context
 
 
-def _open(url: str, start: int, end: int | None, validator: str | None) -> Answer:
+def _open(url: str, start: int, end: int | None, validator: str | None) -> HttpsResponse:
     _require_https(url, "the address")
     # A compressed answer would have other bytes than the file.
     request = urllib.request.Request(url, headers={"Accept-Encoding": "identity", "User-Agent": "slamhive"})  # noqa: S310
@@ -167,7 +167,7 @@ def _open(url: str, start: int, end: int | None, validator: str | None) -> Answe
     return _answer(response, start)
 
 
-def _answer(response: Any, start: int) -> Answer:
+def _answer(response: Any, start: int) -> HttpsResponse:
     headers = response.headers
     validator = headers.get("ETag") or headers.get("Last-Modified")
     length = headers.get("Content-Length")
@@ -177,18 +177,18 @@ def _answer(response: Any, start: int) -> Answer:
             response.close()
             raise Interrupted(f"sent another range than bytes {start}-: {headers.get('Content-Range')}")
         total = None if match[3] == "*" else int(match[3])
-        return Answer(start, total, validator, by_ranges=True, _response=response)
+        return HttpsResponse(start, total, validator, by_ranges=True, _response=response)
     total = int(length) if length and length.isdecimal() else None
     by_ranges = headers.get("Accept-Ranges", "").strip().lower() == "bytes"
-    return Answer(0, total, validator, by_ranges=by_ranges, _response=response)
+    return HttpsResponse(0, total, validator, by_ranges=by_ranges, _response=response)
 
 
-def _is_page(answer: Answer, url: str) -> bool:
+def _is_page(answer: HttpsResponse, url: str) -> bool:
     kind = answer._response.headers.get_content_type()  # noqa: SLF001 - of this module
     return kind == "text/html" and not urlsplit(url).path.endswith((".html", ".htm"))
 
 
-class _Page(HTMLParser):
+class _HtmlPage(HTMLParser):
     """A page in the place of a file: its title, and the form by which Google Drive has one confirm."""
 
     def __init__(self, text: str) -> None:

@@ -11,7 +11,7 @@ import io
 import zipfile
 from typing import TYPE_CHECKING
 
-from slamhive.data.files.fetching import Progress, Wanted, fetch_span, one_at_a_time, partial_path
+from slamhive.data.files.fetching import FetchProgress, WantedFile, fetch_span, one_at_a_time, partial_path
 from slamhive.data.files.https import open_url
 from slamhive.data.files.partial import Partial
 from slamhive.model.errors import DataError, SystemFault
@@ -30,7 +30,9 @@ _NEAR = 1 << 20
 """Bytes between members that are fetched with them, to ask less often."""
 
 
-def fetch_members(wanted: Wanted, names: Sequence[str], folder: Path, progress: Progress) -> Path | None:
+def fetch_members(
+    wanted: WantedFile, names: Sequence[str], folder: Path, progress: FetchProgress
+) -> Path | None:
     """Fetch members of a zip archive, and return the file with holes in which they stand.
 
     Args:
@@ -68,7 +70,7 @@ def fetch_members(wanted: Wanted, names: Sequence[str], folder: Path, progress: 
                 def count(now: int, _: int | None, base: int = base, held: int = held) -> None:
                     progress.count(base + now - held, needed)
 
-                fetch_span(wanted, [url], partial, span, Progress(count, progress.notify))
+                fetch_span(wanted, [url], partial, span, FetchProgress(count, progress.notify))
                 before += span[1] - span[0]
             partial.flush()
         except zipfile.BadZipFile as error:
@@ -79,7 +81,7 @@ def fetch_members(wanted: Wanted, names: Sequence[str], folder: Path, progress: 
     return path
 
 
-def _sending_parts(wanted: Wanted) -> str | None:
+def _sending_parts(wanted: WantedFile) -> str | None:
     """Return the first address that sends parts of the file."""
     for url in wanted.urls:
         try:
@@ -117,7 +119,7 @@ def _spans(archive: zipfile.ZipFile, names: Sequence[str], what: str) -> list[Sp
 class _Remote(io.RawIOBase):
     """A file elsewhere, read by parts, which stay in the partial."""
 
-    def __init__(self, wanted: Wanted, url: str, partial: Partial) -> None:
+    def __init__(self, wanted: WantedFile, url: str, partial: Partial) -> None:
         super().__init__()
         self._wanted, self._url, self._partial = wanted, url, partial
         self._at = 0
@@ -150,7 +152,7 @@ class _Remote(io.RawIOBase):
         if end <= self._at:
             return b""
         first = max(0, min(self._at, end - _TAIL))
-        fetch_span(self._wanted, [self._url], self._partial, (first, end), Progress())
+        fetch_span(self._wanted, [self._url], self._partial, (first, end), FetchProgress())
         with self._partial.path.open("rb") as file:
             file.seek(self._at)
             data = file.read(end - self._at)

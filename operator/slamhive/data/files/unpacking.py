@@ -148,7 +148,7 @@ def _damage(archive: Path, error: Exception) -> str:
     return f"is damaged, or no archive that can be read: {error}"
 
 
-class Member(NamedTuple):
+class ArchiveMember(NamedTuple):
     """A member of an archive, as it says of itself.
 
     Attributes:
@@ -165,7 +165,7 @@ class Member(NamedTuple):
 
 
 @contextmanager
-def _opened(archive: Path, title: str) -> Iterator[Iterator[Member]]:
+def _opened(archive: Path, title: str) -> Iterator[Iterator[ArchiveMember]]:
     """Yield the members of an archive, in its order."""
     with archive.open("rb") as file:
         begin = file.read(len(_MAGIC_7Z))
@@ -181,7 +181,7 @@ def _opened(archive: Path, title: str) -> Iterator[Iterator[Member]]:
 
 
 @contextmanager
-def _by_bsdtar(archive: Path, title: str) -> Iterator[Iterator[Member]]:
+def _by_bsdtar(archive: Path, title: str) -> Iterator[Iterator[ArchiveMember]]:
     program = shutil.which("bsdtar")
     if program is None:
         raise SystemFault(
@@ -199,17 +199,17 @@ def _by_bsdtar(archive: Path, title: str) -> Iterator[Iterator[Member]]:
             process.kill()
 
 
-def _of_zip(opened: zipfile.ZipFile, info: zipfile.ZipInfo) -> Member:
+def _of_zip(opened: zipfile.ZipFile, info: zipfile.ZipInfo) -> ArchiveMember:
     mode = info.external_attr >> 16
     if info.flag_bits & 1:
-        return Member(info.filename, "encrypted file", lambda: opened.open(info))
+        return ArchiveMember(info.filename, "encrypted file", lambda: opened.open(info))
     if stat.S_ISLNK(mode):
         linked = opened.read(info)[:4096].decode("utf-8", "replace") if info.file_size <= 4096 else "/"
-        return Member(info.filename, "link", lambda: opened.open(info), linked)
-    return Member(info.filename, "folder" if info.is_dir() else "file", lambda: opened.open(info))
+        return ArchiveMember(info.filename, "link", lambda: opened.open(info), linked)
+    return ArchiveMember(info.filename, "folder" if info.is_dir() else "file", lambda: opened.open(info))
 
 
-def _of_tar(tar: tarfile.TarFile, info: tarfile.TarInfo) -> Member:
+def _of_tar(tar: tarfile.TarFile, info: tarfile.TarInfo) -> ArchiveMember:
     def content() -> IO[bytes]:
         opened = tar.extractfile(info)
         if opened is None:
@@ -217,15 +217,15 @@ def _of_tar(tar: tarfile.TarFile, info: tarfile.TarInfo) -> Member:
         return opened
 
     if info.isfile():
-        return Member(info.name, "file", content)
+        return ArchiveMember(info.name, "file", content)
     if info.isdir():
-        return Member(info.name, "folder", content)
+        return ArchiveMember(info.name, "folder", content)
     if info.issym():
-        return Member(info.name, "link", content, info.linkname)
+        return ArchiveMember(info.name, "link", content, info.linkname)
     if info.islnk():
         depth = len(PurePosixPath(info.name).parts) - 1
-        return Member(info.name, "link", content, "../" * depth + info.linkname)
-    return Member(info.name, "device", content)
+        return ArchiveMember(info.name, "link", content, "../" * depth + info.linkname)
+    return ArchiveMember(info.name, "device", content)
 
 
 def _checked(name: str, title: str) -> str:
@@ -242,7 +242,7 @@ def _is_in(name: str, prefix: str) -> bool:
     return not prefix or name == prefix or name.startswith(prefix.rstrip("/") + "/")
 
 
-def _place(member: Member, name: str, title: str, work: _Unpacking) -> None:
+def _place(member: ArchiveMember, name: str, title: str, work: _Unpacking) -> None:
     target = work.out / name
     work.files += 1
     if work.files > MOST_FILES:
@@ -258,7 +258,7 @@ def _place(member: Member, name: str, title: str, work: _Unpacking) -> None:
         raise DataError(f"{title}: the member {name!r} is a {member.kind}: refused")
 
 
-def _write(member: Member, title: str, target: Path, work: _Unpacking) -> None:
+def _write(member: ArchiveMember, title: str, target: Path, work: _Unpacking) -> None:
     if target.is_dir():
         raise DataError(f"{title}: has {member.name!r} as file and as folder: refused")
     with member.open() as source, target.open("wb") as out:

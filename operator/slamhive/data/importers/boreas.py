@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.data.importers.contents import Contents, Truth, cloud_stream
+from slamhive.data.importers.contents import Contents, ImportedTruth, cloud_stream
 from slamhive.data.importers.poses import rigid, trajectory
 from slamhive.data.importers.scans import lidar_sensor, make_points, numbered_files, read_records
 from slamhive.data.importers.tables import nanoseconds, read_table, rows
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.importers import ImportOptions
-    from slamhive.data.importers.contents import Stream
+    from slamhive.data.importers.contents import SensorStream
     from slamhive.data.importers.tables import Unit
 
     Array = npt.NDArray[np.float64]
@@ -67,7 +67,7 @@ def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
     )
 
 
-def _scans(folder: Path) -> Stream:
+def _scans(folder: Path) -> SensorStream:
     found = numbered_files(folder, ".bin")
     if not found:
         raise DataError(f"{folder}: no files *.bin in it, named by their times in µs")
@@ -83,7 +83,7 @@ def _scans(folder: Path) -> Stream:
     return cloud_stream("lidar", sensor, stamps, load)
 
 
-def _truth(source: Path, notes: list[str]) -> Truth | None:
+def _truth(source: Path, notes: list[str]) -> ImportedTruth | None:
     lidar, applanix = source / "applanix" / _LIDAR_POSES, source / "applanix" / _APPLANIX_POSES
     path = next((place for place in (lidar, applanix) if place.is_file()), None)
     if path is None:
@@ -102,7 +102,7 @@ def _truth(source: Path, notes: list[str]) -> Truth | None:
         manifest = GroundTruth(file="groundtruth.txt", T_body_frame=pose.tolist())
         notes.append(f"ground truth from {_APPLANIX_POSES}, poses of the Applanix; times are in {unit}")
     rotations = rotations_of(table.values[:, 6:9])
-    return Truth(manifest, trajectory(path, table.stamps, table.values[:, :3], rotations))
+    return ImportedTruth(manifest, trajectory(path, table.stamps, table.values[:, :3], rotations))
 
 
 def _unit(path: Path) -> Unit:

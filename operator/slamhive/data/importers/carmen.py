@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.data.importers.contents import Contents, Stream, Truth, cloud_stream
+from slamhive.data.importers.contents import Contents, ImportedTruth, SensorStream, cloud_stream
 from slamhive.model.dataset import GroundTruth, TruthFormat
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import Sensor, SensorType
@@ -41,7 +41,7 @@ _NO_RETURN_METRES = 80.0
 
 
 @dataclass
-class Scan:
+class CarmenScan:
     """A laser scan.
 
     Attributes:
@@ -60,7 +60,7 @@ class Scan:
 
 
 @dataclass
-class Log:
+class CarmenLog:
     """Part of a CARMEN log that is imported: laser scans, odometry and the laser's offset.
 
     Attributes:
@@ -70,7 +70,7 @@ class Log:
         inversions: Lines stamped before the one above them.
     """
 
-    scans: list[Scan] = field(default_factory=list)
+    scans: list[CarmenScan] = field(default_factory=list)
     odometry: list[tuple[int, Array, Array]] = field(default_factory=list)
     laser_offset: float = 0.0
     inversions: int = 0
@@ -97,7 +97,7 @@ def read(source: Path, options: ImportOptions) -> Contents:
     truth = None
     if options.relations is not None:
         kept_as = GroundTruth(file="groundtruth.relations", format=TruthFormat.RELATIONS, frame="lidar")
-        truth = Truth(kept_as, options.relations)
+        truth = ImportedTruth(kept_as, options.relations)
     return Contents(
         description=f"{len(log.scans)} planar laser scans and odometry from a CARMEN log.",
         streams=[_laser(log), *([_wheels(log)] if log.odometry else [])],
@@ -108,13 +108,13 @@ def read(source: Path, options: ImportOptions) -> Contents:
     )
 
 
-def read_log(path: Path) -> Log:
+def read_log(path: Path) -> CarmenLog:
     """Read a CARMEN log.
 
     Raises:
         DataError: It can't be read; names the line.
     """
-    log = Log()
+    log = CarmenLog()
     last = 0
     for number, line in _lines(path):
         words = line.split()
@@ -146,7 +146,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
         raise DataError(f"{path}: can't be read: {error.strerror or error}") from None
 
 
-def _take(words: list[str], log: Log) -> int | None:
+def _take(words: list[str], log: CarmenLog) -> int | None:
     """Take in one message; return its stamp, or None when it isn't imported."""
     match words[0]:
         case "PARAM" if words[1] in ("robot_frontlaser_offset", "robot_front_laser_offset"):
@@ -162,14 +162,14 @@ def _take(words: list[str], log: Log) -> int | None:
             # n readings over 180°: an even n leaves out the last one, as 180 readings 1° apart.
             step = np.pi / (count if count % 2 == 0 else count - 1)
             stamp = _stamp(words[2 + count + 6])
-            log.scans.append(Scan(stamp, ranges, -np.pi / 2, step, _NO_RETURN_METRES))
+            log.scans.append(CarmenScan(stamp, ranges, -np.pi / 2, step, _NO_RETURN_METRES))
             return stamp
         case "ROBOTLASER1":
             return _robot_laser(words, log)
     return None
 
 
-def _robot_laser(words: list[str], log: Log) -> int:
+def _robot_laser(words: list[str], log: CarmenLog) -> int:
     start, _, step, limit = _numbers(words[2:6], 4).tolist()
     count = int(words[8])
     ranges = _numbers(words[9 : 9 + count], count)
@@ -178,7 +178,7 @@ def _robot_laser(words: list[str], log: Log) -> int:
     laser, robot = _numbers(rest[0:3], 3), _numbers(rest[3:6], 3)
     log.laser_offset = round(float(np.hypot(*(laser - robot)[:2])), 6)
     stamp = _stamp(rest[11])
-    log.scans.append(Scan(stamp, ranges, start, step, limit))
+    log.scans.append(CarmenScan(stamp, ranges, start, step, limit))
     return stamp
 
 
@@ -197,7 +197,7 @@ def _stamp(word: str) -> int:
     return int(whole) * 10**9 + int(fraction[:9].ljust(9, "0"))
 
 
-def scan_points(scan: Scan) -> npt.NDArray[np.void]:
+def scan_points(scan: CarmenScan) -> npt.NDArray[np.void]:
     """Return the returns of a scan as points in the laser's plane, z = 0, shape (m,)."""
     angles = scan.start + scan.step * np.arange(len(scan.ranges))
     valid = (scan.ranges > 0.0) & (scan.ranges < scan.limit)
@@ -207,7 +207,7 @@ def scan_points(scan: Scan) -> npt.NDArray[np.void]:
     return points
 
 
-def _laser(log: Log) -> Stream:
+def _laser(log: CarmenLog) -> SensorStream:
     stamps = np.array([scan.stamp for scan in log.scans], dtype=np.int64)
     duration = (stamps[-1] - stamps[0]) / 1e9
     pose = np.eye(4)
@@ -230,7 +230,7 @@ def _laser(log: Log) -> Stream:
     return cloud_stream("lidar", sensor, stamps, lambda k: scan_points(log.scans[k]))
 
 
-def _wheels(log: Log) -> Stream:
+def _wheels(log: CarmenLog) -> SensorStream:
     sensor = Sensor(type=SensorType.ODOMETRY, topic=ODOMETRY, frame_id=_BODY)
     stamps = np.array([stamp for stamp, _, _ in log.odometry], dtype=np.int64)
 
@@ -238,4 +238,4 @@ def _wheels(log: Log) -> Stream:
         stamp, pose, velocity = log.odometry[k]
         bag.planar_odometry(ODOMETRY, stamp, pose, velocity)
 
-    return Stream("odometry", sensor, stamps, write)
+    return SensorStream("odometry", sensor, stamps, write)

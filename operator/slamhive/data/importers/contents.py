@@ -33,7 +33,7 @@ _ENCODINGS = {("uint8", 2): "mono8", ("uint16", 2): "mono16", ("uint8", 3): "bgr
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
+class SensorStream:
     """The messages of one sensor.
 
     Attributes:
@@ -58,7 +58,7 @@ class Stream:
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class ImportedTruth:
     """The ground truth of a recording: poses, or a file to be kept as it is.
 
     Attributes:
@@ -85,8 +85,8 @@ class Contents:
     """
 
     description: str
-    streams: list[Stream]
-    truth: Truth | None = None
+    streams: list[SensorStream]
+    truth: ImportedTruth | None = None
     body: str = "body"
     gravity_aligned: bool = False
     attributes: dict[str, Scalar] = field(default_factory=dict)
@@ -170,7 +170,7 @@ def depth_encoding(pixels: Pixels) -> str:
 
 def loaded_stream(
     name: str, sensor: Sensor, stamps: Stamps, load: Callable[[int], Callable[[BagWriter], None]]
-) -> Stream:
+) -> SensorStream:
     """Return a stream whose messages are read from files.
 
     Args:
@@ -179,7 +179,7 @@ def loaded_stream(
         stamps: ns, shape (n,).
         load: Reads message k, on any thread, and returns what writes it.
     """
-    return Stream(name, sensor, stamps, lambda bag, k: load(k)(bag), load)
+    return SensorStream(name, sensor, stamps, lambda bag, k: load(k)(bag), load)
 
 
 def camera_stream(
@@ -190,7 +190,7 @@ def camera_stream(
     source: Path | str,
     *,
     read_depth: Callable[[Path], Pixels] | None = None,
-) -> Stream:
+) -> SensorStream:
     """Return the stream of image files of a camera, in 8 bits, or of a depth camera.
 
     Args:
@@ -222,7 +222,7 @@ def camera_stream(
     return loaded_stream(name, sensor, stamps, load)
 
 
-def imu_stream(name: str, sensor: Sensor, stamps: Stamps, rates: Array, forces: Array) -> Stream:
+def imu_stream(name: str, sensor: Sensor, stamps: Stamps, rates: Array, forces: Array) -> SensorStream:
     """Return an IMU's stream.
 
     Args:
@@ -233,7 +233,7 @@ def imu_stream(name: str, sensor: Sensor, stamps: Stamps, rates: Array, forces: 
         forces: Specific force, m/s², shape (n, 3).
     """
     frame = sensor.frame_id or name
-    return Stream(
+    return SensorStream(
         name,
         sensor,
         stamps,
@@ -243,7 +243,7 @@ def imu_stream(name: str, sensor: Sensor, stamps: Stamps, rates: Array, forces: 
 
 def cloud_stream(
     name: str, sensor: Sensor, stamps: Stamps, load: Callable[[int], npt.NDArray[np.void]]
-) -> Stream:
+) -> SensorStream:
     """Return a LiDAR's stream.
 
     Args:

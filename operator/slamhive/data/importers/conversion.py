@@ -20,7 +20,7 @@ from slamhive_eval import write_tum
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from slamhive.data.importers.contents import Contents, Truth
+    from slamhive.data.importers.contents import Contents, ImportedTruth
     from slamhive.model.dataset import Dataset
 
 RECORDING = "recording.bag"
@@ -96,7 +96,7 @@ def _events(contents: Contents, number: int) -> Iterator[tuple[int, bool, int, i
     return ((int(stamp), is_frame, number, k) for k, stamp in enumerate(stream.stamps))
 
 
-def _write_truth(truth: Truth, folder: Path) -> None:
+def _write_truth(truth: ImportedTruth, folder: Path) -> None:
     target = folder / str(truth.manifest.file)
     if isinstance(truth.source, Path):
         shutil.copyfile(truth.source, target)

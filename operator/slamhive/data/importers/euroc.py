@@ -14,8 +14,8 @@ import numpy as np
 from slamhive.data.importers import calibrations
 from slamhive.data.importers.contents import (
     Contents,
-    Stream,
-    Truth,
+    ImportedTruth,
+    SensorStream,
     camera_encoding,
     camera_stream,
     imu_stream,
@@ -53,7 +53,7 @@ _MARKERS = ("vicon0", "leica0")
 _LONG_GAP_SECONDS = 10.0
 
 
-class _Rig(NamedTuple):
+class _EurocRig(NamedTuple):
     """Calibration of the sensors by the names of their folders, and the layout that it is in."""
 
     sensors: dict[str, Calibration]
@@ -111,7 +111,7 @@ def _is_sensor(folder: Path, what: str) -> bool:
     return False
 
 
-def _calibration(base: Path, cameras: list[Path], imus: list[Path], notes: list[str]) -> _Rig:
+def _calibration(base: Path, cameras: list[Path], imus: list[Path], notes: list[str]) -> _EurocRig:
     """Read the calibration of all sensors, wherever the layout has it."""
     names = [path.name for path in cameras]
     lacking = [path for path in (*cameras, *imus) if not (path / "sensor.yaml").is_file()]
@@ -122,18 +122,18 @@ def _calibration(base: Path, cameras: list[Path], imus: list[Path], notes: list[
     if not lacking:
         found = {path.name: calibrations.read_asl_camera(path / "sensor.yaml") for path in cameras}
         found |= {path.name: calibrations.read_asl_imu(path / "sensor.yaml") for path in imus}
-        return _Rig(found, "EuRoC's")
+        return _EurocRig(found, "EuRoC's")
     if chain is not None:
         imu = _first((chain.parent,), "imu_config.yaml", "imu*.yaml")
         found = calibrations.read_kalibr(chain, names)
         if imu is not None:
             found |= {path.name: calibrations.read_kalibr_imu(imu) for path in imus}
-        return _Rig(_with_imu(found, imus, chain, notes), "TUM VI's")
+        return _EurocRig(_with_imu(found, imus, chain, notes), "TUM VI's")
     if pinholes is not None:
         found = calibrations.read_lamaria(pinholes, names)
-        return _Rig(_with_imu(found, imus, pinholes, notes), "LaMAria's")
+        return _EurocRig(_with_imu(found, imus, pinholes, notes), "LaMAria's")
     if basalt is not None:
-        return _Rig(calibrations.read_basalt(basalt, names), "Monado's")
+        return _EurocRig(calibrations.read_basalt(basalt, names), "Monado's")
     raise DataError(
         f"{lacking[0] / 'sensor.yaml'} does not exist, and there is no calibration of all sensors beside "
         f"{base.name}: dso/camchain.yaml (TUM VI), calibration.json (Monado) or pinhole_calibrations/*.json "
@@ -159,7 +159,7 @@ def _with_imu(
     return found
 
 
-def _camera(folder: Path, role: str, known: Calibration, notes: list[str]) -> Stream:
+def _camera(folder: Path, role: str, known: Calibration, notes: list[str]) -> SensorStream:
     images = read_images(folder / "data.csv", folder / "data", "ns")
     notes += images.notes
     camera = known.camera | {"encoding": camera_encoding(images.files[0], str(folder), notes)}
@@ -177,7 +177,7 @@ def _camera(folder: Path, role: str, known: Calibration, notes: list[str]) -> St
     return camera_stream(role, sensor, images.stamps, images.files, known.source)
 
 
-def _imu(folder: Path, known: Calibration, notes: list[str]) -> Stream:
+def _imu(folder: Path, known: Calibration, notes: list[str]) -> SensorStream:
     table = read_table(folder / "data.csv", 6, _IMU_ROW, stamp="ns")
     samples = table.ascending("samples", notes)
     sensor = Sensor.model_validate(
@@ -193,7 +193,7 @@ def _imu(folder: Path, known: Calibration, notes: list[str]) -> Stream:
     return imu_stream("imu", sensor, samples.stamps, samples.values[:, :3], samples.values[:, 3:])
 
 
-def _note_pairs(streams: list[Stream], notes: list[str]) -> None:
+def _note_pairs(streams: list[SensorStream], notes: list[str]) -> None:
     """Say how many frames of a pair have no partner: rows of the same number don't belong together then."""
     if len(streams) < 2:
         return
@@ -209,7 +209,7 @@ def _note_pairs(streams: list[Stream], notes: list[str]) -> None:
         )
 
 
-def _truth(base: Path, streams: list[Stream], notes: list[str]) -> Truth | None:
+def _truth(base: Path, streams: list[SensorStream], notes: list[str]) -> ImportedTruth | None:
     source = next((path for pattern in _TRUTHS if (path := _first((base,), pattern)) is not None), None)
     if source is None:
         markers = [name for name in _MARKERS if (base / name).is_dir()]
@@ -235,7 +235,7 @@ def _truth(base: Path, streams: list[Stream], notes: list[str]) -> Truth | None:
             "LaMAria's control points are left out: they are seen in images, not passed by the body; the "
             "pseudo-dense poses are the ground truth"
         )
-    return Truth(manifest, source if source.name == "groundtruth.txt" else poses)
+    return ImportedTruth(manifest, source if source.name == "groundtruth.txt" else poses)
 
 
 def _poses(source: Path) -> Trajectory:
@@ -251,7 +251,7 @@ def _in_nanoseconds(source: Path) -> Trajectory:
     return Trajectory(samples.stamps / 1e9, samples.values[:, :3], samples.values[:, 3:])
 
 
-def _note_gap(poses: Trajectory, streams: list[Stream], notes: list[str]) -> None:
+def _note_gap(poses: Trajectory, streams: list[SensorStream], notes: list[str]) -> None:
     """Say where ground truth is absent for long: TUM VI's is, but in a room."""
     steps = np.diff(poses.stamps)
     gap = int(np.argmax(steps)) if steps.size else 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive.data.importers.contents import (
-    Stream,
+    SensorStream,
     camera_pixels,
     camera_stream,
     depth_encoding,
@@ -63,7 +63,7 @@ def view_stream(
     source: str,
     pose: npt.NDArray[np.float64] | None = None,
     depth: tuple[float, Callable[[Path], Pixels]] | None = None,
-) -> Stream:
+) -> SensorStream:
     """Return the stream of a camera without distortion, of colours or of depth.
 
     Args:

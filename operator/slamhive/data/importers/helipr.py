@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slamhive.data.importers.contents import Contents, Truth, cloud_stream
+from slamhive.data.importers.contents import Contents, ImportedTruth, cloud_stream
 from slamhive.data.importers.poses import trajectory
 from slamhive.data.importers.scans import lidar_sensor, make_points, read_records, stamped_files
 from slamhive.data.importers.tables import read_table
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.importers import ImportOptions
-    from slamhive.data.importers.contents import Stream
+    from slamhive.data.importers.contents import SensorStream
 
     Array = npt.NDArray[np.float64]
     Records = npt.NDArray[np.void]
@@ -43,7 +43,7 @@ T_IMU_OUSTER = (
 _XYZ = [(axis, "<f4") for axis in "xyz"]
 
 
-class Device(NamedTuple):
+class LidarFormat(NamedTuple):
     """Format of one LiDAR's scans in HeLiPR: fields of a point, unit of time, entry for the manifest.
 
     Attributes:
@@ -65,7 +65,7 @@ class Device(NamedTuple):
 
 _AEVA_SHORT = [*_XYZ, ("reflectivity", "<f4"), ("velocity", "<f4"), ("t", "<i4"), ("ring", "u1")]
 DEVICES = {
-    "Ouster": Device(
+    "Ouster": LidarFormat(
         np.dtype(
             [
                 *(*_XYZ, ("intensity", "<f4"), ("t", "<u4")),
@@ -78,7 +78,7 @@ DEVICES = {
         "ring",
         {"rings": 128, "columns": 1024, "minRange": 1.0, "maxRange": 200.0},
     ),
-    "Velodyne": Device(
+    "Velodyne": LidarFormat(
         np.dtype([*_XYZ, ("intensity", "<f4"), ("ring", "<u2"), ("t", "<f4")]),
         "intensity",
         "t",
@@ -86,7 +86,7 @@ DEVICES = {
         "ring",
         {"rings": 16, "maxRange": 100.0},
     ),
-    "Avia": Device(
+    "Avia": LidarFormat(
         np.dtype([*_XYZ, ("reflectivity", "u1"), ("tag", "u1"), ("ring", "u1"), ("t", "<u4")]),
         "reflectivity",
         "t",
@@ -94,7 +94,7 @@ DEVICES = {
         "ring",
         {"rings": 6},
     ),
-    "Aeva": Device(np.dtype([*_AEVA_SHORT, ("intensity", "<f4")]), "intensity", "t", 1e-9, "ring", {}),
+    "Aeva": LidarFormat(np.dtype([*_AEVA_SHORT, ("intensity", "<f4")]), "intensity", "t", 1e-9, "ring", {}),
 }
 """In the order in which one is chosen."""
 
@@ -146,7 +146,7 @@ def _scan_folder(source: Path, name: str) -> Path | None:
     return next((path for path in (source / "LiDAR" / name, source / name) if path.is_dir()), None)
 
 
-def _scans(name: str, folder: Path) -> Stream:
+def _scans(name: str, folder: Path) -> SensorStream:
     files, stamps = stamped_files(folder, ".bin", "ns")
     device = DEVICES[name]
 
@@ -163,7 +163,7 @@ def _scans(name: str, folder: Path) -> Stream:
     return cloud_stream("lidar", sensor, stamps, load)
 
 
-def _imu(source: Path, chosen: str, notes: list[str]) -> Stream | None:
+def _imu(source: Path, chosen: str, notes: list[str]) -> SensorStream | None:
     places = (source / "Inertial_data" / "xsens_imu.csv", source / "xsens_imu.csv")
     path = next((place for place in places if place.is_file()), None)
     if path is None:
@@ -177,7 +177,7 @@ def _imu(source: Path, chosen: str, notes: list[str]) -> Stream | None:
     return xsens_stream(path, pose, notes)
 
 
-def _truth(source: Path, chosen: str, notes: list[str]) -> Truth | None:
+def _truth(source: Path, chosen: str, notes: list[str]) -> ImportedTruth | None:
     names = (f"{chosen}_gt.txt", f"global_{chosen}_gt.txt")
     places = [folder / name for folder in (source / "LiDAR_GT", source) for name in names]
     path = next((place for place in places if place.is_file()), None)
@@ -186,4 +186,4 @@ def _truth(source: Path, chosen: str, notes: list[str]) -> Truth | None:
         return None
     table = read_table(path, 7, "ns x y z qx qy qz qw", stamp="ns").ascending("poses", notes)
     poses = trajectory(path, table.stamps, table.values[:, :3], table.values[:, 3:])
-    return Truth(GroundTruth(file="groundtruth.txt"), poses)
+    return ImportedTruth(GroundTruth(file="groundtruth.txt"), poses)

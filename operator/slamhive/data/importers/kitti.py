@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import yaml
 
-from slamhive.data.importers.contents import Contents, Truth, cloud_stream
+from slamhive.data.importers.contents import Contents, ImportedTruth, cloud_stream
 from slamhive.data.importers.kitti_cameras import camera_names, kitti_camera, read_calibration
 from slamhive.data.importers.poses import from_rows, rigid
 from slamhive.data.importers.scans import XYZI, lidar_sensor, make_points, numbered_files, read_records
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.importers import ImportOptions
-    from slamhive.data.importers.contents import Stream
+    from slamhive.data.importers.contents import SensorStream
 
     Array = npt.NDArray[np.float64]
     Stamps = npt.NDArray[np.int64]
@@ -160,7 +160,7 @@ def _frames(folder: Path, stamps: Stamps, kept: npt.NDArray[np.bool_], notes: li
 
 def _scans(
     frames: dict[int, Path], stamps: Stamps, pose: Array, exported: dict[str, SensorView], notes: list[str]
-) -> Stream:
+) -> SensorStream:
     files, times = [*frames.values()], stamps[[*frames]]
     declared = exported.get("lidar")
     if declared is None:
@@ -188,9 +188,9 @@ def _truth(
     kept: npt.NDArray[np.bool_],
     exported: dict[str, SensorView],
     notes: list[str],
-) -> Truth | None:
+) -> ImportedTruth | None:
     if exported and (folder / _POSES).is_file():
-        return Truth(GroundTruth(file=_POSES, T_body_frame=_first_frame(exported)), folder / _POSES)
+        return ImportedTruth(GroundTruth(file=_POSES, T_body_frame=_first_frame(exported)), folder / _POSES)
     name = folder.resolve().name
     places = (folder.resolve().parents[1] / "poses" / f"{name}.txt", folder / "poses.txt")
     path = next((place for place in places if place.is_file()), None)
@@ -201,7 +201,7 @@ def _truth(
         return None
     frames, matrices = _poses(path, len(stamps), folder / _TIMES)
     chosen = kept[frames]
-    return Truth(
+    return ImportedTruth(
         GroundTruth(file=_POSES), from_rows(path, stamps[frames[chosen]], matrices[chosen].reshape(-1, 12))
     )
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from slamhive.data.importers.contents import Stream
+    from slamhive.data.importers.contents import SensorStream
 
     Array = npt.NDArray[np.float64]
     Stamps = npt.NDArray[np.int64]
@@ -82,7 +82,7 @@ def kitti_camera(
     source: Path,
     notes: list[str],
     size: tuple[int, int] | None = None,
-) -> Stream:
+) -> SensorStream:
     """Return the stream of a rectified camera.
 
     Args:

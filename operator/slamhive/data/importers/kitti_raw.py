@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slamhive.data.importers.contents import Contents, Truth, cloud_stream, imu_stream
+from slamhive.data.importers.contents import Contents, ImportedTruth, cloud_stream, imu_stream
 from slamhive.data.importers.kitti import HDL_64
 from slamhive.data.importers.kitti_cameras import camera_names, kitti_camera, read_calibration
 from slamhive.data.importers.poses import rigid, trajectory
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.importers import ImportOptions
-    from slamhive.data.importers.contents import Stream
+    from slamhive.data.importers.contents import SensorStream
 
     Array = npt.NDArray[np.float64]
     Stamps = npt.NDArray[np.int64]
@@ -48,7 +48,7 @@ _LONGEST = 10**9
 """ns that a turn may last at most."""
 
 
-class Window(NamedTuple):
+class DriveWindow(NamedTuple):
     """Frames of a drive that make up a sequence of the odometry benchmark, first to last inclusive."""
 
     drive: str
@@ -57,16 +57,16 @@ class Window(NamedTuple):
 
 
 SEQUENCES = {
-    "00": Window("2011_10_03_drive_0027", 0, 4540),
-    "01": Window("2011_10_03_drive_0042", 0, 1100),
-    "02": Window("2011_10_03_drive_0034", 0, 4660),
-    "04": Window("2011_09_30_drive_0016", 0, 270),
-    "05": Window("2011_09_30_drive_0018", 0, 2760),
-    "06": Window("2011_09_30_drive_0020", 0, 1100),
-    "07": Window("2011_09_30_drive_0027", 0, 1100),
-    "08": Window("2011_09_30_drive_0028", 1100, 5170),
-    "09": Window("2011_09_30_drive_0033", 0, 1590),
-    "10": Window("2011_09_30_drive_0034", 0, 1200),
+    "00": DriveWindow("2011_10_03_drive_0027", 0, 4540),
+    "01": DriveWindow("2011_10_03_drive_0042", 0, 1100),
+    "02": DriveWindow("2011_10_03_drive_0034", 0, 4660),
+    "04": DriveWindow("2011_09_30_drive_0016", 0, 270),
+    "05": DriveWindow("2011_09_30_drive_0018", 0, 2760),
+    "06": DriveWindow("2011_09_30_drive_0020", 0, 1100),
+    "07": DriveWindow("2011_09_30_drive_0027", 0, 1100),
+    "08": DriveWindow("2011_09_30_drive_0028", 1100, 5170),
+    "09": DriveWindow("2011_09_30_drive_0033", 0, 1590),
+    "10": DriveWindow("2011_09_30_drive_0034", 0, 1200),
 }
 """The odometry benchmark in the raw data, which lack the drive of 03."""
 
@@ -122,7 +122,7 @@ def _drives(source: Path) -> list[Path]:
     return sorted([*source.glob("*_drive_*_sync"), *source.glob("*/*_drive_*_sync")])
 
 
-def _choose(source: Path, sequence: str | None) -> tuple[Path, Window | None]:
+def _choose(source: Path, sequence: str | None) -> tuple[Path, DriveWindow | None]:
     window = SEQUENCES.get(sequence) if sequence else None
     drives = _drives(source) or [source.resolve()]
     if sequence == "03":
@@ -143,7 +143,7 @@ def _choose(source: Path, sequence: str | None) -> tuple[Path, Window | None]:
     return chosen[0], window
 
 
-def _note_sequences(folder: Path, window: Window | None, notes: list[str]) -> None:
+def _note_sequences(folder: Path, window: DriveWindow | None, notes: list[str]) -> None:
     known = next((key for key, item in SEQUENCES.items() if item.drive in folder.name), None)
     if known is None:
         return
@@ -166,8 +166,8 @@ def _inverse(pose: Array) -> Array:
 
 
 def _cameras(
-    folder: Path, path: Path, window: Window | None, T_imu_cam: Array, notes: list[str]
-) -> list[Stream]:
+    folder: Path, path: Path, window: DriveWindow | None, T_imu_cam: Array, notes: list[str]
+) -> list[SensorStream]:
     """Return the streams of the rectified cameras; T_imu_cam is the pose of the unrectified camera 0."""
     numbers = [number for number in range(4) if (folder / f"image_0{number}").is_dir()]
     if not numbers:
@@ -202,7 +202,7 @@ def _cameras(
 
 
 def _frames(
-    folder: Path, suffix: str, times: dict[int, int], window: Window | None, notes: list[str]
+    folder: Path, suffix: str, times: dict[int, int], window: DriveWindow | None, notes: list[str]
 ) -> tuple[list[Path], Stamps]:
     """Return the files of a sensor and their stamps; a file belongs to the line of its number."""
     if not (folder / "data").is_dir():
@@ -254,7 +254,7 @@ def read_times(path: Path) -> dict[int, int]:
     return found
 
 
-def _scans(folder: Path, pose: Array, window: Window | None, notes: list[str]) -> Stream:
+def _scans(folder: Path, pose: Array, window: DriveWindow | None, notes: list[str]) -> SensorStream:
     """Return the LiDAR's stream: a scan's stamp is its start, points have times by their azimuth.
 
     The scanner turns clockwise, seen from above, and starts backwards: it looks forward, where the cameras
@@ -285,7 +285,7 @@ def _scans(folder: Path, pose: Array, window: Window | None, notes: list[str]) -
     return cloud_stream("lidar", sensor, stamps, load)
 
 
-def _oxts(folder: Path, first: int, last: int, notes: list[str]) -> tuple[Stream, Truth]:
+def _oxts(folder: Path, first: int, last: int, notes: list[str]) -> tuple[SensorStream, ImportedTruth]:
     """Return the IMU's stream and the poses from the first to the last frame.
 
     The samples of the drive's _extract folder, if it is there, are 100 Hz.
@@ -313,7 +313,7 @@ def _oxts(folder: Path, first: int, last: int, notes: list[str]) -> tuple[Stream
     rotations = from_roll_pitch_yaw(values[:, 3:6])
     poses = trajectory(fast / "data", stamps, positions - positions[0], rotations)
     notes.append("ground truth: poses of the OXTS by KITTI's Mercator projection, from the first one on")
-    return imu, Truth(GroundTruth(file="groundtruth.txt"), poses)
+    return imu, ImportedTruth(GroundTruth(file="groundtruth.txt"), poses)
 
 
 def _packets(folder: Path, first: int, last: int, notes: list[str]) -> tuple[Stamps, Array]:

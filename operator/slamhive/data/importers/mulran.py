@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.data.importers.contents import Contents, Truth, cloud_stream
+from slamhive.data.importers.contents import Contents, ImportedTruth, cloud_stream
 from slamhive.data.importers.poses import from_rows, translation
 from slamhive.data.importers.scans import XYZI, lidar_sensor, make_points, read_records, stamped_files
 from slamhive.data.importers.tables import read_table
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.importers import ImportOptions
-    from slamhive.data.importers.contents import Stream
+    from slamhive.data.importers.contents import SensorStream
 
 TITLE = "a sequence of MulRan (Ouster/, global_pose.csv)"
 
@@ -78,7 +78,7 @@ def _found(source: Path, name: str) -> Path | None:
     return next((path for path in (source / name, source / "sensor_data" / name) if path.exists()), None)
 
 
-def _scans(folder: Path, notes: list[str]) -> Stream:
+def _scans(folder: Path, notes: list[str]) -> SensorStream:
     files, stamps = stamped_files(folder, ".bin", "ns")
     whole = [path.stat().st_size == RINGS * COLUMNS * XYZI.itemsize for path in files]
     if not any(whole):
@@ -114,11 +114,11 @@ def _scans(folder: Path, notes: list[str]) -> Stream:
     return cloud_stream("lidar", sensor, stamps, load)
 
 
-def _truth(source: Path, notes: list[str]) -> Truth | None:
+def _truth(source: Path, notes: list[str]) -> ImportedTruth | None:
     path = _found(source, _POSES)
     if path is None:
         notes.append(f"no {_POSES} in {source} or its sensor_data: no ground truth")
         return None
     table = read_table(path, 12, "a stamp in ns and 12 numbers, a 3×4 matrix row by row", stamp="ns")
     table = table.ascending("poses", notes)
-    return Truth(GroundTruth(file="groundtruth.txt"), from_rows(path, table.stamps, table.values))
+    return ImportedTruth(GroundTruth(file="groundtruth.txt"), from_rows(path, table.stamps, table.values))

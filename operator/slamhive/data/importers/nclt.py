@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.data.importers.contents import Contents, Truth, cloud_stream
+from slamhive.data.importers.contents import Contents, ImportedTruth, cloud_stream
 from slamhive.data.importers.poses import trajectory
 from slamhive.data.importers.scans import lidar_sensor, make_points, read_records, stamped_files
 from slamhive.data.importers.tables import read_table
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.importers import ImportOptions
-    from slamhive.data.importers.contents import Stream
+    from slamhive.data.importers.contents import SensorStream
 
 TITLE = "a session of NCLT (velodyne_sync/)"
 
@@ -64,7 +64,7 @@ def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
     )
 
 
-def _scans(folder: Path) -> Stream:
+def _scans(folder: Path) -> SensorStream:
     files, stamps = stamped_files(folder, ".bin", "us")
 
     def load(k: int) -> npt.NDArray[np.void]:
@@ -79,7 +79,7 @@ def _scans(folder: Path) -> Stream:
     return cloud_stream("lidar", sensor, stamps, load)
 
 
-def _truth(source: Path, notes: list[str]) -> Truth | None:
+def _truth(source: Path, notes: list[str]) -> ImportedTruth | None:
     folders = (source, source.resolve().parent / "ground_truth")
     name = f"groundtruth_{source.resolve().name}.csv"
     found = [folder / name for folder in folders if (folder / name).is_file()]
@@ -94,4 +94,4 @@ def _truth(source: Path, notes: list[str]) -> Truth | None:
     table = table.ascending("poses", notes)
     rotations = to_matrix(from_roll_pitch_yaw(table.values[:, 3:]))
     poses = trajectory(path, table.stamps, table.values[:, :3] @ _FLIP, _FLIP @ rotations @ _FLIP)
-    return Truth(GroundTruth(file="groundtruth.txt"), poses)
+    return ImportedTruth(GroundTruth(file="groundtruth.txt"), poses)

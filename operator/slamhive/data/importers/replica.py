@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from slamhive.data.importers.contents import Contents, Truth, depth_pixels
+from slamhive.data.importers.contents import Contents, ImportedTruth, depth_pixels
 from slamhive.data.importers.frames import frame_stamps, require_frames, view_stream
 from slamhive.data.importers.poses import from_rows
 from slamhive.data.importers.tables import read_table
@@ -60,7 +60,7 @@ def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
     return Contents(
         description="Imported from a scene of Replica.",
         streams=streams,
-        truth=Truth(GroundTruth(file="groundtruth.txt"), from_rows(path, stamps, rows[:, :12])),
+        truth=ImportedTruth(GroundTruth(file="groundtruth.txt"), from_rows(path, stamps, rows[:, :12])),
         body="color",
         notes=notes,
     )

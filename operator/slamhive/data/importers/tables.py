@@ -31,7 +31,7 @@ _FEW = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class NumberTable:
     """Rows of numbers of a file.
 
     Attributes:
@@ -46,14 +46,14 @@ class Table:
     stamps: Stamps
     values: Array
 
-    def ascending(self, what: str, notes: list[str]) -> Table:
+    def ascending(self, what: str, notes: list[str]) -> NumberTable:
         """Return the rows whose stamps are later than all above; see `ascending`."""
         return self.rows(ascending(self.stamps, self.path, what, notes, self.lines))
 
-    def rows(self, kept: Indices) -> Table:
+    def rows(self, kept: Indices) -> NumberTable:
         """Return some of the rows."""
         stamps = self.stamps[kept] if self.stamps.size else self.stamps
-        return Table(self.path, self.lines[kept], stamps, self.values[kept])
+        return NumberTable(self.path, self.lines[kept], stamps, self.values[kept])
 
 
 def nanoseconds(text: str, unit: Unit) -> int:
@@ -83,7 +83,7 @@ def read_table(
     *,
     stamp: Unit | None = None,
     unknown: list[str] | None = None,
-) -> Table:
+) -> NumberTable:
     """Read a table: numbers between commas, semicolons or white space.
 
     Empty lines and those that begin with # are skipped, and so is a first line of names. Further columns are
@@ -119,7 +119,7 @@ def read_table(
     if not lines:
         raise DataError(f"{path}: no rows in it; each line must have {meaning}")
     numbers = np.array(values, dtype=np.float64).reshape(len(lines), columns)
-    table = Table(path, np.array(lines, dtype=np.int64), np.array(stamps, dtype=np.int64), numbers)
+    table = NumberTable(path, np.array(lines, dtype=np.int64), np.array(stamps, dtype=np.int64), numbers)
     finite = np.isfinite(numbers).all(axis=1)
     if finite.all():
         return table

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slamhive.data.importers.contents import Contents, Stream, Truth, read_pixels
+from slamhive.data.importers.contents import Contents, ImportedTruth, SensorStream, read_pixels
 from slamhive.data.importers.frames import frame_stamps, require_frames, view_stream
 from slamhive.data.importers.poses import trajectory
 from slamhive.data.importers.tables import read_table
@@ -32,7 +32,7 @@ T_NED_OPTICAL = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 
 """Pose of the optical frame (right, down, forward) in the axes of the files (forward, right, down)."""
 
 
-class Version(NamedTuple):
+class TartanAirVersion(NamedTuple):
     """Names of folders and files in one version of TartanAir, and the lens of its cameras.
 
     Attributes:
@@ -49,10 +49,10 @@ class Version(NamedTuple):
 
 
 VERSIONS = (
-    Version(
+    TartanAirVersion(
         "left", "right", ".npy", {"width": 640, "height": 480, "fx": 320, "fy": 320, "cx": 320, "cy": 240}
     ),
-    Version(
+    TartanAirVersion(
         "lcam_front",
         "rcam_front",
         ".png",
@@ -107,7 +107,7 @@ def read(source: Path, options: ImportOptions) -> Contents:  # noqa: ARG001
     return Contents(
         description="Imported from a trajectory of TartanAir.",
         streams=streams,
-        truth=Truth(GroundTruth(file="groundtruth.txt"), poses),
+        truth=ImportedTruth(GroundTruth(file="groundtruth.txt"), poses),
         body=version.left,
         gravity_aligned=True,
         notes=notes,
@@ -143,7 +143,9 @@ def _right_pose(path: Path, left: Trajectory, notes: list[str]) -> npt.NDArray[n
     return pose
 
 
-def _depth(stamps: npt.NDArray[np.int64], files: list[Path], version: Version, source: str) -> Stream:
+def _depth(
+    stamps: npt.NDArray[np.int64], files: list[Path], version: TartanAirVersion, source: str
+) -> SensorStream:
     load = _read_npy if version.depth == ".npy" else _read_packed
     frame = f"depth_{version.left}"
     return view_stream("depth", stamps, files, version.lens, frame=frame, source=source, depth=(1.0, load))

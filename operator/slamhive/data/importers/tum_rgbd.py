@@ -16,8 +16,8 @@ import numpy as np
 from slamhive.data.importers import tum_cameras
 from slamhive.data.importers.contents import (
     Contents,
-    Stream,
-    Truth,
+    ImportedTruth,
+    SensorStream,
     camera_encoding,
     camera_stream,
     imu_stream,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.data.importers import ImportOptions
-    from slamhive.data.importers.tables import Table
+    from slamhive.data.importers.tables import NumberTable
     from slamhive.data.importers.tum_cameras import Device, Rig
 
 TITLE = (
@@ -165,7 +165,7 @@ def _roles(images: dict[str, Images]) -> dict[str, str]:
     return {"rgb2": "left", "rgb": "right"} if "rgb2" in images else {"rgb": "camera"}
 
 
-def _camera(role: str, key: str, images: Images, device: Device, notes: list[str]) -> Stream:
+def _camera(role: str, key: str, images: Images, device: Device, notes: list[str]) -> SensorStream:
     pixels = read_pixels(images.files[0])
     kind = SensorType.DEPTH_CAMERA if key == "depth" else SensorType.CAMERA
     camera = dict(device.camera or {})
@@ -188,7 +188,7 @@ def _camera(role: str, key: str, images: Images, device: Device, notes: list[str
     return camera_stream(role, sensor, images.stamps, images.files, device.source)
 
 
-def _imu(source: Path, rig: Rig, notes: list[str]) -> list[Stream]:
+def _imu(source: Path, rig: Rig, notes: list[str]) -> list[SensorStream]:
     """Read an IMU of two files, its forces interpolated at the stamps of its rates."""
     force_path, rate_path = (
         source / f"{rig.imu_prefix}{name}.txt" for name in ("accelerometer", "gyroscope")
@@ -223,8 +223,8 @@ def _imu(source: Path, rig: Rig, notes: list[str]) -> list[Stream]:
 
 
 def interpolated(
-    rates: Table, forces: Table
-) -> tuple[Table, np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+    rates: NumberTable, forces: NumberTable
+) -> tuple[NumberTable, np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
     """Return the rates within the time of the forces, and the forces at their stamps, shape (n, 3)."""
     first, last = forces.stamps[0], forces.stamps[-1]
     inside = (rates.stamps >= first) & (rates.stamps <= last)
@@ -234,12 +234,12 @@ def interpolated(
     return kept, np.column_stack([np.interp(at, known, forces.values[:, k]) for k in range(3)])
 
 
-def _truth(source: Path, rig: Rig, notes: list[str]) -> Truth | None:
+def _truth(source: Path, rig: Rig, notes: list[str]) -> ImportedTruth | None:
     manifest = GroundTruth(file="groundtruth.txt")
     numbered = sorted(source.glob("*.gt.freiburg"))
     try:
         if numbered:
-            return Truth(manifest, right_handed(numbered[0]))
+            return ImportedTruth(manifest, right_handed(numbered[0]))
         path = source / "groundtruth.txt"
         if not path.is_file():
             if not rig.is_left_handed:
@@ -250,7 +250,7 @@ def _truth(source: Path, rig: Rig, notes: list[str]) -> Truth | None:
         read_trajectory(path, "tum")
     except EvaluationError as error:
         raise DataError(f"ground truth: {error}") from None
-    return Truth(manifest, path)
+    return ImportedTruth(manifest, path)
 
 
 def right_handed(path: Path) -> Trajectory:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from slamhive.data.importers.contents import Stream
+    from slamhive.data.importers.contents import SensorStream
 
     Array = npt.NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _VECTORS = ((8, 10), (11, 13), (14, 16))
 _WIDE = 17
 
 
-def xsens_stream(path: Path, pose: Array, notes: list[str]) -> Stream | None:
+def xsens_stream(path: Path, pose: Array, notes: list[str]) -> SensorStream | None:
     """Return the IMU's stream; None where the file has orientations alone.
 
     Columns 8 to 16 are three vectors: angular velocity, acceleration and magnetic field, but readers of these

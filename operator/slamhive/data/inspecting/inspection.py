@@ -42,7 +42,7 @@ _RATE_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True)
-class Gap:
+class MessageGap:
     """A span without messages.
 
     Attributes:
@@ -83,7 +83,7 @@ class SensorReport:
     rate: float | None = None
     first: float | None = None
     last: float | None = None
-    gaps: list[Gap] = field(default_factory=list)
+    gaps: list[MessageGap] = field(default_factory=list)
     gap_count: int = 0
     gap_threshold: float | None = None
     covered: float = 0.0
@@ -302,7 +302,9 @@ def _report(recording: Recording, name: str, sensor: Sensor, scan: Scan, content
         rate=None if rate is None else round(rate, 3),
         first=float(stamps[0] / 1e9) + sensor.time_offset if len(stamps) else None,
         last=float(stamps[-1] / 1e9) + sensor.time_offset if len(stamps) else None,
-        gaps=[Gap(float(stamps[k] / 1e9) + sensor.time_offset, float(steps[k] / 1e9)) for k in longest],
+        gaps=[
+            MessageGap(float(stamps[k] / 1e9) + sensor.time_offset, float(steps[k] / 1e9)) for k in longest
+        ],
         gap_count=len(wide),
         gap_threshold=round(GAP_PERIODS / rate, 6) if rate else None,
         size_bytes=scan.size_bytes,

@@ -54,7 +54,7 @@ _IMAGE_TYPES = {kinds.IMAGE, kinds.COMPRESSED_IMAGE}
 
 
 @dataclass
-class SensorView:
+class SensorOverview:
     """Overview of one sensor: rates, gaps, images, clouds, IMU. Times are s since the recording's start.
 
     Attributes:
@@ -100,7 +100,7 @@ class Overview:
     name: str
     start: float
     seconds: float
-    sensors: list[SensorView]
+    sensors: list[SensorOverview]
     truth: dict[str, Any] | None
     notes: list[str]
     version: int = VERSION
@@ -250,11 +250,11 @@ def _size(path: Path) -> int:
     return path.stat().st_size
 
 
-def _sensor(times: _Times, name: str, sensor: Sensor, extent: tuple[float, float]) -> SensorView:
+def _sensor(times: _Times, name: str, sensor: Sensor, extent: tuple[float, float]) -> SensorOverview:
     start, end = extent
     recording = times.recording
     topic = recording.topics[sensor.topic]
-    view = SensorView(name, str(sensor.type), sensor.topic, topic.count)
+    view = SensorOverview(name, str(sensor.type), sensor.topic, topic.count)
     stamps = times.stamps_of.get(name)
     if stamps is None:
         return view
@@ -302,7 +302,7 @@ def _envelopes(
 
 
 def _add_pictures(
-    recording: Recording, sensor: Sensor, view: SensorView, start: float, notes: list[str]
+    recording: Recording, sensor: Sensor, view: SensorOverview, start: float, notes: list[str]
 ) -> None:
     """Add images or clouds at even spaces over the sensor's time."""
     is_image = recording.topics[sensor.topic].message_type in _IMAGE_TYPES
@@ -329,7 +329,7 @@ def _add_pictures(
             break
 
 
-def _add(view: SensorView, message: Any, stamp: float, *, is_image: bool) -> None:
+def _add(view: SensorOverview, message: Any, stamp: float, *, is_image: bool) -> None:
     if is_image:
         data = jpeg(message, view.topic, widest=_WIDEST, quality=_QUALITY)
         view.pictures.append({"t": stamp, "data": base64.b64encode(data).decode("ascii")})

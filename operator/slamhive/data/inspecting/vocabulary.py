@@ -41,7 +41,7 @@ MAX_ROUNDS: Final = 12
 
 
 @dataclass
-class Node:
+class VocabularyNode:
     """A node of the tree.
 
     Attributes:
@@ -144,7 +144,9 @@ def describe(images: Iterable[NDArray[np.uint8]], features: int) -> list[Descrip
     return found
 
 
-def grow(descriptors: Descriptors, branching: int, depth: int, rng: np.random.Generator) -> list[Node]:
+def grow(
+    descriptors: Descriptors, branching: int, depth: int, rng: np.random.Generator
+) -> list[VocabularyNode]:
     """Make the tree, level by level, the root first.
 
     Args:
@@ -153,7 +155,7 @@ def grow(descriptors: Descriptors, branching: int, depth: int, rng: np.random.Ge
         depth: Levels below the root.
         rng: Draws where a clustering starts.
     """
-    nodes = [Node(0, np.zeros(DESCRIPTOR_BYTES, np.uint8))]
+    nodes = [VocabularyNode(0, np.zeros(DESCRIPTOR_BYTES, np.uint8))]
     level = [(0, descriptors)]
     for _ in range(depth):
         below = []
@@ -166,7 +168,7 @@ def grow(descriptors: Descriptors, branching: int, depth: int, rng: np.random.Ge
             for label, centre in enumerate(centres):
                 nodes[parent].children.append(len(nodes))
                 below.append((len(nodes), members[labels == label]))
-                nodes.append(Node(parent, centre))
+                nodes.append(VocabularyNode(parent, centre))
         level = below
     return nodes
 
@@ -223,7 +225,7 @@ def distances(bits: Bits, centres: Bits) -> Bits:
     )
 
 
-def words_of(nodes: list[Node], descriptors: Descriptors) -> NDArray[np.int64]:
+def words_of(nodes: list[VocabularyNode], descriptors: Descriptors) -> NDArray[np.int64]:
     """Find the word of each descriptor `(n, 32)`, as the index `(n,)` of its node."""
     bits = np.unpackbits(descriptors, axis=1).astype(np.float32)
     words = np.zeros(len(descriptors), np.int64)
@@ -240,7 +242,7 @@ def words_of(nodes: list[Node], descriptors: Descriptors) -> NDArray[np.int64]:
     return words
 
 
-def weigh(nodes: list[Node], per_image: list[Descriptors]) -> None:
+def weigh(nodes: list[VocabularyNode], per_image: list[Descriptors]) -> None:
     """Weigh each word by its inverse document frequency, log(images / images with the word)."""
     images_with = np.zeros(len(nodes), np.int64)
     for descriptors in per_image:
@@ -249,7 +251,7 @@ def weigh(nodes: list[Node], per_image: list[Descriptors]) -> None:
         node.weight = float(np.log(len(per_image) / count)) if count and not node.children else 0.0
 
 
-def render(nodes: list[Node], branching: int, depth: int) -> str:
+def render(nodes: list[VocabularyNode], branching: int, depth: int) -> str:
     """Write the tree as ORB-SLAM reads it.
 
     There is no newline at the end: its reader would take an empty line for one more child of the root.

@@ -31,7 +31,7 @@ from slamhive_eval import Trajectory, write_tum
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from slamhive.data.making.orders import Made, Order
+    from slamhive.data.making.orders import MadeRecording, Order
     from slamhive.data.recordings.entries import DatasetEntry
     from slamhive.data.store.groundtruth import GroundTruthPoses
     from slamhive.model.dataset import DatasetSpec
@@ -56,7 +56,7 @@ def export_dataset(
     truth: GroundTruthPoses | None = None,
     cache: Path | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Made:
+) -> MadeRecording:
     """Write a dataset into a new folder.
 
     Args:
@@ -146,7 +146,7 @@ def _umask() -> int:
 
 
 def _write_beside(
-    order: Order, made: Made, truth: GroundTruthPoses | None, folder: Path, cache: Path | None
+    order: Order, made: MadeRecording, truth: GroundTruthPoses | None, folder: Path, cache: Path | None
 ) -> None:
     """Write ground truth and what describes the recording; a folder's files come to the top."""
     about = _write_truth(order.entry, truth, folder, cache) if truth is not None else None
@@ -183,7 +183,7 @@ def _write_truth(
     return about | {"T_body_frame": pose.tolist()}
 
 
-def _manifest(order: Order, made: Made, truth: dict[str, Any] | None) -> dict[str, Any]:
+def _manifest(order: Order, made: MadeRecording, truth: dict[str, Any] | None) -> dict[str, Any]:
     spec = order.entry.dataset.spec
     declared = spec.as_json()
     sensors = {view.name: view.as_json() for view in made.views.values()}
@@ -203,7 +203,7 @@ def _manifest(order: Order, made: Made, truth: dict[str, Any] | None) -> dict[st
     }
 
 
-def _sensors(order: Order, made: Made) -> dict[str, Any]:
+def _sensors(order: Order, made: MadeRecording) -> dict[str, Any]:
     chosen = made.selection
     encodings = {role: view.camera.encoding if view.camera else None for role, view in made.views.items()}
     return {

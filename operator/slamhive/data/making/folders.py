@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.making.layouts import Layout
-    from slamhive.data.making.selection import Selection
+    from slamhive.data.making.selection import MessageSelection
     from slamhive.data.making.transfer import Changes
     from slamhive.data.recordings.reading import Recording
     from slamhive.data.recordings.rectifying import Maps
@@ -108,7 +108,7 @@ def plan_folder(form: DataFormat, name: str, views: Mapping[Role, SensorView]) -
 
 def write_folder(  # noqa: PLR0917 - progress comes last everywhere
     recording: Recording,
-    selection: Selection,
+    selection: MessageSelection,
     changes: Changes,
     plan: FolderPlan,
     target: Path,
@@ -141,7 +141,7 @@ def write_folder(  # noqa: PLR0917 - progress comes last everywhere
     primary = roles[selection.primary.topic]
     layout = LAYOUTS[plan.form](target, plan.name, stamps, primary)
     kept = dict.fromkeys(streams, 0)
-    with layout, _Frames(recording, changes, plan, layout) as frames:
+    with layout, _FrameWriter(recording, changes, plan, layout) as frames:
         for connection, _, raw in chosen_messages(recording, selection, progress):
             topic = connection.topic
             frames.take(roles[topic], streams[topic], kept[topic], raw)
@@ -161,7 +161,7 @@ def _offset(stream: Stream) -> int:
     return round(stream.time_offset * 10**9)
 
 
-class _Frames:
+class _FrameWriter:
     """Writes messages as files, images on threads of their own with few of them waiting."""
 
     def __init__(self, recording: Recording, changes: Changes, plan: FolderPlan, layout: Layout) -> None:

@@ -38,13 +38,13 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.making.folders import FolderPlan
-    from slamhive.data.making.selection import Selection
+    from slamhive.data.making.selection import MessageSelection
     from slamhive.data.recordings.entries import DatasetEntry
     from slamhive.model.run import InputOptions, LidarInput
 
 
 @dataclass(frozen=True)
-class Wish:
+class RecordingOptions:
     """The options that matter for the sensors chosen, in plain numbers.
 
     Attributes:
@@ -64,7 +64,7 @@ class Wish:
     @property
     def is_idle(self) -> bool:
         """Tell whether messages stay as they are."""
-        return self == Wish(None, 1.0, 0.0, None, None)
+        return self == RecordingOptions(None, 1.0, 0.0, None, None)
 
 
 def _sensor_for(entry: DatasetEntry, role: Role, options: InputOptions) -> SensorView:
@@ -78,11 +78,11 @@ def _sensor_for(entry: DatasetEntry, role: Role, options: InputOptions) -> Senso
     return SensorView.model_validate(sensor.as_json() | {"name": name})
 
 
-def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> Wish:
+def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> RecordingOptions:
     types = {sensor.type for sensor in sensors.values()}
     cameras = types & {SensorType.CAMERA, SensorType.DEPTH_CAMERA}
     lidar = options.lidar if SensorType.LIDAR in types else None
-    return Wish(
+    return RecordingOptions(
         frame_rate=options.frame_rate if any(kind.has_frames for kind in types) else None,
         resolution=options.resolution if cameras else 1.0,
         start=seconds(options.start) if options.start else 0.0,
@@ -91,7 +91,7 @@ def _wish(options: InputOptions, sensors: dict[Role, SensorView]) -> Wish:
     )
 
 
-def _views(sensors: dict[Role, SensorView], wish: Wish) -> dict[Role, SensorView]:
+def _views(sensors: dict[Role, SensorView], wish: RecordingOptions) -> dict[Role, SensorView]:
     """Return the sensors as the options leave them; rates follow from the frames kept."""
     views = {}
     for role, sensor in sensors.items():
@@ -120,7 +120,7 @@ class Order:
 
     entry: DatasetEntry
     sensors: dict[Role, SensorView]
-    wish: Wish
+    wish: RecordingOptions
     target: DataFormat
     views: Mapping[Role, SensorView]
     folder: FolderPlan | None
@@ -128,7 +128,7 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Made:
+class MadeRecording:
     """Result of making a recording: the messages chosen, and the sensors as they are in it.
 
     Attributes:
@@ -136,7 +136,7 @@ class Made:
         views: The sensors as they are in the recording, their rates included.
     """
 
-    selection: Selection
+    selection: MessageSelection
     views: dict[Role, SensorView]
 
 
@@ -165,7 +165,7 @@ def order_of(
 
 def make_recording(
     order: Order, folder: Path, progress: Callable[[float], None] | None = None, *, link: bool = True
-) -> Made:
+) -> MadeRecording:
     """Make the recording of an order in a folder, and ``frames.txt``.
 
     Args:
@@ -202,10 +202,10 @@ def make_recording(
     (folder / FRAMES).write_bytes(frames_text(selection.stamps, selection.primary.time_offset))
     if progress:
         progress(1.0)
-    return Made(selection, views)
+    return MadeRecording(selection, views)
 
 
-def _timed(views: Mapping[Role, SensorView], selection: Selection) -> dict[Role, SensorView]:
+def _timed(views: Mapping[Role, SensorView], selection: MessageSelection) -> dict[Role, SensorView]:
     """Return the sensors with the rates of what is kept of them."""
     rates = {stream.sensor: selection.rate(stream) for stream in selection.streams if stream.sensor}
     return {role: view.replace(rate=rates[view.name] or view.rate) for role, view in views.items()}

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-    from slamhive.data.making.orders import Made, Order
+    from slamhive.data.making.orders import MadeRecording, Order
     from slamhive.data.recordings.entries import DatasetEntry
     from slamhive.model.run import InputOptions
 
@@ -207,7 +207,7 @@ def evict_variants(cache: Path, limit_bytes: int) -> list[str]:
     return evict(cache, limit_bytes) if cache.is_dir() else []
 
 
-def _describe(order: Order, path: Path, aside: Path, made: Made) -> None:
+def _describe(order: Order, path: Path, aside: Path, made: MadeRecording) -> None:
     selection = made.selection
     primary = selection.primary
     offset = primary.time_offset

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from slamhive.data.recordings.checks import check_stamps
-from slamhive.data.recordings.streams import Kind, Stream
+from slamhive.data.recordings.streams import Stream, TopicKind
 from slamhive.data.recordings.thinning import partners, rate_of, thin
 from slamhive.model.errors import DataError, InputError
 
@@ -28,7 +28,7 @@ _SPARSE = 0.5
 """A camera_info with fewer messages than this share of its images is a latched one, kept whole."""
 
 
-class Window(Protocol):
+class MessageOptions(Protocol):
     """The options that decide about messages."""
 
     @property
@@ -45,7 +45,7 @@ class Window(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Selection:
+class MessageSelection:
     """The messages chosen.
 
     Attributes:
@@ -83,7 +83,7 @@ class Selection:
     @property
     def recorded_rate(self) -> float | None:
         """Return the rate of the fastest stream of frames before any was left out, Hz."""
-        leaders = [stream for stream in self.streams if stream.kind is Kind.FRAMES]
+        leaders = [stream for stream in self.streams if stream.kind is TopicKind.FRAMES]
         rates = [rate for stream in leaders if (rate := rate_of(self.scans[stream.topic].stamps))]
         return round(max(rates), 3) if rates else None
 
@@ -102,9 +102,9 @@ class Selection:
 def select(
     recording: Recording,
     streams: list[Stream],
-    window: Window,
+    window: MessageOptions,
     progress: Callable[[float], None] | None = None,
-) -> Selection:
+) -> MessageSelection:
     """Choose the messages of a variant.
 
     Args:
@@ -121,23 +121,25 @@ def select(
     for stream in streams:
         if stream.sensor is not None:
             check_stamps(scans[stream.topic], f"sensors.{stream.sensor}: {stream.topic} in {recording.label}")
-    leaders = [stream for stream in streams if stream.kind is Kind.FRAMES]
+    leaders = [stream for stream in streams if stream.kind is TopicKind.FRAMES]
     bounds = _bounds(scans[leaders[0].topic], window, leaders[0])
     masks: dict[str, Mask] = {}
     for leader in leaders:
-        followers = [item for item in streams if item.kind is Kind.PARTNER and item.follows == leader.topic]
+        followers = [
+            item for item in streams if item.kind is TopicKind.PARTNER and item.follows == leader.topic
+        ]
         masks |= _frames(leader, followers, scans, window, bounds)
     begin, end = bounds
     for stream in streams:
-        if stream.kind is Kind.INFO:
+        if stream.kind is TopicKind.INFO:
             masks[stream.topic] = _info(
                 scans[stream.topic], scans[stream.follows or ""], masks[stream.follows or ""]
             )
-        elif stream.kind is Kind.SAMPLES:
+        elif stream.kind is TopicKind.SAMPLES:
             margin = round(MARGIN_SECONDS * 1e9)
             stamps = scans[stream.topic].stamps
             masks[stream.topic] = (stamps >= begin - margin) & (stamps <= end + margin)
-        elif stream.kind is Kind.STATIC:
+        elif stream.kind is TopicKind.STATIC:
             masks[stream.topic] = np.ones(len(scans[stream.topic].times), dtype=np.bool_)
     primary = leaders[0]
     kept = scans[primary.topic].stamps[masks[primary.topic]]
@@ -145,9 +147,9 @@ def select(
     joined = np.concatenate(times)
     recorded = (int(joined.min()), int(joined.max()))
     for stream in streams:
-        if stream.kind is Kind.TOPIC:
+        if stream.kind is TopicKind.TOPIC:
             masks[stream.topic] = _asked_for(scans[stream.topic], bounds, recorded)
-    return Selection(streams, masks, scans, primary, int(kept[0]), int(kept[-1]), recorded)
+    return MessageSelection(streams, masks, scans, primary, int(kept[0]), int(kept[-1]), recorded)
 
 
 def _asked_for(scan: Scan, bounds: tuple[int, int], recorded: tuple[int, int]) -> Mask:
@@ -160,7 +162,7 @@ def _asked_for(scan: Scan, bounds: tuple[int, int], recorded: tuple[int, int]) -
     return np.asarray((times >= begin - margin) & (times <= end + margin))
 
 
-def complete_frames(selection: Selection) -> Selection:
+def complete_frames(selection: MessageSelection) -> MessageSelection:
     """Leave only frames that all cameras and LiDARs have: frame k of one is then frame k of all.
 
     Other topics than those of sensors go, and so do frames that are stamped as the one before them.
@@ -169,7 +171,7 @@ def complete_frames(selection: Selection) -> Selection:
         DataError: No frame is complete.
     """
     streams = [stream for stream in selection.streams if stream.sensor is not None]
-    framed = [stream for stream in streams if stream.kind is not Kind.SAMPLES]
+    framed = [stream for stream in streams if stream.kind is not TopicKind.SAMPLES]
     index = {stream.topic: _distinct(selection, stream) for stream in framed}
     stamps = {topic: selection.scans[topic].stamps[kept] for topic, kept in index.items()}
     primary = selection.primary
@@ -201,7 +203,7 @@ def complete_frames(selection: Selection) -> Selection:
     )
 
 
-def _distinct(selection: Selection, stream: Stream) -> npt.NDArray[np.intp]:
+def _distinct(selection: MessageSelection, stream: Stream) -> npt.NDArray[np.intp]:
     """Return the indices of a stream's messages that are kept, of those with one stamp the first."""
     kept = np.flatnonzero(selection.masks[stream.topic])
     _, first = np.unique(selection.scans[stream.topic].stamps[kept], return_index=True)
@@ -211,7 +213,7 @@ def _distinct(selection: Selection, stream: Stream) -> npt.NDArray[np.intp]:
 _FOREVER = 2**62
 
 
-def _bounds(scan: Scan, window: Window, primary: Stream) -> tuple[int, int]:
+def _bounds(scan: Scan, window: MessageOptions, primary: Stream) -> tuple[int, int]:
     """Return the first and last header stamp (ns) of the window."""
     if window.start == 0.0 and window.duration is None:
         return -_FOREVER, _FOREVER
@@ -231,7 +233,7 @@ def _frames(
     leader: Stream,
     followers: list[Stream],
     scans: Mapping[str, Scan],
-    window: Window,
+    window: MessageOptions,
     bounds: tuple[int, int],
 ) -> dict[str, Mask]:
     """Choose the frames of a sensor and of those that go with it."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from slamhive.data.recordings import kinds
 from slamhive.data.recordings.clouds import cloud_filter, filter_cloud
 from slamhive.data.recordings.images import scale_camera_info, scale_compressed, scale_image
-from slamhive.data.recordings.streams import Kind
+from slamhive.data.recordings.streams import TopicKind
 from slamhive.data.recordings.writing import RecordingWriter
 from slamhive.model.errors import DataError
 from slamhive.model.sensors import SensorType
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-    from slamhive.data.making.selection import Selection
+    from slamhive.data.making.selection import MessageSelection
     from slamhive.data.recordings.reading import Recording
     from slamhive.data.recordings.streams import Stream
     from slamhive.model.algorithm import RecordingFormat
@@ -42,7 +42,7 @@ class Changes(Protocol):
 
 def transfer(
     recording: Recording,
-    selection: Selection,
+    selection: MessageSelection,
     changes: Changes,
     *,
     target: Path,
@@ -70,13 +70,13 @@ def transfer(
             topic = connection.topic
             change = rules[topic]
             # What is said once stays, however much is cut off before it.
-            lasting = by_topic[topic].kind in (Kind.STATIC, Kind.INFO)
+            lasting = by_topic[topic].kind in (TopicKind.STATIC, TopicKind.INFO)
             at = min(max(time, first), last) if lasting else time
             writer.write(connection, at, raw if change is None else change(raw))
 
 
 def chosen_messages(
-    recording: Recording, selection: Selection, progress: Callable[[float], None] | None = None
+    recording: Recording, selection: MessageSelection, progress: Callable[[float], None] | None = None
 ) -> Iterator[tuple[Connection, int, bytes]]:
     """Yield the messages that were chosen, in the order of the recording.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from slamhive.data.recordings import kinds, samples
 from slamhive.data.recordings.clouds import cloud_points, point_times
-from slamhive.data.recordings.samples import Look
+from slamhive.data.recordings.samples import SensorLook
 from slamhive.data.recordings.streams import camera_info_topic
 from slamhive.model.errors import DataError, suggestion
 from slamhive.model.sensors import SensorType, TimesSince
@@ -111,7 +111,7 @@ def content_findings(
     """
     described = {}
     for name, sensor in sensors.items():
-        look = Look(recording, sensor, f"sensors.{name}", errors, warnings)
+        look = SensorLook(recording, sensor, f"sensors.{name}", errors, warnings)
         try:
             described[name] = _CONTENTS[look.message_type](look)
         except DataError as error:
@@ -119,7 +119,7 @@ def content_findings(
     return described
 
 
-def _image(look: Look) -> str:
+def _image(look: SensorLook) -> str:
     sensor, where, errors, warnings = look.sensor, look.where, look.errors, look.warnings
     message = look.first()
     camera = sensor.camera
@@ -159,7 +159,7 @@ def _image(look: Look) -> str:
     return f"{message.width}×{message.height} {message.encoding}"
 
 
-def _compressed(look: Look) -> str:
+def _compressed(look: SensorLook) -> str:
     sensor, message = look.sensor, look.first()
     pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED) if message.data.size else None
     if pixels is None:
@@ -175,7 +175,7 @@ def _compressed(look: Look) -> str:
     return f"{width}×{height} {message.format}"
 
 
-def _cloud(look: Look) -> str:
+def _cloud(look: SensorLook) -> str:
     sensor, where, errors = look.sensor, look.where, look.errors
     message = look.first()
     names = [item.name for item in message.fields]
@@ -197,7 +197,7 @@ def _cloud(look: Look) -> str:
     return f"{size} points with {', '.join(names)}"
 
 
-def _check_times(look: Look, points: npt.NDArray[np.void], lidar: Lidar) -> None:
+def _check_times(look: SensorLook, points: npt.NDArray[np.void], lidar: Lidar) -> None:
     """Warn where the times of a scan's points lie elsewhere than its stamp, as declared, lets them."""
     header = look.first().header.stamp
     found = point_times(points, str(lidar.time_field), header.sec * 10**9 + header.nanosec)
@@ -220,7 +220,7 @@ _IMU_NUMBERS = 37
 _STANDARD_GRAVITY = 9.80665
 
 
-def _imu(look: Look) -> str:
+def _imu(look: SensorLook) -> str:
     sensor, where, errors, warnings = look.sensor, look.where, look.errors, look.warnings
     tails = [raw[-8 * _IMU_NUMBERS :] for _, _, raw in look.recording.messages({sensor.topic})]
     table = np.frombuffer(b"".join(tails), dtype="<f8").reshape(-1, _IMU_NUMBERS)
@@ -242,7 +242,7 @@ def _imu(look: Look) -> str:
     return f"{typical:.2f} m/s² typically"
 
 
-_CONTENTS: dict[str, Callable[[Look], str]] = {
+_CONTENTS: dict[str, Callable[[SensorLook], str]] = {
     kinds.IMAGE: _image,
     kinds.COMPRESSED_IMAGE: _compressed,
     kinds.POINT_CLOUD: _cloud,

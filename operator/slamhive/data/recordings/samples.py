@@ -41,7 +41,7 @@ _PRESSURE_UNITS = {"hectopascals (millibars)": 1e2, "kilopascals": 1e3, "atmosph
 
 
 @dataclass(frozen=True)
-class Look:
+class SensorLook:
     """A look at the messages of one sensor.
 
     Attributes:
@@ -124,7 +124,7 @@ class Look:
         return "" if diagonals.any() else f"{what} is 0: not known"
 
 
-def scans(look: Look) -> str:
+def scans(look: SensorLook) -> str:
     """Look at planar scans."""
     first, rays, changed, returns, metres = None, 0, 0, 0, []
     for message in look.messages():
@@ -157,7 +157,7 @@ def _geometry(message: Any) -> tuple[float, ...]:
     return (len(message.ranges), message.angle_min, message.angle_max, message.angle_increment)
 
 
-def _scan_geometry(look: Look, message: Any) -> None:
+def _scan_geometry(look: SensorLook, message: Any) -> None:
     angles = np.array([message.angle_min, message.angle_max, message.angle_increment])
     if not np.isfinite(angles).all() or len(message.ranges) < 2 or message.angle_increment == 0:
         look.refuse(f"scans on {look.sensor.topic} have no rays or no angles")
@@ -177,7 +177,7 @@ def _scan_geometry(look: Look, message: Any) -> None:
         )
 
 
-def odometry(look: Look) -> str:
+def odometry(look: SensorLook) -> str:
     """Look at wheel odometry: speeds, and poses where it has some."""
     with_poses = look.message_type == ODOMETRY
     table = look.table(_pose_and_speeds if with_poses else _speeds)
@@ -196,7 +196,7 @@ def odometry(look: Look) -> str:
     return ", ".join(part for part in text if part)
 
 
-def _paths(look: Look, stamps: Array, values: Array, speed: Array) -> str:
+def _paths(look: SensorLook, stamps: Array, values: Array, speed: Array) -> str:
     """Compare the path by the poses with the one by the speeds; return the former in words."""
     norms = np.linalg.norm(values[:, 3:7], axis=1)
     if (np.abs(norms - 1.0) > 0.05).any():
@@ -228,7 +228,7 @@ def _speeds(message: Any) -> list[float]:
     return [0.0] * 7 + speeds + variances
 
 
-def fixes(look: Look) -> str:
+def fixes(look: SensorLook) -> str:
     """Look at fixes of a GNSS receiver."""
     table = look.table(
         lambda fix: [
@@ -271,7 +271,7 @@ def fixes(look: Look) -> str:
     return ", ".join(part for part in (where, accuracy, f"at most {spread:.0f} m from the first") if part)
 
 
-def _heights(look: Look, heights: Array) -> None:
+def _heights(look: SensorLook, heights: Array) -> None:
     finite = heights[np.isfinite(heights)]
     if finite.size and not (_HEIGHTS[0] < float(np.median(finite)) < _HEIGHTS[1]):
         look.warn(
@@ -280,7 +280,7 @@ def _heights(look: Look, heights: Array) -> None:
         )
 
 
-def _leaps(look: Look, stamps: Array, steps: Array) -> None:
+def _leaps(look: SensorLook, stamps: Array, steps: Array) -> None:
     passed = np.diff(stamps)
     leaps = np.flatnonzero((passed > 0) & (steps > _LEAP * passed) & (steps > _LEAP))
     if leaps.size:
@@ -291,7 +291,7 @@ def _leaps(look: Look, stamps: Array, steps: Array) -> None:
         )
 
 
-def fields(look: Look) -> str:
+def fields(look: SensorLook) -> str:
     """Look at magnetic fields."""
     table = look.table(
         lambda message: [
@@ -322,7 +322,7 @@ def fields(look: Look) -> str:
     return ", ".join(part for part in (f"{typical * 1e6:.1f} µT typically", doubt) if part)
 
 
-def pressures(look: Look) -> str:
+def pressures(look: SensorLook) -> str:
     """Look at pressures of air."""
     table = look.table(lambda message: [message.fluid_pressure, message.variance])
     if not look.all_finite(table[:, 1:2], "a pressure"):

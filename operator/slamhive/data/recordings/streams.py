@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 STATIC_TRANSFORMS = "/tf_static"
 
 
-class Kind(Enum):
+class TopicKind(Enum):
     """Kinds of topics in a variant, by how their messages are thinned and cut."""
 
     FRAMES = "frames"  # of the sensor that sets the pace: thinned and cut
@@ -50,7 +50,7 @@ class Stream:
 
     topic: str
     message_type: str
-    kind: Kind
+    kind: TopicKind
     sensor: str | None = None
     follows: str | None = None
     depth: bool = False
@@ -135,9 +135,9 @@ def streams_of(
             )
         leader = sensors.get(FOLLOWS.get(role, role)) if role in FOLLOWS else None
         if leader is not None:
-            kind = Kind.PARTNER
+            kind = TopicKind.PARTNER
         else:
-            kind = Kind.FRAMES if sensor.type.has_frames or sensor is alone else Kind.SAMPLES
+            kind = TopicKind.FRAMES if sensor.type.has_frames or sensor is alone else TopicKind.SAMPLES
         result.setdefault(
             sensor.topic,
             Stream(
@@ -155,14 +155,14 @@ def streams_of(
         info = camera_info_topic(recording, stream.topic)
         if stream.declared and stream.declared.camera and info and info != truth_topic:
             result.setdefault(
-                info, Stream(info, CAMERA_INFO, Kind.INFO, follows=stream.topic, depth=stream.depth)
+                info, Stream(info, CAMERA_INFO, TopicKind.INFO, follows=stream.topic, depth=stream.depth)
             )
     transforms = recording.topics.get(STATIC_TRANSFORMS)
     if transforms and transforms.message_type in TF_TYPES and truth_topic != STATIC_TRANSFORMS:
-        result[STATIC_TRANSFORMS] = Stream(STATIC_TRANSFORMS, transforms.message_type, Kind.STATIC)
+        result[STATIC_TRANSFORMS] = Stream(STATIC_TRANSFORMS, transforms.message_type, TopicKind.STATIC)
     for topic in topics:
         result.setdefault(topic, _asked_for(recording, topic, truth_topic))
-    return sorted(result.values(), key=lambda stream: list(Kind).index(stream.kind))
+    return sorted(result.values(), key=lambda stream: list(TopicKind).index(stream.kind))
 
 
 def _asked_for(recording: Recording, name: str, truth_topic: str | None) -> Stream:
@@ -174,7 +174,7 @@ def _asked_for(recording: Recording, name: str, truth_topic: str | None) -> Stre
             f"modes.topics: no topic {name!r} in {recording.label}{suggestion(name, recording.topics)}"
         )
     # What is said once holds for all of it, as a map does.
-    return Stream(name, topic.message_type, Kind.STATIC if topic.count == 1 else Kind.TOPIC)
+    return Stream(name, topic.message_type, TopicKind.STATIC if topic.count == 1 else TopicKind.TOPIC)
 
 
 def camera_info_topic(recording: Recording, image_topic: str) -> str | None:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from slamhive.data.files.fetching import Progress, Wanted, fetch_file, one_at_a_time, require_sha256
+from slamhive.data.files.fetching import FetchProgress, WantedFile, fetch_file, one_at_a_time, require_sha256
 from slamhive.data.files.partial import Partial, disk_words
 from slamhive.data.files.publishing import publish
 from slamhive.data.files.remotezip import fetch_members
@@ -81,14 +81,14 @@ def obtain(
     listener = listener or Listener()
     downloads.mkdir(parents=True, exist_ok=True)
     work = downloads / f".unpacked-{digest(str(out))[:16]}"
-    with one_at_a_time(work, sequence.title, Progress(notify=listener.notify)):
+    with one_at_a_time(work, sequence.title, FetchProgress(notify=listener.notify)):
         if not out.exists():
             shutil.rmtree(work, ignore_errors=True)  # what a killed one left
             shop = _Shop(sequence, downloads, listener)
             shop.require_manual()
             with ExitStack() as stack:
                 uses = {
-                    title: stack.enter_context(_Use(shop.place(part)))
+                    title: stack.enter_context(_FileUse(shop.place(part)))
                     for title, part in sequence.parts.items()
                     if part.url is not None  # what is fetched by hand stays, perhaps on a disk of others
                 }
@@ -106,7 +106,7 @@ def obtain(
         return _described(out)
 
 
-class _Use:
+class _FileUse:
     """Use of a fetched file, which several processes may have at a time: the last one removes it."""
 
     def __init__(self, place: Path) -> None:
@@ -253,7 +253,7 @@ class _Shop:
             return place
         sums = _KnownSums(self._downloads / SUMS)
         known = sums.get(urls[0])
-        wanted = Wanted(
+        wanted = WantedFile(
             urls,
             what,
             part.sha256 or known,
@@ -262,7 +262,7 @@ class _Shop:
             pieces=part.pieces,
         )
         self.listener.step(f"fetching {what}")
-        progress = Progress(self._count, self.listener.notify)
+        progress = FetchProgress(self._count, self.listener.notify)
         if part.members and title in self.sequence.shared and not part.name.lower().endswith(_NOT_ZIP):
             outer = [member.split("!")[0] for member in part.members]
             partly = fetch_members(wanted, outer, self._downloads, progress)

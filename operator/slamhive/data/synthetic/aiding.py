@@ -17,7 +17,7 @@ from slamhive.model.synthetic import FIXED_RATES, SyntheticSensor
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from slamhive.data.synthetic.trajectory import Trajectory
+    from slamhive.data.synthetic.trajectory import SyntheticMotion
     from slamhive.data.synthetic.world import World
     from slamhive.model.synthetic import SyntheticRecording
 
@@ -48,7 +48,9 @@ PRESSURE_NOISE = 3.0
 """Standard deviation at noise 1, Pa."""
 
 
-def scan(spec: SyntheticRecording, world: World, trajectory: Trajectory, start: float, index: int) -> Array:
+def scan(
+    spec: SyntheticRecording, world: World, trajectory: SyntheticMotion, start: float, index: int
+) -> Array:
     """Take one planar scan, each ray at its own time and pose.
 
     Args:
@@ -79,7 +81,7 @@ def scan_bearings() -> Array:
     return -np.pi + 2.0 * np.pi * np.arange(SCAN_RAYS) / SCAN_RAYS
 
 
-def wheels(spec: SyntheticRecording, trajectory: Trajectory, t: Array) -> Array:
+def wheels(spec: SyntheticRecording, trajectory: SyntheticMotion, t: Array) -> Array:
     """Measure the speeds of wheels that also roll sideways, and add them up to poses in a plane.
 
     Args:
@@ -112,7 +114,7 @@ def _added_up(speeds: Array, t: Array) -> Array:
     return np.column_stack([np.vstack([np.zeros((1, 2)), np.cumsum(moved, axis=0)]), heading])
 
 
-def fixes(spec: SyntheticRecording, trajectory: Trajectory, t: Array) -> Array:
+def fixes(spec: SyntheticRecording, trajectory: SyntheticMotion, t: Array) -> Array:
     """Measure latitude and longitude (degrees) and height (m) of the antenna, shape (n, 3).
 
     The world's x points east and its y north of ORIGIN, on the tangent plane of WGS 84's ellipsoid.
@@ -133,7 +135,7 @@ def fixes(spec: SyntheticRecording, trajectory: Trajectory, t: Array) -> Array:
     )
 
 
-def fields(spec: SyntheticRecording, trajectory: Trajectory, t: Array) -> Array:
+def fields(spec: SyntheticRecording, trajectory: SyntheticMotion, t: Array) -> Array:
     """Measure the magnetic field in the magnetometer's own axes, T, shape (n, 3)."""
     motion = trajectory.at(t)
     measured = np.einsum("nji,j->ni", motion.rotation, np.array(FIELD))
@@ -142,14 +144,14 @@ def fields(spec: SyntheticRecording, trajectory: Trajectory, t: Array) -> Array:
     return np.asarray(measured + noise * (FIELD_NOISE * spec.noise))
 
 
-def pressures(spec: SyntheticRecording, trajectory: Trajectory, t: Array) -> Array:
+def pressures(spec: SyntheticRecording, trajectory: SyntheticMotion, t: Array) -> Array:
     """Measure the pressure of air by the standard atmosphere, Pa, shape (n,)."""
     height = ORIGIN[2] + _place(trajectory, "barometer", t)[:, 2]
     noise = stream(spec.seed, "barometer").standard_normal(len(t)) * (PRESSURE_NOISE * spec.noise)
     return np.asarray(101_325.0 * (1.0 - 2.25577e-5 * height) ** 5.25588 + noise)
 
 
-def _place(trajectory: Trajectory, name: str, t: Array) -> Array:
+def _place(trajectory: SyntheticMotion, name: str, t: Array) -> Array:
     """Return the positions of a sensor in the world, m, shape (n, 3)."""
     motion = trajectory.at(t)
     return np.asarray(motion.position + motion.rotation @ rig.MOUNTINGS[name][:3, 3])

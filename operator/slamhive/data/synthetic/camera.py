@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slamhive.data.synthetic.render import Renderer
+from slamhive.data.synthetic.render import WorldRenderer
 from slamhive.data.synthetic.rig import DEPTH_SCALE
 from slamhive.data.synthetic.streams import stream
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from slamhive.data.synthetic.render import View
-    from slamhive.data.synthetic.rig import Camera
+    from slamhive.data.synthetic.rig import RigCamera
     from slamhive.data.synthetic.texture import Atlas
-    from slamhive.data.synthetic.trajectory import Trajectory
+    from slamhive.data.synthetic.trajectory import SyntheticMotion
     from slamhive.data.synthetic.world import World
     from slamhive.model.synthetic import SyntheticRecording
 
@@ -39,10 +39,15 @@ class CameraModel:
     """Makes the images of one camera."""
 
     def __init__(
-        self, spec: SyntheticRecording, camera: Camera, world: World, atlas: Atlas, trajectory: Trajectory
+        self,
+        spec: SyntheticRecording,
+        camera: RigCamera,
+        world: World,
+        atlas: Atlas,
+        trajectory: SyntheticMotion,
     ) -> None:
         self._spec, self._camera, self._trajectory = spec, camera, trajectory
-        self._renderer = Renderer(camera.lens, world, atlas)
+        self._renderer = WorldRenderer(camera.lens, world, atlas)
         self._last: tuple[float, View] | None = None
 
     def pose(self, at: float) -> Array:

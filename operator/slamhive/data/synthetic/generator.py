@@ -18,7 +18,7 @@ from slamhive.data.synthetic.camera import CameraModel
 from slamhive.data.synthetic.inertial import sample_imu
 from slamhive.data.synthetic.lidar import LidarModel
 from slamhive.data.synthetic.texture import build_atlas
-from slamhive.data.synthetic.trajectory import Trajectory, quaternion_from_rotation
+from slamhive.data.synthetic.trajectory import SyntheticMotion, quaternion_from_rotation
 from slamhive.data.synthetic.world import build_world
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from slamhive.model.synthetic import SyntheticRecording
 
     Array = npt.NDArray[np.float64]
-    Measure = Callable[[SyntheticRecording, Trajectory, Array], Array]
+    Measure = Callable[[SyntheticRecording, SyntheticMotion, Array], Array]
 
 START = 1_600_000_000 * 10**9
 """Sensor time of the start of every recording, ns."""
@@ -118,7 +118,7 @@ class _Scene:
 
     def __init__(self, spec: SyntheticRecording) -> None:
         self.spec = spec
-        self.trajectory = Trajectory(spec)
+        self.trajectory = SyntheticMotion(spec)
         self.world = build_world(spec.seed)
         self.sensors = rig.sensors(spec)
         self.maker = messages.MessageMaker(messages.typestore())
@@ -231,7 +231,7 @@ class _Scene:
                 yield from self._images("depth", camera, model.depth)
 
     def _images(
-        self, role: str, camera: rig.Camera, take: Callable[[float, int], npt.NDArray[Any]]
+        self, role: str, camera: rig.RigCamera, take: Callable[[float, int], npt.NDArray[Any]]
     ) -> Iterable[Event]:
         entry = self.sensors[role]
         frame, topic = entry["frameId"], entry["topic"]
@@ -275,7 +275,7 @@ def _write_bag(
     return counts
 
 
-def _write_ground_truth(path: Path, trajectory: Trajectory, stamps: npt.NDArray[np.int64]) -> None:
+def _write_ground_truth(path: Path, trajectory: SyntheticMotion, stamps: npt.NDArray[np.int64]) -> None:
     motion = trajectory.at(stamps / 1e9)
     quaternions = quaternion_from_rotation(motion.rotation)
     with path.open("w", encoding="utf-8") as file:

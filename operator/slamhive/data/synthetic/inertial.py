@@ -14,7 +14,7 @@ from slamhive.data.synthetic.streams import stream
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from slamhive.data.synthetic.trajectory import Trajectory
+    from slamhive.data.synthetic.trajectory import SyntheticMotion
     from slamhive.model.synthetic import SyntheticRecording
 
     Array = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ class InertialSamples:
     rate_bias: Array
 
 
-def sample_imu(spec: SyntheticRecording, trajectory: Trajectory, t: Array) -> InertialSamples:
+def sample_imu(spec: SyntheticRecording, trajectory: SyntheticMotion, t: Array) -> InertialSamples:
     """Measure specific force and angular rate.
 
     White noise of density σ has the standard deviation σ·√rate in a sample, and a bias walks by σ_b/√rate

@@ -13,7 +13,7 @@ from slamhive.data.synthetic.streams import stream
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from slamhive.data.synthetic.trajectory import Trajectory
+    from slamhive.data.synthetic.trajectory import SyntheticMotion
     from slamhive.data.synthetic.world import World
     from slamhive.model.synthetic import SyntheticRecording
 
@@ -36,7 +36,7 @@ POINT = np.dtype(
 class LidarModel:
     """Makes the scans of one recording."""
 
-    def __init__(self, spec: SyntheticRecording, world: World, trajectory: Trajectory) -> None:
+    def __init__(self, spec: SyntheticRecording, world: World, trajectory: SyntheticMotion) -> None:
         self._spec, self._world, self._trajectory = spec, world, trajectory
         rings, columns = spec.lidar.rings, spec.lidar.columns
         azimuth = np.pi - 2.0 * np.pi * np.arange(columns)[:, None] / columns

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
     from rosbags.typesys.store import Typestore
 
-    from slamhive.data.synthetic.rig import Camera
+    from slamhive.data.synthetic.rig import RigCamera
 
     Array = npt.NDArray[np.float64]
 
@@ -106,7 +106,7 @@ class MessageMaker:
             data=rows.reshape(-1),
         )
 
-    def camera_info(self, stamp: int, frame: str, role: str, camera: Camera) -> Any:
+    def camera_info(self, stamp: int, frame: str, role: str, camera: RigCamera) -> Any:
         """Build the CameraInfo of an image."""
         roi = self._types["sensor_msgs/msg/RegionOfInterest"]
         return self._types[CAMERA_INFO](

@@ -54,7 +54,7 @@ class View:
     rotation: Floats
 
 
-class Renderer:
+class WorldRenderer:
     """Renders one world through one lens."""
 
     def __init__(self, lens: Lens, world: World, atlas: Atlas) -> None:

@@ -39,7 +39,7 @@ _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class Camera:
+class RigCamera:
     """One camera.
 
     Attributes:
@@ -94,9 +94,9 @@ def imu_pose(spec: SyntheticRecording) -> Array:
     return pose((-2.4, 1.7, 11.3), (-0.06, 0.05, 0.07))
 
 
-def cameras(spec: SyntheticRecording) -> dict[str, Camera]:
+def cameras(spec: SyntheticRecording) -> dict[str, RigCamera]:
     """Give the cameras of a specification by role, at the size rendered."""
-    result: dict[str, Camera] = {}
+    result: dict[str, RigCamera] = {}
     if SyntheticSensor.STEREO in spec.sensors:
         result |= _stereo(spec.camera)
     if SyntheticSensor.RGBD in spec.sensors:
@@ -108,7 +108,7 @@ def cameras(spec: SyntheticRecording) -> dict[str, Camera]:
         lens = camera.lens.scaled(spec.camera.scale)
         shares = lens.width / camera.lens.width, lens.height / camera.lens.height
         projection = scale_matrix(camera.projection, *shares)
-        result[role] = Camera(role, camera.pose, lens, camera.rectification, projection)
+        result[role] = RigCamera(role, camera.pose, lens, camera.rectification, projection)
     return result
 
 
@@ -135,12 +135,12 @@ def _lens(
     return Lens(camera.width, camera.height, matrix, np.array([*coefficients, 0.0]))
 
 
-def _camera(role: str, mounting: Array, lens: Lens) -> Camera:
+def _camera(role: str, mounting: Array, lens: Lens) -> RigCamera:
     projection = np.hstack([lens.matrix, np.zeros((3, 1))])
-    return Camera(role, mounting, lens, np.eye(3), projection)
+    return RigCamera(role, mounting, lens, np.eye(3), projection)
 
 
-def _stereo(spec: SyntheticCamera) -> dict[str, Camera]:
+def _stereo(spec: SyntheticCamera) -> dict[str, RigCamera]:
     """Make the stereo pair: 0.12 m apart, turned against each other by a fraction of a degree."""
     turn = np.eye(4)
     turn[:3, :3] = rotation_from_euler(np.radians([[0.35, -0.8, 0.5]]))[0]
@@ -155,8 +155,10 @@ def _stereo(spec: SyntheticCamera) -> dict[str, Camera]:
         to_right[:3, :3], to_right[:3, 3:], flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
     )  # fmt: skip
     return {
-        "left": Camera("left", _LEFT_POSE, left, np.asarray(r1, np.float64), np.asarray(p1, np.float64)),
-        "right": Camera("right", right_pose, right, np.asarray(r2, np.float64), np.asarray(p2, np.float64)),
+        "left": RigCamera("left", _LEFT_POSE, left, np.asarray(r1, np.float64), np.asarray(p1, np.float64)),
+        "right": RigCamera(
+            "right", right_pose, right, np.asarray(r2, np.float64), np.asarray(p2, np.float64)
+        ),
     }
 
 
@@ -218,7 +220,7 @@ def _entry(name: str, kind: str, topic: str, *, rate: float, mounting: Array, st
     }
 
 
-def _camera_entry(role: str, camera: Camera, rate: float) -> dict[str, Any]:
+def _camera_entry(role: str, camera: RigCamera, rate: float) -> dict[str, Any]:
     lens = camera.lens
     return _entry(
         role, "Camera", f"/camera/{role}/image_raw", rate=rate, mounting=camera.pose, stamp="Sample"

@@ -120,7 +120,7 @@ class Vibration:
         return value, slope, -(sine * self._frequency**2).sum(2)
 
 
-class Trajectory:
+class SyntheticMotion:
     """The motion that a specification asks for."""
 
     def __init__(self, spec: SyntheticRecording) -> None:

@@ -36,7 +36,7 @@ _LOG_SILENCE_SECONDS = 900.0
 _TRIAL = {"dryRun": "All"}
 
 
-class Session:
+class PodSession:
     """A program that runs in a pod.
 
     Args:
@@ -190,7 +190,7 @@ class UserApi(Api):
     @asynccontextmanager
     async def executing(
         self, namespace: str, pod: str, container: str, command: Sequence[str]
-    ) -> AsyncIterator[Session]:
+    ) -> AsyncIterator[PodSession]:
         """Run a program in a container of a pod, for as long as the context lasts.
 
         Raises:
@@ -223,7 +223,7 @@ class UserApi(Api):
                 resource="pods/exec",
             ) from error
         async with socket:
-            yield Session(socket, target)
+            yield PodSession(socket, target)
 
     async def _lines(self, namespace: str, pod: str, query: dict[str, Any]) -> AsyncGenerator[bytes, None]:
         target = f"{namespace}/{pod}"

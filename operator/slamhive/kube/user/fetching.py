@@ -14,7 +14,7 @@ from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.records import record_of, with_evaluations
 from slamhive.kube.status import phase_of, variant_of
 from slamhive.kube.user.queries import is_over, name_of, owner_uid, runs_of, status_of
-from slamhive.kube.user.run_files import Wanted
+from slamhive.kube.user.run_files import WantedRun
 from slamhive.model.errors import InputError
 from slamhive.model.evaluation import EvaluationSettings
 from slamhive.model.sweep import Sweep
@@ -72,7 +72,7 @@ class Fetcher:
         self._archive = archive
         self._step = step
         self._settings: dict[str, EvaluationSettings] = {}
-        self.absent: list[Wanted] = []
+        self.absent: list[WantedRun] = []
         """The runs that were copied and whose files are not here, with the sweep that each belongs to."""
 
     async def sweep(self, body: Object) -> Fetched:
@@ -132,7 +132,7 @@ class Fetcher:
             if before := here.get(record.uid):
                 record = record.replace(folder=before.folder, trajectory=before.trajectory)
             else:
-                self.absent.append(Wanted(run, sweep))
+                self.absent.append(WantedRun(run, sweep))
             self._archive.put_run(record, algorithm, dataset)
             self._step(number, len(runs))
 
@@ -163,7 +163,7 @@ class Fetcher:
         return known.get("attributes") or dict(dataset.spec.known_attributes)
 
 
-def put_folder(archive: Archive, item: Wanted, folder: RunFolder) -> None:
+def put_folder(archive: Archive, item: WantedRun, folder: RunFolder) -> None:
     """Note where the files of a run are here."""
     record = archive.get(item.uid)
     if record is None:

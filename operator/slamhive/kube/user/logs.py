@@ -26,7 +26,7 @@ _PAUSE_SECONDS = 1.0
 _WAITING = "waiting"
 
 
-class Part(Choice):
+class LogPart(Choice):
     """Kinds of output that reading a log yields: a line of the log, or a remark about it."""
 
     LINE = "line"
@@ -52,7 +52,7 @@ class _Seen:
 
 async def read_log(
     cluster: Cluster, name: str, container: str, *, follow: bool = False, tail: int | None = None
-) -> AsyncGenerator[tuple[Part, str], None]:
+) -> AsyncGenerator[tuple[LogPart, str], None]:
     """Yield the lines of a run's log, and remarks about where they come from.
 
     Args:
@@ -67,7 +67,7 @@ async def read_log(
         InputError: its pod has no such container.
     """
     [(_, run)] = await find(cluster, [name], [Kind.MAPPING_RUN])
-    reader = _Reader(cluster, name, container, follow=follow, tail=tail)
+    reader = _LogReader(cluster, name, container, follow=follow, tail=tail)
     # A run may have several pods, one an attempt: each look takes the newest, and goes on where it stopped.
     while True:
         seen = await reader.look(run)
@@ -79,22 +79,22 @@ async def read_log(
             if reader.problem is None and (over or not follow):
                 return
         elif follow and not over and (text := reader.news(_waiting(run, seen))):
-            yield Part.REMARK, f"{text}; waiting for it to begin"
+            yield LogPart.REMARK, f"{text}; waiting for it to begin"
         if not follow or over:
             break
         await asyncio.sleep(_PAUSE_SECONDS)
         try:
             run = await cluster.api.get(cluster.key(Kind.MAPPING_RUN, name))
         except NotFound:
-            yield Part.REMARK, f"{name} was deleted"
+            yield LogPart.REMARK, f"{name} was deleted"
             return
     if reader.problem:
-        yield Part.REMARK, reader.problem
+        yield LogPart.REMARK, reader.problem
     for part in _kept(run, seen, container):
         yield part
 
 
-class _Reader:
+class _LogReader:
     """Reads a container's log, and knows how far."""
 
     def __init__(
@@ -143,17 +143,17 @@ class _Reader:
         attempt = (pod["metadata"].get("labels") or {}).get(Label.ATTEMPT, "1")
         return _Seen(name_of(pod), attempt, state, why)
 
-    async def read(self, seen: _Seen) -> AsyncGenerator[tuple[Part, str], None]:
+    async def read(self, seen: _Seen) -> AsyncGenerator[tuple[LogPart, str], None]:
         """Yield the parts of a container's log that were not read yet; it has begun."""
         self.problem = None
         if seen.pod in self.shown:
             return
         if seen.attempt != "1" and (text := self.news(f"attempt {seen.attempt}")):
-            yield Part.REMARK, text
+            yield LogPart.REMARK, text
         try:
             async with aclosing(self._lines(seen)) as lines:
                 async for line in lines:
-                    yield Part.LINE, line
+                    yield LogPart.LINE, line
         except Forbidden:
             raise
         except ApiError as error:  # the pod or its node went away, or the connection broke
@@ -183,26 +183,28 @@ def _waiting(run: Object, seen: _Seen | None) -> str:
     return f"{name_of(run)}: {phase_of(status)}{f': {why}' if why else ''}"
 
 
-def _kept(run: Object, seen: _Seen | None, container: str) -> list[tuple[Part, str]]:
+def _kept(run: Object, seen: _Seen | None, container: str) -> list[tuple[LogPart, str]]:
     """Return the known parts of the log of a run without a pod."""
     status, name = status_of(run), name_of(run)
     phase = phase_of(status)
     if not phase.is_finished:
-        return [(Part.REMARK, f"{_waiting(run, seen)}; it has written nothing yet (-f waits)")]
+        return [(LogPart.REMARK, f"{_waiting(run, seen)}; it has written nothing yet (-f waits)")]
     twin = (status.get("provenance") or {}).get("reusedFrom")
     if twin:
-        return [(Part.REMARK, f"{name} took the result of an equal run, {twin}, and ran nothing itself")]
-    parts: list[tuple[Part, str]] = []
+        return [(LogPart.REMARK, f"{name} took the result of an equal run, {twin}, and ran nothing itself")]
+    parts: list[tuple[LogPart, str]] = []
     tail = status.get("logTail") if container == "algorithm" else None
     if tail:
-        parts += [(Part.LINE, line) for line in str(tail).splitlines()]
-        parts.append((Part.REMARK, "the pod is gone; these are the last lines, which were kept"))
+        parts += [(LogPart.LINE, line) for line in str(tail).splitlines()]
+        parts.append((LogPart.REMARK, "the pod is gone; these are the last lines, which were kept"))
     elif status.get("startTime"):
-        parts.append((Part.REMARK, f"the pod is gone, and the log of its container {container} with it"))
+        parts.append((LogPart.REMARK, f"the pod is gone, and the log of its container {container} with it"))
     else:
         why = status.get("message") or ""
-        parts.append((Part.REMARK, f"{name} never ran: {status.get('reason') or phase}: {why}".rstrip(": ")))
+        parts.append(
+            (LogPart.REMARK, f"{name} never ran: {status.get('reason') or phase}: {why}".rstrip(": "))
+        )
     # The status keeps the last lines alone; who needs all of them finds them there.
     if folder := status.get("folder"):
-        parts.append((Part.REMARK, f"its files are on the results volume, in {folder}/"))
+        parts.append((LogPart.REMARK, f"its files are on the results volume, in {folder}/"))
     return parts

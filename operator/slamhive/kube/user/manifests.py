@@ -129,7 +129,7 @@ def common_namespace(manifests: Sequence[Manifest], asked: str | None) -> str | 
 
 
 @dataclass(frozen=True)
-class Difference:
+class ManifestDifference:
     """Difference between an object in a cluster and its manifest, with the patch that makes them equal.
 
     Attributes:
@@ -143,15 +143,15 @@ class Difference:
     patch: Object = field(default_factory=dict)
 
 
-def compare(manifest: Manifest, present: Object) -> Difference:
+def compare(manifest: Manifest, present: Object) -> ManifestDifference:
     """Say what differs between a manifest and the object of its name, defaults filled in on both sides."""
     try:
         there = catalogue.parse(type(manifest.item), present)
     except InputError as error:
-        return Difference(frozen=[f"the cluster's object is not valid here: {error}"])
+        return ManifestDifference(frozen=[f"the cluster's object is not valid here: {error}"])
     here_spec, there_spec = _plain(manifest.item), _plain(there)
     immutable = FROZEN.get(str(manifest.kind), ())
-    result = Difference()
+    result = ManifestDifference()
     for name in here_spec.keys() | there_spec.keys():
         before, after = there_spec.get(name), here_spec.get(name)
         # A manifest that says nothing of cancelling does not take it back.
@@ -166,7 +166,7 @@ def compare(manifest: Manifest, present: Object) -> Difference:
             result.patch.setdefault("spec", {})[name] = _merge(present["spec"].get(name), wanted)
     for name in ("labels", "annotations"):
         _marks(manifest, present, name, result)
-    return Difference(sorted(result.frozen), sorted(result.changes), result.patch)
+    return ManifestDifference(sorted(result.frozen), sorted(result.changes), result.patch)
 
 
 def bounded(sentences: list[str]) -> str:
@@ -175,7 +175,7 @@ def bounded(sentences: list[str]) -> str:
     return "; ".join(sentences[:_SHOWN]) + (f"; and {more} more" if more > 0 else "")
 
 
-def _marks(manifest: Manifest, present: Object, name: str, result: Difference) -> None:
+def _marks(manifest: Manifest, present: Object, name: str, result: ManifestDifference) -> None:
     """Note labels or annotations that the manifest sets otherwise; it has no say in others."""
     have = present["metadata"].get(name) or {}
     fresh = {key: value for key, value in manifest.metadata.get(name, {}).items() if have.get(key) != value}

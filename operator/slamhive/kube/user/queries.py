@@ -44,7 +44,7 @@ _BAD = {
 
 
 @dataclass(frozen=True)
-class Picture:
+class NamespacePicture:
     """Objects of a namespace that a command shows.
 
     Attributes:
@@ -74,7 +74,7 @@ class Picture:
         return all(is_over(kind, body) for kind, body in self.objects)
 
 
-async def look_around(cluster: Cluster) -> Picture:
+async def look_around(cluster: Cluster) -> NamespacePicture:
     """Return the picture of all that is in the namespace."""
     lists = await together(
         (
@@ -84,10 +84,12 @@ async def look_around(cluster: Cluster) -> Picture:
         )
     )
     sweeps, runs, evaluations = (sorted(items, key=_by_age) for items, _ in lists)
-    return Picture(sweeps, runs, evaluations)
+    return NamespacePicture(sweeps, runs, evaluations)
 
 
-async def look_at(cluster: Cluster, names: Sequence[str], before: Picture | None = None) -> Picture:
+async def look_at(
+    cluster: Cluster, names: Sequence[str], before: NamespacePicture | None = None
+) -> NamespacePicture:
     """Return the picture of all of some names, with the failed runs of Sweeps.
 
     Args:
@@ -112,7 +114,7 @@ async def look_at(cluster: Cluster, names: Sequence[str], before: Picture | None
             failed[name] = before.failed.get(name, [])
         elif count:
             failed[name] = [run for run in await runs_of(cluster, sweep) if has_failed(run)]
-    return Picture(by_kind[Kind.SWEEP], by_kind[Kind.MAPPING_RUN], by_kind[Kind.EVALUATION], failed)
+    return NamespacePicture(by_kind[Kind.SWEEP], by_kind[Kind.MAPPING_RUN], by_kind[Kind.EVALUATION], failed)
 
 
 async def find(

@@ -13,7 +13,7 @@ from slamhive.kube.api.transport import Request
 from slamhive.kube.user.connecting import connected, find_target
 from slamhive.kube.user.together import together
 from slamhive.model.errors import SlamHiveError
-from slamhive.model.readiness import Row, State, limited, missing, there
+from slamhive.model.readiness import ReadinessRow, State, limited, missing, there
 
 if TYPE_CHECKING:
     from slamhive.kube.api.kinds import Object
@@ -34,7 +34,7 @@ _RIGHTS = (
 """Verb, resource, and the command that needs the right."""
 
 
-async def look(context: str | None = None, namespace: str | None = None) -> list[Row]:
+async def look(context: str | None = None, namespace: str | None = None) -> list[ReadinessRow]:
     """Return the parts of a cluster that are there; one that doesn't answer costs a few seconds.
 
     Args:
@@ -64,11 +64,11 @@ async def look(context: str | None = None, namespace: str | None = None) -> list
         ]
 
 
-async def _version(cluster: Cluster, named: str) -> Row:
+async def _version(cluster: Cluster, named: str) -> ReadinessRow:
     return there("cluster", f"{named}, Kubernetes {await cluster.api.server_version()}, with our CRDs")
 
 
-async def _operator(cluster: Cluster) -> Row:
+async def _operator(cluster: Cluster) -> ReadinessRow:
     check, where = "operator", cluster.namespace
     path = f"/apis/apps/v1/namespaces/{where}/deployments"
     query = {"labelSelector": _OPERATOR}
@@ -77,11 +77,13 @@ async def _operator(cluster: Cluster) -> Row:
             Request("list", "deployments.apps", where, "GET", path, query=query), attempts=1
         )
     except (Forbidden, NotFound):
-        return Row(check, State.UNKNOWN, f"this user may not look for one in {where}")
+        return ReadinessRow(check, State.UNKNOWN, f"this user may not look for one in {where}")
     found = answer.get("items") or []
     if not found:
         told = f"none in {where}; one of another namespace may serve it"
-        return Row(check, State.UNKNOWN, told, "without one nothing starts", "slamhive status says more")
+        return ReadinessRow(
+            check, State.UNKNOWN, told, "without one nothing starts", "slamhive status says more"
+        )
     version = str((found[0]["metadata"].get("labels") or {}).get(_VERSION, "unknown"))
     told = f"version {version}"
     if not (found[0].get("status") or {}).get("availableReplicas"):
@@ -93,23 +95,23 @@ async def _operator(cluster: Cluster) -> Row:
     return there(check, told)
 
 
-async def _figures(cluster: Cluster) -> Row:
+async def _figures(cluster: Cluster) -> ReadinessRow:
     check = "metrics API"
     try:
         await cluster.api.pod_metrics(cluster.namespace)
     except Forbidden:
-        return Row(check, State.UNKNOWN, "this user may not read it")
+        return ReadinessRow(check, State.UNKNOWN, "this user may not read it")
     except ApiError:
         costs = "no live CPU and memory while runs go on; the figures of finished ones are the monitor's"
         return missing(check, "it does not answer", costs, "its administrator installs metrics-server")
     return there(check, "it answers")
 
 
-async def _rights(cluster: Cluster) -> Row:
+async def _rights(cluster: Cluster) -> ReadinessRow:
     may = await together(_may(cluster, verb, resource) for verb, resource, _ in _RIGHTS)
     lacking = [right for right, allowed in zip(_RIGHTS, may, strict=True) if allowed is False]
     if None in may:
-        return Row("rights", State.UNKNOWN, "the cluster does not tell which rights this user has")
+        return ReadinessRow("rights", State.UNKNOWN, "the cluster does not tell which rights this user has")
     if not lacking:
         return there("rights", ", ".join(command for _, _, command in _RIGHTS))
     words = ", ".join(f"{verb} {resource}" for verb, resource, _ in lacking)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from slamhive.kube.user.api import Session
+    from slamhive.kube.user.api import PodSession
     from slamhive.kube.user.connecting import Cluster
     from slamhive.kube.user.sending import SenderPod
 
@@ -175,7 +175,7 @@ def _is_plain(part: str) -> bool:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class WantedRun:
     """A finished run whose files are to be here.
 
     Attributes:
@@ -240,7 +240,7 @@ class Filing:
         cluster: Cluster,
         place: Path,
         *,
-        keep: Callable[[Wanted, RunFolder], None],
+        keep: Callable[[WantedRun, RunFolder], None],
         step: Callable[[int, int, int], None],
         tell: Callable[[str], None],
     ) -> None:
@@ -252,7 +252,7 @@ class Filing:
         self._filed = Filed()
         self._total = 0
 
-    async def fetch(self, wanted: Sequence[Wanted]) -> Filed:
+    async def fetch(self, wanted: Sequence[WantedRun]) -> Filed:
         """Fetch the files of some runs; folders that are here already are not fetched again.
 
         Raises:
@@ -260,7 +260,7 @@ class Filing:
             SystemFault: nothing more can be written here.
             ApiError: the cluster does not answer any more.
         """
-        todo: deque[Wanted] = deque()
+        todo: deque[WantedRun] = deque()
         for item in wanted:
             folder = self._folder(item)
             if folder.is_whole:
@@ -273,10 +273,10 @@ class Filing:
                 await self._take_all(pod, todo)
         return self._filed
 
-    def _folder(self, item: Wanted) -> RunFolder:
+    def _folder(self, item: WantedRun) -> RunFolder:
         return RunFolder(self._place / item.sweep, item.name, item.uid)
 
-    async def _take_all(self, pod: SenderPod, todo: deque[Wanted]) -> None:
+    async def _take_all(self, pod: SenderPod, todo: deque[WantedRun]) -> None:
         failures = 0
         while todo:
             before = self._filed.size, len(todo)
@@ -291,7 +291,7 @@ class Filing:
                     raise
                 await asyncio.sleep(_PAUSE_SECONDS)
 
-    async def _converse(self, session: Session, todo: deque[Wanted]) -> None:
+    async def _converse(self, session: PodSession, todo: deque[WantedRun]) -> None:
         """Take one folder after the other, asking for the next ones meanwhile."""
         asked = 0
         while todo:
@@ -309,10 +309,10 @@ class Filing:
             asked -= 1
             self._progress(todo)
 
-    def _progress(self, todo: deque[Wanted]) -> None:
+    def _progress(self, todo: deque[WantedRun]) -> None:
         self._step(self._total - len(todo), self._total, self._filed.size)
 
-    async def _take(self, session: Session, item: Wanted) -> None:
+    async def _take(self, session: PodSession, item: WantedRun) -> None:
         """Take a run's folder; what is wrong with it is noted."""
         folder, problems = self._folder(item), []
         checksums: dict[str, str] = {}
@@ -340,7 +340,7 @@ class Filing:
         self._filed.runs += 1
         self._keep(item, folder)
 
-    async def _file(self, session: Session, folder: RunFolder, told: Object) -> str:
+    async def _file(self, session: PodSession, folder: RunFolder, told: Object) -> str:
         """Take one file and return its checksum.
 
         Raises:
@@ -375,7 +375,7 @@ class Filing:
             raise _Damaged(str(end.get("problem") or "it arrived damaged"))
         return here
 
-    async def _log(self, item: Wanted, folder: RunFolder) -> None:
+    async def _log(self, item: WantedRun, folder: RunFolder) -> None:
         """Add what the algorithm printed: all of it while its pod is there, else the lines that were kept."""
         kept = str(status_of(item.run).get("logTail") or "")
         with folder.incoming(LOG) as file:
@@ -387,7 +387,7 @@ class Filing:
             with folder.incoming(LOG) as file:
                 file.write(f"{kept}\n".encode() if kept else b"")
 
-    async def _pods_log(self, item: Wanted, write: Callable[[bytes], None]) -> int:
+    async def _pods_log(self, item: WantedRun, write: Callable[[bytes], None]) -> int:
         api, namespace = self._cluster.api, self._cluster.namespace
         labels = f"{Label.RUN}={label_value(item.name)},{Label.ROLE}={Role.RUN}"
         pods, _ = await api.list(Kind.POD, namespace, labels=labels)

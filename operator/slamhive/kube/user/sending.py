@@ -24,7 +24,7 @@ from slamhive.kube.user.queries import name_of, status_of
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 
-    from slamhive.kube.user.api import Session
+    from slamhive.kube.user.api import PodSession
     from slamhive.kube.user.connecting import Cluster
 
 
@@ -55,7 +55,7 @@ class SenderPod:
     store: StoreReference | None = None
 
     @asynccontextmanager
-    async def session(self) -> AsyncIterator[Session]:
+    async def session(self) -> AsyncIterator[PodSession]:
         """Open an exec session to the file server pod, in the protocol of ``slamhive.jobs.send``.
 
         Raises:

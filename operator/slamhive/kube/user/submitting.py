@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from slamhive.kube.api.errors import AlreadyExists, Conflict, Invalid, NotFound
 from slamhive.kube.api.kinds import Kind, Object
 from slamhive.kube.reconciling.catalogue import parse
-from slamhive.kube.user.manifests import Difference, Manifest, bounded, compare, entry_of
+from slamhive.kube.user.manifests import Manifest, ManifestDifference, bounded, compare, entry_of
 from slamhive.kube.user.together import together
 from slamhive.model.algorithm import Algorithm
 from slamhive.model.base import Choice
@@ -157,15 +157,17 @@ async def send(cluster: Cluster, manifests: Sequence[Manifest], *, trial: bool =
     ordered = sorted(manifests, key=lambda item: _ORDER.index(item.kind))
     limit = asyncio.Semaphore(_AT_ONCE)
 
-    async def look(manifest: Manifest) -> tuple[Object | None, Difference]:
+    async def look(manifest: Manifest) -> tuple[Object | None, ManifestDifference]:
         async with limit:
             try:
                 present = await cluster.api.get(cluster.key(manifest.kind, manifest.name))
             except NotFound:
-                return None, Difference()
+                return None, ManifestDifference()
         return present, compare(manifest, present)
 
-    async def attempt(manifest: Manifest, present: Object | None, difference: Difference) -> str | None:
+    async def attempt(
+        manifest: Manifest, present: Object | None, difference: ManifestDifference
+    ) -> str | None:
         async with limit:
             try:
                 if present is None:
@@ -194,7 +196,7 @@ async def _do(
     cluster: Cluster,
     manifest: Manifest,
     present: Object | None,
-    difference: Difference,
+    difference: ManifestDifference,
     trial: bool,
 ) -> Sent:
     if present is not None:

@@ -32,7 +32,7 @@ class Extent(NamedTuple):
         return Extent(self.size + other.size, self.files + other.files)
 
 
-class Tally:
+class DiskTally:
     """A count of what folders take, or of what removing them gives back; links are not followed.
 
     Args:

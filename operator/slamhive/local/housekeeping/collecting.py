@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from slamhive.data.files.fetching import is_busy
 from slamhive.data.files.once import GRACE_SECONDS, last_use, leftovers, remove_free, remove_leftover
 from slamhive.data.store.datasets import MANIFEST, made_folder
-from slamhive.local.home.extent import Extent, Tally
+from slamhive.local.home.extent import DiskTally, Extent
 from slamhive.local.home.removed import NOTE, leftovers_in, remove, remove_files, removed_from, run_parts
 from slamhive.local.housekeeping.forgetting import is_left_behind, remove_empty
 from slamhive.local.housekeeping.merging import ASIDE
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from slamhive.local.home.catalog import Workshop
     from slamhive.local.home.folder import Home
-    from slamhive.local.housekeeping.forgetting import Known
+    from slamhive.local.housekeeping.forgetting import ArchivedRun
 
 CHECKS = "check"
 """Folder of ``slamhive algorithm check``, which removes it itself unless it is killed."""
@@ -55,7 +55,7 @@ _MOST = 4 << 20
 _AGAIN = "made again when it is needed"
 
 
-class Kind(Choice):
+class HomeFindKind(Choice):
     """Sorts of things that are collected."""
 
     RUNS = "runs"
@@ -69,7 +69,7 @@ class Kind(Choice):
     LEFTOVERS = "leftovers"
 
 
-class Find(NamedTuple):
+class HomeFind(NamedTuple):
     """Something in a home.
 
     Attributes:
@@ -80,7 +80,7 @@ class Find(NamedTuple):
         extent: what it takes, or what removing it gives back.
     """
 
-    kind: Kind
+    kind: HomeFindKind
     path: Path
     goes: bool
     why: str
@@ -88,7 +88,7 @@ class Find(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Asked:
+class CollectOptions:
     """Options of ``slamhive gc``: what may be removed beyond what nothing refers to.
 
     Attributes:
@@ -113,12 +113,12 @@ class _Referred:
 def survey(
     home: Home,
     workshop: Workshop,
-    runs: Iterable[Known],
+    runs: Iterable[ArchivedRun],
     datasets: Collection[str],
-    asked: Asked,
+    asked: CollectOptions,
     *,
     now: float | None = None,
-) -> list[Find]:
+) -> list[HomeFind]:
     """Return the finds beside a home's run files, datasets and archive, each with whether it may go.
 
     Args:
@@ -138,9 +138,9 @@ def survey(
     }
     return [
         *surveyor.runs(known),
-        *surveyor.caches(Kind.VARIANTS, "a run was made from it", surveyor.referred.variants),
+        *surveyor.caches(HomeFindKind.VARIANTS, "a run was made from it", surveyor.referred.variants),
         *surveyor.recordings(datasets),
-        *surveyor.caches(Kind.TRUTHS, "a dataset may need it", None),
+        *surveyor.caches(HomeFindKind.TRUTHS, "a dataset may need it", None),
         *surveyor.environments(),
         *surveyor.assets(),
         *surveyor.cache(),
@@ -150,8 +150,8 @@ def survey(
 
 
 def collect(
-    home: Home, finds: Iterable[Find], step: Callable[[int], None] = lambda _: None
-) -> tuple[list[Find], list[Find]]:
+    home: Home, finds: Iterable[HomeFind], step: Callable[[int], None] = lambda _: None
+) -> tuple[list[HomeFind], list[HomeFind]]:
     """Remove what is to go.
 
     Args:
@@ -165,8 +165,8 @@ def collect(
     Raises:
         SystemFault: the disk refuses.
     """
-    gone: list[Find] = []
-    kept: list[Find] = []
+    gone: list[HomeFind] = []
+    kept: list[HomeFind] = []
     for number, find in enumerate((find for find in finds if find.goes), 1):
         try:
             (gone if _remove(find) else kept).append(find)
@@ -177,15 +177,15 @@ def collect(
     return gone, kept
 
 
-def _remove(find: Find) -> bool:
+def _remove(find: HomeFind) -> bool:
     match find.kind:
-        case Kind.VARIANTS | Kind.RECORDINGS | Kind.TRUTHS:
+        case HomeFindKind.VARIANTS | HomeFindKind.RECORDINGS | HomeFindKind.TRUTHS:
             return remove_free(find.path)
-        case Kind.ENVIRONMENTS:
+        case HomeFindKind.ENVIRONMENTS:
             return remove_environment(find.path)
-        case Kind.ASSETS:
+        case HomeFindKind.ASSETS:
             return remove_asset(find.path)
-        case Kind.RUNS:
+        case HomeFindKind.RUNS:
             # First its files, with a note: a half of it must not pass for a run that nobody has kept yet.
             remove_files(find.path, find.extent.size)
             remove(find.path)
@@ -204,15 +204,15 @@ def _remove(find: Find) -> bool:
 class _Surveyor:
     """Looks through one home."""
 
-    def __init__(self, home: Home, workshop: Workshop, asked: Asked, now: float) -> None:
+    def __init__(self, home: Home, workshop: Workshop, asked: CollectOptions, now: float) -> None:
         self._home = home
         self._workshop = workshop
         self._asked = asked
         self._now = now
-        self._taken, self._freed = Tally(), Tally(freed=True)
+        self._taken, self._freed = DiskTally(), DiskTally(freed=True)
         self.referred = _Referred()
 
-    def runs(self, known: Collection[tuple[str, str]]) -> Iterator[Find]:
+    def runs(self, known: Collection[tuple[str, str]]) -> Iterator[HomeFind]:
         """Yield run folders that no record refers to, or that a removal left half removed."""
         root = self._home.path / "runs"
         there = set()
@@ -221,19 +221,19 @@ class _Surveyor:
             there.add(parts)
             if removed_from(folder) is not None:
                 if parts not in known:
-                    yield self._find(Kind.RUNS, folder, "its record was removed", goes=True)
+                    yield self._find(HomeFindKind.RUNS, folder, "its record was removed", goes=True)
                 elif leftovers_in(folder):
-                    yield self._find(Kind.LEFTOVERS, folder, "a removal was interrupted", goes=True)
+                    yield self._find(HomeFindKind.LEFTOVERS, folder, "a removal was interrupted", goes=True)
                 continue
             # What it was made from stays with it, whether or not a record refers to it.
             self._refer(folder)
             if parts not in known:
                 busy = is_left_behind(folder)
                 why = "a killed slamhive may have left programs at work" if busy else "no record refers to it"
-                yield self._find(Kind.RUNS, folder, why, goes=self._asked.unrecorded and not busy)
+                yield self._find(HomeFindKind.RUNS, folder, why, goes=self._asked.unrecorded and not busy)
         self.referred.missing = sum(parts not in there for parts in known)
 
-    def caches(self, kind: Kind, why: str, referred: Collection[str] | None) -> Iterator[Find]:
+    def caches(self, kind: HomeFindKind, why: str, referred: Collection[str] | None) -> Iterator[HomeFind]:
         """Yield folders that are made once; None: nobody knows what refers to them."""
         for folder in self._folders(self._home.path / kind):
             used = referred is None or folder.name in referred
@@ -242,7 +242,7 @@ class _Surveyor:
                 used, why = True, f"folders of {self.referred.missing} runs are missing that may refer to it"
             yield self._made(kind, folder, why if used else None)
 
-    def recordings(self, datasets: Collection[str]) -> Iterator[Find]:
+    def recordings(self, datasets: Collection[str]) -> Iterator[HomeFind]:
         """Yield recordings that were generated or fetched."""
         root = self._home.path / "datasets"
         current = {
@@ -258,9 +258,9 @@ class _Surveyor:
                 why = "its dataset is in the catalog"
             elif match["name"] in datasets and match["name"] not in self._workshop.dataset_places:
                 why = "records refer to its dataset, which is not in the catalog"
-            yield self._made(Kind.RECORDINGS, folder, why)
+            yield self._made(HomeFindKind.RECORDINGS, folder, why)
 
-    def environments(self) -> Iterator[Find]:
+    def environments(self) -> Iterator[HomeFind]:
         """Yield environments of algorithms, and those that were not made to their end."""
         root = self._home.path / "environments"
         needed, doubt = self._needed_environments(root)
@@ -270,7 +270,7 @@ class _Surveyor:
             if not is_whole(folder):
                 linked = self._linked(folder)
                 yield self._find(
-                    Kind.ENVIRONMENTS, folder, linked or "it was left half made", goes=not linked
+                    HomeFindKind.ENVIRONMENTS, folder, linked or "it was left half made", goes=not linked
                 )
                 continue
             why = doubt
@@ -278,9 +278,9 @@ class _Surveyor:
                 why = "an algorithm of the catalog needs it"
             elif folder.name in self.referred.environments:
                 why = "a run was made in it"
-            yield self._made(Kind.ENVIRONMENTS, folder, why, recent=False)
+            yield self._made(HomeFindKind.ENVIRONMENTS, folder, why, recent=False)
 
-    def assets(self) -> Iterator[Find]:
+    def assets(self) -> Iterator[HomeFind]:
         """Yield files that were fetched for algorithms."""
         named = {
             asset.sha256
@@ -297,38 +297,40 @@ class _Surveyor:
                 why = "an algorithm of the catalog names it"
             elif path.name in self.referred.assets:
                 why = "a run was made with it"
-            yield self._made(Kind.ASSETS, path, why, recent=False)
+            yield self._made(HomeFindKind.ASSETS, path, why, recent=False)
 
-    def cache(self) -> Iterator[Find]:
+    def cache(self) -> Iterator[HomeFind]:
         """Yield tables that the dashboard and the command keep to start faster."""
         for path in sorted((self._home.path / "cache").glob("*.npz")):
             if not path.name.startswith("."):
-                yield self._made(Kind.CACHE, path, "it makes large tables load faster", recent=False)
+                yield self._made(HomeFindKind.CACHE, path, "it makes large tables load faster", recent=False)
 
-    def downloads(self) -> Iterator[Find]:
+    def downloads(self) -> Iterator[HomeFind]:
         """Yield archives of datasets that were kept, and parts of others; what users put there is theirs."""
         for path in sorted((self._home.path / "downloads").glob("*")):
             if path.is_file() and _ARCHIVE.fullmatch(path.name):
                 if self._now - path.lstat().st_mtime < GRACE_SECONDS:
                     yield self._find(
-                        Kind.DOWNLOADS, path, "it was fetched in the last 10 minutes", goes=False
+                        HomeFindKind.DOWNLOADS, path, "it was fetched in the last 10 minutes", goes=False
                     )
                 else:
                     why = "it was kept: dataset add takes other sequences from it"
-                    yield self._made(Kind.DOWNLOADS, path, why, recent=False)
+                    yield self._made(HomeFindKind.DOWNLOADS, path, why, recent=False)
             elif _PARTIAL.fullmatch(path.name) and not is_busy(path):
                 recent = self._now - path.lstat().st_mtime < GRACE_SECONDS
                 stays = self._linked(path) or ("it was fetched in the last 10 minutes" if recent else "")
                 why = stays or "its fetch was interrupted"
-                yield self._find(Kind.LEFTOVERS, path, why, goes=not stays)
+                yield self._find(HomeFindKind.LEFTOVERS, path, why, goes=not stays)
 
-    def leftovers(self) -> Iterator[Find]:
+    def leftovers(self) -> Iterator[HomeFind]:
         """Yield the finds that killed work left half made."""
         path = self._home.path
         for name in ("variants", "datasets", "truths"):
             for folder in leftovers(path / name):
                 linked = self._linked(folder)
-                yield self._find(Kind.LEFTOVERS, folder, linked or "it was left half made", goes=not linked)
+                yield self._find(
+                    HomeFindKind.LEFTOVERS, folder, linked or "it was left half made", goes=not linked
+                )
         patterns = (
             ".*.sqlite.*.making*",
             "cache/.dashboard-*",
@@ -336,19 +338,21 @@ class _Surveyor:
             "datasets/*/.dataset.*",
         )
         for folder in (*path.glob(f"datasets/.*{REMOVING}"), *path.glob(f"algorithms/.*{REMOVING}")):
-            yield self._find(Kind.LEFTOVERS, folder, "a removal was interrupted", goes=True)
+            yield self._find(HomeFindKind.LEFTOVERS, folder, "a removal was interrupted", goes=True)
         for file in (file for pattern in patterns for file in sorted(path.glob(pattern))):
             linked = self._linked(file)
             if file.suffix == ".lock" or is_busy(file):  # one that waits for a lock must not lose it
                 continue
             if self._now - file.lstat().st_mtime >= GRACE_SECONDS:
-                yield self._find(Kind.LEFTOVERS, file, linked or "it was left half made", goes=not linked)
+                yield self._find(
+                    HomeFindKind.LEFTOVERS, file, linked or "it was left half made", goes=not linked
+                )
         if (path / ASIDE).is_dir():
-            yield self._find(Kind.LEFTOVERS, path / ASIDE, "a merge was interrupted", goes=True)
+            yield self._find(HomeFindKind.LEFTOVERS, path / ASIDE, "a merge was interrupted", goes=True)
         if (path / CHECKS).is_dir():
-            yield self._find(Kind.LEFTOVERS, path / CHECKS, "a check was killed", goes=True)
+            yield self._find(HomeFindKind.LEFTOVERS, path / CHECKS, "a check was killed", goes=True)
 
-    def _made(self, kind: Kind, path: Path, referred: str | None, *, recent: bool = True) -> Find:
+    def _made(self, kind: HomeFindKind, path: Path, referred: str | None, *, recent: bool = True) -> HomeFind:
         """Return a find that is made again when it is needed.
 
         Args:
@@ -367,8 +371,8 @@ class _Surveyor:
             return self._find(kind, path, f"{referred}; {_AGAIN}", goes=True)
         return self._find(kind, path, referred, goes=False)
 
-    def _find(self, kind: Kind, path: Path, why: str, *, goes: bool) -> Find:
-        return Find(kind, path, goes, why, (self._freed if goes else self._taken).of(path))
+    def _find(self, kind: HomeFindKind, path: Path, why: str, *, goes: bool) -> HomeFind:
+        return HomeFind(kind, path, goes, why, (self._freed if goes else self._taken).of(path))
 
     def _linked(self, path: Path) -> str | None:
         """Return the reason that things in a folder of the home stay: it is a link."""

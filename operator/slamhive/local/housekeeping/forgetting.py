@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from slamhive.local.home.extent import Extent, Tally, total
+from slamhive.local.home.extent import DiskTally, Extent, total
 from slamhive.local.home.folder import lock
 from slamhive.local.home.removed import leftovers_in, remove, remove_files, removed_from, run_parts
 from slamhive.model.errors import InputError, SystemFault
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _BATCH = 500
 
 
-class Known(NamedTuple):
+class ArchivedRun(NamedTuple):
     """A run that the archive knows.
 
     Attributes:
@@ -58,7 +58,7 @@ class Going:
         extent: what that gives back.
     """
 
-    run: Known
+    run: ArchivedRun
     folder: Path | None
     extent: Extent
 
@@ -122,7 +122,7 @@ def alone(home: Home, what: str) -> Iterator[None]:
 
 def plan_forgetting(
     home: Path,
-    runs: Iterable[Known],
+    runs: Iterable[ArchivedRun],
     chosen: Collection[str],
     *,
     records: bool = False,
@@ -141,14 +141,14 @@ def plan_forgetting(
     without = [run for run in elsewhere if run.uid in chosen]
     going: list[Going] = []
     shared: list[Extent] = []
-    busy, tally = 0, Tally(freed=True)
+    busy, tally = 0, DiskTally(freed=True)
     for folder, users in by_folder.items():
         mine = [run for run in users if run.uid in chosen]
         if not mine:
             continue
         # A removal that was interrupted has left its note, and files: those are still to go.
         gone = removed_from(folder) is not None and not leftovers_in(folder)
-        taken = Extent() if gone else Tally().of(folder)
+        taken = Extent() if gone else DiskTally().of(folder)
         if larger is not None and taken.size <= larger:
             continue
         # Removing files below a program that still writes would only have it make them anew.
@@ -224,9 +224,11 @@ def is_left_behind(folder: Path) -> bool:
     return (folder / "process.json").exists() and not (folder / "summary.json").exists()
 
 
-def _by_folder(home: Path, runs: Iterable[Known]) -> tuple[dict[Path, list[Known]], list[Known]]:
+def _by_folder(
+    home: Path, runs: Iterable[ArchivedRun]
+) -> tuple[dict[Path, list[ArchivedRun]], list[ArchivedRun]]:
     """Return the folders in the home with the runs that refer to each, and the runs without one."""
-    by_folder: dict[Path, list[Known]] = defaultdict(list)
+    by_folder: dict[Path, list[ArchivedRun]] = defaultdict(list)
     without = []
     for run in runs:
         folder = _folder(home, run)
@@ -237,7 +239,7 @@ def _by_folder(home: Path, runs: Iterable[Known]) -> tuple[dict[Path, list[Known
     return by_folder, without
 
 
-def _folder(home: Path, run: Known) -> Path | None:
+def _folder(home: Path, run: ArchivedRun) -> Path | None:
     """Return a run's folder in the home, None where it has none there."""
     parts = run_parts(run.folder)
     if parts is None or run.source == IMPORTED:

@@ -29,7 +29,7 @@ from slamhive.archive.schema import VERSION
 from slamhive.archive.upgrading import copy_database, upgrade
 from slamhive.contract.files import read_regular
 from slamhive.data.files.once import settle
-from slamhive.local.home.extent import Extent, Tally, total
+from slamhive.local.home.extent import DiskTally, Extent, total
 from slamhive.local.home.removed import remove, run_parts, write_whole
 from slamhive.model.errors import SystemFault
 from slamhive.model.results import IMPORTED
@@ -51,7 +51,7 @@ Parts = tuple[str, str]
 """The way from ``runs`` to a run's folder: SWEEP and RUN."""
 
 
-class Key(NamedTuple):
+class RunIdentity(NamedTuple):
     """Identity, content and times of a run; where all are equal, two homes have the same run."""
 
     uid: str
@@ -223,7 +223,7 @@ class _Planner:
     def __init__(self, home: Home, archive: Archive, other: Other) -> None:
         self._runs = home.path / "runs"
         self._other = other
-        self._mine: dict[Key, RunRecord] = {}
+        self._mine: dict[RunIdentity, RunRecord] = {}
         self._uids: set[str] = set()
         for record in archive.runs():
             self._mine[_key(record)] = record
@@ -231,7 +231,7 @@ class _Planner:
         self._origin = other.archive.identity
         self._places: dict[Parts, Parts] = {}
         self._taken: set[Parts] = set()
-        self._tally = Tally()
+        self._tally = DiskTally()
         self._found = Merge()
 
     def plan(self) -> Merge:
@@ -317,10 +317,10 @@ def _origin(identity: str, parts: Parts) -> dict[str, str]:
     return {"archive": identity, "folder": "/".join(parts)}
 
 
-def _key(record: RunRecord) -> Key:
+def _key(record: RunRecord) -> RunIdentity:
     moments = (moment.timestamp() if moment else None for moment in (record.created, record.finished))
     # Without the digits that an earlier merge gave it, or a second merge would bring the run once more.
-    return Key(record.uid.partition("@")[0], record.provenance.content_hash, *moments)
+    return RunIdentity(record.uid.partition("@")[0], record.provenance.content_hash, *moments)
 
 
 def _free(name: str, digits: str, is_taken: Callable[[str], bool]) -> str:

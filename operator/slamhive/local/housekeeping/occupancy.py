@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.data.store.datasets import MANIFEST
-from slamhive.local.home.extent import Extent, Tally
+from slamhive.local.home.extent import DiskTally, Extent
 from slamhive.local.home.removed import NOTE, leftovers_in
 from slamhive.local.housekeeping.collecting import CHECKS, MADE
 from slamhive.local.housekeeping.merging import ASIDE
@@ -48,7 +48,7 @@ class Room(NamedTuple):
 
 def occupancy(home: Path) -> list[Room]:
     """Return the rooms of a home, the largest first; what a link leads to counts as if it were here."""
-    tally = Tally()
+    tally = DiskTally()
     found: dict[tuple[str, str], tuple[int, Extent]] = {}
     for what, path in _parts(home):
         # They lie among variants and datasets, and are none.

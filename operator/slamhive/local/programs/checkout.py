@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slamhive.local.programs.installing import Step, Steps, Teller, install
+from slamhive.local.programs.installing import InstallStep, Steps, Teller, install
 from slamhive.local.programs.uv import find_uv, settle, uv_commands, uv_variables
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ class _Making:
 
     def _fetch(self, folder: str) -> list[str]:
         """Put uv into a folder by pip, and return what that said where it failed."""
-        self.teller.take(Step("fetching uv", 0, 0))
+        self.teller.take(InstallStep("fetching uv", 0, 0))
         wanted = self.aside / "uv.txt"
         wanted.write_text("".join(_OF_UV.findall(self.packages.read_text(encoding="utf-8"))))
         target = ["--quiet", "--no-deps", "--target", folder, *_HASHED, str(wanted)]

@@ -38,7 +38,7 @@ _MARKER = ".complete"
 _TO_PROGRAMS = ("LD_LIBRARY_PATH", "SSL_CERT_FILE", "TZ")
 
 
-class Part(NamedTuple):
+class ProgramPart(NamedTuple):
     """A part of what a program is.
 
     Attributes:
@@ -145,7 +145,7 @@ class Environments:
         """Return the digest of environment and adapter: equal ones run the same program."""
         return digest_of(self.parts(entry))
 
-    def parts(self, entry: AlgorithmEntry) -> list[Part]:
+    def parts(self, entry: AlgorithmEntry) -> list[ProgramPart]:
         """Return the parts that the digest is made of, each by its name for people, with checksums of files.
 
         Raises:
@@ -156,11 +156,11 @@ class Environments:
             return _parts_of_command(entry)
         python = interpreter(program, ros=entry.algorithm.spec.ros1 is not None)
         parts = [
-            Part("Python", f"{python.version[0]}.{python.version[1]}"),
-            Part("machine", platform.machine()),
-            *(Part("ROS", one) for one in python.beside),
+            ProgramPart("Python", f"{python.version[0]}.{python.version[1]}"),
+            ProgramPart("machine", platform.machine()),
+            *(ProgramPart("ROS", one) for one in python.beside),
         ]
-        return parts + [Part(path.name, _sha256(path)) for path in source_files(entry)]
+        return parts + [ProgramPart(path.name, _sha256(path)) for path in source_files(entry)]
 
     def get(self, entry: AlgorithmEntry, pace: str = "") -> Environment:  # noqa: ARG002
         """Return an algorithm's environment, the same for all paces, made when it isn't there.
@@ -280,7 +280,7 @@ def _program(entry: AlgorithmEntry) -> LocalProgram:
     return program
 
 
-def digest_of(parts: Iterable[Part]) -> str:
+def digest_of(parts: Iterable[ProgramPart]) -> str:
     """Return the digest of a program by its parts, whose names don't count."""
     return hashlib.sha256("\n".join(part.value for part in parts).encode()).hexdigest()
 
@@ -305,12 +305,12 @@ def source_files(entry: AlgorithmEntry) -> list[Path]:
     return files + assets
 
 
-def _parts_of_command(entry: AlgorithmEntry) -> list[Part]:
+def _parts_of_command(entry: AlgorithmEntry) -> list[ProgramPart]:
     """Return the parts of a program that needs no Python: it, and files beside it that it is given."""
     ros = find_ros() if entry.algorithm.spec.ros1 is not None else None
-    parts = [Part("its kind", "command"), Part("machine", platform.machine())]
-    parts += [Part("ROS", f"ros1 {ros.release}")] if ros else []
-    return parts + [Part(path.name, _sha256(path)) for path in source_files(entry)]
+    parts = [ProgramPart("its kind", "command"), ProgramPart("machine", platform.machine())]
+    parts += [ProgramPart("ROS", f"ros1 {ros.release}")] if ros else []
+    return parts + [ProgramPart(path.name, _sha256(path)) for path in source_files(entry)]
 
 
 def _check_command(entry: AlgorithmEntry, program: LocalProgram) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Executors of a workstation, and which one runs an algorithm: its environment, or its container image.
 
-A `Prepared` program is all that an attempt has to know of its executor. To run an algorithm by a named one::
+A `PreparedProgram` is all that an attempt has to know of its executor. To run an algorithm by a named one::
 
     bench = Workbench(home, workshop, archive, container=ContainerChoice.PODMAN)
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from slamhive.local.home.catalog import AlgorithmEntry
     from slamhive.local.home.folder import Home
-    from slamhive.local.programs.environments import Part
-    from slamhive.local.programs.prepared import Prepared
+    from slamhive.local.programs.environments import ProgramPart
+    from slamhive.local.programs.prepared import PreparedProgram
     from slamhive.model.algorithm import AlgorithmSpec
 
 PROCESS = "process"
@@ -43,7 +43,7 @@ class Executor(Protocol):
             SlamHiveError: it can't be found out.
         """
 
-    def get(self, entry: AlgorithmEntry, pace: str) -> Prepared:
+    def get(self, entry: AlgorithmEntry, pace: str) -> PreparedProgram:
         """Return an algorithm's program, ready to be started for runs of a pace.
 
         Raises:
@@ -81,7 +81,7 @@ class Programs:
         """Return the digest of a program: that of an environment and adapter, or of an image."""
         return self._of(entry).digest(entry)
 
-    def parts(self, entry: AlgorithmEntry) -> list[Part] | None:
+    def parts(self, entry: AlgorithmEntry) -> list[ProgramPart] | None:
         """Return the parts of a program that runs as a process; None for an image.
 
         Raises:
@@ -93,7 +93,7 @@ class Programs:
         """Return the identity of the image that runs, None where none does."""
         return self.containers.image_id(entry) if self.executor(entry) == CONTAINER else None
 
-    def get(self, entry: AlgorithmEntry, pace: str = Pace.LOCKSTEP) -> Prepared:
+    def get(self, entry: AlgorithmEntry, pace: str = Pace.LOCKSTEP) -> PreparedProgram:
         """Return an algorithm's program, ready to be started for runs of a pace.
 
         Raises:

@@ -27,7 +27,7 @@ _FIRST_WAIT = 10.0
 """Time without news after which a line comes, s; twice as long each time."""
 
 
-class Step(NamedTuple):
+class InstallStep(NamedTuple):
     """Step of an installation, with the number of packages fetched so far.
 
     Attributes:
@@ -57,7 +57,7 @@ class Steps:
         self._stated = sum(b"==" in line for line in requirements.read_bytes().splitlines())
         self._seen = 0
 
-    def step(self, line: str) -> Step | None:
+    def step(self, line: str) -> InstallStep | None:
         """Return the step that a line of theirs is about; None where it is about none."""
         found = _STEP.match(line)
         if found is None:
@@ -71,19 +71,19 @@ class Steps:
         else:
             self._seen += verb == "collecting"
             what = _NAME_ENDS[verb].split(rest, maxsplit=1)[0] + (size[0] if size else "")
-        return Step(f"{verb} {what}", done, max(self._stated, self._seen))
+        return InstallStep(f"{verb} {what}", done, max(self._stated, self._seen))
 
-    def _of_uv(self, line: str) -> Step | None:
+    def _of_uv(self, line: str) -> InstallStep | None:
         found = _STEP_OF_UV.match(line)
         if found is None:
             return None
         if found["verb"] == "Downloaded":
             self._seen += 1
-            return Step(f"fetched {found['rest']}", self._seen, self._stated)
+            return InstallStep(f"fetched {found['rest']}", self._seen, self._stated)
         if found["verb"] == "Prepared":
-            return Step(f"installing {found['rest']} packages", self._stated, self._stated)
+            return InstallStep(f"installing {found['rest']} packages", self._stated, self._stated)
         self._stated = int(found["rest"])
-        return Step("fetching packages", 0, self._stated)
+        return InstallStep("fetching packages", 0, self._stated)
 
 
 class Teller:
@@ -100,10 +100,10 @@ class Teller:
         self._began = self._said = clock()
         self._wait = _FIRST_WAIT
         self._lines = 0
-        self._step = Step("beginning", 0, 0)
+        self._step = InstallStep("beginning", 0, 0)
         self._lock = threading.Lock()
 
-    def take(self, step: Step) -> None:
+    def take(self, step: InstallStep) -> None:
         """Take a step."""
         with self._lock:
             self._step = step

@@ -35,7 +35,7 @@ class AttemptOrder:
     content_hash: str
     configuration: RunConfiguration
     entry: AlgorithmEntry
-    program: Prepared
+    program: PreparedProgram
     dataset: Path
     frames: int
     spec: Mapping[str, Any]
@@ -58,7 +58,7 @@ class PreparedPlayer:
     variables: Callable[[], dict[str, str]]
 
 
-class Prepared(Protocol):
+class PreparedProgram(Protocol):
     """A program that can be started: what differs between executors."""
 
     def run_folder(self, run: Path) -> str:

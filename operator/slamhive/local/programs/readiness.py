@@ -22,7 +22,7 @@ from slamhive.local.programs.engines import ContainerChoice, find_engine
 from slamhive.local.programs.executors import unavailable
 from slamhive.local.programs.unavailable import Unavailable
 from slamhive.model.errors import InputError, SlamHiveError, sentence
-from slamhive.model.readiness import Row, State, limited, missing, there
+from slamhive.model.readiness import ReadinessRow, State, limited, missing, there
 from slamhive.monitor.measuring.cgroup import make_run_cgroup
 from slamhive.monitor.measuring.hierarchy import cpu_quota, own_hierarchies
 from slamhive.monitor.measuring.machine import cpu_model
@@ -60,7 +60,7 @@ _GOOD_FOR = {
 _CPU = Path("/sys/devices/system/cpu")
 
 
-def python() -> Row:
+def python() -> ReadinessRow:
     """Look at the Python that runs this."""
     version = ".".join(map(str, sys.version_info[:3]))
     found = f"{version}, {sys.executable}"
@@ -72,12 +72,12 @@ def python() -> Row:
     )
 
 
-def packages(distribution: str = "slamhive") -> Iterator[Row]:
+def packages(distribution: str = "slamhive") -> Iterator[ReadinessRow]:
     """Look at the packages that slamhive needs, and those that its extras bring."""
     try:
         stated = metadata.requires(distribution) or []
     except metadata.PackageNotFoundError:
-        yield Row(
+        yield ReadinessRow(
             *("packages", State.UNKNOWN, f"{distribution} runs from a folder, not as an installed package"),
             costs="nobody can say which packages it needs",
             helps="pip install -e . in its checkout, or make install",
@@ -136,7 +136,7 @@ def _numbers(version: str) -> list[int]:
     return parts
 
 
-def algorithms(workshop: Workshop) -> Row:
+def algorithms(workshop: Workshop) -> ReadinessRow:
     """Look at which algorithms of the catalog can run on this machine."""
     entries = sorted(workshop.algorithm_entries.items())
     reasons = [name for name, entry in entries if unavailable(entry) is not None]
@@ -151,7 +151,7 @@ def algorithms(workshop: Workshop) -> Row:
     )
 
 
-def ros(workshop: Workshop) -> Iterator[Row]:
+def ros(workshop: Workshop) -> Iterator[ReadinessRow]:
     """Look for ROS 1 and ROS 2."""
     nodes = sorted(
         name for name, entry in workshop.algorithm_entries.items() if entry.algorithm.spec.ros1 is not None
@@ -162,15 +162,15 @@ def ros(workshop: Workshop) -> Iterator[Row]:
     else:
         costs = f"the ROS 1 nodes {', '.join(nodes)} run in containers and on clusters alone" if nodes else ""
         state = State.MISSING if nodes else State.UNNEEDED
-        yield Row("ROS 1", state, "not here", costs, what_it_takes() if nodes else "")
+        yield ReadinessRow("ROS 1", state, "not here", costs, what_it_takes() if nodes else "")
     # A ROS 2 that is not sourced is found by its folder; one that is sourced may be installed elsewhere.
     there_is = sorted({path.parent.name for path in Path("/opt/ros").glob("*/local_setup.sh")})
     named = os.environ.get("ROS_DISTRO") if os.environ.get("ROS_VERSION") == "2" else None
     found = ", ".join(dict.fromkeys([*([named] if named else []), *there_is])) or "not here"
-    yield Row("ROS 2", State.UNNEEDED, f"{found}; its bags are read without it")
+    yield ReadinessRow("ROS 2", State.UNNEEDED, f"{found}; its bags are read without it")
 
 
-def engines() -> Iterator[Row]:
+def engines() -> Iterator[ReadinessRow]:
     """Look for podman and docker, and whether they can hold a container to its limits."""
     usable = 0
     rows = []
@@ -188,13 +188,13 @@ def engines() -> Iterator[Row]:
     # One engine is enough: what the other one lacks then costs nothing.
     for name, said in rows:
         if usable:
-            yield Row(name, State.UNNEEDED, said)
+            yield ReadinessRow(name, State.UNNEEDED, said)
         else:
             found, _, helps = said.partition(": ")
             yield missing(name, found, costs, helps)
 
 
-def accounting() -> Iterator[Row]:
+def accounting() -> Iterator[ReadinessRow]:
     """Look whether a run gets a cgroup of its own, by making one, and whether the kernel keeps its limit."""
     versions = sorted({tree.version for tree in own_hierarchies()})
     mounted = f"version {' and '.join(map(str, versions))}" if versions else "none is mounted"
@@ -234,7 +234,7 @@ def accounting() -> Iterator[Row]:
         )
 
 
-def cores() -> Row:
+def cores() -> ReadinessRow:
     """Look at the cores that runs may have."""
     all_of_them, quota = whole_cores(), cpu_quota()
     usable = within(all_of_them, quota)
@@ -255,7 +255,7 @@ def cores() -> Row:
     return there("cores", f"{found}; {len(usable)} runs of one core at a time")
 
 
-def clock(folder: Path = _CPU) -> Row:
+def clock(folder: Path = _CPU) -> ReadinessRow:
     """Look at what changes the processor's clock: governor and turbo."""
     governors = sorted({_word(path) for path in folder.glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""})
     turbo = None
@@ -264,7 +264,7 @@ def clock(folder: Path = _CPU) -> Row:
     elif (boost := _word(folder / "cpufreq/boost")) in {"0", "1"}:
         turbo = boost == "1"
     if not governors and turbo is None:
-        return Row(
+        return ReadinessRow(
             *("clock", State.UNKNOWN, "the kernel tells neither governor nor turbo, as in virtual machines"),
             costs="other machines on the same processor may change CPU seconds: compare repetitions",
         )
@@ -287,7 +287,7 @@ def clock(folder: Path = _CPU) -> Row:
     return limited("clock", ", ".join(parts), told, f"as root: {'; '.join(helps)}")
 
 
-def load(now: Sequence[float] | None = None, count: int | None = None) -> Row:
+def load(now: Sequence[float] | None = None, count: int | None = None) -> ReadinessRow:
     """Look how busy the machine is.
 
     Args:
@@ -308,7 +308,7 @@ def load(now: Sequence[float] | None = None, count: int | None = None) -> Row:
     )
 
 
-def memory(facts: Path = Path("/proc/meminfo")) -> Row:
+def memory(facts: Path = Path("/proc/meminfo")) -> ReadinessRow:
     """Look at how much memory is free for runs."""
     numbers = {
         line.partition(":")[0]: int(line.split()[1]) << 10
@@ -331,7 +331,7 @@ def memory(facts: Path = Path("/proc/meminfo")) -> Row:
     )
 
 
-def disk(home: Home) -> Row:
+def disk(home: Home) -> ReadinessRow:
     """Look whether there is room for runs, and whether it can be written."""
     place = home.path
     # A home that is not made yet will be on the disk of the first folder above it.
@@ -350,7 +350,7 @@ def disk(home: Home) -> Row:
     return there("disk", found, needed=True)
 
 
-def archive(home: Home) -> Row:
+def archive(home: Home) -> ReadinessRow:
     """Look the archive through: version, size, and whether each record is sound."""
     url = home.archive_url
     try:
@@ -376,9 +376,9 @@ def archive(home: Home) -> Row:
     return there("archive", f"{found}, sound", needed=True)
 
 
-def unneeded() -> Row:
+def unneeded() -> ReadinessRow:
     """Say what is often asked for and takes no part."""
-    return Row(
+    return ReadinessRow(
         *("browser, TeX", State.UNNEEDED, "pages are shown by any browser, also of another machine"),
         helps="tables for papers are compiled wherever the paper is",
     )

@@ -25,7 +25,7 @@ EDITOR_LINE = re.compile(r"^# yaml-language-server: .*\n", re.MULTILINE)
 """The line of a manifest that leads an editor to its schema."""
 
 
-class Kind(Choice):
+class ExampleKind(Choice):
     """Kinds of examples that the folder of a new algorithm can be started from."""
 
     LIDAR_PYTHON = "lidar-python"
@@ -34,14 +34,16 @@ class Kind(Choice):
 
 
 _SHARED = {
-    Kind.LIDAR_PYTHON: [("algorithms", "adapter_support.py"), ("algorithms", "adapter_recording.py")],
-    Kind.ROS1_NODE: [("examples", "algorithms/lidar-python/odometry.py")],
-    Kind.PROGRAM: [],
+    ExampleKind.LIDAR_PYTHON: [("algorithms", "adapter_support.py"), ("algorithms", "adapter_recording.py")],
+    ExampleKind.ROS1_NODE: [("examples", "algorithms/lidar-python/odometry.py")],
+    ExampleKind.PROGRAM: [],
 }
 """Files that a folder gets besides its example's own."""
 
 
-def start_algorithm(name: str, kind: Kind, home: Home, workshop: Workshop, parent: Path) -> tuple[Path, str]:
+def start_algorithm(
+    name: str, kind: ExampleKind, home: Home, workshop: Workshop, parent: Path
+) -> tuple[Path, str]:
     """Make a folder for an algorithm and make it known by its name.
 
     Args:
@@ -67,7 +69,7 @@ def start_algorithm(name: str, kind: Kind, home: Home, workshop: Workshop, paren
         raise InputError(f"{parent}: {error.strerror}") from None
     try:
         _fill(aside, name, kind)
-        left = _build(aside, name) if kind is Kind.PROGRAM else ""
+        left = _build(aside, name) if kind is ExampleKind.PROGRAM else ""
         aside.chmod(0o755)
         aside.rename(folder)
     except BaseException:
@@ -95,7 +97,7 @@ def _check_name(name: str, workshop: Workshop) -> None:
         raise InputError(f"NAME: the algorithm {name!r} is known already ({where}); choose another name")
 
 
-def _fill(folder: Path, name: str, kind: Kind) -> None:
+def _fill(folder: Path, name: str, kind: ExampleKind) -> None:
     source = bundled("examples") / "algorithms" / kind.value
     files = [path for path in sorted(source.iterdir()) if path.is_file() and path.name != "odometry"]
     files += [bundled(place) / path for place, path in _SHARED[kind]]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from slamhive.local.programs.environments import Part
+    from slamhive.local.programs.environments import ProgramPart
 
 _DIGITS = 32
 _LIMIT = 1 << 20
@@ -34,7 +34,7 @@ class Versions:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def keep(self, digest: str, parts: Iterable[Part]) -> None:
+    def keep(self, digest: str, parts: Iterable[ProgramPart]) -> None:
         """Note what a version is made of, unless that is noted; a disk that refuses costs a name later."""
         path = self._path(digest)
         if path.exists():

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from slamhive.local.programs.prepared import AttemptOrder, Prepared
+    from slamhive.local.programs.prepared import AttemptOrder, PreparedProgram
 
 _OBJECT_LIMIT = 4 * 2**20
 
@@ -59,7 +59,7 @@ class Attempt:
         self.output = self.run / "output"
         self._program = Supervised(folder)
         self._player = Player(folder)
-        self._prepared: Prepared | None = None
+        self._prepared: PreparedProgram | None = None
         self._stopping = False
         self._offered: int | None = None
 

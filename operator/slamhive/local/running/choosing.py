@@ -11,7 +11,7 @@ import numpy as np
 from slamhive.analysis.expressions import ExpressionError, parse_where
 from slamhive.analysis.flattening import Results, columns_of_runs
 from slamhive.analysis.frame import Frame
-from slamhive.local.running.outlook import Standing
+from slamhive.local.running.outlook import RunStanding
 from slamhive.model.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _NOTHING_YET = ("usage", "frames", "trajectory", "metrics", "provenance")
 
 
 @dataclass(frozen=True)
-class Wish:
+class RunChoice:
     """Choice of how many runs of the sweeps are done this time, and whether finished ones are done again.
 
     Attributes:
@@ -131,7 +131,7 @@ def first_of(order: Iterable[int], outlook: Outlook, pending: set[int], first: i
         first: how many.
     """
     # Who asks for the first ten wants ten answers, not ten that were there already.
-    free = {index for index in pending if outlook.standing[index] == Standing.EQUAL}
+    free = {index for index in pending if outlook.standing[index] == RunStanding.EQUAL}
     counted = (index for index in order if index in pending and index not in free)
     return free | {index for index, _ in zip(counted, range(first), strict=False)}
 

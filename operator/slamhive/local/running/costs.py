@@ -9,7 +9,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from slamhive.analysis.design import Known, Quantity, Setting
-from slamhive.local.home.extent import Tally
+from slamhive.local.home.extent import DiskTally
 from slamhive.local.running.outlook import Points
 from slamhive.model.base import seconds
 from slamhive.model.errors import InputError
@@ -96,7 +96,7 @@ class Knowledge:
             kind = (cost.algorithm, cost.dataset)
             # Runs of one kind write much the same: to go through the folders of thousands would take minutes.
             if folders and cost.folder and sizes.get(kind, 0) < MOST_FOLDERS:
-                extent = Tally().of(Path(cost.folder))
+                extent = DiskTally().of(Path(cost.folder))
                 if extent.files and Path(cost.folder).is_dir():
                     sizes[kind] = sizes.get(kind, 0) + 1
                     costs[Quantity.DISK] = float(extent.size)
@@ -155,7 +155,7 @@ class Combinations(Points, Protocol):
         """Return the spec of the runs of an algorithm before anything is set."""
 
 
-class Planned(NamedTuple):
+class PlannedSetting(NamedTuple):
     """Setting, time limit and processors of a combination of a plan, from which its cost is predicted.
 
     Attributes:
@@ -171,7 +171,7 @@ class Planned(NamedTuple):
 
 def planned_settings(
     points: Combinations, rows: Sequence[int], knowledge: Knowledge, processor: str | None
-) -> list[Planned]:
+) -> list[PlannedSetting]:
     """Return the needs of a plan's combinations.
 
     Args:
@@ -221,7 +221,7 @@ def planned_settings(
         )
         resources = settings.get(("resources", "cpu"), whole.get("resources", {}).get("cpu", "1"))
         limit = seconds(settings.get(("timeout",), whole.get("timeout", "1h")))
-        found.append(Planned(setting, limit, str(resources)))
+        found.append(PlannedSetting(setting, limit, str(resources)))
     return found
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from slamhive.model.results import Result, RunRecord
 
 
-class Evaluator:
+class TrajectoryEvaluator:
     """Measures trajectories against the ground truth of their datasets.
 
     Args:

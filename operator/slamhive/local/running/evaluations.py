@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from slamhive.analysis.measuring import SETTINGS_KEY, intended_evaluations, settings_hash
 from slamhive.local.home.removed import absence
-from slamhive.local.running.evaluating import Evaluator
+from slamhive.local.running.evaluating import TrajectoryEvaluator
 from slamhive.model.errors import SlamHiveError, SystemFault, sentence
 from slamhive.model.results import NOT_EVALUATED, Phase, RunRecord
 from slamhive.model.sensors import SensorMode
@@ -89,7 +89,7 @@ def measure_record(
     """
     if record.phase is not Phase.SUCCEEDED:
         return Unmeasured(f"{record.phase}, it has no trajectory")
-    path = Evaluator(bench).trajectory_of(record)
+    path = TrajectoryEvaluator(bench).trajectory_of(record)
     if path is None:
         gone = absence(bench.home.path, record.folder)
         return Unmeasured(gone or "its trajectory is not on this machine any more")
@@ -98,7 +98,7 @@ def measure_record(
         # Measured against a ground truth of later, an old trajectory would get errors that it doesn't have.
         if known is not None and known != bench.checksum(dataset):
             return Unmeasured(f"dataset {dataset!r} has changed since this run was made")
-        result = Evaluator(bench).measure_file(path, record.spec, settings, name=name)
+        result = TrajectoryEvaluator(bench).measure_file(path, record.spec, settings, name=name)
     except (SlamHiveError, OSError) as error:
         return Unmeasured(sentence(error), is_fault=isinstance(error, SystemFault | OSError))
     if result is None:

@@ -33,7 +33,7 @@ from slamhive.local.programs.prepared import AttemptOrder
 from slamhive.local.programs.unavailable import ImageMissing, Unavailable
 from slamhive.local.running.attempt import Attempt
 from slamhive.local.running.configuring import configured
-from slamhive.local.running.evaluating import Evaluator
+from slamhive.local.running.evaluating import TrajectoryEvaluator
 from slamhive.model.base import Choice
 from slamhive.model.errors import InputError, SettingsError, SlamHiveError, sentence
 from slamhive.model.results import (
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
     from slamhive.data.making.preparation import Variant
     from slamhive.local.home.catalog import AlgorithmEntry
-    from slamhive.local.programs.prepared import Prepared
+    from slamhive.local.programs.prepared import PreparedProgram
     from slamhive.local.running.workbench import Workbench
     from slamhive.model.configuration import RunConfiguration
     from slamhive.model.evaluation import EvaluationSettings
@@ -72,7 +72,7 @@ class AtWorkElsewhere(Exception):  # noqa: N818 - no error: the run waits
         self.content = content
 
 
-class Step(Choice):
+class RunStep(Choice):
     """Steps of a run that it waits for or works at."""
 
     CORES = "waiting for a core"
@@ -83,7 +83,7 @@ class Step(Choice):
     MEASURING = "measuring"
 
 
-class Point(Protocol):
+class PlannedPoint(Protocol):
     """Run of a plan: its name, place in the sweep and spec."""
 
     @property
@@ -128,7 +128,7 @@ class RunOrder:
     """
 
     uid: str
-    point: Point
+    point: PlannedPoint
     sweep: str
     sweep_uid: str
     labels: dict[str, str]
@@ -143,7 +143,7 @@ class RunOrder:
 class _Progress:
     """State of a run as far as it was found out: its program, prepared recording, attempt and results."""
 
-    program: Prepared | None = None
+    program: PreparedProgram | None = None
     variant: Variant | None = None
     variant_state: VariantState = VariantState.ABSENT
     variant_problem: tuple[Reason, str] | None = None
@@ -173,7 +173,7 @@ class RunDriver:
         bench: Workbench,
         cpus: tuple[int, ...],
         tell: Callable[[Phase], None],
-        step: Callable[[Step], None] = lambda _: None,
+        step: Callable[[RunStep], None] = lambda _: None,
         *,
         claim: Callable[[str], bool] = lambda _: True,
     ) -> None:
@@ -217,7 +217,7 @@ class RunDriver:
 
     def _lead(self, created: datetime) -> RunRecord:
         os.sched_setaffinity(0, self._cpus)  # of this thread: what prepares and measures shares its cores
-        self._step(Step.DATASET)
+        self._step(RunStep.DATASET)
         with suppress(SlamHiveError, OSError):  # preparing meets it again and gives it its reason
             self._look_up()
         # The folder is the truth: a slamhive that was killed may have left a finished attempt there, not yet
@@ -342,7 +342,7 @@ class RunDriver:
 
     def _evaluate(self) -> None:
         progress, bench = self._progress, self._bench
-        self._step(Step.MEASURING)
+        self._step(RunStep.MEASURING)
         try:
             if progress.variant is None:
                 progress.variant = bench.prepare(self._spec, self._algorithm.algorithm)
@@ -355,7 +355,7 @@ class RunDriver:
     def _prepare(self) -> None:
         progress, bench = self._progress, self._bench
         try:
-            self._step(Step.PROGRAM)
+            self._step(RunStep.PROGRAM)
             progress.program = bench.programs.get(self._algorithm, self._spec["input"]["pace"])
             if progress.provenance.content_hash is None:
                 # The disk may have refused before: no run is made without saying of what, nor one that is
@@ -364,7 +364,7 @@ class RunDriver:
                     self._look_up()
                 if progress.twin is not None or progress.attempt_state is AttemptState.ENDED:
                     return
-            self._step(Step.RECORDING)
+            self._step(RunStep.RECORDING)
             progress.variant = bench.prepare(self._spec, self._algorithm.algorithm)
             progress.variant_state = VariantState.READY
         except (SlamHiveError, OSError) as error:
@@ -393,7 +393,7 @@ class RunDriver:
                     # What is done again isn't finished: its files go now, so does what was measured on them.
                     self._bench.archive.remove_run(self._order.uid)
                 self._attempt.start(order)
-                self._step(Step.RUNNING)
+                self._step(RunStep.RUNNING)
                 # Cancelled while the attempt was starting: `cancel` found nothing to stop then.
                 if self._cancelled.is_set():
                     self._attempt.stop()
@@ -471,8 +471,8 @@ class RunDriver:
         return recording_fields(spec["input"], self._order.point.asked, dataset, mode, prepared)
 
     @property
-    def _evaluator(self) -> Evaluator:
-        return Evaluator(self._bench)
+    def _evaluator(self) -> TrajectoryEvaluator:
+        return TrajectoryEvaluator(self._bench)
 
     @property
     def _algorithm(self) -> AlgorithmEntry:

@@ -16,7 +16,7 @@ import numpy as np
 from slamhive.analysis.design import Nearness, Quantity, design
 from slamhive.analysis.predicting import Interval, Prediction, predict
 from slamhive.data.store.datasets import is_made
-from slamhive.local.home.extent import Tally
+from slamhive.local.home.extent import DiskTally
 from slamhive.local.running.costs import planned_settings
 from slamhive.model.errors import SlamHiveError
 from slamhive.plan import whole_cores
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from slamhive.analysis.design import Design, Floats, Integers, Known
-    from slamhive.local.running.costs import Combinations, Knowledge, Planned
+    from slamhive.local.running.costs import Combinations, Knowledge, PlannedSetting
     from slamhive.local.running.workbench import Workbench
 
 
@@ -35,7 +35,7 @@ MOST_RECORDINGS = 1_000
 
 
 @dataclass
-class Wanted:
+class WantedSweep:
     """The runs of a sweep that are to be done.
 
     Attributes:
@@ -92,7 +92,7 @@ class Forecast:
 
 
 def forecast(
-    wanted: Sequence[Wanted], knowledge: Knowledge, processor: str | None, cores: int | None
+    wanted: Sequence[WantedSweep], knowledge: Knowledge, processor: str | None, cores: int | None
 ) -> Forecast:
     """Return the expected cost of sweeps, done one after another.
 
@@ -123,7 +123,7 @@ def forecast(
         found,
         known,
         regression.only(counted),
-        _Asked(
+        _PredictedRuns(
             [one for one, counts_too in zip(planned, counted.tolist(), strict=True) if counts_too],
             counts[counted],
             wanted,
@@ -135,7 +135,7 @@ def forecast(
 
 
 @dataclass
-class _Asked:
+class _PredictedRuns:
     """Runs whose costs are predicted: their settings, how many have each, and their sweeps.
 
     Attributes:
@@ -146,14 +146,14 @@ class _Asked:
         cores: that there are; None: as many as are needed.
     """
 
-    planned: list[Planned]
+    planned: list[PlannedSetting]
     counts: Floats
-    wanted: Sequence[Wanted]
+    wanted: Sequence[WantedSweep]
     rows: list[Integers]
     cores: int | None
 
 
-def _predict(found: Forecast, known: Sequence[Known], regression: Design, asked: _Asked) -> None:
+def _predict(found: Forecast, known: Sequence[Known], regression: Design, asked: _PredictedRuns) -> None:
     """Add what runs cost to a forecast."""
     settings = [one.setting for one in asked.planned]
     names = {setting.algorithm for setting in settings}
@@ -202,7 +202,7 @@ def makespan(walls: Iterable[float], cores: Iterable[int], slots: int, room: int
 
 
 def _wall(
-    prediction: Prediction, asked: _Asked, limits: Floats, needs: Integers, idle: float
+    prediction: Prediction, asked: _PredictedRuns, limits: Floats, needs: Integers, idle: float
 ) -> tuple[Floats, int]:
     """Return draws of the wall time of all sweeps, and the most runs at a time.
 
@@ -234,10 +234,10 @@ def _wall(
 
 
 def _planned(
-    wanted: Sequence[Wanted], knowledge: Knowledge, processor: str | None
-) -> tuple[list[Planned], list[Integers]]:
+    wanted: Sequence[WantedSweep], knowledge: Knowledge, processor: str | None
+) -> tuple[list[PlannedSetting], list[Integers]]:
     """Return the needs of combinations, and for each sweep the place of that of each of its runs."""
-    planned: list[Planned] = []
+    planned: list[PlannedSetting] = []
     rows = []
     for sweep in wanted:
         combinations = np.asarray(sweep.indices, dtype=np.intp) // sweep.points.repetitions
@@ -264,7 +264,7 @@ class Recordings:
     unknown: set[str] = field(default_factory=set)
 
 
-def recordings_needed(bench: Workbench, wanted: Sequence[Wanted]) -> Recordings:
+def recordings_needed(bench: Workbench, wanted: Sequence[WantedSweep]) -> Recordings:
     """Return the prepared recordings that runs need, of the datasets that are here."""
     found = Recordings()
     met: set[tuple[Any, ...]] = set()
@@ -299,5 +299,5 @@ def recordings_needed(bench: Workbench, wanted: Sequence[Wanted]) -> Recordings:
             found.missing += 1
             entry = bench.dataset(name)
             files = (entry.root / file.path for file in entry.dataset.spec.recording.files)
-            found.size += Tally().of(*files).size
+            found.size += DiskTally().of(*files).size
     return found

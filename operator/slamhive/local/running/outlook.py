@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from slamhive.data.recordings.version import VERSION
 from slamhive.data.store.datasets import is_made
-from slamhive.local.running.execution import Point
+from slamhive.local.running.execution import PlannedPoint
 from slamhive.model.errors import SlamHiveError
 from slamhive.model.results import Phase
 from slamhive.plan import content_hash
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from slamhive.archive import EarlierRun
-    from slamhive.local.running.workbench import Program, Workbench
+    from slamhive.local.running.workbench import ProgramHashes, Workbench
 
 MOST_LOOKED_UP = 20_000
 """Runs of a sweep that equal results are looked for, before it begins; beyond, they are found on the way."""
@@ -32,7 +32,7 @@ _MOST_NAMED = 4
 _REPETITION = "repetition"
 
 
-class Standing(enum.IntEnum):
+class RunStanding(enum.IntEnum):
     """States of a run of a sweep before anything is done: whether it is new, finished, stale and so on."""
 
     NEW = 0
@@ -43,7 +43,7 @@ class Standing(enum.IntEnum):
     EQUAL = 5
 
 
-class Planned(Point, Protocol):
+class Planned(PlannedPoint, Protocol):
     """A run of a plan, with what tells it from the others."""
 
     @property
@@ -114,11 +114,11 @@ class Outlook:
     aside: set[int] = field(default_factory=set)
     seen: dict[str, datetime | None] = field(default_factory=dict)
 
-    def count(self, *kinds: Standing) -> int:
+    def count(self, *kinds: RunStanding) -> int:
         """Return the number of runs that stand so."""
         return sum(self.standing.count(kind) for kind in kinds)
 
-    def of(self, kind: Standing) -> list[int]:
+    def of(self, kind: RunStanding) -> list[int]:
         """Return the runs that stand so."""
         return [index for index, found in enumerate(self.standing) if found == kind]
 
@@ -134,7 +134,7 @@ class Looking:
     def __init__(self, bench: Workbench, *, making: bool) -> None:
         self._bench = bench
         self._making = making
-        self._programs: dict[str, Program | None] = {}
+        self._programs: dict[str, ProgramHashes | None] = {}
         self._checksums: dict[str, str | None] = {}
 
     def look(self, sweep: str, sweep_uid: str, points: Points, uids: Callable[[int], str]) -> Outlook:
@@ -180,30 +180,30 @@ class Looking:
                     outlook.aside.add(index)
         return outlook
 
-    def content(self, point: Point) -> str | None:
+    def content(self, point: PlannedPoint) -> str | None:
         """Return the content hash that a run would have today; None where that can't be known."""
         now = self._now(point)
         return now.content if now is not None else None
 
     def _differ(
-        self, outlook: Outlook, point: Point, previous: EarlierRun | None, now: Now, *, is_equal: bool
+        self, outlook: Outlook, point: PlannedPoint, previous: EarlierRun | None, now: Now, *, is_equal: bool
     ) -> None:
         if previous is not None and previous.content_hash not in {None, now.content}:
             outlook.replaced[point.index] = previous
         if is_equal:
-            outlook.standing[point.index] = Standing.EQUAL
+            outlook.standing[point.index] = RunStanding.EQUAL
         elif point.index in outlook.replaced and previous is not None:
-            outlook.standing[point.index] = Standing.STALE
+            outlook.standing[point.index] = RunStanding.STALE
             outlook.why[point.index] = self._why(point, previous.origin, now.origin)
 
     @staticmethod
     def _note(outlook: Outlook, index: int, run: EarlierRun) -> None:
         if run.phase is Phase.SUCCEEDED:
-            kind = Standing.DONE
+            kind = RunStanding.DONE
         elif run.phase is Phase.FAILED and not (run.reason and run.reason.is_infrastructure):
-            kind = Standing.FAILED
+            kind = RunStanding.FAILED
         else:
-            kind = Standing.FAULT
+            kind = RunStanding.FAULT
         outlook.standing[index] = kind
         outlook.finished[index] = run
 
@@ -212,7 +212,7 @@ class Looking:
             return set()
         return self._bench.archive.reusable(points.algorithm_names(), points.dataset_names())
 
-    def _now(self, point: Point) -> Now | None:
+    def _now(self, point: PlannedPoint) -> Now | None:
         """Return the parts that a run would be made from now; None where they can't be known."""
         names = point.short_spec
         program = self._program(names["algorithm"] or "")
@@ -232,7 +232,7 @@ class Looking:
             },
         )
 
-    def _program(self, name: str) -> Program | None:
+    def _program(self, name: str) -> ProgramHashes | None:
         if name not in self._programs:
             try:
                 self._programs[name] = self._bench.program(name)
@@ -252,7 +252,7 @@ class Looking:
         return self._checksums[name]
 
     def _why(
-        self, point: Point, before: dict[str, str | None], after: dict[str, str | None]
+        self, point: PlannedPoint, before: dict[str, str | None], after: dict[str, str | None]
     ) -> tuple[str, ...]:
         """Return the parts that have changed, in words."""
         changed = {name for name in after if before.get(name) != after[name]}
@@ -283,11 +283,11 @@ def sentences(outlook: Outlook, points: Points, *, again: Iterable[int] = (), le
     found = _stale(outlook, points, asked)
     found += [f"{_runs(len(asked))} done again, as asked"] if asked else []
     found += _new(outlook, points)
-    equal = outlook.count(Standing.EQUAL)
+    equal = outlook.count(RunStanding.EQUAL)
     found += [f"{equal:,} {'takes' if equal == 1 else 'take'} over an equal result"] if equal else []
     kept = [index for index in outlook.finished if index not in asked]
-    failed = sum(outlook.standing[index] == Standing.FAILED for index in kept)
-    faults = sum(outlook.standing[index] == Standing.FAULT for index in kept)
+    failed = sum(outlook.standing[index] == RunStanding.FAILED for index in kept)
+    faults = sum(outlook.standing[index] == RunStanding.FAULT for index in kept)
     as_before = len(kept) - faults
     if as_before:
         told = f" ({failed:,} of them failed)" if failed else ""
@@ -317,7 +317,7 @@ def _stale(outlook: Outlook, points: Points, asked: set[int]) -> list[str]:
 
 def _new(outlook: Outlook, points: Points) -> list[str]:
     """Return the sentences on new runs: by the values that only they have, as far as that tells them."""
-    new = outlook.of(Standing.NEW)
+    new = outlook.of(RunStanding.NEW)
     if not new:
         return []
     if len(new) == len(points):

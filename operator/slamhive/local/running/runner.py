@@ -21,9 +21,9 @@ from slamhive.local.home.claims import Claims
 from slamhive.local.home.leases import LeaseKind
 from slamhive.local.programs.cores import CorePool
 from slamhive.local.running.attempt import end_left_behind
-from slamhive.local.running.choosing import Wish, first_of, twins_among
-from slamhive.local.running.execution import AtWorkElsewhere, RunDriver, RunOrder, Step
-from slamhive.local.running.outlook import Looking, Outlook, Standing
+from slamhive.local.running.choosing import RunChoice, first_of, twins_among
+from slamhive.local.running.execution import AtWorkElsewhere, RunDriver, RunOrder, RunStep
+from slamhive.local.running.outlook import Looking, Outlook, RunStanding
 from slamhive.local.running.workbench import GivenUp, Workbench
 from slamhive.model.results import Phase, RunRecord
 from slamhive.model.sweep import CachePolicy
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 
     from slamhive.engine import SweepDecision
     from slamhive.local.running.costs import Combinations
-    from slamhive.local.running.execution import Point
+    from slamhive.local.running.execution import PlannedPoint
     from slamhive.model.sweep import Sweep
 
 _LOOK_SECONDS = 0.25
-_EVERYTHING = Wish()
+_EVERYTHING = RunChoice()
 
 
 def run_uid(sweep_uid: str, index: int) -> str:
@@ -125,7 +125,7 @@ class Watcher(Protocol):
     def phase(self, job: Job, index: int, phase: Phase) -> None:
         """A run has entered a phase."""
 
-    def step(self, job: Job, index: int, step: Step) -> None:
+    def step(self, job: Job, index: int, step: RunStep) -> None:
         """A run has come to a step."""
 
     def finished(self, job: Job, record: RunRecord) -> None:
@@ -136,7 +136,7 @@ class Watcher(Protocol):
 
 
 @dataclass(frozen=True)
-class _Ended:
+class _PointEnd:
     job: Job
     index: int
     record: RunRecord | None
@@ -161,7 +161,7 @@ class Runner:
         watcher: Watcher,
         *,
         parallelism: int | None = None,
-        wish: Wish = _EVERYTHING,
+        wish: RunChoice = _EVERYTHING,
         begun: Callable[[Job], None] = lambda _: None,
     ) -> None:
         self._bench = bench
@@ -173,7 +173,7 @@ class Runner:
         self._parallelism = parallelism or self._cores.size
         self._drivers: dict[tuple[str, int], RunDriver] = {}
         self._threads: list[threading.Thread] = []
-        self._events: queue.SimpleQueue[_Ended] = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[_PointEnd] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._interrupted = False
         self._stopped: set[str] = set()
@@ -235,11 +235,11 @@ class Runner:
             # again, and kept aside when that begins.
             if index in job.again and (job.asked is None or index in job.asked):
                 continue
-            if standing == Standing.DONE:
+            if standing == RunStanding.DONE:
                 job.states[index] = PointState.SUCCEEDED
-            elif standing == Standing.FAILED and not wish.retry_failed:
+            elif standing == RunStanding.FAILED and not wish.retry_failed:
                 job.states[index] = PointState.FAILED
-            elif standing in {Standing.FAILED, Standing.FAULT}:
+            elif standing in {RunStanding.FAILED, RunStanding.FAULT}:
                 job.afresh.add(index)
         self._choose(job)
         job.kept = job.count(PointState.SUCCEEDED) + job.count(PointState.FAILED)
@@ -369,25 +369,27 @@ class Runner:
     def _drive(self, job: Job, index: int) -> None:
         try:
             point = job.points.point(index)
-            self._watcher.step(job, index, Step.CORES)
+            self._watcher.step(job, index, RunStep.CORES)
             wanted = whole_cores(point.spec["resources"]["cpu"])
             cores = self._cores.take(wanted, lambda: job.uid in self._stopped)
             if cores is None:
-                self._events.put(_Ended(job, index, None))
+                self._events.put(_PointEnd(job, index, None))
                 return
             try:
                 record = self._one(job, index, point, cores)
             finally:
                 self._cores.give_back(cores)
-            self._events.put(_Ended(job, index, record))
+            self._events.put(_PointEnd(job, index, record))
         except AtWorkElsewhere as found:
-            self._events.put(_Ended(job, index, None, elsewhere=found.content))
+            self._events.put(_PointEnd(job, index, None, elsewhere=found.content))
         except GivenUp:
-            self._events.put(_Ended(job, index, None))
+            self._events.put(_PointEnd(job, index, None))
         except BaseException as error:  # noqa: BLE001 - a thread's error is raised again by the runner
-            self._events.put(_Ended(job, index, None, error))
+            self._events.put(_PointEnd(job, index, None, error))
 
-    def _one(self, job: Job, index: int, point: Point, cores: list[tuple[int, ...]]) -> RunRecord | None:
+    def _one(
+        self, job: Job, index: int, point: PlannedPoint, cores: list[tuple[int, ...]]
+    ) -> RunRecord | None:
         order = RunOrder(
             uid=job.run_uid(index),
             point=point,
@@ -450,14 +452,14 @@ class Runner:
             CatalogEntry.of(workshop.dataset(record.spec["datasetRef"]["name"]).dataset),
         )
 
-    def _keep(self, ended: _Ended) -> None:
+    def _keep(self, ended: _PointEnd) -> None:
         try:
             self._put(ended)
         finally:
             # Only now: whoever waits for this run looks for it in the archive.
             self._claims.give_back((ended.job.uid, ended.index))
 
-    def _put(self, ended: _Ended) -> None:
+    def _put(self, ended: _PointEnd) -> None:
         job, record = ended.job, ended.record
         if ended.elsewhere is not None:
             job.elsewhere[ended.index] = (LeaseKind.CONTENTS, ended.elsewhere)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _VARIANTS_LIMIT = "100Gi"
 
 
-class Program(NamedTuple):
+class ProgramHashes(NamedTuple):
     """Hashes that identify an algorithm with its program: of its Algorithm, environment and image.
 
     Attributes:
@@ -145,7 +145,7 @@ class Workbench:
         """Pass a sentence to the caller's `notify`."""
         self._notify(sentence)
 
-    def program(self, name: str) -> Program:
+    def program(self, name: str) -> ProgramHashes:
         """Return the program of an algorithm on this machine right now.
 
         Raises:
@@ -155,13 +155,13 @@ class Workbench:
         hashed = algorithm_hash(entry.algorithm.spec)
         parts = self.programs.parts(entry)
         if parts is None:
-            return Program(hashed, self.programs.digest(entry), self.programs.image_id(entry))
+            return ProgramHashes(hashed, self.programs.digest(entry), self.programs.image_id(entry))
         digest = digest_of(parts)
         # Kept so that after an edit `slamhive run` can tell which files differ from those that ran.
         self.versions.keep(digest, parts)
-        return Program(hashed, digest)
+        return ProgramHashes(hashed, digest)
 
-    def provenance(self, spec: dict[str, Any], spec_hash: str, program: Program) -> Provenance:
+    def provenance(self, spec: dict[str, Any], spec_hash: str, program: ProgramHashes) -> Provenance:
         """Return the provenance of a run's result.
 
         Args:

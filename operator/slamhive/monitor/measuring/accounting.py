@@ -19,7 +19,7 @@ from slamhive.monitor.measuring.processes import read_file
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from slamhive.monitor.measuring.sources import Sample, Source
+    from slamhive.monitor.measuring.sources import Sample, UsageSource
 
 WINDOW_SECONDS = 1.0
 RESIDENT = "Resident"
@@ -51,7 +51,7 @@ class SampleTimes:
 
 
 @dataclass(frozen=True, slots=True)
-class CpuUsage:
+class MeasuredCpu:
     """Processor use.
 
     Attributes:
@@ -70,7 +70,7 @@ class CpuUsage:
 
 
 @dataclass(frozen=True, slots=True)
-class MemoryUsage:
+class MeasuredMemory:
     """Memory use; None where no sample saw the algorithm alive, as nothing that ran had no memory.
 
     Attributes:
@@ -93,7 +93,7 @@ class MemoryUsage:
 
 
 @dataclass(frozen=True, slots=True)
-class Usage:
+class MeasuredUsage:
     """CPU, memory and time that a run took.
 
     Attributes:
@@ -111,8 +111,8 @@ class Usage:
         suspect: Why these figures are to be doubted, None if nothing speaks against them.
     """
 
-    cpu: CpuUsage
-    memory: MemoryUsage
+    cpu: MeasuredCpu
+    memory: MeasuredMemory
     wall_seconds: float
     throttled_seconds: float | None
     contended_seconds: float
@@ -190,7 +190,7 @@ class Accounting:
         kernel_peak: int | None = None,
         largest_process: int | None = None,
         suspicions: Iterable[str] = (),
-    ) -> Usage:
+    ) -> MeasuredUsage:
         """Return the figures of all samples so far; a run below 1 s is one window by itself.
 
         Args:
@@ -213,15 +213,15 @@ class Accounting:
         peak = max(self._peak, largest_process or 0) or None
         # A single sample has no time to be averaged over: its own figure stands for the mean below.
         mean = self._byte_seconds / self._memory_seconds if self._memory_seconds > 0 else 0.0
-        return Usage(
-            cpu=CpuUsage(
+        return MeasuredUsage(
+            cpu=MeasuredCpu(
                 mean_cores=seconds / wall if wall > 0 else 0.0,
                 max_cores=whole if self._max_cores is None else self._max_cores,
                 seconds=seconds,
                 seconds_per_data_second=seconds / data_seconds if data_seconds else None,
                 total_seconds=total,
             ),
-            memory=MemoryUsage(
+            memory=MeasuredMemory(
                 peak_bytes=peak,
                 mean_bytes=mean or peak,
                 anonymous_peak_bytes=self._anonymous_peak or None,
@@ -250,7 +250,7 @@ class Contention:
     Where the kernel keeps no pressure of the group, waiting is that of processes alive as a window ends.
     """
 
-    def __init__(self, cpus: Iterable[int], source: Source, now: float) -> None:
+    def __init__(self, cpus: Iterable[int], source: UsageSource, now: float) -> None:
         """Watch a run.
 
         Args:

@@ -33,7 +33,7 @@ from slamhive.monitor.measuring.processes import (
     pid_namespace,
     read_file,
 )
-from slamhive.monitor.measuring.sources import CgroupV1Source, CgroupV2Source, Source
+from slamhive.monitor.measuring.sources import CgroupV1Source, CgroupV2Source, UsageSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -52,7 +52,7 @@ class RunCgroup(Protocol):
         """Its directory in each tree."""
 
     @property
-    def source(self) -> Source:
+    def source(self) -> UsageSource:
         """Its account."""
 
     def limit(self, memory_bytes: int | None, tasks: int | None) -> bool:
@@ -82,7 +82,7 @@ class CgroupV1:
         """
         self._by_controller = directories
         self.directories = tuple(dict.fromkeys(directories.values()))
-        self.source: Source = CgroupV1Source(directories["cpuacct"], directories["memory"])
+        self.source: UsageSource = CgroupV1Source(directories["cpuacct"], directories["memory"])
 
     def limit(self, memory_bytes: int | None, tasks: int | None) -> bool:
         """Limit memory, with swap where the kernel accounts for it, and the number of tasks."""
@@ -132,7 +132,7 @@ class CgroupV2:
         """
         self.directories = (directory,)
         self._directory = directory
-        self.source: Source = CgroupV2Source(directory)
+        self.source: UsageSource = CgroupV2Source(directory)
 
     def limit(self, memory_bytes: int | None, tasks: int | None) -> bool:
         """Limit memory without swap, all to be killed together, and the number of tasks."""

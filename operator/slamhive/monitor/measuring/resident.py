@@ -36,7 +36,7 @@ class ResidentMemory:
 
     def __init__(self) -> None:
         """Begin without processes."""
-        self._processes: dict[int, _Process] = {}
+        self._processes: dict[int, _ResidentProcess] = {}
         self._bytes = 0
         self._readings = 0
         self._due = self._own_due = 0.0
@@ -80,13 +80,13 @@ class ResidentMemory:
             process.close()
         self._processes.clear()
 
-    def _add(self, pid: int) -> _Process:
-        process = _Process(pid, keep=len(self._processes) < _MOST_FILES)
+    def _add(self, pid: int) -> _ResidentProcess:
+        process = _ResidentProcess(pid, keep=len(self._processes) < _MOST_FILES)
         self._processes[pid] = process
         return process
 
 
-class _Process:
+class _ResidentProcess:
     """One process; a file that stays open fails once it is gone, whoever has its pid by then."""
 
     def __init__(self, pid: int, *, keep: bool) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sources of CPU and memory figures: the kernel's accounts of a cgroup, version 1 or 2.
 
-Both supervisor and sidecar read a `Source` ten times a second. Files stay open between readings: half the
-cost of a reading is the open, and the file of a cgroup that is gone then fails instead of being another's.
+Both supervisor and sidecar read a `UsageSource` ten times a second. Files stay open between readings: half
+the cost of a reading is the open, and the file of a cgroup that is gone then fails and isn't another's.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Sample(NamedTuple):
     resident: int
 
 
-class Source(Protocol):
+class UsageSource(Protocol):
     """Something that knows the CPU and memory of one process tree."""
 
     @property
@@ -179,7 +179,7 @@ class CgroupV2Source:
         self._resident.close()
 
 
-def cgroup_source_at(root: str) -> Source | None:
+def cgroup_source_at(root: str) -> UsageSource | None:
     """Open the account of the cgroup whose file system is seen at `root`, as inside a container.
 
     Args:

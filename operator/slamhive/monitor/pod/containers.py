@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from slamhive.monitor.measuring.cgroup import RunCgroup
-    from slamhive.monitor.measuring.sources import Source
+    from slamhive.monitor.measuring.sources import UsageSource
 
 MARK = "SLAMHIVE_CONTAINER"
 _PAUSE = 1
@@ -159,7 +159,9 @@ class Container:
         self._group = attach_cgroup(f"{its_files}/sys/fs/cgroup", first.pid)
         self._known = [first]
         try:
-            self.source: Source = self._group.source if self._group else ProcSource(first.pid, self._related)
+            self.source: UsageSource = (
+                self._group.source if self._group else ProcSource(first.pid, self._related)
+            )
         except OSError:
             os.close(self.pidfd)
             raise

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from slamhive.monitor.measuring.accounting import Accounting
     from slamhive.monitor.measuring.processes import ProcessIdentity
-    from slamhive.monitor.outcome import Stop
+    from slamhive.monitor.outcome import StopDecision
 
 
 @dataclass(slots=True, kw_only=True)
@@ -47,7 +47,7 @@ class SidecarState:
     throttled: float | None = None
     reader: float | None = None
     suspicions: list[str] = field(default_factory=list)
-    stop: Stop | None = None
+    stop: StopDecision | None = None
     ended: bool = False
     left: int = 0
     notes: list[str] = field(default_factory=list)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from slamhive.monitor.measuring.accounting import Accounting, Contention, SampleTimes
 from slamhive.monitor.measuring.interference import Interference
 from slamhive.monitor.measuring.reader import ReaderClock
-from slamhive.monitor.outcome import Stop, out_of_memory
+from slamhive.monitor.outcome import StopDecision, out_of_memory
 from slamhive.monitor.programs.files import UsageTable
 from slamhive.monitor.programs.output import OutputMeter
 from slamhive.monitor.summary import Reason
@@ -85,7 +85,7 @@ class Watch:
                 return self._leave(now)
             if deadline is not None and now >= deadline:
                 deadline = None
-                self._end(Stop(Reason.DEADLINE_EXCEEDED, f"it took more than {timeout:g} s"), now)
+                self._end(StopDecision(Reason.DEADLINE_EXCEEDED, f"it took more than {timeout:g} s"), now)
             if self._kill_at is not None and now >= self._kill_at:
                 return self._kill()
             if now >= times.due:
@@ -118,9 +118,9 @@ class Watch:
         if tasks is not None and container.tasks() > tasks:
             what = "processes and threads" if container.exact else "processes"
             message = f"it had more than {tasks} {what} at the same time"
-            self._end(Stop(Reason.ALGORITHM_FAILED, message, at_once=True), now)
+            self._end(StopDecision(Reason.ALGORITHM_FAILED, message, at_once=True), now)
 
-    def _end(self, stop: Stop, now: float) -> None:
+    def _end(self, stop: StopDecision, now: float) -> None:
         """End the algorithm: now, or ask it to end and kill it later. The first reason stays."""
         self._state.stop = self._state.stop or stop
         if stop.at_once:
@@ -135,7 +135,7 @@ class Watch:
         return self._ended(time.monotonic())
 
     def _leave(self, now: float) -> bool:
-        why = Stop(Reason.CANCELLED, "the pod was ended while the algorithm ran")
+        why = StopDecision(Reason.CANCELLED, "the pod was ended while the algorithm ran")
         self._state.stop = self._state.stop or why
         self._finish(now, final=False)
         return False

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from slamhive.monitor.measuring.cgroup import RunCgroup
-    from slamhive.monitor.measuring.sources import Source
+    from slamhive.monitor.measuring.sources import UsageSource
     from slamhive.monitor.spec import SupervisorSpec
 
 _LOOK_SECONDS = 0.002
@@ -191,7 +191,7 @@ class Contained:
         os.chdir(os.path.dirname(spec.process_path))  # noqa: PTH120
         # From here on the container goes with us, however we end.
         self._guard = Guard(self._command(*self._container.removal, self._container.identity))
-        self.source: Source = NoAccount()
+        self.source: UsageSource = NoAccount()
 
     @property
     def ended(self) -> bool:

@@ -12,7 +12,7 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
-from slamhive.monitor.outcome import Stop
+from slamhive.monitor.outcome import StopDecision
 from slamhive.monitor.summary import Reason
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _ROOM_SHARE = 50
 _MIB = 1 << 20
 
 
-class Extent(NamedTuple):
+class OutputExtent(NamedTuple):
     """Size of what is below a folder: bytes, and number of files and folders.
 
     Attributes:
@@ -71,7 +71,7 @@ class OutputMeter:
         self._due = 0.0
         self._used_before = _used(directory) if directory is not None else 0
 
-    def problem(self, now: float, processes: Iterable[int]) -> Stop | None:
+    def problem(self, now: float, processes: Iterable[int]) -> StopDecision | None:
         """Measure if it is time to, and return why the run must end.
 
         Args:
@@ -83,7 +83,7 @@ class OutputMeter:
         found = self._measure(self._directory, self._bytes, processes)
         taken = time.monotonic() - now
         self._due = now + min(max(1.0, taken / _SHARE), _SECONDS)
-        return None if found is None else Stop(Reason.OUTPUT_TOO_LARGE, found, at_once=True)
+        return None if found is None else StopDecision(Reason.OUTPUT_TOO_LARGE, found, at_once=True)
 
     def _measure(self, directory: str, limit: int, processes: Iterable[int]) -> str | None:
         extent = measure(directory, limit, self._files)
@@ -103,7 +103,7 @@ class OutputMeter:
         return _lack_of_room(directory, size, extent.entries)
 
 
-def measure(directory: str, most_bytes: int, most_entries: int | None) -> Extent:
+def measure(directory: str, most_bytes: int, most_entries: int | None) -> OutputExtent:
     """Measure what is below a folder; stops counting beyond either limit. Links are not followed."""
     size = entries = 0
     waiting = [directory]
@@ -123,8 +123,8 @@ def measure(directory: str, most_bytes: int, most_entries: int | None) -> Extent
         except (FileNotFoundError, NotADirectoryError):
             continue  # removed, or the folder itself replaced, since it was seen
         except OSError:
-            return Extent(size, entries, os.path.basename(folder))  # noqa: PTH119
-    return Extent(size, entries)
+            return OutputExtent(size, entries, os.path.basename(folder))  # noqa: PTH119
+    return OutputExtent(size, entries)
 
 
 def _listing(folder: str) -> AbstractContextManager[Iterator[os.DirEntry[str]]]:

@@ -28,7 +28,7 @@ from slamhive.monitor.programs.orphans import TOKEN, ProcessRecord
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slamhive.monitor.measuring.sources import Source
+    from slamhive.monitor.measuring.sources import UsageSource
     from slamhive.monitor.spec import SupervisorSpec
 
 NO_ACCOUNT = "none"
@@ -40,7 +40,7 @@ _CGROUP_LEFT = "a cgroup of the run could not be removed"
 class Program(Protocol):
     """The algorithm of one run, by whatever it is executed."""
 
-    source: Source
+    source: UsageSource
     """Its account."""
     limits_memory: bool
     """The kernel holds it to its memory limit."""
@@ -111,7 +111,7 @@ class OwnProcesses:
         limited = self._cgroup is not None and self._cgroup.limit(spec.memory_limit_bytes, spec.task_limit)
         self.limits_memory = limited
         self.limits_tasks = self._cgroup is not None
-        self.source: Source = ProcSource() if self._cgroup is None else self._cgroup.source
+        self.source: UsageSource = ProcSource() if self._cgroup is None else self._cgroup.source
 
     @property
     def ended(self) -> bool:

@@ -51,7 +51,7 @@ def carriers(mark: str) -> list[Process]:
     return found
 
 
-class Algorithm:
+class AlgorithmProcesses:
     """The algorithm, from its first process to its last.
 
     Args:

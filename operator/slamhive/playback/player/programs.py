@@ -22,7 +22,7 @@ _MASTER_SECONDS = 30.0
 _LOOK_SECONDS = 0.05
 
 
-class Program:
+class RosProgram:
     """A program of ROS that runs beside us, its output in a file.
 
     Args:
@@ -79,7 +79,7 @@ class Master:
         self.uri = f"http://{LOOPBACK}:{port}"
         (folder / "ros").mkdir(exist_ok=True)
         os.environ.update(ros_variables(self.uri, str(folder / "ros")))
-        self._program = Program(["roscore", "-p", str(port)], folder / "roscore.log")
+        self._program = RosProgram(["roscore", "-p", str(port)], folder / "roscore.log")
         self.api = xmlrpc.client.ServerProxy(self.uri)
         deadline = time.monotonic() + _MASTER_SECONDS
         while not self._answers():
@@ -140,12 +140,12 @@ class Master:
         self._program.end()
 
 
-def play_bag(folder: Path, recording: str, rate: float, remap: Mapping[str, str]) -> Program:
+def play_bag(folder: Path, recording: str, rate: float, remap: Mapping[str, str]) -> RosProgram:
     """Start rosbag play, paused before the first message: it tells of its topics and of the clock already."""
     options = ["--pause", "--clock", "--rate", repr(rate)]
     renamed = [f"{old}:={new}" for old, new in remap.items() if old != new]
     argv = ["rosbag", "play", *options, recording, f"__name:={BAG_NODE[1:]}", *renamed]
-    return Program(argv, folder / "rosbag.log")
+    return RosProgram(argv, folder / "rosbag.log")
 
 
 def _free_port() -> int:

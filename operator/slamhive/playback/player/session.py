@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slamhive.playback.player.processes import Algorithm
-from slamhive.playback.player.programs import Master, Program, play_bag
+from slamhive.playback.player.processes import AlgorithmProcesses
+from slamhive.playback.player.programs import Master, RosProgram, play_bag
 from slamhive.playback.player.recorder import Recorder, Track, merge_metrics, write_atomically
 from slamhive.playback.protocol import MASTER_FILE, READY_FILE, REPORT_FILE, PlayError
 
@@ -39,14 +39,14 @@ class Session:
         self._stopped = stopped
         self._folder = Path(request.folder)
         self._output = Path(request.output)
-        self._algorithm = Algorithm(request.algorithm)
+        self._algorithm = AlgorithmProcesses(request.algorithm)
         self._recorder = Recorder(request.frames, request.poses.moved)
         known = request.keyframes
         self._keyframes = Track(request.frames.time_offset + known.moved) if known is not None else None
         self._report: dict[str, Any] = {}
         self._numbers: dict[str, Any] = {}
         self._master: Master | None = None
-        self._bag: Program | None = None
+        self._bag: RosProgram | None = None
         self._silent = False
 
     def run(self) -> int:
