@@ -24,7 +24,7 @@ help:
 	@echo 'make demo    compare real algorithms on a generated recording'
 	@echo 'make test    run the tests that need neither root nor a cluster nor minutes'
 	@echo 'make test-cluster   run the rest: on a real Kubernetes, with images, with ROS nodes (Debian, root, Go), the slow ones'
-	@echo 'make lint    style, types, layers'
+	@echo 'make lint    style, types, layers, words'
 	@echo 'make docs    the docs site, in site/'
 	@echo 'make images  build the container images'
 	@echo 'make dist    wheels and source distributions of slamhive and slamhive-eval'
@@ -91,6 +91,7 @@ lint: install $(JAVASCRIPT_STAMP)
 	$(BIN)/mypy
 	cd images && ../$(BIN)/mypy --strict building
 	$(BIN)/lint-imports --no-logo 2>/dev/null || $(BIN)/lint-imports
+	$(BIN)/python tests/tree/check.py
 	$(NPM) run --silent lint
 
 bench: install

@@ -116,7 +116,6 @@ SLOWEST = (
     "algorithms/test_orb_slam_programs.py",
     "dashboard/answering/test_workers.py",
     "data/store/test_families.py",
-    "test_words.py",
     "contract/test_metrics.py",
     "monitor/test_full_disk.py",
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the documents say of the catalogue: no family is missing, and examples of families are right."""
+"""Words of the documents on the catalogue: no family is missing, and examples of families are right."""
 
 from __future__ import annotations
 

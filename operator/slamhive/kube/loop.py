@@ -18,7 +18,7 @@ from slamhive.kube.failing import tell_failure, tell_recovery
 from slamhive.model.errors import InputError, SlamHiveError
 
 Reconcile = Callable[[Cluster, Key], Awaitable[float | None]]
-"""What brings an object to where it should be; returns after how many seconds to look again, None for not
+"""Function that brings an object to where it should be; returns the seconds to look again after, None for not
 before something changes."""
 
 SLOW_RETRY_SECONDS = 300.0

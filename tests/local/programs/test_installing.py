@@ -33,7 +33,7 @@ def requirements(tmp_path: Path) -> Path:
 
 
 def said(requirements: Path, to: io.StringIO, moments: Callable[[int], float]) -> str:
-    """Return what is said of 150 packages and a long installation, line by line of pip."""
+    """Return the words about 150 packages and a long installation, line by line of pip."""
     now = 0.0
     teller = installing.Teller(to, lambda: now)
     steps = installing.Steps(requirements)

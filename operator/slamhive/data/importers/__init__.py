@@ -37,7 +37,7 @@ class LayoutModule(Protocol):
     """Interface of a layout's module: it recognises a folder or file, and reads its contents."""
 
     TITLE: str
-    """What is imported, for lists: "a folder in EuRoC's layout (mav0/)"."""
+    """Name of what is imported, for lists: "a folder in EuRoC's layout (mav0/)"."""
 
     def recognises(self, source: Path) -> bool:
         """Tell by the names of files alone whether something is in this layout."""

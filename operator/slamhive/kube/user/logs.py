@@ -110,7 +110,7 @@ class _LogReader:
         self.shown: set[str] = set()
         """Pods whose log was read to its end."""
         self.problem: str | None = None
-        """Why the last log could not be read."""
+        """Reason that the last log could not be read."""
 
     def news(self, text: str) -> str:
         """Return a text unless it was the last one."""

@@ -111,7 +111,7 @@ def _settings_of_pip(variables: Mapping[str, str]) -> dict[str, str]:
 
 
 def _said(command: list[str]) -> str:
-    """Return what a command says, nothing where it fails."""
+    """Return the output of a command, nothing where it fails."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_SECONDS)
     except (OSError, subprocess.TimeoutExpired):

@@ -81,9 +81,9 @@ class Workbench:
         self.workshop = workshop
         self.archive = archive
         self.making: dict[str, float] = {}
-        """What is being made that runs wait for, in words, and the share of it that is done."""
+        """Things being made that runs wait for, in words, each with the share of it that is done."""
         self.gives_up = False
-        """Whether datasets and recordings that are being made are wanted no more."""
+        """Datasets and recordings that are being made are wanted no more."""
         self.programs = Programs(home, container, notify, self.making)
         self.versions = Versions(home.path / "versions")
         self._notify = notify

@@ -30,7 +30,7 @@ class UsageTable:
             OSError: The file can't be written.
         """
         self.error: OSError | None = None
-        """Why rows are missing in the file, None when it has all."""
+        """Reason that rows are missing in the file, None when it has all."""
         self.touched = False
         self._path = path
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
