@@ -29,9 +29,9 @@ PACKAGES = ("operator/slamhive/", "evaluator/slamhive_eval/")
 """Folders whose classes have names that mean one thing."""
 QUESTIONS = "what|whether|where|who|whom|whose|which|how|when|why|that|if"
 RIDDLES = re.compile(
-    rf'^[ ]*r?"""(((Return|Yield|Give)s?,? )?({QUESTIONS})|As)\b.*', re.IGNORECASE | re.MULTILINE
+    rf'^ *r?"""(((return|yield|give)s?,? )?({QUESTIONS})|as)\b.*', re.IGNORECASE | re.MULTILINE
 )
-"""First lines of docstrings, which ruff has begin like this; reading them takes a twentieth of parsing them."""
+"""First lines of docstrings, which ruff has begin like this: to parse 1,200 modules takes ten times as long."""
 CLASSES = re.compile(r"^class \w+", re.MULTILINE)
 GLOSSARY = ("variant", "point", "slot", "attempt", "twin", "board", "common support")
 MOST_SHARED = 30
@@ -84,7 +84,7 @@ def packages(names: Iterable[str]) -> Iterator[str]:
 def riddles(name: str, text: str) -> Iterator[str]:
     """Yield the docstrings of a module, its constants, classes and functions that begin with a question."""
     for number, first in _matches(RIDDLES, text):
-        yield f"{name}:{number}: {first.strip()} is a riddle: 'Return the token of the next page.'"
+        yield f"{name}:{number}: {first.strip()} is a riddle: say the noun, as in 'Return the token of the next page.'"
 
 
 def _matches(pattern: re.Pattern[str], text: str) -> Iterator[tuple[int, str]]:
