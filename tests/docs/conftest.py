@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from slamhive.local.programs.engines import Engine
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(Path(__file__).parent / "doclab"))
 RECORDINGS = {
     "synthetic-lidar": {"sensors": ["Lidar", "Imu"], "lidar": {"rings": 4, "columns": 36}},
     "synthetic-camera": {"sensors": ["Stereo", "Imu"], "camera": {"width": 64, "height": 48, "rate": 5}},
@@ -34,6 +36,7 @@ STAND_INS = ("kiss-icp", "genz-icp")
 ADAPTER = """\
 import os
 import shutil
+import sys
 from pathlib import Path
 
 run = Path(os.environ["SLAMHIVE_RUN"])

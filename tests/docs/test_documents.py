@@ -11,13 +11,13 @@ from __future__ import annotations
 import re
 import shlex
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import pytest
 import yaml
+from documents import DOCUMENTS, ROOT, blocks, name_of, prose
 
 from slamhive.archive import Archive
 from slamhive.cli.parts.checked import check_files
@@ -32,21 +32,8 @@ from slamhive.plan import Plan, plan_problems
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-ROOT = Path(__file__).parents[2]
-DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
-NAMES = [path.relative_to(ROOT).as_posix() for path in DOCUMENTS]
-DEVELOP = sorted((ROOT / "docs" / "develop").glob("*.md"))
-CODE = (ROOT, ROOT / "operator" / "slamhive")
-"""Folders that the paths of docs/develop are in."""
 LANGUAGES = {"bash", "sh", "yaml", "python", "mermaid", "text", "sql", "diff", "js"}
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FILE = re.compile(r"^# ([\w./-]+\.\w+)$")
 LINK = re.compile(r"(?<!!)\[[^\]]+\]\(([^)\s]+)\)")
-DIFF = re.compile(r"^--- a/(\S+)$", re.MULTILINE)
-HUNK = re.compile(r"^@@ -\d+,(\d+) \+\d+,(\d+) @@\n", re.MULTILINE)
-NAMED = re.compile(r"((?:`[\w.]+`(?:, | and )?)+) (?:in|of) `([\w.-]+/[\w./-]+\.\w+)`")
-MADE = {"output", "runs", "dist", "site", "velodyne"}
-"""Folders that documents name and that are made by running something."""
 TEMPLATE = {"algorithmRef": {"name": "kiss-icp"}, "datasetRef": {"name": "synthetic-lidar"}}
 
 ELSEWHERE = {
@@ -57,24 +44,6 @@ SMALLER = {"dim.yaml": ("rate: 5,", "rate: 1,")}
 """Texts in files of the documents, and others that make them quicker to render."""
 BEFORE = {"home.md": "README.md", "results.md": "README.md"}
 """Documents whose commands ask for what those of another one made."""
-
-
-@dataclass(frozen=True)
-class Block:
-    """A fenced block: its language, its text, and the file that its first line names."""
-
-    language: str
-    text: str
-
-    @property
-    def file(self) -> str | None:
-        match = FILE.match(self.text.split("\n", 1)[0])
-        return match.group(1) if match else None
-
-
-def blocks(document: Path, *languages: str) -> list[Block]:
-    found = [Block(*match.groups()) for match in FENCE.finditer(document.read_text())]
-    return [block for block in found if not languages or block.language in languages]
 
 
 def commands(document: Path) -> list[str]:
@@ -96,15 +65,15 @@ def slug(heading: str) -> str:
     return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=NAMES)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
 def test_fences_say_what_they_are(document: Path) -> None:
     assert document.read_text().count("```") % 2 == 0
     assert {block.language for block in blocks(document)} <= LANGUAGES
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=NAMES)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
 def test_links_lead_somewhere(document: Path) -> None:
-    text = FENCE.sub("", document.read_text())
+    text = prose(document)
     for target in LINK.findall(text):
         if target.startswith("https://"):
             continue
@@ -113,46 +82,8 @@ def test_links_lead_somewhere(document: Path) -> None:
         assert place.is_relative_to(ROOT)
         assert place.exists(), target
         if anchor:
-            headings = re.findall(r"^#+ (.+)$", FENCE.sub("", place.read_text()), re.MULTILINE)
+            headings = re.findall(r"^#+ (.+)$", prose(place), re.MULTILINE)
             assert anchor in map(slug, headings), target
-
-
-@pytest.mark.parametrize("document", DEVELOP, ids=lambda path: path.name)
-def test_files_that_are_named_are_there(document: Path) -> None:
-    prose = set(re.findall(r"`([\w.-]+/[\w./-]*)`", FENCE.sub("", document.read_text())))
-    changed = {path for block in blocks(document, "diff") for path in DIFF.findall(block.text)}
-    named = {name for name in prose | changed if not set(name.split("/")) & {"NAME", *MADE}}
-    assert [name for name in sorted(named) if not any((root / name).exists() for root in CODE)] == []
-
-
-def code_file(name: str) -> Path:
-    return next(root / name for root in CODE if (root / name).exists())
-
-
-@pytest.mark.parametrize("document", DEVELOP, ids=lambda path: path.name)
-def test_names_are_in_the_files_that_are_named_with_them(document: Path) -> None:
-    found = NAMED.findall(FENCE.sub("", document.read_text()))
-    missing = [
-        f"{name} in {file}"
-        for names, file in found
-        for name in re.findall(r"\w+", names.replace(" and ", " "))
-        if not re.search(rf"\b{name}\b", code_file(file).read_text())
-    ]
-    assert missing == []
-
-
-@pytest.mark.parametrize("document", DEVELOP, ids=lambda path: path.name)
-def test_examples_of_changes_can_be_made(document: Path) -> None:
-    for block in blocks(document, "diff"):
-        _, *files = DIFF.split(block.text)
-        for name, change in zip(files[::2], files[1::2], strict=True):
-            _, *hunks = HUNK.split(change)
-            for old, new, text in zip(hunks[::3], hunks[1::3], hunks[2::3], strict=True):
-                lines = [line or " " for line in text.removesuffix("\n").split("\n")]
-                before = [line[1:] for line in lines if line[0] in " -"]
-                after = [line[1:] for line in lines if line[0] in " +"]
-                assert (len(before), len(after)) == (int(old), int(new)), text
-                assert "\n".join(["", *before, ""]) in code_file(name).read_text(), text
 
 
 def test_every_decision_is_in_the_index() -> None:
@@ -167,7 +98,7 @@ def test_every_marker_is_explained() -> None:
     assert explained == [marker.partition(":")[0] for marker in options["markers"]]
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=NAMES)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
 def test_manifests_are_valid(document: Path, tmp_path: Path) -> None:
     files = []
     for number, block in enumerate(blocks(document, "yaml")):
