@@ -19,7 +19,7 @@ PATH = re.compile(r"(?=.*[a-z])(?:[\w.-]+/)+[\w.-]*|[\w-]+\.(?:py|m?js|css)")
 SOURCE = re.compile(r".*\.(?:py|m?js|css)")
 PLACEHOLDER = re.compile(r"(?:^|/)[A-Z][A-Z0-9-]*(?:\.(?!md\b)|/|$)|versionN")
 """Parts of a path that stand for what a reader puts there, such as NAME."""
-NAMED = re.compile(r"((?:`[\w.]+`(?:, | and )?)+) (?:in|of) `([\w.-]+/[\w./-]+\.\w+)`")
+NAMED = re.compile(r"((?:`[\w.]+`(?:, | and )?)+) (?:in |of |\()`([\w.-]+/[\w./-]+\.\w+)`")
 MODULE = re.compile(r"\bslamhive(?:_eval)?\.(?!io\b)\w+(?:\.\w+)*")
 TEST = re.compile(r"`(?:[\w/]+\.py::)?(test_\w+)`")
 DIFF = re.compile(r"^--- a/(\S+)$", re.MULTILINE)
