@@ -9,19 +9,21 @@ import pytest
 
 from slamhive.model.errors import SettingsError, SystemFault
 from slamhive.templating import RenderedFile, place_files, render
+from slamhive.templating.process import CPU_SECONDS
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-TIME, MEMORY = "it takes more than 2 s of processor time", "it takes more than 64 MiB of memory"
+USUAL = f"it takes more than {CPU_SECONDS:g} s of processor time"
+LITTLE = 0.3
+TIME, MEMORY = "it takes more than 0.3 s of processor time", "it takes more than 64 MiB of memory"
 
 DOUBLED = "{% set n = namespace(x=[1]) %}{% for i in range(60) %}{% set n.x = [n.x, n.x] %}{% endfor %}"
 
 
-def rendered(told: dict[str, Any], *templates: str) -> list[RenderedFile]:
-    return render(
-        [(f"{n}.yaml", text) for n, text in enumerate(templates)], told, "/slamhive", "/slamhive/files"
-    )
+def rendered(told: dict[str, Any], *templates: str, cpu_seconds: float = CPU_SECONDS) -> list[RenderedFile]:
+    files = [(f"{n}.yaml", text) for n, text in enumerate(templates)]
+    return render(files, told, "/slamhive", "/slamhive/files", cpu_seconds)
 
 
 def test_files_are_rendered_together(told: dict[str, Any]) -> None:
@@ -32,7 +34,7 @@ def test_files_are_rendered_together(told: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("template", "line", "words"),
     [
-        ("{% for i in range(10**12) %}\n{% for j in range(99999) %}{% endfor %}{% endfor %}", 2, TIME),
+        ("{% for i in range(10**12) %}\n{% for j in range(99999) %}{% endfor %}{% endfor %}", 2, USUAL),
         # Each doubling costs nothing; printing it would take longer than the sun lasts.
         (f"{DOUBLED}\n{{{{ n.x }}}}", 2, TIME),
         ("\n{{ 'a' * 10**10 }}", 2, MEMORY),
@@ -52,7 +54,7 @@ def test_a_hostile_template_ends_with_a_sentence(
     told: dict[str, Any], template: str, line: int, words: str
 ) -> None:
     with pytest.raises(SettingsError) as error:
-        rendered(told, "fine: {{ seed }}", template)
+        rendered(told, "fine: {{ seed }}", template, cpu_seconds=LITTLE if words == TIME else CPU_SECONDS)
     assert str(error.value).startswith(f"algorithm 'vins': files.1.template (1.yaml): line {line}: {words}")
 
 
@@ -60,7 +62,7 @@ def test_one_operation_without_end_is_ended_by_the_kernel(told: dict[str, Any]) 
     """No line is known then: Python is not asked between the steps of one operation."""
     two = DOUBLED + DOUBLED.replace("n.x", "m.x").replace("set n ", "set m ")
     with pytest.raises(SettingsError) as error:
-        rendered(told, "", two + "{{ n.x == m.x }}")
+        rendered(told, "", two + "{{ n.x == m.x }}", cpu_seconds=LITTLE)
     assert str(error.value) == f"algorithm 'vins': files.1.template (1.yaml): {TIME} or 64 MiB of memory"
 
 

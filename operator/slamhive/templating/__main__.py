@@ -15,7 +15,7 @@ import sys
 
 from slamhive.contract.files import memory_bounded
 from slamhive.model.templates import TemplateMistake
-from slamhive.templating.process import CPU_SECONDS, MEMORY_BYTES, MEMORY_TEXT, TIME_TEXT
+from slamhive.templating.process import MEMORY_BYTES, MEMORY_TEXT
 from slamhive.templating.rendering import OutOfTime, Renderer
 
 
@@ -23,11 +23,12 @@ def main() -> int:
     """Render, and write the texts or what is wrong as JSON; return the exit code."""
     request = json.loads(sys.stdin.buffer.read())
     answer: dict[str, object] = {"texts": (texts := [])}
-    _bound_time()
+    _bound_time(request["seconds"])
     index = 0
     with memory_bounded(MEMORY_BYTES):
         try:
-            renderer = Renderer(request["told"], request["run"], request["files"], TIME_TEXT, MEMORY_TEXT)
+            given = (request[name] for name in ("told", "run", "files", "time"))
+            renderer = Renderer(*given, MEMORY_TEXT)
             for index, template in enumerate(request["templates"]):
                 sys.stderr.write(f"{index}\n")
                 sys.stderr.flush()
@@ -39,19 +40,20 @@ def main() -> int:
     return 0
 
 
-def _bound_time() -> None:
-    """Have an exception raised when the time is used up, and the process killed two seconds later."""
+def _bound_time(seconds: float) -> None:
+    """Have an exception raised when the time is used up, and the process killed a second or two later."""
 
     def end(_signal: int, _frame: object) -> None:
         raise OutOfTime
 
     used = resource.getrusage(resource.RUSAGE_SELF)
-    soft = math.ceil(used.ru_utime + used.ru_stime + CPU_SECONDS)
-    signal.signal(signal.SIGXCPU, end)
+    signal.signal(signal.SIGPROF, end)
+    # It comes again: an exception in a destructor, which Python drops, is not the last.
+    signal.setitimer(signal.ITIMER_PROF, seconds, 0.5)
+    hard = math.ceil(used.ru_utime + used.ru_stime + seconds) + 1
     _, known = resource.getrlimit(resource.RLIMIT_CPU)
-    # The signal comes each second: an exception in a destructor, which Python drops, is not the last.
-    hard = soft + 2 if known == resource.RLIM_INFINITY else min(soft + 2, known)
-    resource.setrlimit(resource.RLIMIT_CPU, (min(soft, hard), hard))
+    hard = hard if known == resource.RLIM_INFINITY else min(hard, known)
+    resource.setrlimit(resource.RLIMIT_CPU, (hard, hard))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 

@@ -18,9 +18,8 @@ from slamhive.model.errors import SettingsError, SystemFault
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-CPU_SECONDS = 2
+CPU_SECONDS = 2.0
 """Processor time that all templates of a run may take."""
-TIME_TEXT = f"{CPU_SECONDS} s of processor time"
 MEMORY_BYTES = 64 << 20
 """Memory that rendering may take beyond that of the process that renders."""
 MEMORY_TEXT = f"{MEMORY_BYTES >> 20} MiB of memory"
@@ -41,7 +40,11 @@ class RenderedFile:
 
 
 def render(
-    templates: Sequence[tuple[str, str]], told: Mapping[str, Any], run: str, files: str
+    templates: Sequence[tuple[str, str]],
+    told: Mapping[str, Any],
+    run: str,
+    files: str,
+    cpu_seconds: float = CPU_SECONDS,
 ) -> list[RenderedFile]:
     """Return an algorithm's settings files for a run.
 
@@ -50,12 +53,21 @@ def render(
         told: the run's configuration as plain values, as config.yaml has it.
         run: the run folder, as the program sees it.
         files: the folder of settings files, as the program sees it.
+        cpu_seconds: processor time that all of them may take.
 
     Raises:
         SettingsError: a template can't be rendered; the sentence names its field and line.
         SystemFault: the machine couldn't.
     """
-    request = {"templates": [text for _, text in templates], "told": told, "run": run, "files": files}
+    time = f"{cpu_seconds:g} s of processor time"
+    request = {
+        "templates": [text for _, text in templates],
+        "told": told,
+        "run": run,
+        "files": files,
+        "seconds": cpu_seconds,
+        "time": time,
+    }
     try:
         ended = subprocess.run(
             # -P: a json.py in the user's working folder is none of ours.
@@ -73,9 +85,7 @@ def render(
     at = int(numbers[-1]) if numbers else None
     if ended.returncode < 0 and at is not None and at < len(templates):
         # Ended by the kernel, in the middle of one operation.
-        raise SettingsError(
-            _where(told, at, templates) + f": it takes more than {TIME_TEXT} or {MEMORY_TEXT}"
-        )
+        raise SettingsError(f"{_where(told, at, templates)}: it takes more than {time} or {MEMORY_TEXT}")
     if ended.returncode != 0:
         last = ended.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         raise SystemFault(f"settings files can't be rendered: {last or f'exit code {ended.returncode}'}")
