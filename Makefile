@@ -8,8 +8,8 @@ JAVASCRIPT := tests/javascript
 JAVASCRIPT_STAMP := $(JAVASCRIPT)/node_modules/.installed
 # Node.js comes with the Python packages.
 NPM := cd $(JAVASCRIPT) && PATH="$(CURDIR)/$(BIN):$$PATH" npm
-# How many tests run side by side; many wait for a cluster most of the time.
-WORKERS ?= 3
+# How many tests run side by side; many wait most of the time, for a program or a cluster.
+WORKERS ?= 4
 # Which tests; all when empty.
 TESTS ?=
 THE_REST := cluster or container or helm or image or ros or slow

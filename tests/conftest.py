@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The order of all tests, hypothesis' profiles, and a home with a small dataset and an algorithm.
 
-The order is drawn at random: its seed is printed first, and ``--order-seed`` repeats it. Files that take
-longest come first, so that no worker is left with one of them at the end.
+The order is drawn at random: its seed is printed first, and ``--order-seed`` repeats it.
 """
 
 from __future__ import annotations
@@ -16,16 +15,13 @@ import sys
 import uuid
 from collections import defaultdict
 from contextlib import ExitStack
-from functools import cache
 from pathlib import Path
 from random import Random, SystemRandom
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from _pytest.mark.expression import Expression
 from aiohttp.client_proto import ResponseHandler
 from hypothesis import settings as hypothesis_settings
-from xdist.scheduler import LoadScopeScheduling
 
 from slamhive.data.files.once import evict, in_use
 from slamhive.data.store.datasets import materialise
@@ -37,104 +33,32 @@ from slamhive.model.loading import load_file
 
 sys.path.append(str(Path(__file__).parent))
 from browsers import MISSING, Browser, find_browser
+from sharing import Sharing
+from units import STORY, Durations, Units
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
 
 TESTS = Path(__file__).parent
 ACTOR = TESTS / "actor"
-NEEDS = {"node_cluster": "node", "ros": "ros", "helm": "helm", "podman": "container"}
+NEEDS = {
+    "control_plane": ("cluster",),
+    "node_cluster": ("cluster", "node"),
+    "ros": ("ros",),
+    "helm": ("helm",),
+    "podman": ("container",),
+}
 """Markers of the tests that ask for a fixture."""
-LONG = ("slow", "image", "ros", "container")
-"""Markers of tests that may take longer than a minute."""
+LONG = {"slow", "image", "ros", "container", "cluster"}
+"""Markers of tests that may take longer than the usual five minutes."""
 CONTAINER_IMAGES = ("kiss-icp", "shell-algorithm", "ros1-player", "kiss-icp-ros")
 """Images that tests run in containers of a workstation, as images/build calls them."""
 POSTGRESQL = "SLAMHIVE_TEST_POSTGRESQL"
 """Variable that names a PostgreSQL server for tests."""
-CLUSTERS = frozenset({"control_plane", "node_cluster"})
-"""Fixtures of real clusters: what uses one may take as long."""
-INSTALLING = frozenset({"environments", "evo"})
+INSTALLING = {"environments", "evo"}
 """Fixtures that install packages where no session before has: what uses one may wait for that."""
 RECORDINGS_BYTES = 4 * 2**30
 """Of generated recordings that outlive sessions; those that were used least recently go."""
-SINGLE = ("tests/shows/",)
-"""Long tests that have nothing in common."""
-
-SLOWEST = (
-    "e2e/",
-    "shows/",
-    "kube/faults/",
-    "playback/test_real.py",
-    "kube/reconciling/",
-    "algorithms/test_started.py",
-    "playback/test_systems.py",
-    "helm/test_cluster.py",
-    "cluster/test_local.py",
-    "system/test_killing.py",
-    "docs/test_documents.py",
-    "dashboard_pages/test_pages.py",
-    "system/test_running.py",
-    "system/test_two_runners.py",
-    "system/test_daily.py",
-    "contract/test_container.py",
-    "contract/test_process.py",
-    "system/test_killing_containers.py",
-    "upgrade/test_objects.py",
-    "system/test_wheel.py",
-    "conformance/test_containers.py",
-    "local/programs/test_containers.py",
-    "images/test_built_images.py",
-    "cli_cluster/",
-    "honest/test_honest.py",
-    "monitor/test_ending.py",
-    "monitor/test_sidecar.py",
-    "monitor/test_measuring.py",
-    "faults/test_every_write.py",
-    "faults/test_jobs.py",
-    "synthetic/test_recording.py",
-    "templating/test_bounds.py",
-    "jobs/test_evaluate.py",
-    "local/programs/test_untouchable.py",
-    "local/programs/test_surroundings.py",
-    "dashboard/answers/test_analysis_api.py",
-    "synthetic/test_images.py",
-    "dashboard/answers/test_run.py",
-    "dashboard/answering/test_budgets.py",
-    "archive/test_keeping.py",
-    "evaluator/commands/test_report.py",
-    "jobs/test_prepare.py",
-    "data/making/test_preparation.py",
-    "dashboard_pages/test_drawings.py",
-    "dashboard_pages/test_versions.py",
-    "upgrade/test_homes.py",
-    "dashboard/server/test_fuzz.py",
-    "local/running/test_resuming.py",
-    "local/running/test_attempts.py",
-    "data/test_importers.py",
-    "jobs/test_collect.py",
-    "monitor/test_resident.py",
-    "algorithms/test_orb_slam_programs.py",
-    "dashboard/answering/test_workers.py",
-    "data/store/test_families.py",
-    "contract/test_metrics.py",
-    "monitor/test_full_disk.py",
-)
-"""Folders and files that take longest, the longest first."""
-STORY = "e2e/"
-"""A folder whose tests follow one installation from its first sweep to its end, in the order of the files."""
-TOGETHER = (STORY, "dashboard_pages/", "docs/", "jobs/")
-"""Folders whose files share what takes seconds to start: one worker takes all of them."""
-ON_CLUSTERS = (
-    STORY,
-    "kube/",
-    "cluster/",
-    "cli_cluster/",
-    "helm/test_cluster.py",
-    "dashboard/sources/test_cluster.py",
-)
-"""Folders and files with tests that share a worker's cluster."""
-CLUSTER_WORKERS = 2
-"""Workers that begin with those tests: one has the story, the other one all else."""
 PROFILE = os.environ.get("SLAMHIVE_EXAMPLES", "quick")
 
 hypothesis_settings.register_profile("quick", max_examples=40, deadline=None, derandomize=True, database=None)
@@ -142,72 +66,27 @@ hypothesis_settings.register_profile("thorough", max_examples=2000, deadline=Non
 hypothesis_settings.load_profile(PROFILE)
 
 
-class Sharing(LoadScopeScheduling):
-    """Shares of workers side by side: files, tests that share nothing, and folders that share much.
-
-    A worker that has begun with clusters goes on with them, and the others come to them last: each starts
-    one, which takes processor time until the session ends, and what waits goes best beside what computes.
-    """
-
-    def __init__(self, config: pytest.Config, log: Any) -> None:
-        super().__init__(config, log)
-        self._with_cluster: set[Any] = set()
-        chosen = config.option.markexpr
-        # make test has tests of the same files that need none.
-        self._has_clusters = not chosen or Expression.compile(chosen).evaluate(lambda name: name == "cluster")
-
-    def _split_scope(self, nodeid: str) -> str:
-        path = nodeid.partition("::")[0]
-        if path.startswith(SINGLE):
-            return nodeid
-        return next((folder for folder in TOGETHER if path.startswith(f"tests/{folder}")), path)
-
-    def _assign_work_unit(self, node: Any) -> None:
-        if self._has_clusters:
-            most = max(1, min(CLUSTER_WORKERS, self.numnodes - 1))
-            wanted = node in self._with_cluster or len(self._with_cluster) < most
-            fitting = (scope for scope in self.workqueue if _needs_cluster(scope) == wanted)
-            chosen = next(fitting, next(iter(self.workqueue)))
-            self.workqueue.move_to_end(chosen, last=False)
-            if _needs_cluster(chosen):
-                self._with_cluster.add(node)
-        super()._assign_work_unit(node)
-
-
-def _needs_cluster(scope: str) -> bool:
-    return scope.removeprefix("tests/").startswith(ON_CLUSTERS)
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Sharing:
-    """Share tests out in our way."""
-    return Sharing(config, log)
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that repeats an order."""
+    """Add the options for workers and for an order that is repeated."""
+    group = parser.getgroup("workers")
+    group._addoption("-n", dest="workers", type=int, default=0, help="run tests in so many processes")
     parser.addoption("--order-seed", type=int, help="run tests in the order that was drawn from this number")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Draw the seed, which workers are told as all must agree on the order, and have Ctrl-C work.
+    """Draw the seed, share the tests out, and have Ctrl-C work.
 
     Where a developer's shell has its home and archive is nothing to the tests.
     """
     for name in ("HOME", "ARCHIVE", "ALSO", "CONTAINER"):
         os.environ.pop(f"SLAMHIVE_{name}", None)
-    told = getattr(config, "workerinput", {}).get("order_seed", config.option.order_seed)
-    config.option.order_seed = SystemRandom().randrange(2**32) if told is None else told
-    config.option.loadscopereorder = False  # the order is ours
+    if config.option.order_seed is None:
+        config.option.order_seed = SystemRandom().randrange(2**32)
     # A shell has what it puts into the background ignore SIGINT, and programs of tests would inherit that.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_configure_node(node: Any) -> None:
-    """Tell a worker the seed."""
-    node.workerinput["order_seed"] = node.config.option.order_seed
+    durations = Durations(kept("durations") / "seconds.json")
+    config.pluginmanager.register(Sharing(config.option.workers, durations, Units(durations)))
 
 
 def pytest_report_header(config: pytest.Config) -> str:
@@ -233,35 +112,25 @@ def pytest_collection(session: pytest.Session) -> Generator[None, object, object
 
 @pytest.hookimpl(tryfirst=True)  # before pytest brings together the tests that share a fixture
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what tests need, and put them in the order of the seed, the files that take longest first."""
+    """Mark what tests need, give what may take long more time, and put the tests in the order of the seed."""
     files = defaultdict(list)
-    name_of = cache(lambda path: path.relative_to(TESTS).as_posix())
-    rank_of = cache(rank)
     for item in items:
         fixtures = set(getattr(item, "fixturenames", ()))
         for fixture in NEEDS.keys() & fixtures:
-            item.add_marker(NEEDS[fixture])
-        name = name_of(item.path)
-        if item.get_closest_marker("timeout") is None:
-            # Both cores may be taken by others: programs that need seconds may then need a minute.
-            waits = rank_of(name) < len(SLOWEST) or "browser" in fixtures
-            is_long = bool((CLUSTERS | INSTALLING) & fixtures) or any(map(item.get_closest_marker, LONG))
-            longest = 900 if is_long else 300 if waits else 60
-            item.add_marker(pytest.mark.timeout(longest))
-        files[name].append(item)
+            for marker in NEEDS[fixture]:
+                item.add_marker(marker)
+        names = {marker.name for marker in item.iter_markers()}
+        if "timeout" not in names and (INSTALLING & fixtures or LONG & names):
+            item.add_marker(pytest.mark.timeout(900))
+        files[item.nodeid.partition("::")[0]].append(item)
     seed = config.option.order_seed
     names = sorted(files)
     Random(seed).shuffle(names)
-    names.sort(key=lambda name: (rank(name), name if name.startswith(STORY) else ""))
+    names.sort(key=lambda name: name if name.startswith(STORY) else "")
     for name in names:
         if not name.startswith(STORY):  # the same order when the file is run alone
             Random(f"{seed} {name}").shuffle(files[name])
     items[:] = [item for name in names for item in files[name]]
-
-
-def rank(name: str) -> int:
-    """Return the turn of a file: the place of what takes longest, and all others after that."""
-    return next((place for place, start in enumerate(SLOWEST) if name.startswith(start)), len(SLOWEST))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -27,8 +27,8 @@ def main() -> int:
     index = 0
     with memory_bounded(MEMORY_BYTES):
         try:
-            given = (request[name] for name in ("told", "run", "files", "time"))
-            renderer = Renderer(*given, MEMORY_TEXT)
+            told, run, files = request["told"], request["run"], request["files"]
+            renderer = Renderer(told, run, files, request["time"], MEMORY_TEXT)
             for index, template in enumerate(request["templates"]):
                 sys.stderr.write(f"{index}\n")
                 sys.stderr.flush()

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from testcluster.kind import Kind
 
 CRDS = sorted((Path(__file__).resolve().parents[3] / "crds").glob("*.yaml"))
-FIXTURES = frozenset({"control_plane", "node_cluster", "kwok", "crds", "namespace"})
 _NUMBERS = itertools.count()
 _SESSION = pytest.StashKey["_Session"]()
 
@@ -35,8 +34,8 @@ _SESSION = pytest.StashKey["_Session"]()
 class _Session:
     """The cluster of one test session."""
 
-    def __init__(self, config: pytest.Config) -> None:
-        self._config = config
+    def __init__(self, session: pytest.Session) -> None:
+        self._session = session
         self._ours: Local | Kind | choice.Current | None = None
         self._pipe: tuple[int, int] | None = None
 
@@ -50,11 +49,11 @@ class _Session:
         if self._ours is None:
             usual = choice.cluster(DEFAULT)
             # Sessions side by side would stop each other's programs and count each other's nodes.
-            if "PYTEST_XDIST_WORKER" not in os.environ and usual.alive():
+            if "PYTEST_WORKER" not in os.environ and usual.alive():
                 return usual.up(node=node)
             self._ours = choice.cluster(f"test{os.getpid()}")
             self._pipe = os.pipe()
-            self._config.add_cleanup(self.end)
+            self._session.addfinalizer(self.end)
         return self._ours.up(node=node, owner=self._pipe[0] if self._pipe else None)
 
     def end(self) -> None:
@@ -70,17 +69,8 @@ class _Session:
 def _session(request: pytest.FixtureRequest) -> _Session:
     stash = request.config.stash
     if _SESSION not in stash:
-        stash[_SESSION] = _Session(request.config)
+        stash[_SESSION] = _Session(request.session)
     return stash[_SESSION]
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that need a cluster, which takes its time to start."""
-    for item in items:
-        if FIXTURES & set(getattr(item, "fixturenames", ())):
-            item.add_marker("cluster")
-            if item.get_closest_marker("timeout") is None:
-                item.add_marker(pytest.mark.timeout(900))
 
 
 @pytest.fixture(scope="session")
