@@ -15,7 +15,7 @@ from slamhive.kube.api.kinds import Key, Kind, key_of
 from slamhive.kube.cluster import Cluster
 from slamhive.kube.observing import Attempted
 from slamhive.kube.reconciling.catalogue import Catalogue, parse
-from slamhive.kube.reconciling.reuse import Twins
+from slamhive.kube.reconciling.reuse import ReusableRuns
 from slamhive.kube.reconciling.run import RunReconciler
 from slamhive.kube.reconciling.run_status import RunFacts, provenance, reused_fields
 from slamhive.kube.reconciling.sweep import SweepReconciler
@@ -138,7 +138,7 @@ def a_run(rate: float, dataset: str = "slow") -> dict[str, Any]:
 async def test_a_run_that_asks_for_more_is_refused(cluster: Cluster, apply: Callable[..., Key]) -> None:
     catalogue = Catalogue()
     key = apply(Kind.MAPPING_RUN, a_run(30))
-    await RunReconciler(catalogue, None, Twins(catalogue))(cluster, key)  # type: ignore[arg-type]
+    await RunReconciler(catalogue, None, ReusableRuns(catalogue))(cluster, key)  # type: ignore[arg-type]
     run = cluster.store.get(key)
     assert run is not None
     assert (run["status"]["phase"], run["status"]["reason"]) == ("Failed", "InvalidParameters")

@@ -9,20 +9,16 @@ import json
 import zlib
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from slamhive.engine import AttemptState, VariantState, classify
-from slamhive.kube.observing import (
-    Attempted,
-    observe_attempt,
-    observe_evaluator,
-    observe_read,
-    observe_variant,
-)
-from slamhive.kube.pods import why_unable
-from slamhive.kube.reports import Report, moment
+from slamhive.kube.observing import Attempted, observe_attempt, observe_job, observe_variant
+from slamhive.kube.pods import Waiting, why_unable
+from slamhive.kube.reconciling.waiting import ROOM_SECONDS, Patience, patience
+from slamhive.kube.reports import Report, moment, read_report
 from slamhive.model.results import Reason
 
 PODS = json.loads((Path(__file__).parent / "golden" / "pods.json").read_text(encoding="utf-8"))
@@ -154,20 +150,40 @@ def test_an_end_comes_with_what_the_monitor_and_the_runtime_know() -> None:
 def test_what_keeps_a_pod_waiting_is_told(name: str, word: str, reason: Reason | None, part: str) -> None:
     attempted = seen(pod(name))
     assert attempted.state is AttemptState.RUNNING
-    assert attempted.waiting_reason == word
-    assert part in (attempted.waiting_message or "")
-    assert attempted.may_lack_variant == (name == "no-variant")
     waiting = attempted.waiting
     assert waiting is not None
+    assert waiting.reason == word
+    assert part in waiting.message
+    assert attempted.may_lack_variant == (name == "no-variant")
     assert (waiting.end.reason if waiting.end else None) is reason
 
 
-def test_a_pod_that_is_to_go_says_so() -> None:
+async def borne(
+    waiting: Waiting | None, seconds: float, *messages: str, room_seconds: float = ROOM_SECONDS
+) -> Patience:
+    """Return the patience with a Job's pod that has waited for some seconds."""
+    assert waiting is not None
+    now = (waiting.since or 0.0) + seconds
+
+    async def message(_namespace: str, _uid: str) -> str | None:
+        return next(iter(messages), None)
+
+    cluster: Any = SimpleNamespace(
+        clock=lambda: now,
+        settings=SimpleNamespace(image_pull_grace_seconds=120.0, refusal_grace_seconds=300.0),
+        refused_pods=SimpleNamespace(message=message),
+    )
+    return await patience(cluster, {"metadata": {"namespace": "lab", "uid": "job"}}, waiting, room_seconds)
+
+
+async def test_a_pod_that_is_to_go_says_so() -> None:
     going = pod("running")
     going["metadata"]["deletionTimestamp"] = "2026-11-21T15:16:00Z"
     attempted = seen(going)
-    assert (attempted.state, attempted.waiting_reason) == (AttemptState.RUNNING, "Terminating")
-    assert attempted.give_up_at(0) is None
+    waiting = attempted.waiting
+    assert waiting is not None
+    assert (attempted.state, waiting.reason) == (AttemptState.RUNNING, "Terminating")
+    assert await borne(waiting, 1e6) == Patience(waiting)
 
 
 @pytest.mark.parametrize(
@@ -200,19 +216,19 @@ def test_why_a_program_cannot_start_is_told_shortly(told: str, reason: Reason, m
     assert (end.reason, end.message) == (reason, message)
 
 
-def test_an_image_without_a_program_is_given_up() -> None:
+async def test_an_image_without_a_program_is_given_up() -> None:
     stuck = pod("no-variant")
     told = {
         "reason": "CreateContainerError",
         "message": "spec: failed to generate spec: no command specified",
     }
     stuck["status"]["containerStatuses"][0]["state"] = {"waiting": told}
-    end = seen(stuck).given_up().end
+    end = (await borne(seen(stuck).waiting, 121)).end
     assert end is not None
     assert end.reason is Reason.ALGORITHM_FAILED
 
 
-def test_a_node_whose_clock_is_behind_has_the_same_patience() -> None:
+async def test_a_node_whose_clock_is_behind_has_the_same_patience() -> None:
     """The kubelet's times are an hour old; the scheduler's are not."""
     behind = pod("no-image")
     status = behind["status"]
@@ -220,22 +236,52 @@ def test_a_node_whose_clock_is_behind_has_the_same_patience() -> None:
     assert began is not None
     status["startTime"] = "2026-11-21T14:13:25Z"
     status["initContainerStatuses"][0]["state"]["running"]["startedAt"] = "2026-11-21T14:13:26Z"
-    assert seen(behind).give_up_at(120) == began + 120
+    waiting = seen(behind).waiting
+    assert waiting is not None
+    assert waiting.since == began
 
 
-def test_patience_ends_for_an_image_but_not_for_room() -> None:
-    attempted = seen(pod("no-image"))
-    assert attempted.waiting is not None
-    assert attempted.waiting.since is not None
-    assert attempted.give_up_at(120) == attempted.waiting.since + 120
-    hopeless = seen(pod("bad-image-name"))
-    assert hopeless.waiting is not None
-    assert hopeless.give_up_at(120) == hopeless.waiting.since
-    assert seen(pod("unschedulable")).give_up_at(120) is None
-    gone = attempted.given_up()
-    assert gone.state is AttemptState.ENDED
-    assert gone.end is not None
-    assert gone.end.reason is Reason.IMAGE_PULL_FAILED
+async def test_patience_ends_for_an_image_but_not_for_room() -> None:
+    waiting = seen(pod("no-image")).waiting
+    assert await borne(waiting, 20) == Patience(waiting, 100.0)
+    end = (await borne(waiting, 120)).end
+    assert end is not None
+    assert end.reason is Reason.IMAGE_PULL_FAILED
+    assert (await borne(seen(pod("bad-image-name")).waiting, 0)).end is not None
+    full = seen(pod("unschedulable")).waiting
+    assert await borne(full, 1e6) == Patience(full)
+
+
+@pytest.mark.parametrize(("room", "said"), [(0.0, True), (ROOM_SECONDS, False)])
+async def test_a_full_cluster_is_said_at_runs_at_once_and_elsewhere_after_a_minute(
+    room: float, *, said: bool
+) -> None:
+    full = seen(pod("unschedulable")).waiting
+    found = await borne(full, 10, room_seconds=room)
+    assert found == (Patience(full) if said else Patience(seconds=50.0))
+    assert await borne(full, 60, room_seconds=room) == Patience(full)
+
+
+async def test_a_job_without_a_pod_is_asked_about_after_seconds_and_again() -> None:
+    young = job()
+    young["metadata"]["creationTimestamp"] = "2026-01-01T00:00:00Z"
+    waiting = observe_attempt(young, []).waiting
+    assert await borne(waiting, 2, "an old story") == Patience(seconds=3.0)
+    assert await borne(waiting, 10) == Patience(seconds=15.0)
+    assert await borne(waiting, 1e6) == Patience(waiting, 15.0)
+    refused = await borne(waiting, 10, "Error creating: the policy says no")
+    assert (refused.why, refused.seconds, refused.end) == (
+        "its pod is refused: the policy says no",
+        15.0,
+        None,
+    )
+    assert (await borne(waiting, 290, "no")).seconds == 10.0
+    end = (await borne(waiting, 300, "no")).end
+    assert end is not None
+    assert (end.reason, end.message) == (Reason.SYSTEM_FAULT, "its pod is refused: no")
+    quota = await borne(waiting, 1e6, "pods is forbidden: exceeded quota: pods")
+    assert quota.waiting is not None
+    assert (quota.waiting.reason, quota.seconds, quota.end) == ("QuotaExceeded", 15.0, None)
 
 
 def test_a_program_that_runs_waits_for_nothing() -> None:
@@ -253,19 +299,22 @@ def test_a_program_that_runs_waits_for_nothing() -> None:
 
 
 def test_a_job_waits_for_its_pod_or_in_a_queue() -> None:
-    assert seen().waiting_reason == "NoPod"
     young = job()
     young["metadata"]["creationTimestamp"] = "2026-01-01T00:00:00Z"
-    made = datetime(2026, 1, 1, tzinfo=UTC).timestamp()
-    assert made < observe_attempt(young, []).usual_until < made + 60
-    assert observe_attempt(job(suspend=True), []).waiting_reason == "Suspended"
+    waiting = observe_attempt(young, []).waiting
+    assert waiting is not None
+    assert (waiting.reason, waiting.since) == ("NoPod", datetime(2026, 1, 1, tzinfo=UTC).timestamp())
+    queued = observe_attempt(job(suspend=True), []).waiting
+    assert queued is not None
+    assert queued.reason == "Suspended"
     assert observe_attempt(None, []) == Attempted()
 
 
 def test_what_a_disruption_took_is_replaced_and_the_replacement_counts() -> None:
     taken = seen(pod("evicted"))
     assert (taken.state, taken.end) == (AttemptState.RUNNING, None)
-    assert taken.waiting_message == "its pod was taken away: Eviction API: evicting"
+    assert taken.waiting is not None
+    assert taken.waiting.message == "its pod was taken away: Eviction API: evicting"
     both = seen(pod("replacement"), pod("evicted"))
     assert both.pod == PODS["replacement"]["metadata"]["name"]
     failed = seen(pod("evicted"), conditions=("Failed",))
@@ -507,27 +556,28 @@ def test_a_preparation_that_failed_says_why(made: dict[str, Any], reason: Reason
 
 
 def test_an_evaluator_that_failed_says_which_container() -> None:
-    assert observe_evaluator(job("Complete"), [ours("evaluate", None)]).problem is None
+    assert observe_job(job("Complete"), [ours("evaluate", None)]).problem is None
     custom = ours("evaluator", "no such trajectory\n", 2)
     custom["status"]["initContainerStatuses"] = custom["status"]["containerStatuses"]
     custom["status"]["containerStatuses"] = [
         {"name": "report", "state": {"waiting": {"reason": "PodInitializing"}}}
     ]
-    found = observe_evaluator(job(), [custom])
+    found = observe_job(job(), [custom])
     assert (found.state, found.container) == (AttemptState.ENDED, "report")
     expected = "container 'evaluator': exit code 2: no such trajectory"
     assert found.problem == (Reason.ALGORITHM_FAILED, expected)
-    assert observe_evaluator(job("Complete"), []).problem is None
-    assert observe_evaluator(job("Failed"), []).problem is not None
+    assert observe_job(job("Complete"), []).problem is None
+    assert observe_job(job("Failed"), []).problem is not None
 
 
 def test_what_was_read_is_a_report() -> None:
     text = json.dumps({"v": 1, "reason": None, "trajectoryProblem": "bad", "usage": {"samples": 3}})
-    found = observe_read(job(), [ours("read", text)])
-    assert found.ended
-    assert found.report is not None
-    assert found.report.trajectory_problem == "bad"
-    failed = observe_read(job(), [ours("read", ERROR, 1)])
-    assert (failed.ended, failed.report) == (True, None)
+    found = observe_job(job(), [ours("read", text)])
+    assert found.state is AttemptState.ENDED
+    report = read_report(found.words)
+    assert report is not None
+    assert report.trajectory_problem == "bad"
+    failed = observe_job(job(), [ours("read", ERROR, 1)])
+    assert (failed.state, read_report(failed.words)) == (AttemptState.ENDED, None)
     assert failed.problem == (Reason.DATASET_MISSING, "no file a.bag")
-    assert not observe_read(None, []).ended
+    assert observe_job(None, []).state is AttemptState.NONE

@@ -13,7 +13,7 @@ from slamhive.kube.api.kinds import Key, Kind, Label
 from slamhive.kube.cluster import Cluster
 from slamhive.kube.observing import Attempted
 from slamhive.kube.reconciling.catalogue import Catalogue, parse
-from slamhive.kube.reconciling.reuse import Twins
+from slamhive.kube.reconciling.reuse import ReusableRuns
 from slamhive.kube.reconciling.run_status import RunFacts, reused_fields
 from slamhive.kube.reconciling.variants import VariantSeen, Wanted
 from slamhive.kube.records import record_of
@@ -103,9 +103,9 @@ def cluster_with_sweeps(identity: str | None = "c1") -> Cluster:
     return cluster
 
 
-def twins_with(archived: Any) -> Twins:
+def runs_with(archived: Any) -> ReusableRuns:
     """Return finished runs beside an archive with one more."""
-    return Twins(Catalogue(), SimpleNamespace(find_reusable=lambda _hashed: archived))  # type: ignore[arg-type]
+    return ReusableRuns(Catalogue(), SimpleNamespace(find_reusable=lambda _hashed: archived))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -123,33 +123,33 @@ async def test_an_archived_runs_processor_is_the_clusters_own_if_it_ran_there(
     cluster: str | None, ran_on: str | None, namespace: str | None, known: set[str]
 ) -> None:
     archived = record_of(equal("fast")).replace(cluster=ran_on, namespace=namespace)
-    twins = twins_with(archived)
-    found = await twins.find(cluster_with_sweeps(cluster), facts(a_run(sweep="again")))
+    reusable = runs_with(archived)
+    found = await reusable.find(cluster_with_sweeps(cluster), facts(a_run(sweep="again")))
     assert found == archived
-    assert twins.processors == known
+    assert reusable.processors == known
 
 
 def test_a_finished_runs_processor_is_the_clusters_own_unless_its_result_is_anothers() -> None:
-    twins = Twins(Catalogue())
-    twins.learn(equal("elsewhere", contentHash="c" * 64, reusedFrom="x"))
-    assert twins.processors == set()
+    reusable = ReusableRuns(Catalogue())
+    reusable.learn(equal("elsewhere", contentHash="c" * 64, reusedFrom="x"))
+    assert reusable.processors == set()
     here = equal("here", contentHash="c" * 64)
     here["metadata"] |= {"name": "other", "uid": "uid-other"}
-    twins.learn(here)
-    assert twins.processors == {"here"}
+    reusable.learn(here)
+    assert reusable.processors == {"here"}
 
 
 @pytest.mark.parametrize(("sweep", "reused"), [("again", True), ("anew", False), (None, False)])
 async def test_runs_of_sweeps_that_allow_it_are_reused_and_no_run_by_itself(
     *, sweep: str | None, reused: bool
 ) -> None:
-    known = twins_with(record_of(equal("x")))
+    known = runs_with(record_of(equal("x")))
     found = await known.find(cluster_with_sweeps(), facts(a_run(sweep=sweep)))
     assert (found is not None) == reused
 
 
 async def test_runs_that_ended_before_the_start_are_known_before_any_is_looked_at() -> None:
-    cluster, known = cluster_with_sweeps(), twins_with(None)
+    cluster, known = cluster_with_sweeps(), runs_with(None)
     looking = facts(a_run(sweep="again"))
     hashed = known.content_hash(looking, known._image(cluster, looking))
     cluster.store.put(Kind.MAPPING_RUN, equal("here", contentHash=hashed))
@@ -164,17 +164,17 @@ async def test_runs_that_ended_before_the_start_are_known_before_any_is_looked_a
 
 def test_what_is_known_of_finished_runs_goes_with_them() -> None:
     """A Sweep of any size leaves behind no more than its live runs."""
-    twins = Twins(Catalogue())
+    reusable = ReusableRuns(Catalogue())
     keys = []
     for number in range(5):
         run = a_run(f"run-{number}")
-        twins.learn(run)  # as at a start, where all runs are gone through
+        reusable.learn(run)  # as at a start, where all runs are gone through
         run["status"] = {"phase": "Succeeded", "provenance": {"contentHash": f"hash-{number % 2}"}}
-        twins.learn(run)
+        reusable.learn(run)
         keys.append(Key(Kind.MAPPING_RUN, NAMESPACE, f"run-{number}"))
-    twins.forget(keys[1])
-    assert twins._known == {(NAMESPACE, "hash-0"): "run-4", (NAMESPACE, "hash-1"): "run-3"}
+    reusable.forget(keys[1])
+    assert reusable._known == {(NAMESPACE, "hash-0"): "run-4", (NAMESPACE, "hash-1"): "run-3"}
     for key in keys:
-        twins.forget(key)
-    assert not twins._known
-    assert not twins._learned
+        reusable.forget(key)
+    assert not reusable._known
+    assert not reusable._learned

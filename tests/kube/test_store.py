@@ -65,7 +65,7 @@ def test_a_deletion_seen_before_the_object_is_remembered(store: Store) -> None:
 def test_a_deletion_of_the_former_leaves_the_later_one(store: Store) -> None:
     store.put(RUN, run(version=8, uid="later"))
     assert not store.remove(RUN, "lab", "a", "former")
-    assert store.count(RUN, "lab") == 1
+    assert len(store.of(RUN, "lab")) == 1
 
 
 @pytest.mark.parametrize("versions", [(2, 101, 1), (101, 2, 3)])
@@ -74,7 +74,7 @@ def test_the_former_object_of_a_name_does_not_come_back(store: Store, versions: 
         store.put(RUN, run(version=version, uid="later" if version > 100 else "former"))
     store.remove(RUN, "lab", "a", "later")
     assert not store.put(RUN, run(version=versions[2], uid="former"))
-    assert store.count(RUN, "lab") == 0
+    assert len(store.of(RUN, "lab")) == 0
 
 
 def test_objects_are_found_by_label_and_owner(store: Store) -> None:
@@ -126,7 +126,7 @@ def test_a_list_does_not_bring_back_what_was_deleted_since(store: Store) -> None
 def test_a_list_leaves_other_namespaces_and_kinds_alone(store: Store) -> None:
     store.put(Kind.JOB, run("j"))
     assert store.sync(RUN, "lab", [], "10") == []
-    assert store.count(Kind.JOB, "lab") == 1
+    assert len(store.of(Kind.JOB, "lab")) == 1
 
 
 def test_a_pod_is_narrowed_to_what_matters() -> None:

@@ -14,15 +14,15 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
 from slamhive.kube.api.errors import Conflict, NotFound
-from slamhive.kube.api.kinds import MANAGER, Key, Kind, Label, Object, key_of
+from slamhive.kube.api.kinds import MANAGER, Key, Kind, Label, Object, key_of, labels_of
 from slamhive.kube.metrics import Metrics
 from slamhive.kube.metricsapi import ENDED, MetricsReader
-from slamhive.kube.pods import has_completed, has_failed
+from slamhive.kube.pods import has_ended
 from slamhive.kube.queue import Queue
 from slamhive.kube.refused_pods import RefusedPods
 from slamhive.kube.routing import is_news, routes
 from slamhive.kube.status import status_patch
-from slamhive.kube.store import Store, labels_of
+from slamhive.kube.store import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -120,7 +120,7 @@ class Cluster:
 
     def _note_podless(self, kind: Kind, obj: Object) -> None:
         uid = obj["metadata"]["uid"]
-        if kind is Kind.JOB and (has_failed(obj) or has_completed(obj)) and not self._has_pods(uid):
+        if kind is Kind.JOB and has_ended(obj) and not self._has_pods(uid):
             self._podless[uid] = obj["metadata"]["namespace"]
 
     def _has_pods(self, job_uid: str) -> bool:

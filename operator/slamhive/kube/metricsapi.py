@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from slamhive.kube.api.errors import ApiError, Forbidden, NotFound
-from slamhive.kube.api.kinds import Key, Kind, Label, Object, Role
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, Role, labels_of
 from slamhive.kube.metrics import PodLabels
-from slamhive.kube.store import labels_of
 from slamhive.model.base import quantity
 
 if TYPE_CHECKING:

@@ -10,12 +10,11 @@ is seen as running until the replacement ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptEnd, AttemptState, VariantState
-from slamhive.kube.api.errors import means_quota
-from slamhive.kube.api.kinds import Label
+from slamhive.kube.api.kinds import Label, labels_of
 from slamhive.kube.builders.evaluation import EVALUATE, EVALUATOR, LINKS, READ, REPORT
 from slamhive.kube.builders.restoring import RESTORE
 from slamhive.kube.builders.run import ALGORITHM, MONITOR, RENDER
@@ -27,7 +26,7 @@ from slamhive.kube.pods import (
     condition,
     container_of,
     ending_of,
-    has_completed,
+    has_ended,
     has_failed,
     is_deleted,
     is_disrupted,
@@ -44,7 +43,6 @@ from slamhive.kube.reports import (
     moment,
     read_description,
     read_failure,
-    read_left,
     read_report,
 )
 from slamhive.model.results import Reason, remark_of
@@ -60,10 +58,11 @@ if TYPE_CHECKING:
 
 Problem = tuple[Reason, str]
 
-_NO_POD = "NoPod"
-_POD_REFUSED = "PodRefused"
-POD_SECONDS = 5.0
+NO_POD = "NoPod"
+"""Reason of a Job's waiting that has no pod, nobody knows why."""
 _HIDDEN_SECONDS = 2.0
+_MAIN = (EVALUATE, REPORT, EVALUATOR, LINKS, PREPARE, READ, RESTORE)
+"""Containers of our Jobs, the main ones first."""
 _SILENT = "the monitor left no report"
 
 
@@ -112,56 +111,13 @@ class Attempted:
         return self.silence is not None
 
     @property
-    def waiting_reason(self) -> str | None:
-        """Return one word for why it waits."""
-        return self.waiting.reason if self.waiting else None
-
-    @property
-    def waiting_message(self) -> str | None:
-        """Return a sentence about why it waits."""
-        return self.waiting.message if self.waiting else None
-
-    @property
     def may_lack_variant(self) -> bool:
         """Tell whether its variant's folder may be gone: the kubelet can't put together what it mounts.
 
         The kubelet has one word for this and for other faults of a container's configuration, and only its
         sentence says more. A variant that is there after all costs a look by its preparation, no more.
         """
-        return self.waiting_reason == NO_CONTAINER_CONFIG
-
-    def give_up_at(self, grace_seconds: float, refusal_seconds: float | None = None) -> float | None:
-        """Return the time its waiting counts as its end, s since 1970; None when it never does.
-
-        Args:
-            grace_seconds: how long what may pass is waited for.
-            refusal_seconds: how long, where its pod is refused; default: as long.
-        """
-        if self.waiting is None or self.waiting.end is None:
-            return None
-        if self.waiting.reason == _POD_REFUSED and refusal_seconds is not None:
-            grace_seconds = refusal_seconds
-        return (self.waiting.since or 0.0) + (0.0 if self.waiting.hopeless else grace_seconds)
-
-    @property
-    def lacks_pod(self) -> bool:
-        """Tell whether its Job has no pod, nobody knows why."""
-        return lacks_pod(self.waiting)
-
-    def with_refusal(self, message: str | None) -> Attempted:
-        """Return the attempt with the API server's sentence on why its Job has no pod; None: it has none."""
-        return self if self.waiting is None else replace(self, waiting=explained(self.waiting, message))
-
-    @property
-    def usual_until(self) -> float:
-        """Return until when its waiting is normal, s since 1970, and not reported: new Jobs have no pod."""
-        if self.waiting is None or not self.lacks_pod:
-            return 0.0
-        return (self.waiting.since or 0.0) + POD_SECONDS
-
-    def given_up(self) -> Attempted:
-        """Return the attempt as ended by what it waits for; its Job is still there and is to be deleted."""
-        return replace(self, state=AttemptState.ENDED, end=self.waiting.end if self.waiting else None)
+        return self.waiting is not None and self.waiting.reason == NO_CONTAINER_CONFIG
 
     def with_report(self, report: Report | None, problem: Problem | None = None) -> Attempted:
         """Return the attempt with what was read of it.
@@ -175,27 +131,6 @@ class Attempted:
             return replace(self, silence=None, end=self.end and _unreported(self.end, why))
         end = self.end if self.ending is None else _concluded(self.told, self.ending, report)
         return replace(self, report=report, silence=None, end=end)
-
-
-def lacks_pod(waiting: Waiting | None) -> bool:
-    """Tell whether what is waited for is a Job's pod."""
-    return waiting is not None and waiting.reason == _NO_POD
-
-
-def explained(waiting: Waiting, message: str | None) -> Waiting:
-    """Return the wait of a Job without a pod, with its refusal.
-
-    Args:
-        waiting: as it was seen.
-        message: the API server's sentence on the pod; None: it said nothing.
-    """
-    if message is None:
-        return waiting
-    told = clean(f"its pod is refused: {message}")
-    # A used-up quota is waited for without end, as others' pods make room; a policy's refusal is not.
-    if means_quota(message):
-        return Waiting("QuotaExceeded", told)
-    return Waiting(_POD_REFUSED, told, waiting.since, AttemptEnd(reason=Reason.SYSTEM_FAULT, message=told))
 
 
 def observe_attempt(job: Object | None, pods: Iterable[Object]) -> Attempted:
@@ -219,7 +154,7 @@ def observe_attempt(job: Object | None, pods: Iterable[Object]) -> Attempted:
 
 def _without_pod(job: Object) -> Attempted:
     number = _number(job)
-    if has_failed(job) or has_completed(job):
+    if has_ended(job):
         end = AttemptEnd(reason=Reason.NODE_LOST, message="its pod was deleted")
         return Attempted(AttemptState.ENDED, end, number)
     begun = (job.get("status") or {}).get("startTime") or job["metadata"].get("creationTimestamp")
@@ -227,7 +162,7 @@ def _without_pod(job: Object) -> Attempted:
     if (job.get("spec") or {}).get("suspend"):
         waiting = Waiting("Suspended", "its Job waits in a queue", moment(begun))
     else:
-        waiting = Waiting(_NO_POD, "its Job has no pod yet", moment(begun))
+        waiting = Waiting(NO_POD, "its Job has no pod yet", moment(begun))
     return Attempted(AttemptState.RUNNING, number=number, waiting=waiting)
 
 
@@ -260,7 +195,7 @@ def _taken(seen: Attempted, job: Object | None, pod: Object) -> Attempted:
     """Return an attempt whose pod was taken from outside; only a Job that has ended makes that an end."""
     told = (condition(pod, "DisruptionTarget") or {}).get("message") or pod["status"].get("message")
     message = clean(f"its pod was taken away: {told}") if told else "its pod was deleted"
-    if has_failed(job) or has_completed(job):
+    if job is not None and has_ended(job):
         end = AttemptEnd(reason=Reason.NODE_LOST, message=message)
         return replace(seen, state=AttemptState.ENDED, end=end, report=None)
     # Nothing that it reported counts: its Job makes another pod, which begins anew.
@@ -423,9 +358,9 @@ def observe_variant(job: Object | None, pods: Iterable[Object]) -> VariantObserv
         job: its Job; None when there is none.
         pods: pods, its own among them.
     """
-    if job is None:
+    seen = observe_job(job, pods)
+    if seen.state is AttemptState.NONE:
         return VariantObserved()
-    seen = _observe_job(job, pods, (PREPARE,))
     if seen.state is not AttemptState.ENDED:
         return VariantObserved(VariantState.MAKING, waiting=seen.waiting)
     description = read_description(seen.words)
@@ -449,99 +384,19 @@ def _of_preparation(problem: Problem) -> Problem:
 
 
 @dataclass(frozen=True)
-class EvaluatorObserved:
-    """State of a Job that evaluates trajectories, as the Job and its pod show it.
+class JobObserved:
+    """State of a Job that prepares, evaluates, reads or restores, as the Job and its pod show it.
 
     Attributes:
         state: whether it runs.
         problem: why it failed; None when it didn't.
         waiting: why it doesn't run yet.
+        words: the last words of its main container.
         pod: name of its pod, for its log.
-        container: the container whose log carries results.
+        container: its main container.
     """
 
     state: AttemptState = AttemptState.NONE
-    problem: Problem | None = None
-    waiting: Waiting | None = None
-    pod: str | None = None
-    container: str = EVALUATE
-
-
-def observe_evaluator(job: Object | None, pods: Iterable[Object]) -> EvaluatorObserved:
-    """Say what is seen of a Job that measures.
-
-    Args:
-        job: the Job; None when there is none.
-        pods: pods, its own among them.
-    """
-    if job is None:
-        return EvaluatorObserved()
-    seen = _observe_job(job, pods, (EVALUATE, REPORT, EVALUATOR, LINKS))
-    return EvaluatorObserved(seen.state, seen.problem, seen.waiting, seen.pod, seen.container)
-
-
-@dataclass(frozen=True)
-class RestoreObserved:
-    """State of a Job that brings run folders back.
-
-    Attributes:
-        state: whether it runs.
-        problem: why it failed; None when it didn't.
-        waiting: why it doesn't run yet.
-        left: why folders were not brought, by the UID of their run.
-    """
-
-    state: AttemptState
-    problem: Problem | None = None
-    waiting: Waiting | None = None
-    left: Mapping[str, str] = field(default_factory=dict)
-
-
-def observe_restore(job: Object, pods: Iterable[Object]) -> RestoreObserved:
-    """Say what is seen of a Job that brings run folders back.
-
-    Args:
-        job: the Job.
-        pods: pods, its own among them.
-    """
-    seen = _observe_job(job, pods, (RESTORE,))
-    left = read_left(seen.words) if seen.problem is None else {}
-    return RestoreObserved(seen.state, seen.problem, seen.waiting, left)
-
-
-@dataclass(frozen=True)
-class ReadObserved:
-    """State of a Job that reads what a monitor left, with the report that it found.
-
-    Attributes:
-        ended: whether it has told all that it will.
-        report: what it found.
-        problem: why it found nothing.
-    """
-
-    ended: bool
-    report: Report | None = None
-    problem: Problem | None = None
-
-
-def observe_read(job: Object | None, pods: Iterable[Object]) -> ReadObserved:
-    """Say what is seen of a Job that reads what a monitor left.
-
-    Args:
-        job: the Job; None when there is none.
-        pods: pods, its own among them.
-    """
-    if job is None:
-        return ReadObserved(ended=False)
-    seen = _observe_job(job, pods, (READ,))
-    return ReadObserved(seen.state is AttemptState.ENDED, read_report(seen.words), seen.problem)
-
-
-@dataclass(frozen=True)
-class _JobSeen:
-    """State of a Job that prepares, evaluates or reads, as the Job and its pod show it."""
-
-    state: AttemptState
     problem: Problem | None = None
     waiting: Waiting | None = None
     words: str | None = None
@@ -549,17 +404,22 @@ class _JobSeen:
     container: str = ""
 
 
-def _observe_job(job: Object, pods: Iterable[Object], names: tuple[str, ...]) -> _JobSeen:
-    """Say what is seen of a Job whose containers have some of these names, the main ones first."""
+def observe_job(job: Object | None, pods: Iterable[Object]) -> JobObserved:
+    """Say what is seen of a Job that prepares, evaluates, reads or restores.
+
+    Args:
+        job: the Job; None when there is none.
+        pods: pods, its own among them.
+    """
+    if job is None:
+        return JobObserved()
     pod = newest(job, pods)
     if pod is None:
         seen = _without_pod(job)
-        lost = has_failed(job)
-        return _JobSeen(
-            seen.state, (Reason.SYSTEM_FAULT, "its pod was deleted") if lost else None, seen.waiting
-        )
-    main = next((name for name in names if container_of(pod, name)), names[0])
-    base = _JobSeen(AttemptState.RUNNING, pod=pod["metadata"]["name"], container=main)
+        lost = (Reason.SYSTEM_FAULT, "its pod was deleted") if has_failed(job) else None
+        return JobObserved(seen.state, lost, seen.waiting)
+    main = next((name for name in _MAIN if container_of(pod, name)), _MAIN[0])
+    base = JobObserved(AttemptState.RUNNING, pod=pod["metadata"]["name"], container=main)
     if not is_finished(pod):
         return replace(base, waiting=what_waits(pod, main))
     if is_disrupted(pod) or is_deleted(pod):
@@ -569,15 +429,15 @@ def _observe_job(job: Object, pods: Iterable[Object], names: tuple[str, ...]) ->
             base, state=AttemptState.ENDED, problem=(Reason.SYSTEM_FAULT, "its pod was taken away")
         )
     words = message_of(pod, main)
-    problem = None if pod["status"]["phase"] == "Succeeded" else _why_failed(pod, names, words)
+    problem = None if pod["status"]["phase"] == "Succeeded" else _why_failed(pod, words)
     return replace(base, state=AttemptState.ENDED, problem=problem, words=words)
 
 
-def _why_failed(pod: Object, names: tuple[str, ...], words: str | None) -> Problem:
+def _why_failed(pod: Object, words: str | None) -> Problem:
     failure = read_failure(words)
     if failure is not None:
         return failure.reason, failure.message
-    for name in names:
+    for name in _MAIN:
         ending = ending_of(pod, name)
         told = _told_by_pod(pod, ending)
         if told is not None and told.reason is not None:
@@ -589,5 +449,5 @@ def _why_failed(pod: Object, names: tuple[str, ...], words: str | None) -> Probl
 
 
 def _number(obj: Object) -> int | None:
-    text = (obj["metadata"].get("labels") or {}).get(Label.ATTEMPT) or ""
+    text = labels_of(obj).get(Label.ATTEMPT) or ""
     return int(text) if text.isdecimal() and len(text) < 10 else None

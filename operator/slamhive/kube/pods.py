@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.engine import AttemptEnd
+from slamhive.kube.api.kinds import owner_uids
 from slamhive.kube.reports import clean, last_line, moment, tail
 from slamhive.model.results import Reason
 
@@ -111,7 +112,7 @@ def newest(job: Object | None, pods: Iterable[Object]) -> Object | None:
     """
     if job is not None:
         uid = job["metadata"]["uid"]
-        pods = [pod for pod in pods if uid in _owners(pod)]
+        pods = [pod for pod in pods if uid in owner_uids(pod)]
     return max(
         pods,
         key=lambda pod: (pod["metadata"].get("creationTimestamp") or "", pod["metadata"]["name"]),
@@ -153,6 +154,11 @@ def has_failed(job: Object | None) -> bool:
 def has_completed(job: Object | None) -> bool:
     """Tell whether a Job has succeeded."""
     return job is not None and (condition(job, "Complete") or {}).get("status") == "True"
+
+
+def has_ended(job: Object) -> bool:
+    """Tell whether a Job has succeeded or failed for good."""
+    return has_failed(job) or has_completed(job)
 
 
 def container_of(pod: Object, name: str) -> Mapping[str, Any]:
@@ -279,10 +285,6 @@ def why_unable(message: str) -> tuple[Reason, str]:
 def _containers(pod: Object) -> Iterator[Mapping[str, Any]]:
     for field in ("initContainerStatuses", "containerStatuses"):
         yield from pod["status"].get(field) or ()
-
-
-def _owners(pod: Object) -> list[str]:
-    return [owner["uid"] for owner in pod["metadata"].get("ownerReferences") or ()]
 
 
 def _known(time: str | None) -> str | None:

@@ -7,7 +7,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.measuring import intended_evaluations
-from slamhive.kube.api.kinds import Kind, Label
+from slamhive.kube.api.kinds import Kind, Label, annotations_of, labels_of, owners_of
 from slamhive.kube.status import result_of
 from slamhive.model.base import GROUP
 from slamhive.model.results import NOT_EVALUATED, Phase, Reason, RunRecord
@@ -46,7 +46,7 @@ def record_of(
         attributes: the free attributes of its Dataset.
     """
     meta, status = run["metadata"], MappingRunStatus.of(run)
-    labels = meta.get("labels") or {}
+    labels = labels_of(run)
     point = labels.get(Label.POINT)
     taken = {name: getattr(status, name) for name in _TAKEN}
     return RunRecord.model_validate(
@@ -93,7 +93,7 @@ def with_evaluations(
 def problems_noted(run: Mapping[str, Any]) -> dict[str, Any]:
     """Return the notes on why a run could not be measured, by the Evaluation's name; empty for its own."""
     try:
-        found = json.loads((run["metadata"].get("annotations") or {}).get(NOT_EVALUABLE, "{}"))
+        found = json.loads(annotations_of(run).get(NOT_EVALUABLE, "{}"))
     except (ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
@@ -107,6 +107,5 @@ def _why_not_measured(run: Mapping[str, Any], status: MappingRunStatus) -> str |
 
 def _owner(run: Mapping[str, Any]) -> str | None:
     """Return the UID of the Sweep that made a run."""
-    owners = run["metadata"].get("ownerReferences") or ()
     # Not the label: a Sweep that was deleted and made anew has the same name.
-    return next((owner["uid"] for owner in owners if owner.get("kind") == Kind.SWEEP), None)
+    return next((owner["uid"] for owner in owners_of(run) if owner.get("kind") == Kind.SWEEP), None)

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slamhive.kube.api.kinds import Key, Kind, Label, Object, Role
-from slamhive.kube.store import labels_of
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, Role, labels_of
 from slamhive.model.results import Phase
 
 if TYPE_CHECKING:

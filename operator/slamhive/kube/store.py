@@ -12,7 +12,7 @@ import sys
 from collections import OrderedDict, defaultdict
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, Role, key_of, labels_of, owner_uids
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -110,10 +110,6 @@ class Store:
         """Return all objects of a kind in a namespace, in the order they came."""
         return list(self._objects[kind, namespace].values())
 
-    def count(self, kind: Kind, namespace: str) -> int:
-        """Return the number of objects of a kind in a namespace."""
-        return len(self._objects[kind, namespace])
-
     def select(self, kind: Kind, namespace: str, label: str, value: str) -> list[Object]:
         """Return the objects with a label, at once for those of ``INDEXED_LABELS``."""
         objects = self._objects[kind, namespace]
@@ -131,6 +127,11 @@ class Store:
         """Return the objects that name an owner, with their kinds."""
         pairs = ((key.kind, self.get(key)) for key in self._owned.get(uid, ()))
         return [(kind, obj) for kind, obj in pairs if obj is not None]
+
+    def jobs_of(self, uid: str, role: Role) -> list[Object]:
+        """Return the Jobs that an owner has for a purpose."""
+        owned = self.owned(uid)
+        return [obj for kind, obj in owned if kind is Kind.JOB and labels_of(obj).get(Label.ROLE) == role]
 
     def pods_of(self, job: Object | None) -> list[Object]:
         """Return the pods of a Job, none where there is no Job."""
@@ -182,13 +183,13 @@ class Store:
     def _link(self, key: Key, obj: Object) -> None:
         for index in _indexes(key, obj):
             self._labelled.setdefault(index, {})[key.name] = None
-        for uid in _owners(obj):
+        for uid in owner_uids(obj):
             self._owned.setdefault(uid, {})[key] = None
 
     def _unlink(self, key: Key, obj: Object) -> None:
         for index in _indexes(key, obj):
             _drop(self._labelled, index, key.name)
-        for uid in _owners(obj):
+        for uid in owner_uids(obj):
             _drop(self._owned, uid, key)
 
 
@@ -220,11 +221,6 @@ def narrow(kind: Kind, obj: Object) -> Object:
 def version_of(obj: Object) -> int:
     """Return an object's version as a number; versions of one kind can be compared."""
     return _number(obj["metadata"].get("resourceVersion", ""))
-
-
-def labels_of(obj: Object) -> dict[str, str]:
-    """Return an object's labels."""
-    return obj["metadata"].get("labels") or {}
 
 
 def _number(version: str) -> int:
@@ -278,10 +274,6 @@ def _indexes(key: Key, obj: Object) -> Iterator[_Index]:
             name = (obj["spec"].get(field) or {}).get("name")
             if name is not None:
                 yield key.kind, key.namespace, field, name
-
-
-def _owners(obj: Object) -> list[str]:
-    return [owner["uid"] for owner in obj["metadata"].get("ownerReferences") or ()]
 
 
 def _drop(index: dict[Any, dict[Any, None]], entry: Any, member: Any) -> None:

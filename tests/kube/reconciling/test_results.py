@@ -147,7 +147,7 @@ async def test_an_evaluator_that_is_refused_for_long_is_given_up(fake_lab: Lab) 
 
 
 async def test_an_evaluator_without_a_pod_is_given_up(fake_lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slamhive.kube.reconciling.refusals._AGAIN_SECONDS", 0.3)
+    monkeypatch.setattr("slamhive.kube.reconciling.waiting.AGAIN_SECONDS", 0.3)
     limits = {"limits": [{"type": "Container", "max": {"cpu": "2"}}]}
     fake_lab.apply(manifest("LimitRange", "small", **limits) | {"apiVersion": "v1"})
     async with fake_lab.operator() as op:

@@ -121,6 +121,26 @@ def key_of(kind: Kind, obj: Object) -> Key:
     return Key(kind, metadata.get("namespace", ""), metadata["name"])
 
 
+def labels_of(obj: Mapping[str, Any]) -> dict[str, str]:
+    """Return an object's labels."""
+    return obj["metadata"].get("labels") or {}
+
+
+def annotations_of(obj: Mapping[str, Any]) -> dict[str, str]:
+    """Return an object's annotations."""
+    return obj["metadata"].get("annotations") or {}
+
+
+def owners_of(obj: Mapping[str, Any]) -> list[Object]:
+    """Return an object's references to its owners."""
+    return obj["metadata"].get("ownerReferences") or []
+
+
+def owner_uids(obj: Mapping[str, Any]) -> list[str]:
+    """Return the uids of an object's owners."""
+    return [owner["uid"] for owner in owners_of(obj)]
+
+
 def reference(kind: Kind, obj: Mapping[str, Any], *, controller: bool = False) -> Object:
     """Return the owner reference that makes an object the owner of others."""
     metadata = obj["metadata"]

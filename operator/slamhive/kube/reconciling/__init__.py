@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from slamhive.kube.api.kinds import Key, Kind
 from slamhive.kube.reconciling.catalogue import Catalogue
 from slamhive.kube.reconciling.evaluating import Evaluations
-from slamhive.kube.reconciling.reuse import Twins
+from slamhive.kube.reconciling.reuse import ReusableRuns
 from slamhive.kube.reconciling.run import RunReconciler
 from slamhive.kube.reconciling.sweep import SweepReconciler
 from slamhive.kube.reconciling.variants import DatasetReconciler
@@ -28,9 +28,9 @@ def reconcilers(archive: Archive | None = None) -> dict[Kind, Reconcile]:
         archive: where finished runs are kept, if anywhere.
     """
     catalogue = Catalogue()
-    twins = Twins(catalogue, archive)
+    reusable = ReusableRuns(catalogue, archive)
     evaluations = Evaluations(catalogue)
-    runs = RunReconciler(catalogue, evaluations, twins)
+    runs = RunReconciler(catalogue, evaluations, reusable)
     sweeps = SweepReconciler(catalogue, archive)
     datasets = DatasetReconciler()
 

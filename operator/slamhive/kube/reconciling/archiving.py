@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 from slamhive.archive import CatalogEntry
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.kube.api.errors import Conflict
-from slamhive.kube.api.kinds import Key, Kind, Object, key_of
+from slamhive.kube.api.kinds import Key, Kind, Object, annotations_of, key_of
 from slamhive.kube.reconciling import variants
 from slamhive.kube.reconciling.sweep_runs import decode_points, point_of, state_of
 from slamhive.kube.records import record_of, with_evaluations
@@ -36,7 +36,7 @@ class ArchiveAway(SystemFault):
     """The archive does not do what it is asked: it doesn't answer, is damaged, or is of another version."""
 
 
-async def asked(method: Callable[P, T], *words: P.args, **options: P.kwargs) -> T:
+async def in_thread(method: Callable[P, T], *words: P.args, **options: P.kwargs) -> T:
     """Return the result of a method of the archive; it may block.
 
     Raises:
@@ -55,7 +55,7 @@ async def at_its_end(archive: Archive | None, run: Object) -> Object:
     """
     if archive is None or is_settled(run):
         return run
-    record = await asked(archive.get, run["metadata"]["uid"])
+    record = await in_thread(archive.get, run["metadata"]["uid"])
     if record is None:
         return run
     return run | {"status": run["status"] | {"results": [result_field(item) for item in record.results]}}
@@ -99,7 +99,7 @@ class Retirement:
         # Only what the status says to be done may go: the bit is what remains of a run here.
         going = [run for run in settled[:surplus] if written[point_of(run) or 0] == state_of(run)][:_AT_ONCE]
         if going:
-            await asked(self._archive.put_used, [self._records(cluster, sweep, run) for run in going])
+            await in_thread(self._archive.put_used, [self._records(cluster, sweep, run) for run in going])
         # All are in the archive before the first is deleted: a crash in between leaves them in both, and the
         # next look deletes.
         limit = asyncio.Semaphore(_DELETED_AT_ONCE)
@@ -131,7 +131,7 @@ class Retirement:
             pass
         record = record_of(run, attributes=attributes).replace(cluster=cluster.identity)
         record = with_evaluations(record, sweep.spec.evaluation, found)
-        if (run["metadata"].get("annotations") or {}).get(FILES):
+        if annotations_of(run).get(FILES):
             record = record.replace(folder=None)  # the collector removes it
         return record, algorithm, dataset
 

@@ -7,11 +7,11 @@ and ``run:NAME``, which no object can have.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from slamhive.analysis.measuring import SETTINGS_KEY, settings_hash
-from slamhive.kube.api.kinds import Key, Kind, Label, Object, reference
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, labels_of, reference
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.routing import OWN_EVALUATIONS, is_finished
 from slamhive.kube.status import phase_of
@@ -32,8 +32,34 @@ _MANY = 16
 _LONGEST = 5.0
 
 
+@dataclass
+class GroupMemory:
+    """Memory of what became of a group's Jobs; an operator that is started anew does without.
+
+    Attributes:
+        failures: how many evaluators failed in a row.
+        written_at: when its Evaluation's status was last written, s since 1970.
+        refused: since when its Job is refused, s since 1970, and the sentence.
+        restored: folders that were brought back to the volume.
+        trouble: why folders can't be had at present; None where nothing is in the way.
+        restore_at: when to ask for folders again, s since 1970.
+    """
+
+    failures: int = 0
+    written_at: float = 0.0
+    refused: tuple[float, str] | None = None
+    restored: set[str] = field(default_factory=set)
+    trouble: str | None = None
+    restore_at: float = 0.0
+
+    def forget_folders(self) -> None:
+        """Forget what was brought back: nothing needs it any more."""
+        self.restored.clear()
+        self.trouble, self.restore_at = None, 0.0
+
+
 @dataclass(frozen=True)
-class Group:
+class EvaluationGroup:
     """Runs that are measured alike.
 
     Attributes:
@@ -44,6 +70,7 @@ class Group:
         evaluator: the container that measures, None for ours.
         owner: the object whose end ends the Jobs.
         runs: the finished runs that can be measured.
+        memory: what became of its Jobs.
         selected: how many runs are selected in all, finished or not.
         ongoing: how many of these have not finished.
     """
@@ -55,6 +82,7 @@ class Group:
     evaluator: Evaluator | None
     owner: Object
     runs: list[Object]
+    memory: GroupMemory
     selected: int
     ongoing: int = 0
 
@@ -94,25 +122,30 @@ def key_for(run: Mapping[str, Any]) -> Key | None:
     status, meta = run["status"], run["metadata"]
     if phase_of(status) is not Phase.SUCCEEDED or not run["spec"].get("evaluate", True):
         return None
-    sweep = (meta.get("labels") or {}).get(Label.SWEEP)
+    sweep = labels_of(run).get(Label.SWEEP)
     name = f"{SWEEP_PREFIX}{sweep}" if sweep else f"{RUN_PREFIX}{meta['name']}"
     return Key(Kind.EVALUATION, meta["namespace"], name)
 
 
-def group_of(cluster: Cluster, key: Key) -> Group | None:
+def group_of(cluster: Cluster, key: Key, memory: GroupMemory) -> EvaluationGroup | None:
     """Return a group by its key; None when what it belongs to is gone.
+
+    Args:
+        cluster: the cluster.
+        key: what it is queued as.
+        memory: what became of its Jobs.
 
     Raises:
         InputError: the object is wrong where its CRD could not tell.
     """
     if key.name.startswith(SWEEP_PREFIX):
-        return _of_sweep(cluster, key, key.name.removeprefix(SWEEP_PREFIX))
+        return _of_sweep(cluster, key, memory, key.name.removeprefix(SWEEP_PREFIX))
     if key.name.startswith(RUN_PREFIX):
-        return _of_run(cluster, key, key.name.removeprefix(RUN_PREFIX))
-    return _of_evaluation(cluster, key)
+        return _of_run(cluster, key, memory, key.name.removeprefix(RUN_PREFIX))
+    return _of_evaluation(cluster, key, memory)
 
 
-def _of_sweep(cluster: Cluster, key: Key, name: str) -> Group | None:
+def _of_sweep(cluster: Cluster, key: Key, memory: GroupMemory, name: str) -> EvaluationGroup | None:
     body = cluster.store.get(Key(Kind.SWEEP, key.namespace, name))
     # Jobs of a Sweep that is being deleted would go with it before they have measured.
     if body is None or body["metadata"].get("deletionTimestamp"):
@@ -121,17 +154,17 @@ def _of_sweep(cluster: Cluster, key: Key, name: str) -> Group | None:
     settings = parse(Sweep, body).spec.evaluation
     owner = reference(Kind.SWEEP, body)
     runs = [run for run in runs if run["spec"].get("evaluate", True)]
-    return _group(key, settings, owner, runs)
+    return _group(key, memory, settings, owner, runs)
 
 
-def _of_run(cluster: Cluster, key: Key, name: str) -> Group | None:
+def _of_run(cluster: Cluster, key: Key, memory: GroupMemory, name: str) -> EvaluationGroup | None:
     run = cluster.store.get(Key(Kind.MAPPING_RUN, key.namespace, name))
     if run is None or run["metadata"].get("deletionTimestamp"):
         return None
-    return _group(key, EvaluationSettings(), reference(Kind.MAPPING_RUN, run), [run])
+    return _group(key, memory, EvaluationSettings(), reference(Kind.MAPPING_RUN, run), [run])
 
 
-def _of_evaluation(cluster: Cluster, key: Key) -> Group | None:
+def _of_evaluation(cluster: Cluster, key: Key, memory: GroupMemory) -> EvaluationGroup | None:
     body = cluster.store.get(key)
     if body is None or body["metadata"].get("deletionTimestamp"):
         return None
@@ -146,23 +179,26 @@ def _of_evaluation(cluster: Cluster, key: Key) -> Group | None:
     )
     runs = [run for run in _candidates(cluster, key.namespace, spec.runs) if _selected(spec.runs, run)]
     return _group(
-        key, settings, reference(Kind.EVALUATION, body), runs, name=key.name, evaluator=spec.evaluator
+        key, memory, settings, reference(Kind.EVALUATION, body), runs, name=key.name, evaluator=spec.evaluator
     )
 
 
 def _group(
     key: Key,
+    memory: GroupMemory,
     settings: EvaluationSettings,
     owner: Object,
     runs: list[Object],
     *,
     name: str | None = None,
     evaluator: Evaluator | None = None,
-) -> Group:
+) -> EvaluationGroup:
     # `selected` counts all of them, so that an Evaluation waits for runs that are still to end.
     able = [run for run in runs if _can_be_measured(run)]
     ongoing = sum(not is_finished(run) for run in runs)
-    return Group(key, name, settings, settings_hash(settings), evaluator, owner, able, len(runs), ongoing)
+    return EvaluationGroup(
+        key, name, settings, settings_hash(settings), evaluator, owner, able, memory, len(runs), ongoing
+    )
 
 
 def _can_be_measured(run: Object) -> bool:
@@ -181,5 +217,5 @@ def _candidates(cluster: Cluster, namespace: str, selector: RunSelector) -> list
 
 
 def _selected(selector: RunSelector, run: Object) -> bool:
-    labels = run["metadata"].get("labels") or {}
+    labels = labels_of(run)
     return selector.selects(run["metadata"]["name"], labels.get(Label.SWEEP), labels)

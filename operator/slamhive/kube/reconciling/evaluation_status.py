@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from slamhive.kube.api.kinds import Object
-    from slamhive.kube.reconciling.evaluation_groups import Group
+    from slamhive.kube.reconciling.evaluation_groups import EvaluationGroup
 
 
 _MOST_GROUPS = 100
@@ -35,7 +35,9 @@ _SENTENCE_LENGTH = 500
 _SHOWN_PROBLEMS = 10
 
 
-def evaluation_status(group: Group, problems: dict[str, str]) -> tuple[EvaluationStatus, list[Object]]:
+def evaluation_status(
+    group: EvaluationGroup, problems: dict[str, str]
+) -> tuple[EvaluationStatus, list[Object]]:
     """Return the status, and its conditions.
 
     Args:
@@ -61,7 +63,7 @@ def evaluation_status(group: Group, problems: dict[str, str]) -> tuple[Evaluatio
     return status, [condition("Accepted", True, "Accepted"), condition("Complete", complete, word, text)]
 
 
-def _summary(group: Group, runs: Iterable[Object]) -> Object:
+def _summary(group: EvaluationGroup, runs: Iterable[Object]) -> Object:
     """Return outcomes, and the ATE of tracked runs by algorithm and dataset."""
     outcomes: dict[str, int] = defaultdict(int)
     errors: dict[tuple[str, str], list[float]] = defaultdict(list)
@@ -90,7 +92,7 @@ def _statistics(values: list[float]) -> Object:
     return {"tracked": len(values), "ate": ate}
 
 
-def problem_of(group: Group, run: Mapping[str, Any]) -> str | None:
+def problem_of(group: EvaluationGroup, run: Mapping[str, Any]) -> str | None:
     """Return the reason that a run can't be measured by a group; None when that is not known."""
     if group.has_result(run):
         return None
@@ -104,6 +106,11 @@ def problem_of(group: Group, run: Mapping[str, Any]) -> str | None:
     return str(found.get("why")) if same else None
 
 
+def is_missing(group: EvaluationGroup, run: Mapping[str, Any]) -> bool:
+    """Tell whether a run is still to be measured by a group."""
+    return not group.has_result(run) and problem_of(group, run) is None
+
+
 def is_full(run: Mapping[str, Any], evaluation: str | None) -> bool:
     """Tell whether a run's status has no room for another evaluation's result.
 
@@ -115,7 +122,7 @@ def is_full(run: Mapping[str, Any], evaluation: str | None) -> bool:
     return len(names) >= MOST_RESULTS and evaluation is not None and evaluation not in names
 
 
-def with_problem(group: Group, run: Mapping[str, Any], problem: str) -> dict[str, str]:
+def with_problem(group: EvaluationGroup, run: Mapping[str, Any], problem: str) -> dict[str, str]:
     """Return the annotation that notes why a run can't be measured by a group."""
     name = group.name or ""
     others = {key: value for key, value in problems_noted(run).items() if key != name}

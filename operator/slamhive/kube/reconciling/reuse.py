@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any
 
-from slamhive.kube.api.kinds import Key, Kind, Label, key_of
+from slamhive.kube.api.kinds import Key, Kind, Label, annotations_of, key_of, labels_of
 from slamhive.kube.reconciling.sweep_runs import SAME_AS
 from slamhive.kube.records import record_of
 from slamhive.kube.status import phase_of
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from slamhive.model.results import RunRecord
 
 
-class Twins:
+class ReusableRuns:
     """Finished runs by what their results depend on.
 
     Args:
@@ -107,13 +107,12 @@ class Twins:
     @staticmethod
     def _may_reuse(cluster: Cluster, facts: RunFacts) -> bool:
         """Tell whether a run may take another one's result."""
-        meta = facts.body["metadata"]
-        sweep = (meta.get("labels") or {}).get(Label.SWEEP)
+        sweep = labels_of(facts.body).get(Label.SWEEP)
         owner = cluster.store.get(Key(Kind.SWEEP, facts.key.namespace, sweep)) if sweep else None
         if owner is None:
             return False  # a run by itself has no cachePolicy that could turn it off
         # `Rerun` asks for new results, but points of one Sweep that come out equal still run once.
-        done_in_sweep = SAME_AS in (meta.get("annotations") or {})
+        done_in_sweep = SAME_AS in annotations_of(facts.body)
         return done_in_sweep or owner["spec"].get("cachePolicy") != CachePolicy.RERUN
 
     def content_hash(self, facts: RunFacts, image: str | None) -> str | None:

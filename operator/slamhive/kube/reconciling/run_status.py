@@ -58,6 +58,16 @@ class RunFacts:
     job: dict[str, Any] | None
 
     @property
+    def uid(self) -> str:
+        """Return its uid."""
+        return str(self.body["metadata"]["uid"])
+
+    @property
+    def is_cancelled(self) -> bool:
+        """Tell whether it is to end."""
+        return bool(self.body["spec"].get("cancel"))
+
+    @property
     def dataset_key(self) -> Key:
         """Return the address of its Dataset."""
         return Key(Kind.DATASET, self.key.namespace, self.dataset.name)

@@ -22,8 +22,8 @@ from slamhive.engine import (
     decide_sweep,
 )
 from slamhive.kube.api.errors import REFUSALS, AlreadyExists, Conflict
-from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of
-from slamhive.kube.reconciling.archiving import ArchiveAway, Retirement, asked, at_its_end
+from slamhive.kube.api.kinds import Key, Kind, Label, Object, key_of, owner_uids
+from slamhive.kube.reconciling.archiving import ArchiveAway, Retirement, at_its_end, in_thread
 from slamhive.kube.reconciling.catalogue import parse
 from slamhive.kube.reconciling.evaluation_groups import SWEEP_PREFIX
 from slamhive.kube.reconciling.sweep_runs import (
@@ -116,7 +116,7 @@ class SweepReconciler:
             self._tidy(cluster)
             return None
         try:
-            again = await self._look(cluster, key, body)
+            again = await self._reconcile(cluster, key, body)
         except ArchiveAway as error:
             self._archive_away[body["metadata"]["uid"]] = str(error)
             await _tell_archive(cluster, key, condition("ArchiveUnavailable", True, "NoAnswer", str(error)))
@@ -126,7 +126,8 @@ class SweepReconciler:
             await _tell_archive(cluster, key, condition("ArchiveUnavailable", False, "Answers"))
         return again
 
-    async def _look(self, cluster: Cluster, key: Key, body: Object) -> float | None:
+    async def _reconcile(self, cluster: Cluster, key: Key, body: Object) -> float | None:
+        """Accept a Sweep or refuse it, and drive its window; an archive that is away raises."""
         try:
             sweep = self._sweep(body)
             memory = await self._remembered(cluster, key, body, sweep)
@@ -144,11 +145,11 @@ class SweepReconciler:
         if now - memory.looked_at < pause:
             return pause
         memory.looked_at = now
-        seen = await self._see(cluster, key, body, sweep, memory)
+        seen = await self._take_picture(cluster, key, body, sweep, memory)
         if _is_outdated(seen):
             del self._memory[body["metadata"]["uid"]]
             return _LOOK_SECONDS
-        return await self._advance(cluster, seen, now)
+        return await self._drive_window(cluster, seen, now)
 
     def _tidy(self, cluster: Cluster) -> None:
         alive = {
@@ -193,7 +194,7 @@ class SweepReconciler:
             self._memory[uid] = memory
         return self._memory[uid]
 
-    async def _see(
+    async def _take_picture(
         self, cluster: Cluster, key: Key, body: Object, sweep: Sweep, memory: SweepMemory
     ) -> _Picture:
         runs = {}
@@ -237,7 +238,8 @@ class SweepReconciler:
                     memory.states[index] = PointState.FAILED
             index = memory.states.find(PointState.ACTIVE, index + 1)
 
-    async def _advance(self, cluster: Cluster, seen: _Picture, now: float) -> float | None:
+    async def _drive_window(self, cluster: Cluster, seen: _Picture, now: float) -> float | None:
+        """Start or stop what is due, write what changed, and archive what is done."""
         memory, sweep = seen.memory, seen.sweep
         observed = SweepObserved(
             states=memory.states,
@@ -263,13 +265,13 @@ class SweepReconciler:
         delays = [_BLOCKED_SECONDS] if blocked else []
         if sweep.spec.budget.wall_time is not None and decision.verdict is Verdict.RUNNING:
             delays.append(_budget_left(sweep, memory, now))
-        delays += await self._write(cluster, seen, decision, blocked, now)
+        delays += await self._write_status(cluster, seen, decision, blocked, now)
         if self._archive is not None and self._retirement is not None:
             delays += await self._retirement.retire(
                 cluster, seen.key, sweep, len(memory.states), seen.settled
             )
             if seen.body["metadata"]["uid"] in self._archive_away:
-                await asked(self._archive.get, seen.body["metadata"]["uid"])
+                await in_thread(self._archive.get, seen.body["metadata"]["uid"])
                 # It answers again: what was held back may start.
                 del self._archive_away[seen.body["metadata"]["uid"]]
                 delays.append(_LOOK_SECONDS)
@@ -326,8 +328,7 @@ class SweepReconciler:
             if found is None or found["metadata"].get("deletionTimestamp"):
                 return f"{key.name} is still being deleted"
             # A name that belongs to someone else is reported, never taken over.
-            owners = {item["uid"] for item in found["metadata"].get("ownerReferences") or ()}
-            if seen.body["metadata"]["uid"] not in owners:
+            if seen.body["metadata"]["uid"] not in owner_uids(found):
                 return f"the name {key.name} is taken by a MappingRun that is not of this Sweep"
             run = found
         except REFUSALS as error:
@@ -342,7 +343,7 @@ class SweepReconciler:
             if not run["spec"].get("cancel"):
                 await cluster.patch(key_of(Kind.MAPPING_RUN, run), {"spec": {"cancel": True}})
 
-    async def _write(
+    async def _write_status(
         self, cluster: Cluster, seen: _Picture, decision: SweepDecision, blocked: str | None, now: float
     ) -> list[float]:
         """Write the status if it changed and the last write is long enough ago; returns when to come back."""
@@ -371,11 +372,11 @@ class SweepReconciler:
         memory.written_at = now
         if blocked and not holds(body["status"], "Blocked"):
             await cluster.api.event(Kind.SWEEP, answer, "Warning", "CannotCreate", blocked)
-        await self._tell(cluster, body, answer)
+        await self._announce_phase(cluster, body, answer)
         return []
 
     @staticmethod
-    async def _tell(cluster: Cluster, before: Object, after: Object) -> None:
+    async def _announce_phase(cluster: Cluster, before: Object, after: Object) -> None:
         was, phase = before["status"].get("phase"), after["status"].get("phase")
         if phase == was or phase in {None, "Pending", "Evaluating"}:
             return
@@ -408,9 +409,7 @@ def _own(cluster: Cluster, key: Key, uid: str) -> list[Object]:
 
 
 def _is_of(run: Object, uid: str) -> bool:
-    meta = run["metadata"]
-    owners = meta.get("ownerReferences") or ()
-    return any(owner["uid"] == uid for owner in owners) and not meta.get("deletionTimestamp")
+    return uid in owner_uids(run) and not run["metadata"].get("deletionTimestamp")
 
 
 def _is_outdated(seen: _Picture) -> bool:

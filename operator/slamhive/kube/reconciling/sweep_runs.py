@@ -13,7 +13,7 @@ import numpy as np
 
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.engine import PointState
-from slamhive.kube.api.kinds import MANAGER, Key, Kind, Label, key_of, reference
+from slamhive.kube.api.kinds import MANAGER, Key, Kind, Label, annotations_of, key_of, labels_of, reference
 from slamhive.kube.status import phase_of, rmse_of
 from slamhive.model.results import Outcome, Phase
 from slamhive.model.status import BEST_LENGTH, BestRun
@@ -70,7 +70,7 @@ def run_body(sweep: dict[str, Any], point: Point, slot: int, twin: str | None = 
 
 def asked_of(run: Mapping[str, Any]) -> dict[str, Any]:
     """Return the input options that a run was asked for in the place of what its spec holds."""
-    text = (run["metadata"].get("annotations") or {}).get(ASKED)
+    text = annotations_of(run).get(ASKED)
     try:
         found = json.loads(text) if text else {}
     except ValueError:  # someone else's words
@@ -80,7 +80,7 @@ def asked_of(run: Mapping[str, Any]) -> dict[str, Any]:
 
 def point_of(run: Mapping[str, Any]) -> int | None:
     """Return the index of the point that a MappingRun belongs to."""
-    text = (run["metadata"].get("labels") or {}).get(Label.POINT, "")
+    text = labels_of(run).get(Label.POINT, "")
     return int(text) if text.isdecimal() else None
 
 
@@ -94,11 +94,7 @@ def state_of(run: Mapping[str, Any]) -> PointState:
 
 def slots_used(runs: Iterable[Mapping[str, Any]]) -> set[int]:
     """Return the slots of runs in flight."""
-    texts = (
-        (run["metadata"].get("labels") or {}).get(Label.SLOT, "")
-        for run in runs
-        if state_of(run) is PointState.ACTIVE
-    )
+    texts = (labels_of(run).get(Label.SLOT, "") for run in runs if state_of(run) is PointState.ACTIVE)
     return {int(text) for text in texts if text.isdecimal()}
 
 

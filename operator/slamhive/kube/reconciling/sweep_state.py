@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from slamhive.archive import SweepRecord
 from slamhive.engine import PointState
-from slamhive.kube.reconciling.archiving import asked
+from slamhive.kube.reconciling.archiving import in_thread
 from slamhive.kube.reconciling.sweep_runs import Finished, Tally, decode_points
 from slamhive.kube.status import moment
 from slamhive.model.errors import InputError
@@ -134,7 +134,7 @@ async def remember(
     states = decode_points(status.points, len(plan))
     archived = Tally(best=status.best)
     if archive is not None:
-        await asked(_recall, sweep, archive, live, states, archived, cluster)
+        await in_thread(_recall, sweep, archive, live, states, archived, cluster)
     return SweepMemory(
         plan=plan,
         order=array("I", order),  # a tenth of a list's memory

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 from slamhive.contract.settled import is_settled
 from slamhive.engine import VariantState
 from slamhive.kube.api.errors import AlreadyExists
-from slamhive.kube.api.kinds import Key, Kind, Label, Role, key_of
+from slamhive.kube.api.kinds import Key, Kind, Label, Role, key_of, labels_of, owner_uids, owners_of
 from slamhive.kube.builders import variant_job, variant_name
 from slamhive.kube.observing import observe_variant
-from slamhive.kube.reconciling.refusals import patience
+from slamhive.kube.pods import has_ended
+from slamhive.kube.reconciling.waiting import patience, soonest
 from slamhive.kube.status import iso, moment, variant_of
 from slamhive.model.base import quantity
 from slamhive.model.results import Reason
@@ -95,10 +96,8 @@ def look(cluster: Cluster, namespace: str, wanted: Wanted, created: float) -> Va
         return VariantSeen(VariantState.READY, entry.description or {})
     # The Job tells as soon as it ends; until the Dataset's status says so too, runs would wait for a write in
     # between.
-    jobs = cluster.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name)
-    for job in jobs:
-        pods = cluster.store.select(Kind.POD, namespace, Label.VARIANT, wanted.name)
-        seen = observe_variant(job, pods)
+    for job in cluster.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name):
+        seen = observe_variant(job, cluster.store.pods_of(job))
         if seen.state is VariantState.READY and seen.description is not None:
             return VariantSeen(VariantState.READY, seen.description.as_json())
         if seen.state is VariantState.MAKING:
@@ -127,21 +126,20 @@ async def make(cluster: Cluster, namespace: str, wanted: Wanted, owner: dict[str
     """
     jobs = cluster.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name)
     for job in jobs:
-        pods = cluster.store.select(Kind.POD, namespace, Label.VARIANT, wanted.name)
         # The Job's name follows from the variant: the failed one has to go before another can be made.
-        if observe_variant(job, pods).state is VariantState.FAILED:
+        if observe_variant(job, cluster.store.pods_of(job)).state is VariantState.FAILED:
             await cluster.delete(key_of(Kind.JOB, job))
             return _PENDING_SECONDS / 5
     if not jobs:
         active = [
             job
             for job in cluster.store.select(Kind.JOB, namespace, Label.ROLE, Role.PREPARE)
-            if not _has_ended(job)
+            if not has_ended(job)
         ]
         # Other workers may have found the same room a moment ago.
         coming = cluster.being_created(Kind.JOB, namespace, Label.ROLE, Role.PREPARE)
         names = {job["metadata"]["name"] for job in (*active, *coming)}
-        is_coming = any(job["metadata"]["labels"].get(Label.VARIANT) == wanted.name for job in coming)
+        is_coming = any(labels_of(job).get(Label.VARIANT) == wanted.name for job in coming)
         if not is_coming and len(names) >= cluster.settings.preparation.parallel_jobs:
             return _PENDING_SECONDS
     body = variant_job(
@@ -163,21 +161,17 @@ async def make(cluster: Cluster, namespace: str, wanted: Wanted, owner: dict[str
 async def join(cluster: Cluster, namespace: str, wanted: Wanted, owner: dict[str, Any]) -> None:
     """Become an owner of the Job that makes a variant, so that it stays while this owner needs it."""
     for job in cluster.store.select(Kind.JOB, namespace, Label.VARIANT, wanted.name):
-        owners = job["metadata"].get("ownerReferences") or []
-        if not _has_ended(job) and owner["uid"] not in {item["uid"] for item in owners}:
+        if not has_ended(job) and owner["uid"] not in owner_uids(job):
             await _join(cluster, Key(Kind.JOB, namespace, job["metadata"]["name"]), owner)
 
 
 async def _join(cluster: Cluster, key: Key, owner: dict[str, Any]) -> None:
     job = await cluster.refresh(key)
-    if job is None:
-        return
-    owners = job["metadata"].get("ownerReferences") or []
-    if owner["uid"] in {item["uid"] for item in owners}:
+    if job is None or owner["uid"] in owner_uids(job):
         return
     # Without the version a merge patch of the list would drop an owner that another worker has just added,
     # and the Job with it.
-    await cluster.patch_seen(Kind.JOB, job, {"metadata": {"ownerReferences": [*owners, owner]}})
+    await cluster.patch_seen(Kind.JOB, job, {"metadata": {"ownerReferences": [*owners_of(job), owner]}})
 
 
 class DatasetReconciler:
@@ -190,28 +184,28 @@ class DatasetReconciler:
             return None
         before = {entry.name: entry for entry in DatasetStatus.of(dataset).variants}
         after = dict(before)
-        delays: list[float] = []
+        delays: list[float | None] = []
         for job in cluster.store.select(Kind.JOB, key.namespace, Label.DATASET, key.name):
-            name = job["metadata"].get("labels", {}).get(Label.VARIANT)
+            name = labels_of(job).get(Label.VARIANT)
             if name is not None:
-                entry = self._entry(cluster, key.namespace, name, job, before.get(name))
+                entry = self._entry(cluster, name, job, before.get(name))
                 after[name] = await self._while_waiting(cluster, job, entry, delays)
         after = _within(cluster, key.namespace, after)
         if after != before:
             await _write(cluster, dataset, after.values())
             self._wake(cluster, key)
-        return min(delays, default=None)
+        return soonest(*delays)
 
     @staticmethod
     async def _while_waiting(
-        cluster: Cluster, job: dict[str, Any], entry: VariantEntry, delays: list[float]
+        cluster: Cluster, job: dict[str, Any], entry: VariantEntry, delays: list[float | None]
     ) -> VariantEntry:
         """Return an entry with why its Job does not begin; one that can't for long has failed."""
         if entry.phase is not VariantPhase.PREPARING:
             return entry
         waits = await patience(cluster, job, observe_variant(job, cluster.store.pods_of(job)).waiting)
         if waits.end is None:
-            delays += [] if waits.seconds is None else [waits.seconds]
+            delays.append(waits.seconds)
             return entry.replace(message=waits.why and waits.why[:MESSAGE_LENGTH])
         await cluster.delete(key_of(Kind.JOB, job))
         return entry.replace(
@@ -222,12 +216,10 @@ class DatasetReconciler:
         )
 
     @staticmethod
-    def _entry(
-        cluster: Cluster, namespace: str, name: str, job: dict[str, Any], known: VariantEntry | None
-    ) -> VariantEntry:
+    def _entry(cluster: Cluster, name: str, job: dict[str, Any], known: VariantEntry | None) -> VariantEntry:
         if known is not None and known.phase is VariantPhase.READY:
             return known
-        seen = observe_variant(job, cluster.store.select(Kind.POD, namespace, Label.VARIANT, name))
+        seen = observe_variant(job, cluster.store.pods_of(job))
         now = iso(cluster.clock())
         # What was known of it before its folder was lost stays until it is told anew: see lose().
         before = known or VariantEntry(name=name)
@@ -341,7 +333,7 @@ def described(cluster: Cluster, key: Key, name: str) -> dict[str, Any] | None:
     if entry is not None and entry.description:
         return dict(entry.description)
     for job in cluster.store.select(Kind.JOB, key.namespace, Label.VARIANT, name):
-        seen = observe_variant(job, cluster.store.select(Kind.POD, key.namespace, Label.VARIANT, name))
+        seen = observe_variant(job, cluster.store.pods_of(job))
         if seen.description is not None:
             return seen.description.as_json()
     return None
@@ -358,8 +350,3 @@ def _problem_of(entry: VariantEntry) -> tuple[Reason, str]:
 
 def _made(job: dict[str, Any]) -> float:
     return moment(job["metadata"].get("creationTimestamp")) or 0.0
-
-
-def _has_ended(job: dict[str, Any]) -> bool:
-    found = (job.get("status") or {}).get("conditions") or ()
-    return any(item["type"] in {"Complete", "Failed"} and item["status"] == "True" for item in found)
