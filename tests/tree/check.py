@@ -31,7 +31,7 @@ QUESTIONS = "what|whether|where|who|whom|whose|which|how|when|why|that|if"
 RIDDLES = re.compile(
     rf'^ *r?"""(((return|yield|give)s?,? )?({QUESTIONS})|as)\b.*', re.IGNORECASE | re.MULTILINE
 )
-"""First lines of docstrings, which ruff has begin like this: to parse 1,200 modules takes ten times as long."""
+"""First lines of docstrings, which ruff has begin like this: parsing all modules takes ten times as long."""
 CLASSES = re.compile(r"^class \w+", re.MULTILINE)
 GLOSSARY = ("variant", "point", "slot", "attempt", "twin", "board", "common support")
 MOST_SHARED = 30
@@ -84,7 +84,8 @@ def packages(names: Iterable[str]) -> Iterator[str]:
 def riddles(name: str, text: str) -> Iterator[str]:
     """Yield the docstrings of a module, its constants, classes and functions that begin with a question."""
     for number, first in _matches(RIDDLES, text):
-        yield f"{name}:{number}: {first.strip()} is a riddle: say the noun, as in 'Return the token of the next page.'"
+        told = "is a riddle: say the noun, as in 'Return the token of the next page.'"
+        yield f"{name}:{number}: {first.strip()} {told}"
 
 
 def _matches(pattern: re.Pattern[str], text: str) -> Iterator[tuple[int, str]]:
