@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
 PACKAGE = ROOT / "operator" / "slamhive"
-FOLDERS = ("docs", "tests", "images", "examples", "evaluator", "helm")
+FOLDERS = ("docs", "tests", "images", "examples", "evaluator", "helm", ".github")
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 """What users and maintainers read, whose blocks are held to what they show."""
 _BESIDE = chain.from_iterable((ROOT / folder).rglob("*.md") for folder in FOLDERS)
