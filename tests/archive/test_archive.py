@@ -180,8 +180,8 @@ def test_finished_points_of_a_sweep(archive: Archive, make_run: MakeRun, make_re
     archive.put_run(make_run("d", sweep_uid="another"))
     found = archive.finished("s")
     assert set(found) == {"a", "b"}
-    assert (found["a"].index, found["a"].outcomes) == (3, {"x": Outcome.TRACKED, "y": Outcome.LOST})
-    assert (found["b"].reason, found["b"].outcomes) == (Reason.NO_TRAJECTORY, {})
+    assert (found["a"].index, found["a"].phase, found["a"].reason) == (3, Phase.SUCCEEDED, None)
+    assert (found["b"].phase, found["b"].reason) == (Phase.FAILED, Reason.NO_TRAJECTORY)
 
 
 def test_totals_of_a_sweep_leave_out_what_is_asked(

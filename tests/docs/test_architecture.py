@@ -66,7 +66,7 @@ def tree() -> str:
 
 
 def page_of(name: str) -> str:
-    """Return where the pages tell of a package: the page, and the heading if it has others before."""
+    """Return the place of a package in the pages: the page, and the heading if it has others before."""
     for page in PAGES:
         headings = re.findall(r"^(#+) (\w+)$", prose(page), re.MULTILINE)
         if ("#", name) in headings:

@@ -120,7 +120,7 @@ def test_cancelling_stops_the_attempt_first() -> None:
 def test_an_equal_run_is_reused_before_anything_is_prepared() -> None:
     decision = decide_run(RunState(), RunObserved(reusable=True), 0)
     assert decision.state.phase is Phase.SUCCEEDED
-    assert decision.actions == (Finish(reused=True),)
+    assert decision.actions == (Finish(),)
 
 
 def test_a_spec_that_can_never_run_fails_with_its_reason() -> None:

@@ -18,14 +18,16 @@ def lens_of(camera: CameraModel) -> Lens:
     return camera._camera.lens
 
 
+def project(lens: Any, points: np.ndarray) -> np.ndarray:
+    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, lens.coefficients)
+    return np.asarray(pixels[:, 0])
+
+
 @pytest.mark.parametrize("role", ["left", "right", "color"])
-def test_lenses_are_those_of_opencv_and_invert(studio: Any, role: str) -> None:
+def test_lenses_invert_those_of_opencv(studio: Any, role: str) -> None:
     lens = rig.cameras(studio.spec)[role].lens
     points = np.random.default_rng(1).uniform([-2, -1.4, 3], [2, 1.4, 5], (300, 3))
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, lens.coefficients)
-    pixels = lens.project(points)
-    np.testing.assert_allclose(pixels, expected[:, 0], atol=1e-9)
-    np.testing.assert_allclose(lens.rays(pixels), points / points[:, 2:], atol=1e-9)
+    np.testing.assert_allclose(lens.rays(project(lens, points)), points / points[:, 2:], atol=1e-9)
 
 
 @pytest.mark.parametrize("scale", [0.5, 0.37, 2.0])
@@ -98,7 +100,7 @@ def test_the_right_image_shows_the_points_of_the_left(studio: Any) -> None:
     rays = lens_of(left).rays(np.stack([columns, rows], axis=1).astype(float))
     to_right = np.linalg.inv(right.pose(NOON)) @ left.pose(NOON)
     points = (rays * depth[:, None]) @ to_right[:3, :3].T + to_right[:3, 3]
-    pixels = lens_of(right).project(points).astype(np.float32)
+    pixels = project(lens_of(right), points).astype(np.float32)
     found = cv2.remap(images[1], pixels[None, :, 0], pixels[None, :, 1], cv2.INTER_LINEAR)[0]
     # Away from what only one eye sees, the depths agree too.
     behind = cv2.remap(right._view(NOON).depth, pixels[None, :, 0], pixels[None, :, 1], cv2.INTER_NEAREST)[0]

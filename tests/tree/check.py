@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
 ROOT = Path(__file__).parents[2]
 SPDX = "SPDX-License-Identifier: Apache-2.0"
@@ -38,6 +38,22 @@ MOST_SHARED = 30
 """Class names that may stand for several things, as those of the evaluator's API and of our objects do."""
 FULLEST = 30
 """Files that may lie side by side in a folder of our packages."""
+
+USED = ("operator/", "evaluator/", "images/", "helm/", "examples/", "pyproject.toml")
+"""Folders and files in which a function is used that is no dead code; tests don't count."""
+DEFINITIONS = re.compile(
+    r"^(?P<before>.*)\n(?P<indent> *)(?:async )?(?:def|class) (?P<name>\w+)", re.MULTILINE
+)
+REGISTERED = re.compile(r" *@(?!property|cached_property|staticmethod|cache\b|contextmanager|dataclass)")
+"""Decorators that hand a function to somebody who calls it, such as a command's."""
+CALLED_BY_OTHERS = {
+    *("handle_starttag", "handle_endtag", "handle_data"),  # by html.parser
+    *("process_bind_param", "process_result_value"),  # by SQLAlchemy
+    *("seekable", "ignore_aliases", "_undefined_message"),  # by zipfile, PyYAML, Jinja
+    "Writer",  # by bridges/exporting.py, of the module that the user names
+    *("put_runs", "put_catalog"),  # by tests and benches alone, which fill archives with thousands of runs
+    "is_known",  # by the test that holds all numbers of a run to the table of measures
+}
 
 
 def tracked() -> list[Path]:
@@ -120,6 +136,35 @@ def full_folders(names: Iterable[str], most: int = FULLEST) -> Iterator[str]:
             yield f"{folder}/: {count} files lie side by side, at most {most} may: give it sub-packages"
 
 
+def dead_code(texts: Mapping[str, str]) -> Iterator[str]:
+    """Yield the functions, methods and classes of our packages that nothing uses.
+
+    A method is used if its name occurs anywhere else, what is of a module if it does in that module, or in a
+    file that names the module.
+
+    Args:
+        texts: all in which they may be used, by path.
+    """
+    words = {path: Counter(re.findall(r"\w+", text)) for path, text in texts.items()}
+    files: defaultdict[str, set[str]] = defaultdict(set)
+    for path, found in words.items():
+        for word in found:
+            files[word].add(path)
+    for path, text in texts.items():
+        for match in DEFINITIONS.finditer(text) if path.startswith(PACKAGES) and path.endswith(".py") else ():
+            name = match["name"]
+            if name in CALLED_BY_OTHERS or name.startswith("__") or REGISTERED.match(match["before"]):
+                continue
+            elsewhere = files[name]
+            if not match["indent"]:
+                elsewhere = (
+                    elsewhere & files[path.removesuffix("/__init__.py").removesuffix(".py").split("/")[-1]]
+                )
+            if words[path][name] == 1 and not elsewhere - {path}:
+                number = text.count("\n", 0, match.start("name")) + 1
+                yield f"{path}:{number}: {name}: nothing uses it but tests, if anything does"
+
+
 def missing_words(glossary: str) -> Iterator[str]:
     """Yield the words of the house that a glossary lacks."""
     rows = re.findall(r"^\| (.+?) \|", glossary, re.MULTILINE)
@@ -144,6 +189,13 @@ def problems() -> Iterator[str]:
                 classes += [(line.removeprefix("class "), f"{name}:{number}") for number, line in found]
     yield from shared_names(classes)
     yield from full_folders(contents)
+    yield from dead_code(
+        {
+            name: content.decode(errors="replace")
+            for name, content in contents.items()
+            if name.startswith(USED) and "/vendor/" not in name
+        }
+    )
     yield from missing_words(contents["docs/glossary.md"].decode())
 
 

@@ -84,6 +84,22 @@ def test_packages_where_none_may_be_are_found(check: Any) -> None:
     assert [one.split(":")[0] for one in check.packages(names)] == names[:2]
 
 
+def test_what_nothing_uses_is_found(check: Any) -> None:
+    uses = "def used(): ...\n\n\nclass _Gone:\n    @property\n    def gone(self): ...\n"
+    uses += "    def told(self): ...\n\n@app.command\ndef command(): ...\n\ndef left(): ...\n"
+    texts = {
+        "operator/slamhive/a.py": f"\n{uses}",
+        "operator/slamhive/b.js": "a.used, told",
+        "images/pin": "def lone(): left",
+    }
+    found = list(check.dead_code(texts))
+    assert [one.rpartition(":")[0] for one in found] == [
+        "operator/slamhive/a.py:5: _Gone",
+        "operator/slamhive/a.py:7: gone",
+        "operator/slamhive/a.py:13: left",
+    ]
+
+
 def test_a_word_that_the_glossary_lacks_is_found(check: Any) -> None:
     rows = "".join(f"| {word} | … |\n" for word in check.GLOSSARY if word != "slot")
     assert list(check.missing_words(rows)) == ["docs/glossary.md: no row for 'slot'"]

@@ -25,7 +25,7 @@ from slamhive.archive.records import (
     to_result,
 )
 from slamhive.model.errors import UnknownNameError
-from slamhive.model.results import IntendedEvaluation, Outcome, Phase, Reason, Result, RunRecord
+from slamhive.model.results import IntendedEvaluation, Phase, Reason, Result, RunRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -321,25 +321,17 @@ class Archive:
         Args:
             sweep_uid: the sweep's identity; two sweeps may have one name.
         """
-        runs, results = schema.runs.c, schema.results.c
+        runs = schema.runs.c
         query = (
-            select(
-                *(runs.uid, runs.point, runs.phase, runs.reason, runs.content_hash),
-                *(results.evaluation, results.outcome),
-            )
-            .select_from(schema.runs.outerjoin(schema.results))
+            select(runs.uid, runs.point, runs.phase, runs.reason, runs.content_hash)
             .where(runs.sweep_uid == sweep_uid, runs.phase.in_(_FINISHED))
             .order_by(runs.id)
         )
-        points: dict[str, FinishedPoint] = {}
         with reading(self._engine) as connection:
-            for uid, point, phase, reason, content, evaluation, outcome in connection.execute(query):
-                if uid not in points:
-                    why = Reason(reason) if reason else None
-                    points[uid] = FinishedPoint(point, Phase(phase), why, content, {})
-                if evaluation is not None:
-                    points[uid].outcomes[evaluation] = Outcome(outcome)
-        return points
+            return {
+                uid: FinishedPoint(point, Phase(phase), Reason(reason) if reason else None, content)
+                for uid, point, phase, reason, content in connection.execute(query)
+            }
 
     def earlier(self, sweep: str) -> list[EarlierRun]:
         """Return the finished runs of all versions of a workstation's sweep, in the order of being stored."""

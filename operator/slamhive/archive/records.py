@@ -68,13 +68,12 @@ class CatalogEntry(Model):
 
 @dataclass(frozen=True)
 class FinishedPoint:
-    """Result of a finished run of a sweep: its phase, and its outcome under each evaluation."""
+    """End of a finished run of a sweep."""
 
     index: int | None
     phase: Phase
     reason: Reason | None
     content_hash: str | None
-    outcomes: dict[str, Outcome]
 
 
 @dataclass(frozen=True)

@@ -159,9 +159,7 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class Finish:
-    """Record the run; ``reused`` tells that an equal run's result is taken."""
-
-    reused: bool = False
+    """Record the run."""
 
 
 RunAction = Prepare | Start | Stop | Evaluate | Finish
@@ -215,7 +213,7 @@ def decide_run(state: RunState, seen: RunObserved, now: float) -> Decision:
 
 def _lead_on(state: RunState, seen: RunObserved, now: float) -> Decision:
     if seen.reusable:
-        return Decision(_move(state, Phase.SUCCEEDED), (Finish(reused=True),))
+        return Decision(_move(state, Phase.SUCCEEDED), (Finish(),))
     if state.not_before > now:
         return Decision(state, look_again_at=state.not_before)
     return _start(state, seen, now)

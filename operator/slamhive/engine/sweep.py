@@ -99,7 +99,6 @@ class SweepDecision:
     message: str = ""
     actions: tuple[StartPoints | StopPoints, ...] = ()
     cursor: int = 0
-    counts: dict[PointState, int] = field(default_factory=dict)
 
 
 def decide_sweep(spec: SweepSpec, seen: SweepObserved, now: float) -> SweepDecision:
@@ -113,17 +112,17 @@ def decide_sweep(spec: SweepSpec, seen: SweepObserved, now: float) -> SweepDecis
     counts = {state: _count(seen.states, state) for state in PointState}
     active = counts[PointState.ACTIVE]
     if counts[PointState.PENDING] <= seen.left_out and not active:
-        return SweepDecision(Verdict.COMPLETE, "all points are done", cursor=seen.cursor, counts=counts)
+        return SweepDecision(Verdict.COMPLETE, "all points are done", cursor=seen.cursor)
     limit = _limit(spec, seen, counts, now)
     if limit is not None:
         verdict, message = limit
         stop = (StopPoints(tuple(_indices(seen.states, PointState.ACTIVE))),) if active else ()
-        return SweepDecision(verdict, message, stop, seen.cursor, counts)
+        return SweepDecision(verdict, message, stop, seen.cursor)
     if spec.suspend:
-        return SweepDecision(Verdict.SUSPENDED, "spec.suspend is set", (), seen.cursor, counts)
+        return SweepDecision(Verdict.SUSPENDED, "spec.suspend is set", (), seen.cursor)
     cursor, chosen = _next_points(seen, max(0, seen.parallelism - active))
     actions = (StartPoints(chosen),) if chosen else ()
-    return SweepDecision(Verdict.RUNNING, "", actions, cursor, counts)
+    return SweepDecision(Verdict.RUNNING, "", actions, cursor)
 
 
 def _limit(

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[3]
 PACKAGE = ROOT / "operator" / "slamhive"
 FOLDERS = ("docs", "tests", "images", "examples", "evaluator", "helm", ".github")
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
-"""What users and maintainers read, whose blocks are held to what they show."""
+"""Documents that users and maintainers read, whose blocks are held to what they show."""
 _BESIDE = chain.from_iterable((ROOT / folder).rglob("*.md") for folder in FOLDERS)
 ALL = sorted(
     {path for path in (*DOCUMENTS, *ROOT.glob("*.md"), *_BESIDE) if "node_modules" not in path.parts}

@@ -12,7 +12,6 @@ from slamhive.dashboard.answers import analysis, many_runs
 from slamhive.dashboard.server.costs import MOST_COMPETITORS, costs_little
 from slamhive.dashboard.server.service import Service
 
-LongText = Annotated[str | None, Query(max_length=10_000)]
 Where = Annotated[
     str | None,
     Query(

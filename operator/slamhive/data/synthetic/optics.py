@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lenses: from points to pixels and, by iteration, from pixels to rays."""
+"""Lenses: by iteration, from pixels to rays."""
 
 from __future__ import annotations
 
@@ -43,18 +43,6 @@ class Lens:
             self.coefficients,
         )
 
-    def project(self, points: Array) -> Array:
-        """Project points in front of the camera.
-
-        Args:
-            points: `(n, 3)`, in the optical frame, z > 0.
-
-        Returns:
-            `(n, 2)`, pixels; also outside the image.
-        """
-        bent = self._distort(points[:, :2].T / points[:, 2])
-        return np.asarray(bent.T * np.diag(self.matrix)[:2] + self.matrix[:2, 2])
-
     def rays(self, pixels: Array) -> Array:
         """Give the direction that a pixel looks in.
 
@@ -70,10 +58,6 @@ class Lens:
             radial, tangential = self._terms(straight)
             straight = (bent - tangential) / radial
         return np.stack([*straight, np.ones(len(pixels))], axis=1)
-
-    def _distort(self, xy: Array) -> Array:
-        radial, tangential = self._terms(xy)
-        return np.asarray(xy * radial + tangential)
 
     def _terms(self, xy: Array) -> tuple[Array, Array]:
         k1, k2, p1, p2, k3 = self.coefficients

@@ -87,11 +87,6 @@ class Kind(Choice):
         """Tell whether the kind is defined by our CRDs."""
         return self not in _BUILT_IN
 
-    @property
-    def namespaced(self) -> bool:
-        """Tell whether objects live in a namespace: all kinds do."""
-        return True
-
     def path(self, namespace: str, name: str = "", subresource: str = "") -> str:
         """Return the address of a collection, an object or a subresource on the API server."""
         root = "/apis" if self.group else "/api"

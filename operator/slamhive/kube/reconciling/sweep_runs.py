@@ -13,7 +13,7 @@ import numpy as np
 
 from slamhive.contract.settled import FILES, is_settled
 from slamhive.engine import PointState
-from slamhive.kube.api.kinds import MANAGER, Key, Kind, Label, annotations_of, key_of, labels_of, reference
+from slamhive.kube.api.kinds import MANAGER, Kind, Label, annotations_of, labels_of, reference
 from slamhive.kube.status import phase_of, rmse_of
 from slamhive.model.results import Outcome, Phase
 from slamhive.model.status import BEST_LENGTH, BestRun
@@ -171,11 +171,6 @@ def best_of(entries: Iterable[BestRun]) -> list[BestRun]:
     """Return the entries with the smallest errors, each run once."""
     by_name = {entry.name: entry for entry in entries}
     return sorted(by_name.values(), key=lambda entry: (entry.ate, entry.name))[:BEST_LENGTH]
-
-
-def keys(runs: Iterable[Mapping[str, Any]]) -> list[Key]:
-    """Return the addresses of MappingRuns."""
-    return [key_of(Kind.MAPPING_RUN, dict(run)) for run in runs]
 
 
 def _best_entry(run: Mapping[str, Any], result: Mapping[str, Any]) -> BestRun | None:
