@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of errors: whatever a result says of an error, it says by these names."""
+"""Statistics of errors, under the names that results have for them, and Student's distribution."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from functools import cache
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -63,6 +65,9 @@ IN_UNIT = tuple(name for name in STATISTICS if name != "sse")
 """Those in the errors' own unit, which tables compare."""
 
 
+_LONG_SERIES = 400
+
+
 def _median(errors: FloatArray) -> float:
     """Return np.median, without its import of numpy.ma: a tenth of what a small evaluation takes."""
     import numpy as np  # noqa: PLC0415
@@ -71,3 +76,40 @@ def _median(errors: FloatArray) -> float:
     lower = upper - 1 + errors.size % 2
     middle = np.partition(errors, (lower, upper))
     return float(np.mean(middle[lower : upper + 1]))
+
+
+@cache
+def student_quantile(share: float, degrees: int) -> float:
+    """The x that Student's t stays below with the given probability.
+
+    Args:
+        share: Within (0, 1).
+        degrees: Of freedom, ≥ 1.
+
+    Returns:
+        The quantile, from the closed form of the distribution for whole degrees (Abramowitz and Stegun
+        1964, 26.7.3 and 26.7.4) by bisection of the angle arctan(t/√degrees); of more than 400 degrees by
+        the expansion around the normal distribution (26.7.5), to nine digits.
+    """
+    if degrees > _LONG_SERIES:
+        z = NormalDist().inv_cdf(share)
+        return z + (z**3 + z) / (4 * degrees) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * degrees**2)
+    low, high = 0.0, math.pi / 2.0
+    goal = 2.0 * max(share, 1.0 - share) - 1.0
+    while True:
+        theta = (low + high) / 2.0
+        if theta in (low, high):
+            break
+        low, high = (theta, high) if _student_between(theta, degrees) < goal else (low, theta)
+    return math.copysign(math.tan(theta) * math.sqrt(degrees), share - 0.5)
+
+
+def _student_between(theta: float, degrees: int) -> float:
+    """P(|t| < tan θ·√degrees)."""
+    sine, cosine = math.sin(theta), math.cos(theta)
+    odd = degrees % 2
+    term, total = (cosine, 0.0) if odd else (1.0, 0.0)
+    for k in range(1 + odd, degrees, 2):
+        total += term
+        term *= cosine * cosine * k / (k + 1)
+    return 2.0 / math.pi * (theta + sine * total) if odd else sine * total

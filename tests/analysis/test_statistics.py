@@ -24,8 +24,8 @@ from slamhive.analysis.statistics import (
     rank_correlation,
     resampled_medians,
     sign_flip_test,
-    student_quantile,
 )
+from slamhive_eval.statistics import student_quantile
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slamhive_eval.errors import OptionError
+from slamhive_eval.statistics import student_quantile
 from slamhive_eval.trajectory import LARGEST_METRES
 
 if TYPE_CHECKING:
@@ -168,43 +169,6 @@ def summarize(errors: Sequence[float | None], thresholds: Sequence[float] = (), 
         interval=_interval(values, seed),
         success=success,
     )
-
-
-def student_quantile(share: float, degrees: int) -> float:
-    """The x that Student's t stays below with the given probability.
-
-    Args:
-        share: Within (0, 1).
-        degrees: Of freedom, ≥ 1.
-
-    Returns:
-        The quantile, from the closed form of the distribution for whole degrees (Abramowitz and Stegun
-        1964, 26.7.3 and 26.7.4) by bisection of the angle arctan(t/√degrees).
-    """
-    low, high = 0.0, math.pi / 2.0
-    goal = 2.0 * max(share, 1.0 - share) - 1.0
-    while True:
-        theta = (low + high) / 2.0
-        if theta in (low, high):
-            break
-        low, high = (theta, high) if _student_between(theta, degrees) < goal else (low, theta)
-    return math.copysign(math.tan(theta) * math.sqrt(degrees), share - 0.5)
-
-
-def _student_between(theta: float, degrees: int) -> float:
-    """P(|t| < tan θ·√degrees)."""
-    cosine, sine = math.cos(theta), math.sin(theta)
-    if degrees % 2:
-        term = total = cosine
-        for k in range(3, degrees - 1, 2):
-            term *= (k - 1) / k * cosine * cosine
-            total += term
-        return 2.0 / math.pi * (theta + (sine * total if degrees > 1 else 0.0))
-    term = total = 1.0
-    for k in range(2, degrees - 1, 2):
-        term *= (k - 1) / k * cosine * cosine
-        total += term
-    return sine * total
 
 
 def _interval(values: FloatArray, seed: int) -> Interval | None:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slamhive_eval.statistics import student_quantile
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -27,7 +29,6 @@ ENOUGH = 10
 """Repetitions from which on an interval is given; below, the points themselves say more."""
 
 _MOST_EXACT = 14
-_LONG_SERIES = 400
 _FLIPS = 20_000
 _MOST_PLACED = 128
 """Numbers whose sample's middle places are tabulated at most: a table of their square is made once."""
@@ -200,50 +201,6 @@ def median_interval(ordered: Floats) -> Interval | None:
             weight *= (count - below) / (below + 1)
     below = max(below, 0)
     return Interval(float(ordered[below]), float(ordered[count - 1 - below]), "order statistics")
-
-
-@cache
-def student_quantile(probability: float, degrees: int) -> float:
-    """Return a quantile above the median of Student's t distribution.
-
-    By bisection of the finite series for whole degrees of freedom (Abramowitz and Stegun 26.7.3 and 26.7.4);
-    for more than 400 by the expansion around the normal distribution (26.7.5), to nine digits.
-    """
-    if degrees > _LONG_SERIES:
-        z = _normal_quantile(probability)
-        first = (z**3 + z) / 4
-        second = (5 * z**5 + 16 * z**3 + 3 * z) / 96
-        return z + first / degrees + second / degrees**2
-    low, high = 0.0, math.pi / 2
-    for _ in range(60):
-        middle = (low + high) / 2
-        if _student_within(middle, degrees) < 2 * probability - 1:
-            low = middle
-        else:
-            high = middle
-    return math.sqrt(degrees) * math.tan((low + high) / 2)
-
-
-def _student_within(angle: float, degrees: int) -> float:
-    """Return P(|T| < √degrees · tan(angle))."""
-    sine, cosine = math.sin(angle), math.cos(angle)
-    odd = degrees % 2
-    term, total = (cosine, 0.0) if odd else (1.0, 0.0)
-    for k in range(1 + odd, degrees, 2):
-        total += term
-        term *= cosine * cosine * k / (k + 1)
-    return 2 / math.pi * (angle + sine * total) if odd else sine * total
-
-
-def _normal_quantile(probability: float) -> float:
-    low, high = 0.0, 40.0
-    for _ in range(80):
-        middle = (low + high) / 2
-        if 1 - 0.5 * math.erfc(middle / math.sqrt(2)) < probability:
-            low = middle
-        else:
-            high = middle
-    return (low + high) / 2
 
 
 def resampled_medians(ordered: Floats, draws: int, generator: np.random.Generator) -> Floats:
