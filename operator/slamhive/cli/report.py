@@ -39,6 +39,7 @@ from slamhive.reporting.papertables import Best, Overall, Statistic, TableLayout
 from slamhive.reporting.presets import preset
 from slamhive.reporting.questions import parse_question, usual_metric, usual_questions
 from slamhive.tables.homes import homes_beside
+from slamhive.tables.queries import split_names
 from slamhive.tables.reading import revision
 from slamhive_eval.formats.csv_writing import csv_text
 
@@ -255,8 +256,7 @@ def _overall(text: str | None) -> tuple[Overall, ...]:
 
 
 def _names(text: str | None, default: str) -> tuple[str, ...]:
-    given = default if text is None else text
-    return tuple(dict.fromkeys(name.strip() for name in given.split(",") if name.strip()))
+    return tuple(dict.fromkeys(split_names(default if text is None else text)))
 
 
 def _write(text: str, output: Path | None) -> None:

@@ -28,6 +28,7 @@ from slamhive.local.home.folder import Home
 from slamhive.model.errors import InputError, UnknownNameError
 from slamhive.model.uncollected import uncollected
 from slamhive.tables.homes import COLUMN, homes_beside, read_homes
+from slamhive.tables.queries import split_names
 from slamhive.tables.reading import read_archive
 from slamhive.tables.text import (
     constants,
@@ -369,7 +370,7 @@ def usual_columns(names: Sequence[str], frame: Frame, *, filled: bool = False) -
 
 
 def _names(text: str | None) -> list[str] | None:
-    return [name.strip() for name in text.split(",") if name.strip()] if text else None
+    return split_names(text) if text else None
 
 
 def _columns(text: str | None, frame: Frame, option: str) -> list[str] | None:

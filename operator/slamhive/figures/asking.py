@@ -17,6 +17,7 @@ from slamhive.model.errors import InputError
 from slamhive.reporting.papertables import Statistic
 from slamhive.reporting.questions import usual_metric, varied
 from slamhive.reporting.titles import keys_text
+from slamhive.tables.queries import split_names
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -106,8 +107,7 @@ class Wish:
         text = getattr(self, field)
         if text is None:
             return tuple(name for name in default if varies(frame, name))
-        names = [part.strip() for part in text.split(",") if part.strip()]
-        return tuple(dict.fromkeys(frame.resolve(name, f"--{field}") for name in names))
+        return tuple(dict.fromkeys(frame.resolve(name, f"--{field}") for name in split_names(text)))
 
     def named(self, field: str, default: Sequence[str], frame: Frame) -> tuple[str, ...]:
         """Return the columns whose values stand side by side along an axis, as ``COLUMN,…``.

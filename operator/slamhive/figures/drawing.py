@@ -319,14 +319,12 @@ class Drawing:
 
     def _box(self, axes: Any, mark: Box) -> None:
         style, patches = Style(mark.series), library("patches")
-        first, middle, third = np.percentile(mark.values, (25, 50, 75))
-        reach = 1.5 * (third - first)
-        inside = mark.values[(mark.values >= first - reach) & (mark.values <= third + reach)]
+        low, first, middle, third, high = mark.ends
         left, right = mark.at - mark.width / 2, mark.at + mark.width / 2
         line = {"color": style.colour, "linewidth": 0.1 * self._points, "zorder": 2}
-        axes.vlines([mark.at] * 2, [inside.min(), third], [first, inside.max()], **line)
+        axes.vlines([mark.at] * 2, [low, third], [first, high], **line)
         quarter = mark.width / 4
-        axes.hlines([inside.min(), inside.max()], mark.at - quarter, mark.at + quarter, **line)
+        axes.hlines([low, high], mark.at - quarter, mark.at + quarter, **line)
         axes.add_patch(
             patches.Rectangle(
                 (left, first),

@@ -310,12 +310,10 @@ def _one_box(number: int, at: float, room: float, values: Floats) -> list[Box | 
     if not len(values):
         return []
     if len(values) >= _LEAST_BOX:
-        first, third = np.percentile(values, (25, 75))
-        reach = 1.5 * (third - first)
-        out = values[(values < first - reach) | (values > third + reach)]
-        dots = values if len(values) <= MOST_POINTS else out
+        whole = Box(number, at, 0.8 * room, values)
+        dots = values if len(values) <= MOST_POINTS else whole.outside
         aside = _beside(len(dots)) * 0.2 * room
-        return [Box(number, at, 0.8 * room, values), Dots(number, at + aside, dots, small=True)]
+        return [whole, Dots(number, at + aside, dots, small=True)]
     aside = _beside(len(values)) * 0.25 * room
     middle, ends = np.median(values, keepdims=True), np.array([[at - 0.35 * room, at + 0.35 * room]])
     bar = [Ranges(number, np.array([at]), middle, x_ends=ends)] if len(values) > 1 else []

@@ -7,6 +7,7 @@ Each kind of figure makes one; ``drawing`` turns it into matplotlib's objects an
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -116,6 +117,19 @@ class Box:
     at: float
     width: float
     values: Floats
+
+    @cached_property
+    def ends(self) -> tuple[float, float, float, float, float]:
+        """The lower whisker, the lower quartile, the median, the upper quartile and the upper whisker."""
+        first, middle, third = np.percentile(self.values, (25, 50, 75)).tolist()
+        reach = 1.5 * (third - first)
+        inside = self.values[(self.values >= first - reach) & (self.values <= third + reach)]
+        return float(inside.min()), first, middle, third, float(inside.max())
+
+    @property
+    def outside(self) -> Floats:
+        """The numbers beyond the whiskers, (k,)."""
+        return self.values[(self.values < self.ends[0]) | (self.values > self.ends[-1])]
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,7 +149,7 @@ def _require(frame: Frame, name: str, reserved: frozenset[str]) -> None:
         raise QueryError(f"unknown parameter or column {shown!r}{hint}", shown)
 
 
-def names(text: str | None) -> list[str]:
+def split_names(text: str | None) -> list[str]:
     """Return the names in a list such as ``a,b``."""
     return [part.strip() for part in text.split(",") if part.strip()] if text else []
 
@@ -160,7 +160,7 @@ def columns(frame: Frame, text: str | None, field: str, default: Sequence[str] =
     Raises:
         QueryError: one of them is unknown.
     """
-    chosen = list(dict.fromkeys(names(text))) or list(default)
+    chosen = list(dict.fromkeys(split_names(text))) or list(default)
     for name in chosen:
         if not frame.has(name.removeprefix("-") if field == "sort" else name):
             shown = name.removeprefix("-")[:200]

@@ -11,7 +11,7 @@ from slamhive.dashboard.answering.encoding import Body, Table
 from slamhive.dashboard.answers import paging
 from slamhive.dashboard.answers.columns import heading, profile
 from slamhive.dashboard.problems import TooLarge
-from slamhive.tables.queries import columns, names, select
+from slamhive.tables.queries import columns, select, split_names
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -144,7 +144,7 @@ def columns_list(snapshot: Snapshot, pairs: Pairs, wanted: str | None) -> Body:
     """
     frame, left_out = chosen(snapshot, pairs, ("columns", "format"))
     columns(snapshot.frame, wanted, "columns")
-    listed = names(wanted) or [
+    listed = split_names(wanted) or [
         name for name in snapshot.frame.names if not snapshot.frame.column(name).is_empty
     ]
     items = [profile(frame, name) for name in listed]

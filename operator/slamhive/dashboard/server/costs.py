@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from slamhive.tables.queries import names
+from slamhive.tables.queries import split_names
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,5 +40,5 @@ def costs_little(
     frame = data.frame
     if len(frame) > MOST_ROWS or len(query) > MOST_TEXT:
         return False
-    told = [name for name in (names(by) or default) if name in frame.names]
+    told = [name for name in (split_names(by) or default) if name in frame.names]
     return math.prod(len(frame.column(name).factorized()[1]) for name in told) <= most

@@ -112,7 +112,7 @@ def fetch_file(wanted: WantedFile, place: Path, progress: FetchProgress | None =
     path = partial_path(wanted.urls[0], place.parent)
     with one_at_a_time(path, wanted.what, progress) as waited:
         if waited and place.is_file():
-            found = _sha256(place)
+            found = sha256_of(place)
             if wanted.sha256 in {None, found}:
                 return found
         partial = Partial(path)
@@ -464,7 +464,8 @@ def _require_room(size: int, room: int, order: _FetchOrder) -> None:
         )
 
 
-def _sha256(path: Path) -> str:
+def sha256_of(path: Path) -> str:
+    """Return the checksum of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -475,6 +476,6 @@ def require_sha256(path: Path, sha256: str, what: str) -> None:
     Raises:
         DataError: it is another file.
     """
-    found = _sha256(path)
+    found = sha256_of(path)
     if found != sha256:
         raise DataError(f"{what}: has sha256 {found}, expected {sha256}")

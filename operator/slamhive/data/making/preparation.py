@@ -10,13 +10,13 @@ the options that matter and `VERSION`.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slamhive.contract.posefiles import FRAMES
+from slamhive.data.files.fetching import sha256_of
 from slamhive.data.files.once import evict, flush, in_use, make_once
 from slamhive.data.making.orders import frames_text, make_recording, order_of
 from slamhive.data.recordings.entries import recording_sha256
@@ -215,7 +215,7 @@ def _describe(order: Order, path: Path, aside: Path, made: MadeRecording) -> Non
         "format": order.target,
         "recording": path.name,
         "state": _state(path),
-        "framesSha256": _sha256(aside / FRAMES),
+        "framesSha256": sha256_of(aside / FRAMES),
         "sensors": {role: view.as_json() for role, view in made.views.items()},
         "startTime": selection.first / 10**9 + offset,
         "durationSeconds": (selection.last - selection.first) / 10**9,
@@ -250,7 +250,7 @@ def _add_frames(folder: Path) -> None:
         with Recording([path], form) as recording:
             stamps = recording.scan([primary.topic])[primary.topic].stamps
         _replace(folder / FRAMES, frames_text(stamps, primary.time_offset))
-        described = description | {"framesSha256": _sha256(folder / FRAMES)}
+        described = description | {"framesSha256": sha256_of(folder / FRAMES)}
         _replace(folder / DESCRIPTION, (json.dumps(described, indent=2) + "\n").encode())
     except OSError as error:
         raise SystemFault(f"{folder}: {error.strerror or error}") from error
@@ -268,10 +268,6 @@ def _replace(path: Path, data: bytes) -> None:
     except BaseException:
         aside.unlink(missing_ok=True)
         raise
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _state(path: Path) -> list[int] | str:
@@ -292,7 +288,7 @@ def _is_sound(folder: Path) -> bool:
         description = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
         path = folder / description["recording"]
         frames = description.get("framesSha256")
-        changed = frames is not None and _sha256(folder / FRAMES) != frames
+        changed = frames is not None and sha256_of(folder / FRAMES) != frames
         there = path.is_dir() if DataFormat(description["format"]).is_folder else bool(guess_format(path))
         return not changed and there and _state(path) == description["state"]
     except (OSError, ValueError, KeyError, InputError):
